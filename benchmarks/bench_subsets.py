@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.bench_kernels import LSTSQ, Row
 from termsel.data.features import BoolArray, FloatArray, IntArray
-from termsel.data.monomials import RPC00B, monomials
+from termsel.data.monomials import RPC00B, evaluate_monomials
 from termsel.selection.best_subsets.columns.system import SubsetSystem
 from termsel.selection.best_subsets.subsets import SubsetResult, search
 
@@ -40,7 +40,7 @@ def plane_polynomial(rng: np.random.Generator, degree: int = 5) -> SubsetSystem:
 
 def rational(rng: np.random.Generator, terms: int = 10, n_control: int = N_CONTROL) -> SubsetSystem:
     """Return one axis of an RFM of so many terms above the line, whose poles are guarded."""
-    above = monomials(rng.uniform(-1, 1, (n_control + N_CHECK, 3)), RPC00B[:terms])
+    above = evaluate_monomials(rng.uniform(-1, 1, (n_control + N_CHECK, 3)), RPC00B[:terms])
     below = above[:, 1:]
     sizes = 0.3 ** np.arange(1, terms + 1) + 1e-3
     target = above @ (rng.normal(size=terms) * sizes)

@@ -16,7 +16,7 @@ import numpy as np
 
 from termsel import Points, open_dem
 from termsel_block.estimation.common import height_equations
-from termsel_block.estimation.equations import TieRows, pairs, solve
+from termsel_block.estimation.equations import TieRows, image_pairs, solve
 from termsel_block.geometry.cameras import RpcCamera, groups_of
 from termsel_block.geometry.frame import FloatArray
 from termsel_block.geometry.heights import ControlHeights
@@ -65,7 +65,7 @@ def bounds(simulated: Simulated, result: BlockResult, bias: float, drift: float,
         of_offset[0, 0] += known / rough**2
     solved = solve([*seen, heights], [*normal, of_offset], [*right, aim],
                    of_ties + np.eye(3) * _UNSEEN**-2, aim_of_ties,
-                   pairs([part.tie for part in [*seen, heights]], len(places)))
+                   image_pairs([part.tie for part in [*seen, heights]], len(places)))
     found = {}
     for i, points in own.items():
         columns = cameras[i].first_order(frame.local(judging[i].ground))[1]

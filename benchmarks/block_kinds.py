@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from termsel_block.block import Block
-from termsel_block.simulated import VIEWS, Hills, Simulated, height, simulate_block
+from termsel_block.simulated import VIEWS, Hills, Simulated, ground_heights, simulate_block
 
 OWN = 6
 _JUDGING = 160
@@ -104,7 +104,8 @@ def _dem(folder: Path, simulated: Simulated, hills: Hills, rng: np.random.Genera
     lon, lat = np.arange(west, east, step), np.arange(north, south, -step)
     places = np.stack(np.meshgrid(lon, lat), axis=-1).reshape(-1, 2)
     errors = gaussian_filter(rng.standard_normal((len(lat), len(lon))), 6)
-    heights = height(places, hills).reshape(errors.shape) + 3 * errors / errors.std() + rng.normal(
+    heights = ground_heights(places,
+                             hills).reshape(errors.shape) + 3 * errors / errors.std() + rng.normal(
         0, 3)
     with opened(folder / "dem.tif", "w", driver="GTiff", width=len(lon), height=len(lat), count=1,
                 dtype="float32", crs="EPSG:4979",

@@ -14,7 +14,7 @@ from benchmarks.block_kinds import OWN, Kind, drawn
 from termsel import FeatureSet, Fit, Points
 from termsel.data.fit_data import FitData
 from termsel.runs.request import auto_of_all
-from termsel_block.accuracy import independent_points, rmse
+from termsel_block.accuracy import independent_points, rms_length
 from termsel_block.block import Block
 from termsel_block.geometry.frame import FloatArray, Frame
 from termsel_block.joint import adjust
@@ -56,9 +56,9 @@ def compared(kind: Kind, seed: int) -> tuple[float, float, float]:
         by_ties = fitted(block, 2, Points(tuple(map(str, common)), places[2], ground))
         own, judging = np.split(rng.permutation(len(points)), [OWN])
         few, judge = fitted(block, 2, points.take(own)), points.take(judging)
-        return (rmse(judge.image - result.project(2, judge.ground)),
-                rmse(judge.image - by_ties.project(judge.ground)),
-                rmse(judge.image - few.project(judge.ground)))
+        return (rms_length(judge.image - result.project(2, judge.ground)),
+                rms_length(judge.image - by_ties.project(judge.ground)),
+                rms_length(judge.image - few.project(judge.ground)))
 
 
 def intersected(fits: list[Fit], places: list[FloatArray], start: FloatArray, frame: Frame,

@@ -24,7 +24,7 @@ from benchmarks.block_rival import fitted
 from benchmarks.sets import ROOT, put
 from termsel import Points, rpc_of, write_rpc
 from termsel.core.threads import one_blas_thread
-from termsel_block.accuracy import independent_points, predicted, rmse
+from termsel_block.accuracy import independent_points, predicted_errors, rms_length
 from termsel_block.block import Block
 from termsel_block.files.folders import image_result
 from termsel_block.geometry.frame import FloatArray
@@ -71,8 +71,8 @@ def figures_of(kind: Kind, seed: int) -> Figures:
             assert points is not None
             order = rng.permutation(len(points))
             judging[i] = points.take(order[OWN:])
-            errors[i] = rmse(judging[i].image - result.project(i, judging[i].ground))
-            expected = predicted(result, i)
+            errors[i] = rms_length(judging[i].image - result.project(i, judging[i].ground))
+            expected = predicted_errors(result, i)
             inside.append(expected.low <= errors[i] <= expected.high)
             six[i] = points.take(order[:OWN])
             if len(result.control[i]) == 2 * OWN:
@@ -111,7 +111,7 @@ def _control(result: BlockResult, i: int) -> Points:
 
 def _alone(block: Block, i: int, points: Points, judging: Points) -> float:
     """Return the RMSE [px] of an image by its own points and the strategy auto."""
-    return rmse(np.asarray(fitted(block, i, points).errors(judging)))
+    return rms_length(np.asarray(fitted(block, i, points).errors(judging)))
 
 
 def injected(seed: int) -> tuple[float, float]:

@@ -36,8 +36,8 @@ from termsel.auto.blunders import find_blunders
 from termsel.auto.contradictions import Suspects
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.fit_data import FitData
-from termsel.data.monomials import graded_exponents, monomials
-from termsel.data.scaling import scaling_of
+from termsel.data.monomials import evaluate_monomials, graded_exponents
+from termsel.data.scaling import make_scaling
 
 COUNTS = (24, 40, 74)
 WORST = 1.5
@@ -123,9 +123,10 @@ PEERS: dict[str, Peer] = {"least squares": _least_squares, "RANSAC": _ransac,
 
 def _quadratic(peer: Peer, points: Points, others: Points) -> float:
     """Return the independent RMSE of a quadratic polynomial by a peer."""
-    scaling = scaling_of(FeatureSet(points))
+    scaling = make_scaling(FeatureSet(points))
     exponents = graded_exponents(2, 3 if heights_of(points) else 2)
-    columns, there = (monomials(scaling.ground(one.ground), exponents) for one in (points, others))
+    columns, there = (
+        evaluate_monomials(scaling.ground(one.ground), exponents) for one in (points, others))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         predicted = np.stack([there @ peer(columns, target)

@@ -20,7 +20,7 @@ import termsel
 from benchmarks.sets import ROOT
 from termsel.core.threads import one_blas_thread
 from termsel.data.features import BoolArray, FeatureSet
-from termsel.fitting.figures import figures
+from termsel.fitting.figures import rmse_by_role
 from termsel.fitting.least_squares import fit
 from termsel.selection.problems.segments import Genes
 from termsel.simulate import simulate_scene
@@ -67,7 +67,7 @@ CASES = (
 def independent(task: termsel.Task, chosen: BoolArray) -> float:
     """Return the RMSE of the independent points with some features [px]."""
     fitted = fit(task.model, task.observations.control, task.scaling, used=chosen)
-    rmse = figures(fitted, task.observations)["independent"]
+    rmse = rmse_by_role(fitted, task.observations)["independent"]
     assert rmse is not None
     return rmse.total
 

@@ -17,7 +17,7 @@ from statistics import median
 from termsel.auto.auto import Auto
 from termsel.data.features import FeatureSet, Points
 from termsel.data.fit_data import FitData
-from termsel.data.scaling import scaling_of
+from termsel.data.scaling import make_scaling
 from termsel.fitting.least_squares import fit
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial3D
@@ -53,7 +53,7 @@ def errors(name: str, model: str, count: int, seed: int) -> dict[str, float] | N
             choice = Auto().choose(FitData.of(own, True))
             fitted = choice.chosen if choice else None
         else:
-            fitted = fit(MODELS[model], own, scaling_of(own))
+            fitted = fit(MODELS[model], own, make_scaling(own))
         if fitted is None or not fitted.adjustment.redundancy > 0:
             return None
         rmse = fitted.rmse(independent)

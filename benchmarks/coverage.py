@@ -28,7 +28,7 @@ from termsel.core.threads import one_blas_thread
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.data.fit_data import FitData
 from termsel.data.record.figures import CONFIDENCE, Predicted
-from termsel.fitting.accuracy import predicted_by, predicted_rmse
+from termsel.fitting.accuracy import predict_rmse, predict_rmse_of_fit
 from termsel.simulate.catalogue import SCENES
 from termsel_bench.scenes.cameras import ALL_KINDS, FRESH, image_of
 from termsel_cameras.maps import MAP_NAME as OLD_MAP
@@ -138,11 +138,11 @@ def case(name: str, count: int, seed: int) -> dict[str, Any] | None:
                     float(np.median(np.linalg.norm(sigma[some], axis=1)) / rmse_of(found[some])))
 
     def predicted(points: int) -> Predicted:
-        return predicted_by(fitted, errors, points, independent.ground[:points])
+        return predict_rmse_of_fit(fitted, errors, points, independent.ground[:points])
 
     found_here: dict[str, Any] = to_builtins(Case(
         name, count, rmse_of(found), predicted(n), rmse_of(found[:FEW]), predicted(min(n, FEW)),
-        predicted_rmse(errors, fitted.effective, n, 0.0), part(hull), part(~hull)))
+        predict_rmse(errors, fitted.effective, n, 0.0), part(hull), part(~hull)))
     return found_here
 
 

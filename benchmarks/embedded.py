@@ -15,7 +15,7 @@ from termsel.simulate.catalogue import OTHERS, SCENES
 from termsel.simulate.example import vendor_rpc
 from termsel.simulate.kept import FOLDER, bytes_to_keep
 from termsel_optimisers.papers.datasets import SIMULATED
-from termsel_rpc.simulated import DATASET_NAME, MATCHES, candidates, matches
+from termsel_rpc.simulated import DATASET_NAME, MATCHES, simulate_candidates, simulate_matches
 
 ROOT = Path(__file__).parents[1]
 CORE = ROOT / "src" / "termsel" / "simulate" / FOLDER
@@ -33,8 +33,8 @@ def computed() -> Iterator[tuple[Path, FeatureSet]]:
     for name, simulated in SIMULATED.items():
         yield papers / f"{name}.json", simulated()
     rpc = PLUGINS / "termsel-rpc" / "src" / "termsel_rpc" / FOLDER
-    yield rpc / f"{DATASET_NAME}.json", candidates()
-    yield rpc / f"{MATCHES}.json", matches()
+    yield rpc / f"{DATASET_NAME}.json", simulate_candidates()
+    yield rpc / f"{MATCHES}.json", simulate_matches()
 
 
 def main() -> None:

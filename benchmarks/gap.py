@@ -22,7 +22,7 @@ from scipy.stats import binom
 import termsel
 from benchmarks.new_points import correlation_interval, rmse_interval, scene
 from benchmarks.sets import ROOT, put
-from termsel.data.features import FloatArray, no_lines
+from termsel.data.features import FloatArray, empty_lines
 from termsel.data.record.figures import RmseByRole
 from termsel.data.record.search import Certificate
 from termsel.results.theme import (
@@ -38,7 +38,7 @@ from termsel.selection.best_subsets.columns.system import SubtreeNode
 from termsel.selection.best_subsets.score_systems import ScoreSystems, score_systems
 from termsel.selection.solvers.proofs.proof import limits_of
 from termsel_studies.groups import Runs, group
-from termsel_studies.summaries import quantiles, reachable, wilson
+from termsel_studies.summaries import quantiles_with_infinity, reachable_value, wilson_interval
 
 Front: TypeAlias = list[tuple[int, float, tuple[float, float, float]]]
 """Terms, check RMSE and RMSE at the new points, with its interval, of the best of each size."""
@@ -121,7 +121,7 @@ def page(proof: termsel.Result, residuals: termsel.Result,
         sample=sample, quadratic=of_three(plain), worth=100 * (optimum[0] / quadratic - 1),
         subsets=certificate.subsets, share=100 * share,
         runs=len(everything), near=len(near),
-        reached=sum(one["fitness"] <= reachable(check) for one in everything),
+        reached=sum(one["fitness"] <= reachable_value(check) for one in everything),
         typical=100 * (np.median([one["fitness"] for one in everything]) / check - 1),
         space=certificate.space, rho=correlation_interval(fitness, independent),
         worse=100 * np.mean(independent > quadratic), median=np.median(independent),
@@ -174,7 +174,7 @@ def quadratics() -> tuple[FloatArray, FloatArray]:
     independent = points.take([role == "independent" for role in points.roles])
     together = tuple("control" if role == "check" else role for role in points.roles)
     alone, both = (
-        termsel.fit(replace(scene(), points=replace(points, roles=roles), lines=no_lines()),
+        termsel.fit(replace(scene(), points=replace(points, roles=roles), lines=empty_lines()),
                     "quadratic").errors(independent) for roles in (points.roles, together))
     return alone, both
 
@@ -273,12 +273,14 @@ def table(study: termsel.Study, optimum: float) -> Iterator[str]:
 def row(method: str, runs: Runs, optimum: float) -> str:
     """Return a line of such a table."""
     least, median, largest = (f"{max(0.0, 100 * (value / optimum - 1)):.1f} %"
-                              for value in quantiles(runs.values, (0, 0.5, 1)))
+                              for value in quantiles_with_infinity(runs.values, (0, 0.5, 1)))
     if len(runs.values) > 1:
         low, high = (max(0.0, 100 * (value / optimum - 1)) for value in around(runs.values))
         median = f"{median} ({low:.1f} to {high:.1f})"
-    reached, count = sum(value <= reachable(optimum) for value in runs.values), len(runs.values)
-    share = f"{reached}, up to {100 * wilson(reached, count)[1]:.0f} %" if count > 1 else ""
+    reached, count = sum(value <= reachable_value(optimum)
+                         for value in runs.values), len(runs.values)
+    upper = 100 * wilson_interval(reached, count)[1]
+    share = f"{reached}, up to {upper:.0f} %" if count > 1 else ""
     terms, evaluations, seconds = (np.median([one[key] for one in runs.rows])
                                    for key in ("n_terms", "evaluations", "cpu_seconds"))
     return (f"| {method} | {count} | {least} | {median} | {largest} | {share} | {terms:.0f} | "

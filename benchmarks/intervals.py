@@ -18,7 +18,7 @@ from benchmarks.coverage import holds, share
 from benchmarks.sets import put, rmse_of
 from termsel import FeatureSet
 from termsel.data.record.figures import InImage
-from termsel.fitting.accuracy import distances, predicted_by
+from termsel.fitting.accuracy import distance_figures, predict_rmse_of_fit
 from termsel.simulate import simulate_scene
 
 SCENES = ("ikonos-hamedan", "spot-isfahan", "irs1c-mashad", "cartosat-hyderabad")
@@ -54,12 +54,12 @@ def cases(name: str, seed: int) -> Iterator[Case]:
         truth = rmse_of(fitted.errors(many))
         for count in COUNTS:
             errors = fitted.errors(few.take(np.arange(count)))
-            stated = distances(InImage, errors)
+            stated = distance_figures(InImage, errors)
             low, high = stated.interval
             assert stated.normal is not None
             assert stated.mean is not None
             yield Case(structure, count, low <= truth <= high,
-                       holds(predicted_by(fitted, left_out, count), stated.total),
+                       holds(predict_rmse_of_fit(fitted, left_out, count), stated.total),
                        min(stated.normal) >= UNLIKELY,
                        all(abs(mean) <= FAR / count**0.5 * size for mean, size in zip(
                            stated.mean, (stated.line, stated.sample), strict=True)))

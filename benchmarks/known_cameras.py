@@ -34,7 +34,7 @@ from termsel.core.errors import TermselError
 from termsel.core.threads import one_blas_thread
 from termsel.data.features import FeatureSet, Points
 from termsel.data.fit_data import FitData
-from termsel.fitting.accuracy import predicted_by
+from termsel.fitting.accuracy import predict_rmse_of_fit
 from termsel_cameras.known.method import KNOWN_CAMERA
 
 FloatArray = NDArray[np.float64]
@@ -134,7 +134,7 @@ def figures_of_drawn(depression: int, count: int, seed: int,
         fitted = KNOWN_CAMERA.fit(FitData.of(features.with_(points=control)))
     except TermselError:
         return figures
-    predicted = predicted_by(fitted, np.concatenate(fitted.errors_without_each[0]), 0)
+    predicted = predict_rmse_of_fit(fitted, np.concatenate(fitted.errors_without_each[0]), 0)
     return {**figures, "auto": rmse(fitted.project(new_points.ground), new_points.image),
             "predicted": predicted.rmse, "low": predicted.low, "high": predicted.high}
 

@@ -23,10 +23,10 @@ import numpy as np
 
 import termsel
 from termsel import FeatureSet, Points, write_rpc
-from termsel_match.chain import georeference
+from termsel_match.chain import georeference_image
 from termsel_match.images.starts import Start
 from termsel_match.judgement.selection import select_points, with_lines
-from termsel_match.lines.rounds import in_place, iterate_lines
+from termsel_match.lines.rounds import are_bands_in_place, iterate_lines
 from termsel_match.points.candidates import match_points
 from termsel_match.simulated.world import CRS, World
 from termsel_match.simulated.world_files import write_world
@@ -140,7 +140,7 @@ def scene(seed: int, size: int, keep: Path) -> dict[str, float]:
     for name, off in (("in place", 0.0), ("elsewhere", WRONG)):
         at = Start("a model", CRS, 520.0, lambda ground, off=off: right_model.project(ground) + off,
                    lambda seen, heights, off=off: right_model.locate(seen - off, heights))
-        found[name] = float(in_place(image, roads, at, dem=dem, search=60.0).mean())
+        found[name] = float(are_bands_in_place(image, roads, at, dem=dem, search=60.0).mean())
     return found
 
 
@@ -165,8 +165,9 @@ def chain(place: Path) -> tuple[float, float, float]:
     """Return seconds, seconds of processor time and GiB of the whole chain."""
     start, spent = time.perf_counter(), time.process_time()
     with tempfile.TemporaryDirectory() as folder:
-        done = georeference(place / "image.tif", place / "ortho.tif", Path(folder) / "map.tif",
-                            dem=place / "dem.tif", vectors=place / "roads.gpkg")
+        done = georeference_image(place / "image.tif", place / "ortho.tif",
+                                  Path(folder) / "map.tif",
+                                  dem=place / "dem.tif", vectors=place / "roads.gpkg")
     seconds, spent = time.perf_counter() - start, time.process_time() - spent
     assert not done.reasons, done.reasons
     return seconds, spent, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20

@@ -17,9 +17,9 @@ from pathlib import Path
 
 from benchmarks.sets import put
 from termsel_bench.methods.base import AUTO, PEERS, Method
-from termsel_bench.protocol import Score, Work, score
+from termsel_bench.protocol import Score, Work, score_work
 from termsel_bench.scenes.measured import measured_names
-from termsel_bench.tables import best_of, losses, ratio, ratios_by_kind
+from termsel_bench.tables import least_error_by_set, losses, ratio_to_best, ratios_by_kind
 
 METHODS = [AUTO, *(Method("peer", name) for name in PEERS if name != "orthority")]
 
@@ -60,7 +60,7 @@ def kept_scores(names: Sequence[str], kept: Mapping[tuple[str, str], Score],
     """Yield the scores of all methods, those that are kept and those that are added to a file."""
     for name in names:
         for method in METHODS:
-            found = kept.get((method.title, name)) or score(Work(method, name))
+            found = kept.get((method.title, name)) or score_work(Work(method, name))
             if file is not None and (method.title, name) not in kept:
                 file.parent.mkdir(parents=True, exist_ok=True)
                 with file.open("a") as stream:
@@ -70,7 +70,7 @@ def kept_scores(names: Sequence[str], kept: Mapping[tuple[str, str], Score],
 
 def page(scored: Sequence[Score]) -> str:
     """Return the page."""
-    best = best_of(scored)
+    best = least_error_by_set(scored)
     header, rows = ratios_by_kind(scored)
     sets = list(dict.fromkeys(each.set_name for each in scored))
     lost = losses(scored, AUTO.title)
@@ -106,7 +106,7 @@ def _by_kind(scored: Sequence[Score], best: dict[str, float]) -> Iterator[str]:
         ratios: dict[str, list[float]] = {}
         for each in scored:
             if each.kind == kind:
-                ratios.setdefault(each.method.title, []).append(ratio(each, best))
+                ratios.setdefault(each.method.title, []).append(ratio_to_best(each, best))
         near = {title: sum(value <= NEAR for value in values) for title, values in ratios.items()}
         of_auto = ratios.pop(AUTO.title)
         rival = max(ratios, key=lambda title: near[title])
@@ -116,7 +116,7 @@ def _by_kind(scored: Sequence[Score], best: dict[str, float]) -> Iterator[str]:
 
 
 def _near(scored: Sequence[Score], best: dict[str, float], title: str) -> list[str]:
-    ratios = [ratio(each, best) for each in scored if each.method.title == title]
+    ratios = [ratio_to_best(each, best) for each in scored if each.method.title == title]
     return [title, str(sum(math.isfinite(value) for value in ratios)),
             *(str(sum(value <= bound for value in ratios)) for bound in (NEAR, BOUND))]
 

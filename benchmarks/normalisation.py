@@ -19,7 +19,7 @@ from benchmarks.sets import put
 from termsel.adjustment.leave_out import independent_parts, solve_parts
 from termsel.data.features import FloatArray
 from termsel.models.quotient import POLE_MARGIN, guard_points
-from termsel.selection.problems.constraints import parents
+from termsel.selection.problems.constraints import parent_pairs
 from termsel.selection.problems.selection import SelectionProblem
 from termsel.selection.solvers.proofs.proof import prove
 from termsel.simulate import simulate_scene
@@ -98,7 +98,7 @@ def by_hierarchy(seed: int | None, factor: float, shift: float, iterated: bool,
     inputs = moved_by(task.problem.inputs, factor, shift)
     problem = SelectionProblem(inputs, terms=True, features=False)
     names = [str(term) for term in inputs.model.terms]
-    pairs = set(zip(*(side.tolist() for side in parents(tuple(names))), strict=True))
+    pairs = set(zip(*(side.tolist() for side in parent_pairs(tuple(names))), strict=True))
     each = []
     for axis in ("line", "sample"):
         mine = [i for i, name in enumerate(names) if name.startswith(axis)]

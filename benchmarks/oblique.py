@@ -25,7 +25,7 @@ from benchmarks.sets import put
 from benchmarks.unlike_maps import drawn_by_hand
 from termsel.core.errors import TermselError
 from termsel.core.threads import one_blas_thread
-from termsel.data.features import FeatureSet, Points, no_lines
+from termsel.data.features import FeatureSet, Points, empty_lines
 
 FloatArray = NDArray[np.float64]
 
@@ -171,7 +171,7 @@ def seen_by(camera: Camera, rng: np.random.Generator, count: int, *, heights: bo
         places = places + drawn_by_hand(rng, places, drawn, 0.5, 2.5)
     points = Points(tuple(f"P{i:02d}" for i in range(count)),
                     places[control] + noise * rng.standard_normal((count, 2)), given)
-    features = FeatureSet(points, no_lines(), "EPSG:32632", (LINES, SAMPLES))
+    features = FeatureSet(points, empty_lines(), "EPSG:32632", (LINES, SAMPLES))
     return Scene(features, ground[truth][inside] + origin, places[truth][inside])
 
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 
 from benchmarks.sets import ROOT, put
 from termsel_bench.methods.base import AUTO, PEERS, Method
-from termsel_bench.protocol import Score, scores
+from termsel_bench.protocol import Score, score_all
 from termsel_bench.scenes.catalogue import SETS
 from termsel_bench.submitted import texts_of
 from termsel_bench.tables import LOSS_RATIO, losses, ratios_by_kind
@@ -81,7 +81,7 @@ def main() -> None:
     parser.add_argument("--write", action="store_true")
     asked = parser.parse_args()
     found = []
-    for one in scores(METHODS, SETS):
+    for one in score_all(METHODS, SETS):
         found.append(one)
         if one.method == METHODS[-1]:
             print(one.set_name, file=sys.stderr)

@@ -18,7 +18,7 @@ import termsel
 from benchmarks.new_points import NEW, scene
 from benchmarks.sets import put, rmse_of
 from termsel.adjustment.leave_out import independent_parts, solve_parts
-from termsel.data.features import BoolArray, FloatArray, no_lines
+from termsel.data.features import BoolArray, FloatArray, empty_lines
 from termsel.models.quotient import POLE_MARGIN, guard_points
 
 SEEDS = range(301, 307)
@@ -95,7 +95,7 @@ def judged(features: termsel.FeatureSet, terms: tuple[str, ...]) -> tuple[float,
     points = features.points
     roles = np.array(points.roles)
     known = points.take(roles != "independent")
-    control = replace(features, lines=no_lines(),
+    control = replace(features, lines=empty_lines(),
                       points=replace(known, roles=("control",) * len(known)))
     model = termsel.RationalFunctions(order=2)
     task = termsel.prepare("rfm-terms", features=control, options={"order": 2},
@@ -120,7 +120,7 @@ def nested(features: termsel.FeatureSet) -> tuple[str, ...]:
     squares: dict[int, list[float]] = {}
     for out in range(FOLDS):
         roles = tuple("independent" if one == out else "control" for one in fold)
-        inner = replace(features, points=replace(known, roles=roles), lines=no_lines())
+        inner = replace(features, points=replace(known, roles=roles), lines=empty_lines())
         for member in proven(inner, "press").front:
             total = member.rmse["independent"].total
             squares.setdefault(int(member.objectives["n_terms"]), []).append(total**2)
@@ -128,7 +128,7 @@ def nested(features: termsel.FeatureSet) -> tuple[str, ...]:
                 if len(some) == FOLDS}
     size = min(complete, key=lambda one: complete[one])
     whole = replace(features, points=replace(known, roles=("control",) * len(known)),
-                    lines=no_lines())
+                    lines=empty_lines())
     members = proven(whole, "press").front
     best = min(members, key=lambda one: abs(one.objectives["n_terms"] - size))
     return tuple(best.selection.terms)
@@ -140,7 +140,7 @@ def terms_and_features(seed: int) -> dict[str, tuple[float, float]]:
     All selections of an RFM of first order are evaluated, for all selections of the control points.
     """
     features = scene(seed, (FEW, FEW, 1), JOINT_NEW)
-    task = termsel.prepare("owdis-points-terms", features=replace(features, lines=no_lines()),
+    task = termsel.prepare("owdis-points-terms", features=replace(features, lines=empty_lines()),
                            options={"order": 1, "blunders": "keep"})
     inputs = task.problem.inputs
     model = inputs.model

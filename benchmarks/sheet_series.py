@@ -28,12 +28,12 @@ from termsel.core.errors import TermselError
 from termsel.core.threads import one_blas_thread
 from termsel.data.features import FeatureSet, Points
 from termsel.data.fit_data import FitData
-from termsel.fitting.accuracy import predicted_by
-from termsel_cameras.sheets.candidates import usual_projections
-from termsel_cameras.sheets.choosing import chosen_of, tried_projections
+from termsel.fitting.accuracy import predict_rmse_of_fit
+from termsel_cameras.sheets.candidates import candidate_projections
+from termsel_cameras.sheets.choosing import first_of_the_best, rank_projections
 from termsel_cameras.sheets.paper import matrix_of
 from termsel_cameras.sheets.series import SHEET_OF_SERIES
-from termsel_cameras.sheets.series_file import Series, in_series, series_of
+from termsel_cameras.sheets.series_file import Series, series_of, with_series_columns
 
 FloatArray = NDArray[np.float64]
 
@@ -96,7 +96,7 @@ def simulated_series(few: int, series: int) -> tuple[list[Case], Series]:
 def figures_of_sheet(few: int, series: int, number: int) -> dict[str, float]:
     """Return the RMSE [px] of a sheet of few points, alone and in its series."""
     sheets, shared = simulated_series(few, series)
-    return figures(sheets[number], in_series(sheets[number][0], shared))
+    return figures(sheets[number], with_series_columns(sheets[number][0], shared))
 
 
 @lru_cache(maxsize=1)
@@ -115,7 +115,7 @@ def figures_of_map(few: int, number: int) -> dict[str, float]:
     rest = points.take(order[few:])
     others = [other for i, other in enumerate(maps) if i != number]
     return figures((control, rest.ground, rest.image),
-                   in_series(control, series_of(others, REAL_CRS)))
+                   with_series_columns(control, series_of(others, REAL_CRS)))
 
 
 def figures(case: Case, sheet: FeatureSet) -> dict[str, float]:
@@ -131,7 +131,7 @@ def figures(case: Case, sheet: FeatureSet) -> dict[str, float]:
 def of_series(sheet: FeatureSet, ground: FloatArray, image: FloatArray) -> dict[str, float]:
     """Return the RMSE of a sheet by its series, and the one predicted [px]."""
     fitted = SHEET_OF_SERIES.fit(FitData.of(sheet))
-    predicted = predicted_by(fitted, np.concatenate(fitted.errors_without_each[0]), 0)
+    predicted = predict_rmse_of_fit(fitted, np.concatenate(fitted.errors_without_each[0]), 0)
     return {"series": rmse(fitted.project(ground), image), "predicted": predicted.rmse,
             "low": predicted.low, "high": predicted.high}
 
@@ -143,13 +143,14 @@ def figures_of_projection(kind: str, number: int) -> dict[str, float]:
     And in degrees, and that of the best in hindsight.
     """
     features, left_out = (drawn_map if kind == "drawn" else left_out_of)(number)
-    candidates = usual_projections(features.points.ground[:, :2])
+    candidates = candidate_projections(features.points.ground[:, :2])
     if kind == "real":
         candidates = candidates[:CANDIDATES]
-    ranked = tried_projections([features], candidates)
+    ranked = rank_projections([features], candidates)
     errors = {crs: rmse_in(features, crs, left_out) for crs in
               dict.fromkeys(["", *(tried.crs for tried in ranked)])}
-    taken = {f"{nearly:g}": errors[chosen_of(ranked, candidates, nearly).crs] for nearly in NEARLY}
+    taken = {f"{nearly:g}": errors[first_of_the_best(ranked, candidates, nearly).crs]
+             for nearly in NEARLY}
     return {"degrees": errors[""], "hindsight": min(errors.values()), **taken}
 
 
@@ -158,7 +159,7 @@ def drawn_map(number: int) -> tuple[FeatureSet, Points]:
     rng = np.random.default_rng([62, number])
     middle = np.array([rng.uniform(-10.0, 40.0), rng.uniform(35.0, 60.0)])
     places = middle + rng.uniform(-1.0, 1.0, (10 + TRUTH, 2)) * [6.0, 4.0]
-    projections = usual_projections(middle + np.array([[-6.0, -4.0], [6.0, 4.0]]))
+    projections = candidate_projections(middle + np.array([[-6.0, -4.0], [6.0, 4.0]]))
     true = projections[int(rng.integers(2, len(projections) - 1))]
     plan = np.column_stack(Transformer.from_crs("EPSG:4326", true.crs, always_xy=True).transform(
         *places.T))

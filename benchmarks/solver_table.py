@@ -13,8 +13,8 @@ from pathlib import Path
 
 import termsel
 from benchmarks.sets import put
-from termsel.core.errors import counted
-from termsel_studies.pages import section, tables_of
+from termsel.core.errors import count_in_words
+from termsel_studies.pages import table_as_markdown, tables_of
 
 HERE = Path(__file__).parent
 STUDIES = ("solver-table-terms", "solver-table-exact", "solver-table-features")
@@ -55,9 +55,10 @@ def main() -> None:
 def part(study: termsel.Study) -> str:
     """Return the tables of a study but that of all pairs, which has hundreds of rows."""
     tables, said = tables_of(study)
-    heading = f"## {study.spec.title}, {counted(len(study.spec.seeds), 'seed')}\n"
+    heading = f"## {study.spec.title}, {count_in_words(len(study.spec.seeds), 'seed')}\n"
     claims = "\n".join(f"- {sentence}" for sentence in said)
-    return "\n".join([heading, *(section(one, 3) for one in tables if one.title != "Pairs"),
+    return "\n".join([heading,
+                      *(table_as_markdown(one, 3) for one in tables if one.title != "Pairs"),
                       f"### What may be claimed\n\n{claims}\n"])
 
 

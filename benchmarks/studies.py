@@ -26,7 +26,7 @@ import termsel
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.studies.cells.journal import JOURNAL, read_journal
 from termsel.studies.cells.table import TIMES
-from termsel.studies.compare import asked, plan_cells, works_of
+from termsel.studies.compare import plan_cells, requested_study, works_of
 from termsel.studies.execution.progress import StudyProgress
 
 STUDY = """problems = [{name = "poly-terms", degree = 3}]
@@ -97,7 +97,7 @@ def cluster(cells: int, workers: int) -> None:
         finally:
             for process in (*others, scheduler):
                 process.kill()
-    spec, place = asked(None, {**SMALLEST, "seeds": 1})
+    spec, place = requested_study(None, {**SMALLEST, "seeds": 1})
     works, features = works_of(plan_cells(spec, place))
     sizes = [len(pickle.dumps(one)) for one in features.values()]
     print(f"{cells} cells, {workers} workers: scheduler {1000 * spent / cells:.2f} ms CPU a cell, "

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import termsel.toolkit
-from termsel.cli.new_plugin import package
+from termsel.cli.new_plugin import package_files
 from termsel.core.options import Option
 from termsel.data.record.schema import json_schema
 from termsel.plugins.commands import COMMANDS, GROUPS, PACKAGES
@@ -134,7 +134,7 @@ def _said(body: list[ast.stmt], name: str) -> str:
 
 def _of_package(kind: str, file: str) -> str:
     """Return a file of the package that `termsel new-plugin` writes."""
-    text = next(text for path, text in package("termsel-demo", kind).items()
+    text = next(text for path, text in package_files("termsel-demo", kind).items()
                 if Path(path).name == file)
     return f"```{Path(file).suffix[1:].replace('py', 'python')}\n{text}```"
 

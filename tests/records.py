@@ -8,9 +8,9 @@ from typing import Any
 from msgspec import convert
 
 from termsel.data.record.record import Record
-from termsel.results.answers import document
+from termsel.results.answers import result_document
 from termsel.results.first_screen import first_screen as first_screen_facts
-from termsel.results.first_screen import next_step as next_command
+from termsel.results.first_screen import next_step_for_user as next_command
 from termsel.results.text import text_of, text_of_blocks
 
 
@@ -81,7 +81,8 @@ def share(most: float) -> dict[str, Any]:
 
 
 def text(whole: bool = True, **changed: Any) -> str:
-    return text_of(document(convert(record(**changed), Record)), with_details=whole, titled=False)
+    return text_of(result_document(convert(record(**changed), Record)), with_details=whole,
+                   titled=False)
 
 
 def first_screen(**changed: Any) -> list[str]:

@@ -11,7 +11,7 @@ from benchmarks.papers.trial import px
 from termsel import Equations, Task, prepare, search
 from termsel.fitting.least_squares import fit
 from termsel.runs.searching import fit_of
-from termsel_rpc import matches
+from termsel_rpc import simulate_matches
 
 RUNS = 20
 """Scenes drawn for each share."""
@@ -51,8 +51,8 @@ def page(runs: int) -> Iterator[str]:
 
 def one_scene(share: float, seed: int) -> tuple[float, ...]:
     """Return RMSE of independent points by five methods [px], blunders used, and CPU times."""
-    features = matches(share, seed)
-    exact = matches(0.0, seed).points.image
+    features = simulate_matches(share, seed)
+    exact = simulate_matches(0.0, seed).points.image
     task = prepare("konugurthi-2016", features=features)
     start = time.process_time()
     small = _searched(task, seed)

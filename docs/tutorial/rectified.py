@@ -20,7 +20,7 @@ from scipy.ndimage import gaussian_filter
 
 import termsel
 from termsel.io.example import write_example
-from termsel.simulate.example import GSD, MAP_CRS, corners
+from termsel.simulate.example import GSD, MAP_CRS, ground_of_corners
 
 TARGET = Path(__file__).parents[1] / "_static" / "rectified.png"
 GROUND = 252, 252, 250  # reads alike on light and dark pages
@@ -30,7 +30,7 @@ def corners_true(path: Path) -> np.ndarray:
     """Return line and sample of the corners in a map, shape (n, 2)."""
     with rasterio.open(path) as raster:
         turn = Transformer.from_crs("EPSG:4326", raster.crs, always_xy=True)
-        x, y = turn.transform(*corners()[:, :2].T)
+        x, y = turn.transform(*ground_of_corners()[:, :2].T)
         sample, line = ~raster.transform @ (np.asarray(x), np.asarray(y))
     return np.column_stack([line, sample]) - 0.5
 

@@ -25,7 +25,7 @@ WANTED = {"email": "authors = [{ name = ..., email = ... }]", "repository": "url
           "tracker": "urls.issues", "homepage": "urls.homepage"}
 
 
-def stated(project: dict) -> dict[str, str]:
+def stated_metadata(project: dict) -> dict[str, str]:
     """Return email, tracker, repository and homepage of a project table; only those it states."""
     # Keys of [project.urls] may have capitals.
     urls = {name.lower(): url for name, url in project.get("urls", {}).items()}
@@ -35,7 +35,7 @@ def stated(project: dict) -> dict[str, str]:
     return {name: text for name, text in metadata.items() if text}
 
 
-def faults(metadata: dict[str, str]) -> list[str]:
+def metadata_faults(metadata: dict[str, str]) -> list[str]:
     """Return what the repository of plugins would refuse, as sentences; [] if nothing."""
     sentences = [f"{name} is missing: give --{name}, or {where_stated} in {PROJECT.name}."
                  for name, where_stated in WANTED.items() if name not in metadata]
@@ -77,10 +77,10 @@ def main(arguments: list[str] | None = None) -> int:
     for name in WANTED:
         parser.add_argument(f"--{name}")
     options = vars(parser.parse_args(arguments))
-    metadata = stated(tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"])
+    metadata = stated_metadata(tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"])
     # Options come before what the project file states.
     metadata.update({name: options[name] for name in WANTED if options[name]})
-    problems = faults(metadata)
+    problems = metadata_faults(metadata)
     if options["for_repository"] and problems:
         print("Error:", *problems, sep="\n  ", file=sys.stderr)
         return 2

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from termsel import FeatureSet, LeastSquares, Points, RationalFunctions, rpc_of
-from termsel.toolkit import scaling_of
+from termsel.toolkit import make_scaling
 from termsel.toolkit.files import rpb_text
 from termsel_rpc.simulated import RPC_FILE, nominal_sensor
 
@@ -25,7 +25,7 @@ def main() -> None:
     control = FeatureSet(Points(tuple(map(str, range(len(grid)))), grid[:, :2], ground),
                          crs="EPSG:4979", image_size=(sensor.n_lines, sensor.n_samples))
     model = RationalFunctions()
-    exported = rpc_of(LeastSquares().fit(model, control, scaling_of(control), *(
+    exported = rpc_of(LeastSquares().fit(model, control, make_scaling(control), *(
         np.ones(n, dtype=bool) for n in (len(model.terms), len(control)))))
     RPC_FILE.write_text(rpb_text(exported.rpc.as_delivered()))
     away = exported.rpc.project(ground) - grid[:, :2]

@@ -11,8 +11,8 @@ import warnings
 try:
     from termsel.core.interrupts import (
         INTERRUPTED,
-        end,
         end_at_once,
+        end_program,
         leave,
         take_pending_interrupt,
         watch,
@@ -47,13 +47,13 @@ def report_fault(
     """
     if issubclass(kind, KeyboardInterrupt):
         leave()
-    from termsel.core.errors import cut, exception_in_words, printable
+    from termsel.core.errors import cut, exception_in_words, make_printable
     from termsel.core.version import __version__
 
     if os.environ.get("TERMSEL_DEBUG") == "1":
         sys.__excepthook__(kind, error, trace)
     what = cut(exception_in_words(error).rstrip("."), 1000)
-    print(printable(FAULT.format(what=what, version=__version__)), file=sys.stderr)
+    print(make_printable(FAULT.format(what=what, version=__version__)), file=sys.stderr)
 
 
 def open_streams() -> None:
@@ -136,7 +136,7 @@ def end_if_interrupted(code: object) -> None:
         leave()
     # The command has said what it kept, and how to go on: end() prints nothing more.
     if code == INTERRUPTED:
-        end()
+        end_program()
 
 
 def main() -> None:

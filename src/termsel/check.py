@@ -67,7 +67,7 @@ def check(path: str | Path) -> tuple[list[str], int]:
     Raises Refused for a file that is no certificate, was changed, or has a step that does not hold.
     """
     try:
-        return _checked(json.loads(_content(Path(path))))
+        return _proven_lines(json.loads(_read_certificate(Path(path))))
     except OSError as error:
         raise Refused(f"cannot be read ({error.strerror})") from error
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError,
@@ -75,7 +75,7 @@ def check(path: str | Path) -> tuple[list[str], int]:
         raise Refused(f"is not a certificate of the form {SCHEMA} ({error!r:.80})") from error
 
 
-def _content(path: Path) -> bytes:
+def _read_certificate(path: Path) -> bytes:
     """Return the bytes of a regular file that is not too large for a certificate."""
     if not path.is_file():
         raise Refused("is no file, or no regular one" if path.exists() else "there is no such file")
@@ -95,7 +95,7 @@ def is_certificate(path: str | Path) -> bool:
         return False
 
 
-def _checked(content: Any) -> tuple[list[str], int]:
+def _proven_lines(content: Any) -> tuple[list[str], int]:
     """Return the lines that say what a certificate proves, and how many selections stay open."""
     stated = content.pop("sha256")
     if content["schema"] != SCHEMA:
@@ -106,7 +106,7 @@ def _checked(content: Any) -> tuple[list[str], int]:
     require_together(axes)
     # RMSE^2 = pixels^2 / points times the sum of the axes' scores.
     share = axes[0].pixels**2 / axes[0].checks  # of a sum of scores in a squared RMSE
-    lines = _theorem(content, axes)
+    lines = _claim_lines(content, axes)
     lines.append("What is proved of it:")
     open_ = 0
     total = Fraction(0)
@@ -131,7 +131,7 @@ def _checked(content: Any) -> tuple[list[str], int]:
     return lines, open_
 
 
-def _theorem(content: dict[str, Any], axes: Sequence[Axis]) -> list[str]:
+def _claim_lines(content: dict[str, Any], axes: Sequence[Axis]) -> list[str]:
     """Return the claim in lines: its data, columns and selections, and its limits."""
     stated = content.get("data")
     if stated is not None and not (type(stated) is str and stated.isalnum() and len(stated) == 64):
@@ -178,7 +178,7 @@ def _name(term: Any) -> str:
     return term
 
 
-def _exact(values: Sequence[float]) -> list[Fraction]:
+def _as_fraction(values: Sequence[float]) -> list[Fraction]:
     if not all(type(value) in (float, int) and isfinite(value) for value in values):
         raise ValueError("a number is not finite")
     return [Fraction(value) for value in values]
@@ -211,17 +211,17 @@ class Axis:
         self.room = int(content["room"])
         if not 0 < self.k <= _MOST or not 0 <= self.room <= self.k:
             raise ValueError(f"terms: not 1 to {_MOST}, or no such room")
-        self.limit, self.margin, self.pixels = _exact(
+        self.limit, self.margin, self.pixels = _as_fraction(
             [content["limit"], content["margin"], content["pixels"]])
-        a, e, d = (self._rows(content[key]) for key in ("control", "errors", "denominators"))
+        a, e, d = (self._parse_rows(content[key]) for key in ("control", "errors", "denominators"))
         self.checks = len(e)
         self.rational = bool(d)
         if not e or not min(self.limit, self.pixels) > 0 or (d and (
                 len(d) != len(e) or not self.margin > 0)) or any(row[-1] != -1 for row in d):
             raise ValueError("limit, margin, pixels, errors or denominators")
         # Integers, by a power of two for each of the three blocks; E and D have one in common.
-        self.a, self.unit_a = _integers(a)
-        rows, self.unit = _integers(e + d)
+        self.a, self.unit_a = _to_integers(a)
+        rows, self.unit = _to_integers(e + d)
         self.e = rows[:len(e)]
         self.d = rows[len(e):]
         self.by_column = list(zip(*self.e, strict=True))
@@ -246,9 +246,9 @@ class Axis:
                 and len(self.selection) <= self.room):
             raise ValueError("selection")
 
-    def _rows(self, values: Sequence[Sequence[float]]) -> list[list[Fraction]]:
+    def _parse_rows(self, values: Sequence[Sequence[float]]) -> list[list[Fraction]]:
         """Return rows as exact fractions; raises ValueError if one has not k + 1 values."""
-        rows = [_exact(row) for row in values]
+        rows = [_as_fraction(row) for row in values]
         if any(len(row) != self.k + 1 for row in rows):
             raise ValueError("a row has not one value for each term and the target")
         return rows
@@ -260,7 +260,7 @@ class Axis:
         while todo:
             counts[2] += 1
             try:
-                todo += reversed(self._step(todo.pop(), counts, *next(self.nodes)))
+                todo += reversed(self._check_step(todo.pop(), counts, *next(self.nodes)))
             except StopIteration:
                 raise Refused(f"axis {self.name}: the tree ends before step {counts[2]}") from None
             except Refused as error:
@@ -269,7 +269,7 @@ class Axis:
             raise Refused(f"axis {self.name}: the tree goes on after all is decided")
         return counts[0], counts[1], counts[2]
 
-    def _step(self, node: Node, counts: list[int], step: Any, *values: Any) -> list[Node]:
+    def _check_step(self, node: Node, counts: list[int], step: Any, *values: Any) -> list[Node]:
         """Check one step, count the selections that it decides, and return the remaining nodes.
 
         Raises Refused if the step proves nothing.
@@ -306,9 +306,9 @@ class Axis:
         upper = (*[UPPER] * self.checks, -(-largest_t.numerator * UPPER // largest_t.denominator))
         size = range(self.k + 1)
         node = Node((), tuple(range(self.k)), upper, tuple(size), [[0] * (i + 1) for i in size])
-        node = self._weighed(node, [self._weight(u) for u in upper[:-1]])
+        node = self._with_higher_weights(node, [self._integer_weight(u) for u in upper[:-1]])
         for j in sorted(self.forced):
-            node = self._using(node, j)
+            node = self._branch_using(node, j)
         return node
 
     def halves(self, node: Node, j: int) -> list[Node]:
@@ -322,9 +322,9 @@ class Axis:
                  for i, row in enumerate(node.form) if i != p]
         without = replace(node, rest=open_columns, form=fewer,
                           columns=node.columns[:p] + node.columns[p + 1:])
-        return [without, self._using(node, j)] if len(node.used) < self.room else [without]
+        return [without, self._branch_using(node, j)] if len(node.used) < self.room else [without]
 
-    def _using(self, node: Node, j: int) -> Node:
+    def _branch_using(self, node: Node, j: int) -> Node:
         """Return the selections that use column j: the square of its normal equation is 0."""
         # Row j of A'A times z is zero for the least-squares z, so its square may be added with any
         # weight.
@@ -336,12 +336,12 @@ class Axis:
         return replace(node, used=(*node.used, j), rest=tuple(i for i in node.rest if i != j),
                        form=form)
 
-    def _weight(self, upper: int) -> int:
+    def _integer_weight(self, upper: int) -> int:
         """Return 1 / (L u^2), rounded down, for the squares of the integers of the errors."""
         return (_ONE * UPPER**2 * self.limit.denominator
                 // (self.limit.numerator * self.unit**2 * upper**2))
 
-    def _weighed(self, node: Node, weights: Sequence[int]) -> Node:
+    def _with_higher_weights(self, node: Node, weights: Sequence[int]) -> Node:
         """Return a node with higher weights of the errors."""
         errors = [self.by_column[j] for j in node.columns]
         form = []
@@ -357,14 +357,14 @@ class Axis:
 
         Raises Refused if they prove nothing.
         """
-        extent = self._extent(node, spheres, range(1, len(self.lines)))
+        extent = self._extent_of_lines(node, spheres, range(1, len(self.lines)))
         if extent is None or extent[0] or not self.rational:
             raise Refused("the limits have no proof")
         # Limits only ever fall, and stay positive.
         upper = [max(1, min(old, new)) for old, new in zip(node.upper, extent[1], strict=True)]
-        added = [self._weight(new) - self._weight(old)
+        added = [self._integer_weight(new) - self._integer_weight(old)
                  for new, old in zip(upper[:-1], node.upper[:-1], strict=True)]
-        return replace(self._weighed(node, added), upper=tuple(upper))
+        return replace(self._with_higher_weights(node, added), upper=tuple(upper))
 
     def is_closed(self, node: Node, spheres: Any, k: int | None = None) -> bool:
         """Return whether no selection of a node is below the limit.
@@ -373,11 +373,11 @@ class Axis:
         """
         if k is not None and not (self.rational and type(k) is int and 0 <= k < self.checks):
             raise ValueError("a denominator")
-        extent = self._extent(node, spheres, [] if k is None else [k + 1])
+        extent = self._extent_of_lines(node, spheres, [] if k is None else [k + 1])
         return extent is not None and (extent[0] or min(extent[1], default=0) < 0)
 
-    def _extent(self, node: Node, spheres: Any,
-                lines: Sequence[int]) -> tuple[bool, list[int]] | None:
+    def _extent_of_lines(self, node: Node, spheres: Any,
+                         lines: Sequence[int]) -> tuple[bool, list[int]] | None:
         """Return whether s'z = 1 is out of reach, and else the largest values of some lines.
 
         These are in units of 1 / UPPER, rounded up. None if nothing is proven.
@@ -385,7 +385,8 @@ class Axis:
         if type(spheres) is not list:
             spheres = [spheres] * len(node.rest)
         scale = Fraction(_ONE, 2 * self.unit_a**2)
-        half = dict(zip(node.rest, (_floor(alpha * scale) for alpha in _exact(spheres)),
+        half = dict(zip(node.rest,
+                        (_floor_of_binary(alpha * scale) for alpha in _as_fraction(spheres)),
                         strict=True))
         alphas = [half.get(i, 0) for i in node.columns]
         n = len(node.columns)
@@ -427,7 +428,7 @@ class Axis:
         matrix = []
         for i in used:
             matrix.append([self.gram[i][j] for j in used])
-        x, det = _solved(matrix, [self.gram[i][self.k] for i in used])
+        x, det = _solve_exactly(matrix, [self.gram[i][self.k] for i in used])
         if det == 0:
             return None
         total = 0
@@ -445,7 +446,7 @@ class Axis:
         return Fraction(total, _ONE)
 
 
-def _floor(value: Fraction) -> int:
+def _floor_of_binary(value: Fraction) -> int:
     return value.numerator // value.denominator
 
 
@@ -486,7 +487,7 @@ def _schur_complement(rows: list[list[int]], n: int) -> list[list[int]] | None:
     return rows
 
 
-def _integers(rows: list[list[Fraction]]) -> tuple[list[list[int]], int]:
+def _to_integers(rows: list[list[Fraction]]) -> tuple[list[list[int]], int]:
     """Return rows of binary fractions as integers, and the unit they were multiplied by."""
     # Denominators are powers of two, so the largest is a multiple of all.
     unit = max((value.denominator for value in chain.from_iterable(rows)), default=1)
@@ -496,7 +497,7 @@ def _integers(rows: list[list[Fraction]]) -> tuple[list[list[int]], int]:
     return integers, unit
 
 
-def _solved(matrix: list[list[int]], target: list[int]) -> tuple[list[int], int]:
+def _solve_exactly(matrix: list[list[int]], target: list[int]) -> tuple[list[int], int]:
     """Return x and d > 0 with matrix x = d target, by elimination without fractions (Bareiss).
 
     The matrix is one of inner products; d is 0 if it is singular.

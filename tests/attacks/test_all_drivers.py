@@ -27,7 +27,7 @@ rasterio = pytest.importorskip("rasterio")
 def importable(monkeypatch: pytest.MonkeyPatch) -> None:
     """The functions of this module can be called in the other process, too."""
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1]))
-    distant_rasters._helper.cache_clear()
+    distant_rasters._raster_helper.cache_clear()
 
 
 def drivers_there(_dataset: Any) -> set[str]:

@@ -269,10 +269,10 @@ def test_a_fault_is_told_without_the_secret(caplog: pytest.LogCaptureFixture) ->
     "https://u@evil.example/i", 7, None, ["https://a"]], ids=repr)
 def test_the_id_of_an_image_is_no_policy_and_no_header(name: object) -> None:
     """The policy of the page allows pictures of the server that an IIIF image names."""
-    from termsel_app.iiif import described
+    from termsel_app.iiif import parse_image_info
 
     text = json.dumps({"id": name, "width": 9, "height": 9}).encode()
     with pytest.raises(TermselError, match="no description of an IIIF image"):
-        described(text, "https://a.example/info.json")
+        parse_image_info(text, "https://a.example/info.json")
     good = json.dumps({"id": "https://a.example:8080/i%2Fmap-1", "width": 9, "height": 8}).encode()
-    assert described(good, "").origin == "https://a.example:8080"
+    assert parse_image_info(good, "").origin == "https://a.example:8080"

@@ -68,7 +68,7 @@ def test_a_study_chooses_among_known_algorithms(folder: Path) -> None:
 
 def test_results_of_the_benchmark_name_no_code(folder: Path) -> None:
     pytest.importorskip("termsel_bench")
-    from termsel_bench.scenes.catalogue import checksums
+    from termsel_bench.scenes.catalogue import frozen_checksums
 
     (folder / "results").mkdir()
     for method in ({"kind": "package", "name": "mine:f", "options": {}},
@@ -76,7 +76,7 @@ def test_results_of_the_benchmark_name_no_code(folder: Path) -> None:
                    {"kind": "solver", "name": "deap", "options": {"solver.algorithm": "mine:f"}}):
         (folder / "results" / "x.json").write_text(json.dumps({
             "schema": "termsel-bench-1", "method": {**method, "problem": ""},
-            "sets": {"frame-1": {"sha256": checksums()["frame-1.csv"], "rmse": 1.0}}}))
+            "sets": {"frame-1": {"sha256": frozen_checksums()["frame-1.csv"], "rmse": 1.0}}}))
         text = _refused("bench", "--check", "results")
         assert "names code" in text or "may not set the option 'algorithm'" in text
 
@@ -182,7 +182,7 @@ def test_programs_of_the_current_folder_are_not_started(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Windows looks there first, other systems where the path of programs has a dot or a blank."""
     pytest.importorskip("termsel_formats")
-    from termsel_formats.check.base import installed
+    from termsel_formats.check.base import find_program
 
     elsewhere = tmp_path / "bin"
     elsewhere.mkdir()
@@ -192,9 +192,9 @@ def test_programs_of_the_current_folder_are_not_started(
     monkeypatch.chdir(tmp_path)
     for path in (".", str(tmp_path), os.curdir + os.pathsep):
         monkeypatch.setenv("PATH", path)
-        assert installed("gdalinfo") is None
+        assert find_program("gdalinfo") is None
     monkeypatch.setenv("PATH", str(elsewhere))
-    assert sys.platform == "win32" or installed("gdalinfo") == str(elsewhere / "gdalinfo")
+    assert sys.platform == "win32" or find_program("gdalinfo") == str(elsewhere / "gdalinfo")
 
 
 @pytest.mark.parametrize("key", [

@@ -18,7 +18,12 @@ import pytest
 
 import termsel
 from termsel import TermselError, open_raster
-from termsel.core.files.drivers import RASTER_DRIVERS, VECTOR_DRIVERS, drivers_are_off, skipped
+from termsel.core.files.drivers import (
+    RASTER_DRIVERS,
+    VECTOR_DRIVERS,
+    drivers_are_off,
+    skipped_drivers,
+)
 from termsel.studies.execution.executors import begin_worker
 from termsel.toolkit import open_layer
 from tests.attacks.files import (
@@ -226,7 +231,8 @@ def test_every_driver_of_gdal_is_on_one_of_the_lists() -> None:
     """One that is not would be on in a process of termsel."""
     with rasterio.Env() as env:
         there = {*env.drivers(), *pyogrio.list_drivers()}
-    assert there - {*RASTER_DRIVERS, *VECTOR_DRIVERS, "MEM", "Memory"} <= set(skipped().split(","))
+    assert there - {*RASTER_DRIVERS, *VECTOR_DRIVERS, "MEM",
+                    "Memory"} <= set(skipped_drivers().split(","))
 
 
 def test_vector_files(folder: Path, victim: Path) -> None:

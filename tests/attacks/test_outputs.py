@@ -44,14 +44,14 @@ def test_a_study_names_no_certificate(victim: Path, key: str, value: str) -> Non
 
 
 def test_results_of_the_benchmark_name_none(victim: Path) -> None:
-    from termsel_bench.scenes.catalogue import checksums
+    from termsel_bench.scenes.catalogue import frozen_checksums
 
     Path("results").mkdir()
     Path("results/x.json").write_text(json.dumps({
         "schema": "termsel-bench-1", "method": {
             "kind": "solver", "name": "exact", "problem": "poly-terms",
             "options": {"certificate": str(victim)}},
-        "sets": {"frame-1": {"sha256": checksums()["frame-1.csv"], "rmse": 1.0}}}))
+        "sets": {"frame-1": {"sha256": frozen_checksums()["frame-1.csv"], "rmse": 1.0}}}))
     assert "may not set the option 'certificate'" in _refused(victim, "bench", "--check", "results")
 
 

@@ -12,7 +12,13 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.core.files.texts import csv_table, guarded, markdown_text, unguarded, xml_attribute
+from termsel.core.files.texts import (
+    csv_table,
+    guard_cell,
+    markdown_text,
+    unguard_cell,
+    xml_attribute,
+)
 from termsel.formats.vrt import Picture, vrt_text
 from termsel.io.result_folder import residuals_csv
 from termsel.studies.cells.table import csv_of
@@ -29,7 +35,7 @@ def test_cells(text: str) -> None:
     assert not cell.strip().startswith(("=", "+", "-", "@", "\uff1d"))
     assert "\x1b" not in cell
     assert "\x07" not in cell
-    assert unguarded(guarded(text)) == text
+    assert unguard_cell(guard_cell(text)) == text
     assert csv_table([[-1.5, 2, None, "-1.5"]]) == "-1.5,2,,-1.5\n"
 
 

@@ -13,22 +13,22 @@ from scipy.special import fdtrc
 import termsel
 from termsel import FeatureSet, Points
 from termsel.adjustment.bayesian.held_out import chance_of
-from termsel.adjustment.bayesian.posterior import posterior, scales_of
+from termsel.adjustment.bayesian.posterior import scales_of, solve_posterior
 from termsel.auto import contradictions
 from termsel.auto.auto import Auto
 from termsel.auto.blunders import find_blunders, judge_others
 from termsel.auto.contradictions import Test as Contradictions
 from termsel.auto.memory import Memory
 from termsel.auto.shrunken import average
-from termsel.data.features import no_lines, no_points
+from termsel.data.features import empty_lines, empty_points
 from termsel.data.fit_data import FitData
-from termsel.data.monomials import graded_exponents, monomials
+from termsel.data.monomials import evaluate_monomials, graded_exponents
 from termsel.data.record.figures import as_plain_data
-from termsel.data.scaling import scaling_of
+from termsel.data.scaling import make_scaling
 
 
 def scene(n: int, seed: int = 1, name: str = "ikonos-hamedan") -> FeatureSet:
-    return termsel.simulate_scene(name, seed=seed, n_points=n).with_(lines=no_lines())
+    return termsel.simulate_scene(name, seed=seed, n_points=n).with_(lines=empty_lines())
 
 
 def moved(features: FeatureSet, shifts: dict[int, tuple[float, float]]) -> FeatureSet:
@@ -41,7 +41,7 @@ def moved(features: FeatureSet, shifts: dict[int, tuple[float, float]]) -> Featu
 def all_control(features: FeatureSet) -> FeatureSet:
     points = features.points
     return FeatureSet(Points(points.ids, points.image, points.ground), crs=features.crs,
-                      lines=no_lines())
+                      lines=empty_lines())
 
 
 @pytest.mark.slow_cases(
@@ -154,7 +154,7 @@ def test_rounding_errors_are_no_blunders() -> None:
     rng = np.random.default_rng(0)
     ground = rng.uniform(0, [1000, 1000, 100], (40, 3))
     image = ground[:, 1::-1] * 2 + ground[:, 2:] * [0.1, -0.2] + ground[:, :1] ** 2 * [1e-4, 0]
-    exact = FeatureSet(Points(tuple(map(str, range(40))), image, ground), no_lines(), "local")
+    exact = FeatureSet(Points(tuple(map(str, range(40))), image, ground), empty_lines(), "local")
     found = termsel.run("rfm-terms", options={"fractions": "1:1:0"}, features=exact)
     assert found.strategy is not None
     assert found.strategy.predicted < 1e-6
@@ -169,12 +169,13 @@ def test_an_error_below_rounding_is_no_blunder(error: float, blunder: bool) -> N
     image = ground[:, 1::-1] * 2 + ground[:, 2:] * [0.1, -0.2] + ground[:, :1] ** 2 * [1e-4, 0]
     image[7, 0] += error
     found = find_blunders(FitData.of(FeatureSet(Points(tuple(map(str, range(40))), image, ground),
-                                     no_lines(), "local"), True))
+                                     empty_lines(), "local"), True))
     assert found is not None
     assert list(np.flatnonzero(found.blunders)) == ([7] if blunder else [])
     points = Points(tuple(map(str, range(40))), image, ground)
     there = np.isin(np.arange(40), [7, 8, 9])
-    choice = Auto().choose(FitData.of(FeatureSet(points.take(~there), no_lines(), "local"), True))
+    choice = Auto(
+        ).choose(FitData.of(FeatureSet(points.take(~there), empty_lines(), "local"), True))
     assert choice is not None
     others = judge_others(choice.chosen, True, points.take(there), Memory())
     assert others is not None
@@ -184,7 +185,7 @@ def test_an_error_below_rounding_is_no_blunder(error: float, blunder: bool) -> N
 @pytest.mark.slow
 def test_few_points_say_what_cannot_be_found() -> None:
     points = scene(74).points.take(np.arange(9))
-    few = FeatureSet(replace(points, roles=("control",) * 9), no_lines(), "EPSG:4979")
+    few = FeatureSet(replace(points, roles=("control",) * 9), empty_lines(), "EPSG:4979")
     note, = (one for one in termsel.run("rfm-terms", features=few).notes
              if one.startswith("With 9 points an error must exceed "))
     worst = find_blunders(FitData.of(few, True)).limits.argmax()
@@ -195,7 +196,7 @@ def test_few_points_say_what_cannot_be_found() -> None:
 
 def blank(n: int) -> FeatureSet:
     points = scene(74).points.take(np.arange(n) * 5)
-    return FeatureSet(Points(points.ids, points.image, points.ground), no_lines(), "EPSG:4979")
+    return FeatureSet(Points(points.ids, points.image, points.ground), empty_lines(), "EPSG:4979")
 
 
 @pytest.mark.slow_cases("8", "14")
@@ -218,7 +219,7 @@ def test_roles_are_assigned_where_shares_are_given() -> None:
 def test_no_others_are_not_judged() -> None:
     choice = Auto().choose(FitData.of(termsel.simulate_scene("ikonos-hamedan", n_lines=0), True))
     assert choice is not None
-    assert judge_others(choice.chosen, True, no_points(), Memory()) is None
+    assert judge_others(choice.chosen, True, empty_points(), Memory()) is None
 
 
 def test_the_chance_of_a_statistic_is_that_of_the_f_distribution() -> None:
@@ -233,12 +234,12 @@ def test_a_prediction_is_the_mean_over_all_solutions() -> None:
     """The compiled means against those by logarithms, with points not in use."""
     features = scene(60)
     used = np.arange(60) < 45
-    scaled = scaling_of(features).points(features.points)
+    scaled = make_scaling(features).points(features.points)
     exponents = graded_exponents(2, 3)
     order = np.array(exponents).sum(axis=1)
-    found = posterior(monomials(scaled.ground, exponents), scaled.image, order,
-                      np.where(used, 1.0, 1e-3)[:, None] * np.ones((60, 2)),
-                      scales_of(np.array(exponents)[order > 1]), int(used.sum()))
+    found = solve_posterior(evaluate_monomials(scaled.ground, exponents), scaled.image, order,
+                            np.where(used, 1.0, 1e-3)[:, None] * np.ones((60, 2)),
+                            scales_of(np.array(exponents)[order > 1]), int(used.sum()))
     assert found is not None
     left, errors = (np.array(
         [getattr(side, name)[side.solution_of_cell].T for side in found.errors_of(slice(45))])
@@ -263,11 +264,12 @@ def test_a_prediction_is_the_mean_over_all_solutions() -> None:
 def test_many_points_are_left_out_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     exponents = graded_exponents(2, 3)
     order = np.array(exponents).sum(axis=1)
-    points = scaling_of(scene(61)).points(scene(61).points)
+    points = make_scaling(scene(61)).points(scene(61).points)
 
     def predicted() -> dict[str, np.ndarray]:
-        found = posterior(monomials(points.ground, exponents), points.image, order, None,
-                          scales_of(np.array(exponents)[order > 1]), len(points))
+        found = solve_posterior(evaluate_monomials(points.ground, exponents), points.image, order,
+                                None,
+                                scales_of(np.array(exponents)[order > 1]), len(points))
         assert found is not None
         return vars(found.held_out)
 
@@ -283,14 +285,14 @@ def test_a_prediction_without_a_point_is_that_of_the_others() -> None:
     ground = rng.uniform(-1, 1, (20, 3))
     exponents = graded_exponents(2, 3)
     order = np.array(exponents).sum(axis=1)
-    image = monomials(ground, exponents) @ rng.standard_normal((10, 2)) \
+    image = evaluate_monomials(ground, exponents) @ rng.standard_normal((10, 2)) \
         + 0.01 * rng.standard_normal((20, 2))
     scales = scales_of(np.array(exponents)[order > 1])
-    columns = monomials(ground, exponents)
-    whole = posterior(columns, image, order, None, scales, 20)
+    columns = evaluate_monomials(ground, exponents)
+    whole = solve_posterior(columns, image, order, None, scales, 20)
     weights = np.ones((20, 2))
     weights[19] = 1e-3
-    others = posterior(columns, image, order, weights, scales, 19)
+    others = solve_posterior(columns, image, order, weights, scales, 19)
     assert whole is not None
     assert others is not None
     closed, direct = whole.held_out, others.predict_unused(1e-3)

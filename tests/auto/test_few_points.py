@@ -14,9 +14,9 @@ import pytest
 import termsel
 from termsel.auto.auto import Auto
 from termsel.auto.methods import named
-from termsel.data.coordinates.crs import transformation
+from termsel.data.coordinates.crs import transformation_between
 from termsel.data.features import FeatureSet, FloatArray, Points
-from termsel.data.fit_data import FitData, carriers
+from termsel.data.fit_data import FitData, relief_carriers
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.runs import data_notes
 from termsel.simulate import pushbroom_at, simulate_scene
@@ -158,7 +158,7 @@ def coast(hills: tuple[int, ...], n: int = 24) -> FeatureSet:
 def test_heights_that_rest_on_one_point_or_two(hills: tuple[int, ...]) -> None:
     features = coast(hills)
     names = tuple(features.points.ids[i] for i in hills)
-    assert sorted(carriers(FitData.of(features))) == sorted(names)
+    assert sorted(relief_carriers(FitData.of(features))) == sorted(names)
     result = termsel.run("rfm-terms", features=features.with_(
         points=replace(features.points, roles=("control",) * 24)))
     note, = (note for note in result.notes if "lie on a plane" in note)
@@ -234,13 +234,13 @@ def test_a_hill_far_from_all_others_carries_the_heights() -> None:
     ground[5] = 60_000.0, 60_000.0, 300.0
     ground[:5, 2] = 0.4
     rough = features.with_(points=replace(features.points, ground=ground))
-    assert carriers(FitData.of(rough), limit=1) == ("P5",)
+    assert relief_carriers(FitData.of(rough), limit=1) == ("P5",)
 
 
 @pytest.mark.slow
 def test_heights_that_rest_on_more_are_used() -> None:
     features = coast((2, 5, 9, 13, 17, 20))
-    assert carriers(FitData.of(features)) == ()
+    assert relief_carriers(FitData.of(features)) == ()
     result = termsel.run("rfm-terms", features=features.with_(
         points=replace(features.points, roles=("control",) * 24)))
     assert result.fit.model.uses_height
@@ -310,7 +310,7 @@ def test_what_is_narrow_is_so_in_metres(crs: str, width: float, narrow: bool) ->
     if crs == "EPSG:4978":
         ground[:, :2] -= 20, 72
         ground[:, 1] *= 3.24
-        ground = transformation("EPSG:4979", crs)(ground)
+        ground = transformation_between("EPSG:4979", crs)(ground)
         ground[0, 2] = np.nan
     both = FeatureSet(Points(tuple(map(str, range(20))), image, ground), crs=crs)
     assert bool(list(data_notes._note_on_one_line(both))) == narrow

@@ -13,16 +13,16 @@ from termsel import FeatureSet, Points
 from termsel.auto.auto import Auto
 from termsel.auto.blunders import agreement, find_blunders
 from termsel.auto.majority import _are_interleaved, _closest_halves, majority
-from termsel.data.features import no_lines
+from termsel.data.features import empty_lines
 from termsel.data.fit_data import FitData
-from termsel.data.roles import by_roles
+from termsel.data.roles import observations_by_role
 from termsel.runs.verdict import judge_features
 
 
 def scene(n: int, seed: int = 1) -> FeatureSet:
     features = termsel.simulate_scene("spot-isfahan", seed=seed, n_points=n, n_lines=0)
     return features.with_(points=replace(features.points, roles=("control",) * n),
-                          lines=no_lines())
+                          lines=empty_lines())
 
 
 def spoilt(features: FeatureSet, share: float, *, alike: bool = False,
@@ -77,7 +77,7 @@ def panoramic(n: int, seed: int) -> FeatureSet:
     image = np.column_stack([4000 * np.arctan(0.4 * y) + 300 * x * y, 3000 * x + 90 * x * y**2])
     image += np.random.default_rng(seed + 1).normal(0, 0.5, (n, 2))
     points = Points(tuple(f"P{i:02d}" for i in range(n)), image, ground, roles=("control",) * n)
-    return FeatureSet(points, no_lines(), "EPSG:32639")
+    return FeatureSet(points, empty_lines(), "EPSG:32639")
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -100,7 +100,7 @@ def flown(n: int, seed: int) -> FeatureSet:
     image += np.random.default_rng(seed + 1).normal(0, 0.5, (n, 2))
     ground = np.column_stack([5e5 + 1e3 * x, 5e6 + 1e3 * y, height])
     points = Points(tuple(f"P{i:02d}" for i in range(n)), image, ground, roles=("control",) * n)
-    return FeatureSet(points, no_lines(), "EPSG:32639")
+    return FeatureSet(points, empty_lines(), "EPSG:32639")
 
 
 def test_a_majority_decides_on_the_blunders_of_a_flight() -> None:
@@ -137,7 +137,7 @@ def test_a_cluster_of_blunders_is_no_bend() -> None:
 
 def test_few_points_are_said_to_contradict_one_another() -> None:
     features, wrong = spoilt(scene(30), 0.4)
-    verdict = judge_features(by_roles(features), Auto())
+    verdict = judge_features(observations_by_role(features), Auto())
     [note] = [note for note in verdict.notes if "contradict one another" in note]
     assert f"{30 - len(wrong)} of 30 agree" in note
     for index in wrong:

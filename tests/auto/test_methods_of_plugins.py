@@ -17,7 +17,7 @@ from termsel.auto.methods import METHODS, Structure, named
 from termsel.auto.rule import CLEAR_MARGIN, PRIOR_MARGIN, PROJECTION_MARGIN, best_of, method_of
 from termsel.core.errors import TermselError
 from termsel.data import fit_data as control_module
-from termsel.data.features import BoolArray, FeatureSet, FloatArray, no_lines
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, empty_lines
 from termsel.data.fit_data import FitData
 from termsel.data.scaling import Scaling
 from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
@@ -256,7 +256,7 @@ def test_lines_left_out_of_a_choice_do_not_count_in_its_folds() -> None:
     scene = termsel.simulate_scene("spot-isfahan", seed=1, roles=(8, 0, 100), n_lines=12)
     moved = np.random.default_rng(1).normal(size=(len(scene.lines.image), 1, 2)) * 40
     features = scene.with_(lines=replace(scene.lines, image=scene.lines.image + moved))
-    for some in (features, features.with_(lines=no_lines())):
+    for some in (features, features.with_(lines=empty_lines())):
         result = termsel.run(features=some, strategy="auto")
         assert result.strategy.chosen == "physical-cubic"
         assert result.strategy.predicted < 3
@@ -419,17 +419,17 @@ def test_broken_candidates_are_told_why(candidate: Method, name: str, said: str)
 def test_what_follows_from_features_is_derived_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """In a run of auto each set of features is scaled once, and its heights are looked at once."""
     scaled, looked_at = Counter[tuple[str, ...]](), Counter[tuple[str, ...]]()
-    scaling_of, heights_differ = control_module.scaling_of, control_module.heights_differ
+    make_scaling, heights_differ = control_module.make_scaling, control_module.heights_differ
 
     def counted_scaling(features: FeatureSet) -> object:
         scaled[features.ids] += 1
-        return scaling_of(features)
+        return make_scaling(features)
 
     def counted_heights(control: FitData) -> bool:
         looked_at[control.features.ids] += 1
         return heights_differ(control)
 
-    monkeypatch.setattr(control_module, "scaling_of", counted_scaling)
+    monkeypatch.setattr(control_module, "make_scaling", counted_scaling)
     monkeypatch.setattr(control_module, "heights_differ", counted_heights)
     scene = termsel.simulate_scene("ikonos-hamedan", n_points=60, n_lines=0)
     termsel.run("rfm-terms", features=scene, strategy="auto")

@@ -30,7 +30,7 @@ def few_lines() -> tuple[FeatureSet, Choice]:
 def test_owdis_is_searched_once_where_it_does_not_help(
         few_lines: tuple[FeatureSet, Choice], monkeypatch: pytest.MonkeyPatch) -> None:
     control, choice = few_lines
-    monkeypatch.setattr(owdis, "_held_out", None)
+    monkeypatch.setattr(owdis, "_held_out_errors", None)
     found, errors = owdis.with_selected_lines(FitData.of(control, True), choice, Auto(), 1)
     assert (found.chosen, errors) == (choice.chosen, None)
     assert found.reason.startswith(choice.reason)
@@ -45,7 +45,7 @@ def test_where_owdis_is_taken_all_structures_are_shown(
         1e3 * choice.chosen.held_out().squares)))
     some = FitData.of(control.take(np.arange(len(control)) < 40), True)
     monkeypatch.setattr(owdis, "_select_features", lambda *given: some)
-    monkeypatch.setattr(owdis, "_held_out", lambda *given: np.full((24, 2), 1e-3))
+    monkeypatch.setattr(owdis, "_held_out_errors", lambda *given: np.full((24, 2), 1e-3))
     found, _ = owdis.with_selected_lines(FitData.of(control, True), worse, Auto(), 1)
     assert len(found.chosen.control.lines) == 16
     names = [[fitted.method.name for fitted in each.compared] for each in (found, choice)]

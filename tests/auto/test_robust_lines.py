@@ -15,10 +15,10 @@ from termsel.auto.auto import Auto
 from termsel.auto.blunders import find_blunders
 from termsel.auto.shrunken import average, average_with_lines
 from termsel.cli.main import cli
-from termsel.data.features import FeatureSet, Lines, no_lines
+from termsel.data.features import FeatureSet, Lines, empty_lines
 from termsel.data.fit_data import FitData
 from termsel.data.roles import observe
-from termsel.data.scaling import scaling_of
+from termsel.data.scaling import make_scaling
 from termsel.io.result_folder import read_result
 from termsel.models.polynomial import Polynomial3D
 from termsel.simulate import scene_truth, simulate_scene
@@ -43,7 +43,7 @@ def polylines() -> FeatureSet:
 def test_errors_without_a_line_are_those_of_the_others(degree: int) -> None:
     """The closed form against the whole average repeated without a line, a polyline, a point."""
     control = polylines()
-    scaling, model = scaling_of(control), Polynomial3D(degree=degree)
+    scaling, model = make_scaling(control), Polynomial3D(degree=degree)
     scaled = scaling.features(control)
     found = average_with_lines(scaled, model)
     assert found is not None
@@ -74,8 +74,8 @@ def test_errors_without_a_line_are_those_of_the_others(degree: int) -> None:
 def test_points_alone_get_the_same_from_coupled_equations() -> None:
     """Two grids of scales, one posterior: the averages differ by far less than the noise."""
     control = control_of(n_points=60, n_lines=4)
-    control = control.with_(lines=no_lines())
-    scaling, model = scaling_of(control), Polynomial3D(degree=3)
+    control = control.with_(lines=empty_lines())
+    scaling, model = make_scaling(control), Polynomial3D(degree=3)
     scaled = scaling.features(control)
     coupled = average_with_lines(scaled, model)
     apart = average(scaled.points.ground, scaled.points.image, model.exponents)
@@ -386,7 +386,7 @@ def test_where_points_alone_are_used_they_alone_predict() -> None:
     rough = scene.with_(lines=replace(lines, image=lines.image + rng.normal(
         0.0, 8.0, lines.image.shape)))
     found = termsel.run("owdis-lines", features=rough, strategy="auto")
-    alone = termsel.run("rfm-terms", features=scene.with_(lines=no_lines()))
+    alone = termsel.run("rfm-terms", features=scene.with_(lines=empty_lines()))
     assert "so the lines are not used." in found.strategy.reason
     assert found.predicted.rmse == pytest.approx(alone.predicted.rmse, rel=0.05)
 

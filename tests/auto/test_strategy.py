@@ -15,7 +15,7 @@ from termsel.auto.selected import select_forward
 from termsel.auto.shrunken import average
 from termsel.data.features import FeatureSet, Points
 from termsel.data.fit_data import FitData
-from termsel.data.monomials import graded_exponents, monomials
+from termsel.data.monomials import evaluate_monomials, graded_exponents
 from termsel.io.result_folder import read_result
 from termsel.simulate import simulate_scene
 
@@ -43,7 +43,7 @@ def drawn(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     ground = rng.uniform(-1, 1, (n, 3))
     truth = rng.normal(size=(20, 2)) * np.array(
         [1000.0 if sum(e) < 2 else 5.0 if sum(e) == 2 else 0.3 for e in CUBIC])[:, None]
-    return ground, monomials(ground, CUBIC) @ truth + rng.normal(0, 0.5, (n, 2))
+    return ground, evaluate_monomials(ground, CUBIC) @ truth + rng.normal(0, 0.5, (n, 2))
 
 
 def frame_camera(n: int, seed: int = 1) -> FeatureSet:
@@ -214,7 +214,7 @@ def test_leave_one_out_is_that_of_the_whole_procedure() -> None:
         others = np.arange(15) != i
         without = average(ground[others], image[others], CUBIC)
         assert without is not None
-        error = image[i] - monomials(ground[i:i + 1], CUBIC)[0] @ without.coefficients
+        error = image[i] - evaluate_monomials(ground[i:i + 1], CUBIC)[0] @ without.coefficients
         np.testing.assert_allclose(found.errors[i], error, rtol=1e-3, atol=1e-3)
 
 
@@ -222,9 +222,9 @@ def test_with_many_points_the_average_is_as_good_as_least_squares() -> None:
     ground, image = drawn(400)
     found = average(ground, image, CUBIC)
     assert found is not None
-    free = np.linalg.lstsq(monomials(ground, CUBIC), image)[0]
+    free = np.linalg.lstsq(evaluate_monomials(ground, CUBIC), image)[0]
     places = np.random.default_rng(5).uniform(-1, 1, (100, 3))
-    difference = monomials(places, CUBIC) @ (found.coefficients - free)
+    difference = evaluate_monomials(places, CUBIC) @ (found.coefficients - free)
     assert np.sqrt((difference**2).mean()) < 0.1
     assert 20 < found.effective < 40
 
@@ -246,14 +246,14 @@ def test_a_measurement_without_weight_does_not_matter() -> None:
     one, other = (average(ground, values, CUBIC, weights) for values in (image, wrong))
     assert one is not None
     assert other is not None
-    difference = monomials(ground, CUBIC) @ (one.coefficients - other.coefficients)
+    difference = evaluate_monomials(ground, CUBIC) @ (one.coefficients - other.coefficients)
     assert np.abs(difference).max() < 0.5
 
 
 def test_exact_data_are_fitted_exactly() -> None:
     ground, _ = drawn(60)
     truth = np.random.default_rng(2).normal(size=(20, 2))
-    found = average(ground, monomials(ground, CUBIC) @ truth, CUBIC)
+    found = average(ground, evaluate_monomials(ground, CUBIC) @ truth, CUBIC)
     assert found is not None
     np.testing.assert_allclose(found.coefficients, truth, atol=1e-5)
 
@@ -267,7 +267,7 @@ def test_too_few_points_give_no_average() -> None:
 def test_forward_selection_finds_the_terms_and_leaves_out_honestly(n: int) -> None:
     rng = np.random.default_rng(4)
     ground = rng.uniform(-1, 1, (n, 3))
-    columns = monomials(ground, CUBIC)
+    columns = evaluate_monomials(ground, CUBIC)
     affine = np.array([sum(e) < 2 for e in CUBIC])
     wanted = affine.copy()
     wanted[[5, 12]] = True
@@ -315,7 +315,7 @@ def test_predictions_come_true() -> None:
 def test_the_full_rfm_is_chosen_where_it_is_the_truth_and_can_be_named() -> None:
     rng = np.random.default_rng(0)
     ground = rng.uniform(-1, 1, (90, 3))
-    columns = monomials(ground, CUBIC)
+    columns = evaluate_monomials(ground, CUBIC)
     numerators = rng.normal(size=(20, 2)) * np.array(
         [1000.0 if sum(e) < 2 else 20.0 for e in CUBIC])[:, None]
     denominators = rng.uniform(-0.03, 0.03, (20, 2))

@@ -16,7 +16,7 @@ import termsel
 from termsel.cli.main import cli
 from termsel.io.project import project_table
 from termsel.io.result_folder import read_result, write_result
-from termsel.results.result import of_record
+from termsel.results.result import checksum_of_record
 from termsel.testing import example_results
 
 
@@ -128,7 +128,7 @@ def test_image_the_points_were_not_measured_in(folder: Path, tmp_path: Path) -> 
     path = folder / "result.json"
     record = json.loads(path.read_text())
     record["data"]["image_size"] = None
-    record["checksums"]["record"] = of_record(record)
+    record["checksums"]["record"] = checksum_of_record(record)
     path.write_text(json.dumps(record))
     image = tmp_path / "small.tif"
     with rasterio.open(image, "w", driver="GTiff", width=20, height=10, count=1,

@@ -14,7 +14,7 @@ from termsel import __version__
 from termsel.__main__ import ALLOCATIONS
 from termsel.cli import main, tables
 from termsel.cli.main import cli
-from termsel.core.errors import unknown_name
+from termsel.core.errors import unknown_name_error
 from termsel.plugins import registry as manager
 from termsel.plugins.commands import COMMANDS, PACKAGES
 from termsel.plugins.kinds import KINDS
@@ -228,7 +228,7 @@ def test_describe_leads_with_purpose_main_options_and_an_example(call):
 
 def test_names_that_two_kinds_share_are_listed_once():
     # A reader and a writer are called points-csv.
-    shown = str(unknown_name("name", "x", ["b", "a", "b"]))
+    shown = str(unknown_name_error("name", "x", ["b", "a", "b"]))
     assert "Known: a, b." in shown
 
 

@@ -12,7 +12,7 @@ import pytest
 
 import termsel
 from termsel.cli import bars, messages, tables
-from termsel.core.errors import TermselError, cut, printable
+from termsel.core.errors import TermselError, cut, make_printable
 
 CLI = Path(messages.__file__).parent
 ESC = "\x1b]0;pwned\x07\x1b[31m"
@@ -20,8 +20,8 @@ ESC = "\x1b]0;pwned\x07\x1b[31m"
 
 def test_printable_text_stays_and_the_rest_is_written_as_python_writes_it() -> None:
     for text in ("", "plain\n\ttext", "日本 café می\u200cخواهم", "a\u00a0b \ue000"):
-        assert printable(text) == text
-    assert printable("\x1b[31m\r\u202e\x9b\ud800\u2028\0") == (
+        assert make_printable(text) == text
+    assert make_printable("\x1b[31m\r\u202e\x9b\ud800\u2028\0") == (
         r"\x1b[31m\r\u202e\x9b\ud800\u2028\x00")
 
 
@@ -54,7 +54,7 @@ def test_bad_files(content: str, message: str, tmp_path: Path, call) -> None:
     done = call("run", "--problem", "poly-terms", "--points", path)
     assert done.exit_code == 2
     assert message in done.stderr
-    assert printable(done.stderr) == done.stderr
+    assert make_printable(done.stderr) == done.stderr
     assert done.stderr.count("\n") == 1
     assert len(done.stderr) < 7000
 
@@ -66,7 +66,7 @@ def test_bad_files(content: str, message: str, tmp_path: Path, call) -> None:
 def test_bad_words(words: tuple[str, ...], call) -> None:
     done = call(*words)
     assert done.exit_code == 2
-    assert printable(done.stderr) == done.stderr
+    assert make_printable(done.stderr) == done.stderr
 
 
 def test_names_of_files_in_the_summary_and_its_file(tmp_path: Path, call) -> None:
@@ -80,14 +80,14 @@ def test_names_of_files_in_the_summary_and_its_file(tmp_path: Path, call) -> Non
                 tmp_path / f"r{ESC}", "--evaluations", "20")
     assert done.exit_code == 0
     for text in (done.stdout, done.stderr, (tmp_path / f"r{ESC}" / "summary.txt").read_text()):
-        assert printable(text) == text
+        assert make_printable(text) == text
     assert r"\x1b[31m.csv" in done.stdout
 
 
 def test_tables_and_json(capsys, monkeypatch) -> None:
     tables.print_json({"a": f"{ESC}\x9b\U000e0001", "b": "é"})
     text = capsys.readouterr().out
-    assert printable(text) == text
+    assert make_printable(text) == text
     assert json.loads(text) == {"a": f"{ESC}\x9b\U000e0001", "b": "é"}
     tables.print_json("é")
     assert capsys.readouterr().out == '"é"\n'

@@ -76,8 +76,8 @@ print(told, bool(kernel.dispatcher.stats.cache_hits))
 @pytest.mark.slow
 def test_a_compilation_is_foretold_where_there_will_be_one(tmp_path: Path) -> None:
     source = tmp_path / "own.py"
-    source.write_text("from termsel.adjustment.compiled import compiled\n\n\n@compiled\n"
-                      "def kernel(x):\n    return x + 1.0\n")
+    source.write_text("from termsel.adjustment.compiled import compile_lazily\n\n\n"
+                      "@compile_lazily\ndef kernel(x):\n    return x + 1.0\n")
 
     def told() -> str:
         return _python(TELL, PYTHONPATH=_with(tmp_path)).stdout.strip()
@@ -91,14 +91,14 @@ def test_a_compilation_is_foretold_where_there_will_be_one(tmp_path: Path) -> No
 
 PAIR = """
 from typing import NamedTuple
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 
 
 class Pair(NamedTuple):
     x: float
 
 
-@compiled
+@compile_lazily
 def kernel(pair):
     return pair.x
 """
@@ -115,15 +115,15 @@ def test_code_kept_for_a_class_of_another_name_is_compiled_again(tmp_path: Path)
 
 
 COUNTS = """
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 
 
-@compiled
+@compile_lazily
 def more(n, by):
     return n + by
 
 
-@compiled
+@compile_lazily
 def counts(m):
     n = 0
     for _ in range(m):
@@ -189,7 +189,7 @@ print(bool(kernel.dispatcher.stats.cache_hits))
 LONG = """
 import time
 from numba.extending import overload
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 
 
 def shift(x):
@@ -202,7 +202,7 @@ def _shift(x):
     return lambda x: x + 1.0
 
 
-@compiled
+@compile_lazily
 def kernel(x):
     return shift(x)
 """

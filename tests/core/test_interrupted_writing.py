@@ -434,7 +434,7 @@ def test_a_new_file_has_the_permissions_of_any_other(tmp_path: Path) -> None:
 @on_posix
 def test_what_a_killed_process_left_is_removed_at_the_next_write(tmp_path: Path) -> None:
     def left(process: int) -> Path:
-        folder = tmp_path / f"{atomic._PREFIX}{atomic._here()}-{process}-0123456789ab"
+        folder = tmp_path / f"{atomic._PREFIX}{atomic._machine_word()}-{process}-0123456789ab"
         folder.mkdir()
         (folder / "half.tif").write_text("half")
         return folder

@@ -25,7 +25,7 @@ def _error() -> MemoryError:
 
 
 def test_what_was_too_large_and_what_would_fit_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(memory, "_free", lambda: 4.0 * 2**30)
+    monkeypatch.setattr(memory, "_free_bytes", lambda: 4.0 * 2**30)
     error = out_of_memory(_error())
     assert "10,000,000 x 10,000,000" in error.what
     assert "4.0 GiB are free" in error.what

@@ -17,7 +17,7 @@ from scipy.spatial import Delaunay
 import termsel
 from termsel.cli.main import cli
 from termsel.core.errors import TermselError
-from termsel.data.areas import Area, boundary, centroid, centroids
+from termsel.data.areas import Area, boundary_lines, centroid_of_ring, centroid_points
 from termsel.data.features import FloatArray, Points
 from termsel.formats.readers.areas_table import AreasCsv
 from termsel.formats.readers.csv_tables import table_text, write_lines_csv, write_points_csv
@@ -41,12 +41,13 @@ def areas_from(path: Path, text: str, **options: str) -> termsel.FeatureSet:
 
 
 def test_centroid_by_hand() -> None:
-    np.testing.assert_allclose(centroid(ELL), [2.5 / 3, 2.5 / 3], rtol=1e-14)
-    np.testing.assert_allclose(centroid([[0, 0], [6, 0], [0, 3.0]]), [2, 1], rtol=1e-14)
+    np.testing.assert_allclose(centroid_of_ring(ELL), [2.5 / 3, 2.5 / 3], rtol=1e-14)
+    np.testing.assert_allclose(centroid_of_ring([[0, 0], [6, 0], [0, 3.0]]), [2, 1], rtol=1e-14)
     # The height of a plane at the centroid, far from the origin as in a UTM zone.
     away = ELL + np.array([500_000, 4_000_000])
     ground = np.column_stack([away, 300 + 10 * ELL[:, 0] - 4 * ELL[:, 1]])
-    np.testing.assert_allclose(centroid(ground), [500_000 + 2.5 / 3, 4_000_000 + 2.5 / 3, 305],
+    np.testing.assert_allclose(centroid_of_ring(ground),
+                               [500_000 + 2.5 / 3, 4_000_000 + 2.5 / 3, 305],
                                rtol=0, atol=1e-9)
 
 
@@ -56,18 +57,18 @@ def test_centroid_keeps_with_affine_maps_directions_and_starts(n: int, seed: int
     rng = np.random.default_rng(seed)
     angle = 2 * np.pi * (np.arange(n) + rng.uniform(0, 0.4, n)) / n
     ring = rng.uniform(1, 2, (n, 1)) * np.column_stack([np.cos(angle), np.sin(angle)])
-    middle = centroid(ring)
+    middle = centroid_of_ring(ring)
     map_, shift = rng.normal(size=(2, 2)) + 2 * np.eye(2), rng.normal(size=2)
     for other, expected in ((ring[::-1], middle), (np.roll(ring, 2, axis=0), middle),
                             (ring @ map_.T + shift, map_ @ middle + shift)):
-        np.testing.assert_allclose(centroid(other), expected, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(centroid_of_ring(other), expected, rtol=0, atol=1e-9)
 
 
 def test_edges_by_hand() -> None:
     ground = np.column_stack([ELL, np.arange(6.0)])
     closed = Area("a", np.vstack([ELL, ELL[:1]]), np.vstack([ground, ground[:1]]))
     triangle = Area("b", ELL[:3] + 10, ground[:3] + 10)
-    lines = boundary([closed, triangle])
+    lines = boundary_lines([closed, triangle])
     assert lines.ids == ("a",) * 6 + ("b",) * 3
     assert lines.features == ("a", "b")
     np.testing.assert_array_equal(lines.image[0], [[0, 0], [2, 0]])
@@ -88,7 +89,7 @@ def squares(rows: int, columns: int) -> list[Area]:
 
 def test_edges_of_neighbours_are_taken_once() -> None:
     # By hand: of 3 by 3 squares with 36 edges, 12 are shared. The middle one has none of its own.
-    lines = boundary(squares(3, 3))
+    lines = boundary_lines(squares(3, 3))
     assert len(lines) == 24
     assert len({frozenset(map(tuple, edge)) for edge in lines.ground[..., :2].tolist()}) == 24
     counts = [lines.ids.count(area.id) for area in squares(3, 3)]
@@ -105,7 +106,7 @@ def test_every_area_of_a_map_keeps_an_edge(n: int, seed: int) -> None:
     triangles = Delaunay(corners).simplices
     areas = [Area(str(i), corners[one], np.column_stack([corners[one], one]))
              for i, one in enumerate(triangles)]
-    lines = boundary(areas)
+    lines = boundary_lines(areas)
     assert set(lines.features) == {area.id for area in areas}
     edges = {frozenset(pair) for one in triangles.tolist() for pair in combinations(one, 2)}
     assert len(lines) == len(edges)
@@ -114,19 +115,19 @@ def test_every_area_of_a_map_keeps_an_edge(n: int, seed: int) -> None:
 def test_an_area_twice_is_refused() -> None:
     one, = squares(1, 1)
     with pytest.raises(TermselError, match=r"all edges of area 'b' .*Remove one of these areas"):
-        boundary([one, replace(one, id="b")])
+        boundary_lines([one, replace(one, id="b")])
 
 
 def test_roles() -> None:
     ground = np.column_stack([ELL, np.zeros(6)])
     some = [Area(role or "blank", ELL, ground + np.array([10 * i, 0, 0]), role)
             for i, role in enumerate(("", "off", "control"))]
-    assert boundary(some).features == ("blank", "control")
-    assert centroids(some).roles == ("control", "off", "control")
+    assert boundary_lines(some).features == ("blank", "control")
+    assert centroid_points(some).roles == ("control", "off", "control")
     with pytest.raises(TermselError, match="cannot have the role 'check'"):
-        boundary([replace(some[0], role="check")])
-    assert centroids([replace(some[0], role="check")]).roles == ("check",)
-    assert len(centroids([])) == len(boundary([])) == 0
+        boundary_lines([replace(some[0], role="check")])
+    assert centroid_points([replace(some[0], role="check")]).roles == ("check",)
+    assert len(centroid_points([])) == len(boundary_lines([])) == 0
 
 
 def test_image_and_ground_of_different_numbers() -> None:

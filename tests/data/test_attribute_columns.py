@@ -17,11 +17,11 @@ import pytest
 import termsel
 from termsel import FeatureSet, Lines, Objective, Option, Points, Recipe, SelectionProblem
 from termsel.core.errors import TermselError
-from termsel.data.roles import in_order, with_merged_twins
-from termsel.data.scaling import scaling_of
+from termsel.data.roles import sorted_by_id, with_merged_twins
+from termsel.data.scaling import make_scaling
 from termsel.formats.readers.csv_tables import write_lines_csv, write_points_csv
 from termsel.plugins.registry import registry
-from termsel.results.result import of_features
+from termsel.results.result import checksum_of_features
 
 SOURCES = ("gps", "map", "=1+1", 'a "b", c', "two\nlines", "", "007", "#7")
 
@@ -84,8 +84,8 @@ def test_rows_stay_together() -> None:
     assert aligned(both.take([5, 2, 9]))
     assert aligned(both.take(np.arange(16) % 3 == 0))
     shuffled = FeatureSet(both.take(np.random.default_rng(0).permutation(16)))
-    assert aligned(in_order(shuffled).points)
-    scaled = scaling_of(shuffled).features(shuffled).points
+    assert aligned(sorted_by_id(shuffled).points)
+    scaled = make_scaling(shuffled).features(shuffled).points
     assert aligned(scaled)
     assert scaled.attributes["source"].tolist() == shuffled.points.attributes["source"].tolist()
     again = replace(both, ids=tuple(f"Q{i}" for i in range(16)), ground=both.ground + 1e-7)
@@ -289,7 +289,7 @@ def test_results_keep_them(scene: FeatureSet, tmp_path: Path) -> None:
     # The checksum of features is of their measurements, not of further columns.
     sums = json.loads((folder / "result.json").read_text())["checksums"]
     bare = replace(again.features, points=replace(again.features.points, attributes={}))
-    assert sums["features"] == of_features(bare) == of_features(again.features)
+    assert sums["features"] == checksum_of_features(bare) == checksum_of_features(again.features)
     table = folder / "points.csv"
     whole = table.read_text()
     for changed in (whole.replace(",gps,", ",GPS,", 1), whole.replace(",source,", ",sources,", 1)):

@@ -11,15 +11,15 @@ import pytest
 from termsel.core.errors import TermselError
 from termsel.data.coordinates.crs import (
     height_reference,
-    horizontal,
+    horizontal_crs,
     is_geographic,
     normalise,
-    short,
+    short_crs_name,
     to_wgs84,
 )
-from termsel.data.coordinates.metres import for_warping, in_metres
+from termsel.data.coordinates.metres import ground_for_warping, offsets_in_metres
 from termsel.data.coordinates.plausible import check_ground
-from termsel.data.features import FeatureSet, Lines, Points, no_points
+from termsel.data.features import FeatureSet, Lines, Points, empty_points
 
 
 def ground(crs: str, *xy: tuple[float, float]) -> FeatureSet:
@@ -66,8 +66,8 @@ def test_pyproj_knows_which_codes_exist() -> None:
 
 
 def test_a_long_crs_is_shortened_in_messages() -> None:
-    assert short("EPSG:4326+5773") == "EPSG:4326+5773"
-    assert short("x" * 41) == "x" * 40 + "..."
+    assert short_crs_name("EPSG:4326+5773") == "EPSG:4326+5773"
+    assert short_crs_name("x" * 41) == "x" * 40 + "..."
 
 
 def test_offsets_in_metres_are_those_of_the_ellipsoid() -> None:
@@ -78,7 +78,7 @@ def test_offsets_in_metres_are_those_of_the_ellipsoid() -> None:
     for place, offset in zip(places, offsets, strict=True):
         azimuth, _, length = geod.inv(*place[:2], *(place[:2] + offset))
         expected = length * np.array([np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))])
-        found = in_metres("EPSG:4979", place[None], offset[None])
+        found = offsets_in_metres("EPSG:4979", place[None], offset[None])
         np.testing.assert_allclose(found, expected[None], rtol=1e-4, atol=1e-4)
 
 
@@ -87,7 +87,7 @@ def test_offsets_in_metres_are_those_of_the_ellipsoid() -> None:
 def test_what_goes_on_beyond_the_antimeridian_is_warped_in_its_zone(lon: float, zone: str) -> None:
     pytest.importorskip("pyproj")
     ground = np.array([[lon, 10.0, 5.0], [lon + 0.1, 10.1, np.nan]])
-    there, crs = for_warping(ground, "EPSG:4979")
+    there, crs = ground_for_warping(ground, "EPSG:4979")
     assert crs == zone
     np.testing.assert_array_equal(there[:, 2], [5.0, np.nan])
     assert (np.abs(there[:, :2]) > 1000).all() == (zone != "EPSG:4326")
@@ -98,7 +98,7 @@ def test_heights_of_their_own() -> None:
     assert normalise("epsg:4326+5773") == "EPSG:9707"  # which is these two
     assert normalise("EPSG:32639+05773") == "EPSG:32639+5773"
     assert height_reference("EPSG:32639+5773") == "EGM96 height"
-    assert horizontal("EPSG:32639+5773") == "EPSG:32639"
+    assert horizontal_crs("EPSG:32639+5773") == "EPSG:32639"
     with pytest.raises(TermselError, match="look like degrees"):
         check_ground(ground("EPSG:32639+5773", (5, 44)))
     assert height_reference("EPSG:32735+4326") == "ellipsoidal (WGS 84)"
@@ -206,7 +206,7 @@ def test_vertices_of_lines_are_checked() -> None:
     lines = Lines(("l", "m"), [[[0, 0], [1, 1]]] * 2,
                   [[[5, 44, 0], [6, 44, 0]], [[5, 45, 0], [6, 145, 0]]])
     with pytest.raises(TermselError, match="feature 'm' with x = 6, y = 145"):
-        check_ground(FeatureSet(no_points(), lines, crs="EPSG:4979"))
+        check_ground(FeatureSet(empty_points(), lines, crs="EPSG:4979"))
 
 
 @pytest.mark.usefixtures("_no_pyproj")

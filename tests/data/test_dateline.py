@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.data.coordinates.longitudes import continuous, without_jump
+from termsel.data.coordinates.longitudes import unwrap_longitudes, without_jump
 from termsel.data.features import FeatureSet
 from termsel.formats.readers.csv_tables import write_points_csv
 
@@ -140,5 +140,5 @@ def test_independent_points_do_not_decide_where_longitudes_begin() -> None:
     ([-175.0, -60.0, 60.0, 175.0], [-175.0, -60.0, 60.0, 175.0]),
     ([0.5, 359.5], [0.5, -0.5])])
 def test_longitudes_that_go_on(given: list[float], expected: list[float]) -> None:
-    np.testing.assert_allclose(continuous(np.array(given)) % 360, np.array(expected) % 360)
-    assert np.ptp(continuous(np.array(given))) == pytest.approx(np.ptp(expected))
+    np.testing.assert_allclose(unwrap_longitudes(np.array(given)) % 360, np.array(expected) % 360)
+    assert np.ptp(unwrap_longitudes(np.array(given))) == pytest.approx(np.ptp(expected))

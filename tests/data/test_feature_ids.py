@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import termsel
 from termsel import FeatureSet, Lines, Points, TermselError
-from termsel.core.files.texts import guarded, unguarded
+from termsel.core.files.texts import guard_cell, unguard_cell
 
 REFUSED = {
     "line break and comment": "a\n#b", "line break and CRS": "a\n# crs: EPSG:32631",
@@ -81,8 +81,8 @@ def test_results_are_read_back_with_every_id_that_is_accepted(tmp_path: Path) ->
 @settings(max_examples=300)
 @given(st.text(alphabet="'=+-@1.x#\"", min_size=1, max_size=6))
 def test_a_guarded_cell_gives_back_its_text(text: str) -> None:
-    assert unguarded(guarded(text)) == text
-    assert guarded(text)[0] not in "=@"
+    assert unguard_cell(guard_cell(text)) == text
+    assert guard_cell(text)[0] not in "=@"
 
 
 def test_comments_are_not_found_within_quotation_marks(tmp_path: Path) -> None:

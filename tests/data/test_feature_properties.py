@@ -14,7 +14,7 @@ from termsel.core.errors import TermselError
 from termsel.data.coordinates.places import spatial_order
 from termsel.data.features import ROLES, FeatureSet, FloatArray, Lines, Points
 from termsel.data.roles import ASSIGNABLE, SPLITS, assign_roles
-from termsel.data.scaling import scaling_of
+from termsel.data.scaling import make_scaling
 
 # The same examples every time: a failure in a test of figures must not depend on luck.
 settings.register_profile("core", deadline=None, derandomize=True, max_examples=40)
@@ -178,7 +178,7 @@ def test_scaling_there_and_back(n: int, m: int, seed: int, offset: FloatArray, s
                     ground=offset[2:] + rng.uniform(-size, size, (n, 3))),
         make_lines(m, rng, image=offset[:2] + rng.uniform(-size, size, (m, 2, 2)),
                    ground=offset[2:] + rng.uniform(-size, size, (m, 2, 3))))
-    scaling = scaling_of(features)
+    scaling = make_scaling(features)
     scaled = scaling.features(features)
     # Large offsets leave fewer digits.
     rounding = 1e-12 * (1 + np.abs(offset).max() / size)
@@ -202,7 +202,7 @@ def test_scaling_without_heights(n: int, seed: int) -> None:
     ground = rng.uniform(0, 9, (n, 3))
     ground[:, 2] = np.nan
     points = make_points(n, rng, ground=ground)
-    scaled = scaling_of(FeatureSet(points)).points(points)
+    scaled = make_scaling(FeatureSet(points)).points(points)
     np.testing.assert_array_equal(scaled.ground[:, 2], 0.0)
     assert np.isfinite(scaled.image).all()
 

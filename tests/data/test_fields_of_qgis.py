@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from termsel.data.tables.columns import _FURTHER, POINTS, matches
+from termsel.data.tables.columns import _FURTHER, POINTS, columns_by_meaning
 
 PLUGIN = Path(__file__).parents[2] / "plugins" / "qgis-termsel" / "qgis_termsel"
 
@@ -24,7 +24,7 @@ def test_all_names_of_the_command_line_are_known(meaning: str) -> None:
         assert field_of(meaning, ["geom", name.upper(), "other"]) == name.upper()
     # "fid" and "sourceY" are QGIS's own, which tables have not.
     for name in KNOWN[meaning].split()[:-1]:
-        assert matches([name], POINTS)[meaning] == [0] or name.startswith("source")
+        assert columns_by_meaning([name], POINTS)[meaning] == [0] or name.startswith("source")
 
 
 def test_units_accents_and_signs_count_for_nothing() -> None:

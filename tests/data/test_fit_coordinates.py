@@ -20,12 +20,12 @@ from termsel.data.coordinates.crs import (
     height_reference,
     is_geocentric,
     to_wgs84,
-    transformation,
+    transformation_between,
 )
 from termsel.data.coordinates.metres import metric_crs, polar_crs
 from termsel.data.features import FeatureSet, Lines, Points
 from termsel.data.fit_data import FitData
-from termsel.data.scaling import Scaling, scaling_of
+from termsel.data.scaling import Scaling, make_scaling
 from termsel.fitting.least_squares import fit
 from termsel.fitting.rpc_fit import rpc_of
 from termsel.formats.readers.csv_tables import PointsCsv, write_points_csv
@@ -41,7 +41,7 @@ SYSTEMS = {"geodetic": "EPSG:4979", "projected": "EPSG:32639", "geocentric": "EP
 def scene() -> FeatureSet:
     """IKONOS, Hamedan, in UTM zone 39 with ellipsoidal heights."""
     given = termsel.simulate_scene("ikonos-hamedan", n_points=90)
-    turn = transformation(given.crs, "EPSG:32639")
+    turn = transformation_between(given.crs, "EPSG:32639")
     return FeatureSet(
         replace(given.points, ground=turn(given.points.ground)),
         replace(given.lines, ground=turn(given.lines.ground.reshape(-1, 3)).reshape(-1, 2, 3)),
@@ -58,7 +58,7 @@ def run(scene: FeatureSet, choice: str | None = None, problem: str = "rfm-terms"
 def test_a_point_in_each_system(scene: FeatureSet, system: str, crs: str) -> None:
     assert fit_crs_of(system, scene) == crs
     some = scene.points.ground[:3]
-    found = transformation(scene.crs, crs)(some)
+    found = transformation_between(scene.crs, crs)(some)
     source, target = (pyproj.CRS(name) for name in (scene.crs, crs))
     # By two steps over longitude and latitude, each with pyproj's own three-dimensional CRS.
     geodetic = pyproj.Transformer.from_crs(source.to_3d(), "EPSG:4979", always_xy=True)
@@ -67,7 +67,7 @@ def test_a_point_in_each_system(scene: FeatureSet, system: str, crs: str) -> Non
     expected = np.stack(on.transform(*geodetic.transform(*some.T)), axis=1)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
     # The scaled coordinates are those of the system, and lead back.
-    scaling = scaling_of(replace(scene, fit_crs="" if crs == scene.crs else crs))
+    scaling = make_scaling(replace(scene, fit_crs="" if crs == scene.crs else crs))
     np.testing.assert_allclose(scaling.ground(some), (found - scaling.ground_offset)
                                / scaling.ground_scale, rtol=0, atol=1e-9)
     np.testing.assert_allclose(scaling.unscaled(scaling.ground(some)), some, rtol=0, atol=1e-6)
@@ -76,7 +76,7 @@ def test_a_point_in_each_system(scene: FeatureSet, system: str, crs: str) -> Non
 
 def test_geocentric_by_hand() -> None:
     # At longitude 90 on the equator, 1000 m up: along Y, by the semi-major axis of WGS84.
-    found = transformation("EPSG:4979", "EPSG:4978")(np.array([[90.0, 0.0, 1000.0]]))
+    found = transformation_between("EPSG:4979", "EPSG:4978")(np.array([[90.0, 0.0, 1000.0]]))
     np.testing.assert_allclose(found, [[0.0, 6_378_137.0 + 1000.0, 0.0]], rtol=0, atol=1e-6)
 
 
@@ -114,12 +114,12 @@ def test_results_stay_in_the_coordinates_given(scene: FeatureSet, choice: str,
     # The same as a fit to coordinates that were turned before, by all that a result can do.
     crs = result.data.fit_crs
     before = result.fit.control
-    turned = FeatureSet(replace(before.points, ground=transformation(scene.crs, crs)(
+    turned = FeatureSet(replace(before.points, ground=transformation_between(scene.crs, crs)(
         before.points.ground)), crs=crs)
-    direct = fit(Polynomial3D(degree=2), turned, scaling_of(turned))
+    direct = fit(Polynomial3D(degree=2), turned, make_scaling(turned))
     others = scene.points.ground[:20]
     np.testing.assert_allclose(result.project(others),
-                               direct.project(transformation(scene.crs, crs)(others)),
+                               direct.project(transformation_between(scene.crs, crs)(others)),
                                rtol=0, atol=1e-6)
     image = result.project(others)
     np.testing.assert_allclose(result.locate(image, others[:, 2]), others, rtol=0, atol=1e-5)
@@ -147,9 +147,9 @@ def test_affine_in_geodetic_coordinates_given_in_them(scene: FeatureSet) -> None
 def test_lines(scene: FeatureSet) -> None:
     result = run(scene, "geocentric", "owdis-lines", blunders="keep")
     own = scene.lines.ground.reshape(-1, 3)
-    turned = FeatureSet(lines=Lines(scene.lines.ids, scene.lines.image, transformation(
+    turned = FeatureSet(lines=Lines(scene.lines.ids, scene.lines.image, transformation_between(
         scene.crs, "EPSG:4978")(own).reshape(-1, 2, 3)), crs="EPSG:4978")
-    direct = fit(Polynomial3D(degree=2), turned, scaling_of(turned))
+    direct = fit(Polynomial3D(degree=2), turned, make_scaling(turned))
     np.testing.assert_allclose(result.fit.line_errors(), direct.line_errors(), rtol=0, atol=1e-6)
 
 
@@ -250,7 +250,7 @@ def test_places_beyond_a_projection_are_seen_nowhere(scene: FeatureSet) -> None:
                       crs="EPSG:4979", fit_crs="EPSG:32639",
                       points=replace(scene.points, ground=to_wgs84(scene.crs)(
                           scene.points.ground)))
-    fitted = fit(Affine(), control, scaling_of(control))
+    fitted = fit(Affine(), control, make_scaling(control))
     away = fitted.project(np.array([[48.5, 200.0, 0.0]]))
     assert np.isfinite(away).all()
     assert np.abs(away).max() > 1e6
@@ -332,6 +332,6 @@ def test_the_moon_has_poles_too() -> None:
 
 def test_a_place_that_is_not_known_stays_unknown() -> None:
     places = np.array([[500_000.0, 5_200_000.0, np.nan], [np.nan, np.nan, 400.0]])
-    found = transformation("EPSG:32632", "EPSG:4979")(places)
+    found = transformation_between("EPSG:32632", "EPSG:4979")(places)
     assert np.isfinite(found[0]).all()
     assert np.isnan(found[1]).all()

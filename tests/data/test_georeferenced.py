@@ -10,11 +10,11 @@ import pytest
 
 from termsel.data.features import FeatureSet, Points
 from termsel.data.georeferenced import warn_of_incomplete, warn_of_map
-from termsel.simulate.example import SENSOR, SIZE, corners
+from termsel.simulate.example import SENSOR, SIZE, ground_of_corners
 
 rasterio = pytest.importorskip("rasterio")
 
-GROUND = np.asarray(corners())
+GROUND = np.asarray(ground_of_corners())
 
 
 def measured(image: np.ndarray, crs: str = "EPSG:4979") -> FeatureSet:

@@ -12,7 +12,7 @@ from termsel.models.polynomial import Affine, Polynomial3D
 from termsel.selection.criteria import CheckRmse, KFold, Press
 from termsel.selection.problems.base import ProblemData
 from termsel.selection.problems.selection import SelectionProblem
-from termsel.testing.scenes import imaged, random_coefficients, seeded
+from termsel.testing.scenes import imaged_features, random_coefficients, seeded_generator
 
 MODEL = Polynomial3D(degree=2)
 PIECES = 3
@@ -20,14 +20,14 @@ PIECES = 3
 
 def scene(points: int = 0) -> tuple[FeatureSet, Points]:
     """Return lines of which pieces 1 to 3 share an id, not side by side, and check points."""
-    rng = seeded()
+    rng = seeded_generator()
     truth = random_coefficients(MODEL, rng)
-    features = imaged(MODEL, truth, rng, points=points, lines=30)
+    features = imaged_features(MODEL, truth, rng, points=points, lines=30)
     ids = list(features.lines.ids)
     ids[4] = ids[17] = ids[2]
     lines = Lines(tuple(ids), features.lines.image + rng.normal(0, 1e-3, (30, 2, 2)),
                   features.lines.ground)
-    return features.with_(lines=lines), imaged(MODEL, truth, rng, points=20).points
+    return features.with_(lines=lines), imaged_features(MODEL, truth, rng, points=20).points
 
 
 def test_pieces_are_one_feature() -> None:

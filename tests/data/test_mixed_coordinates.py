@@ -10,7 +10,7 @@ import pytest
 import termsel
 from termsel.data.coordinates.plausible import note_on_mixed
 from termsel.data.features import FeatureSet, Points
-from termsel.results.first_screen import next_step
+from termsel.results.first_screen import next_step_for_user
 
 pyproj = pytest.importorskip("pyproj")
 
@@ -140,7 +140,7 @@ def test_what_to_do_next_is_to_correct_the_coordinates(kind: str) -> None:
     words = " ".join(result.summary().split())
     assert "correct the coordinates first: " in words
     assert "Next: run again with --off" not in words
-    assert next_step(result, "result") == "Next: correct the coordinates, then run again"
+    assert next_step_for_user(result, "result") == "Next: correct the coordinates, then run again"
     assert result.data.read.mixed == note_on_mixed(given)
 
 

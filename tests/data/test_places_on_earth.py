@@ -10,7 +10,7 @@ import pytest
 import termsel
 from termsel.core.errors import TermselError
 from termsel.data.coordinates.earth import place_of, say_turned
-from termsel.data.features import FeatureSet, FloatArray, Lines, Points, no_lines, no_points
+from termsel.data.features import FeatureSet, FloatArray, Lines, Points, empty_lines, empty_points
 from termsel.formats.image_origin import require_inside
 
 SEEN = np.random.default_rng(5).uniform(0, 5000, (12, 2))
@@ -24,7 +24,7 @@ def scene(crs: str, origin: tuple[float, float], unit: float, turn: float = 0.0,
     c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
     ground = (SEEN - 2500) @ (np.array([[c, -s], [s, c]]) @ axes).T * unit + origin
     return FeatureSet(Points([f"P{i}" for i in range(12)], SEEN, np.column_stack(
-        [ground, np.full(12, np.nan)])), no_lines(), crs)
+        [ground, np.full(12, np.nan)])), empty_lines(), crs)
 
 
 def exchanged(features: FeatureSet, what: str) -> FeatureSet:
@@ -68,7 +68,7 @@ def test_lines_alone_tell(caplog: pytest.LogCaptureFixture) -> None:
     ground = np.stack(ends, axis=1)
     for shown, word in ((image, ""), (image[..., ::-1], "line and sample look swapped")):
         lines = Lines(tuple("ABCDEF"), shown, ground)
-        text = said(FeatureSet(no_points(), lines, "EPSG:32632"), caplog)
+        text = said(FeatureSet(empty_points(), lines, "EPSG:32632"), caplog)
         assert word in text
         assert bool(text) == bool(word)
 
@@ -88,7 +88,7 @@ def test_few_points_and_points_on_one_line_are_not_doubted(
     ("EPSG:32632", (500000, 5200000), "47.0 N, 9.0 E"), ("local", (5.0, 5.0), "")])
 def test_the_place_is_named(crs: str, place: tuple[float, float], text: str) -> None:
     assert place_of(scene(crs, place, 1e-6)) == text
-    assert place_of(termsel.FeatureSet(no_points(), no_lines(), crs)) == ""
+    assert place_of(termsel.FeatureSet(empty_points(), empty_lines(), crs)) == ""
 
 
 @pytest.mark.parametrize(("upright", "reason"), [

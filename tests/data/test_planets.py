@@ -17,7 +17,7 @@ from termsel.data.coordinates.crs import (
     height_reference,
     normalise,
 )
-from termsel.data.coordinates.metres import in_metres
+from termsel.data.coordinates.metres import offsets_in_metres
 
 pyproj = pytest.importorskip("pyproj")
 
@@ -67,7 +67,7 @@ def test_metres_are_those_of_proj(crs: str, lat: float, lon: float) -> None:
     ellipsoid = pyproj.CRS(crs).ellipsoid
     geod = pyproj.Geod(a=ellipsoid.semi_major_metre, b=ellipsoid.semi_minor_metre)
     step = np.array([1e-4, -2e-4])
-    found = in_metres(crs, np.array([[lon, lat, 0.0]]), step[None])
+    found = offsets_in_metres(crs, np.array([[lon, lat, 0.0]]), step[None])
     assert found is not None
     distance = geod.inv(lon, lat, lon + step[0], lat + step[1])[2]
     assert np.linalg.norm(found) == pytest.approx(distance, rel=1e-5)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.data.features import FeatureSet, Points, no_lines
-from termsel.data.roles import twins, with_merged_twins
+from termsel.data.features import FeatureSet, Points, empty_lines
+from termsel.data.roles import find_twins, with_merged_twins
 from termsel.selection.criteria import KFold
 
 
@@ -73,7 +73,7 @@ def test_independent_twins_of_control_are_told() -> None:
 def test_folds_hold_out_both_of_two_twins() -> None:
     points = twice(scene(20)).points
     for how in ("spatial", "random"):
-        folds = KFold(how=how, folds=5).folds(points, no_lines())
+        folds = KFold(how=how, folds=5).folds(points, empty_lines())
         assert sorted(np.concatenate(folds)) == list(range(40))
         for fold in folds:
             assert set(fold % 20) == set(fold[fold < 20])
@@ -99,12 +99,12 @@ def test_how_near_twins_are(shift: float, groups: int, few: int,
     ground = np.array([(x, y, 5.0 * x) for x in range(5) for y in range(5)], dtype=float)
     # Half of the points are between 1 and 3: the spread is 4, the side of a point's square 0.8.
     ground[0] = ground[1] - [0.0, 0.008 * shift, 0.0]
-    assert len(set(twins(ground))) == groups
+    assert len(set(find_twins(ground))) == groups
     ground[7] = [1e6, -1e6, 0.0]  # one wild point makes no others near
-    assert len(set(twins(ground))) == groups
+    assert len(set(find_twins(ground))) == groups
     above = ground[1] + [0.0, 0.0, 0.2 * shift]
     ground[0] = above
-    assert len(set(twins(ground))) == groups
+    assert len(set(find_twins(ground))) == groups
 
 
 def test_points_that_are_apart_stay_as_they_are() -> None:
@@ -112,8 +112,8 @@ def test_points_that_are_apart_stay_as_they_are() -> None:
     assert with_merged_twins(features) is features
     seen_through = features.points.ground.copy()
     seen_through[1] = seen_through[0] + [0.0, 0.0, 300.0]  # one line of sight
-    assert len(set(twins(seen_through))) == 30
-    assert list(twins(seen_through[:1])) == [0]
+    assert len(set(find_twins(seen_through))) == 30
+    assert list(find_twins(seen_through[:1])) == [0]
 
 
 @pytest.mark.parametrize("problem", ["rfm-terms", "owdis-points"])

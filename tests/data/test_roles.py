@@ -14,8 +14,8 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
-from termsel.core.errors import rounded
-from termsel.data.coordinates.crs import transformation
+from termsel.core.errors import rounded_size_text
+from termsel.data.coordinates.crs import transformation_between
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.data.roles import observe
 from termsel.formats.heights import HeightCaution
@@ -46,7 +46,7 @@ def sheet(n: int, seed: int = 0, crs: str = "EPSG:25832") -> FeatureSet:
     place = [650_000.0, 5_200_000.0] + (share - 0.5) * EXTENT
     ground = np.column_stack([place, np.full(n, np.nan)])
     if crs != "EPSG:25832":
-        ground[:, :2] = transformation("EPSG:25832", crs)(ground)[:, :2]
+        ground[:, :2] = transformation_between("EPSG:25832", crs)(ground)[:, :2]
         ground = np.round(ground, 8)
     image = warped(share) + rng.normal(0.0, NOISE, (n, 2))
     return FeatureSet(Points(tuple(f"P{i}" for i in range(n)), image, ground), crs=crs,
@@ -141,7 +141,8 @@ def test_corners_of_a_graticule_have_the_same_roles_in_every_crs() -> None:
     ids = tuple(f"K{i}" for i in range(48))
     roles = []
     for crs in ("EPSG:4326", "EPSG:25832"):
-        ground = degrees if crs == "EPSG:4326" else transformation("EPSG:4326", crs)(degrees)
+        ground = degrees if crs == "EPSG:4326" else transformation_between(
+            "EPSG:4326", crs)(degrees)
         points = Points(ids, degrees[:, 1::-1] * 1000, np.round(ground, 3) if crs != "EPSG:4326"
                         else ground)
         features = FeatureSet(points, crs=crs)
@@ -174,8 +175,8 @@ def test_few_independent_points_come_after_the_prediction(tmp_path: Path) -> Non
     assert accuracy is not None
     shown = " ".join(result.summary().split())
     assert expected.pixel is not None
-    metres = rounded(expected.rmse * expected.pixel)
-    first = f"{rounded(expected.rmse)} px / {metres} m RMSE predicted by cross-validation"
+    metres = rounded_size_text(expected.rmse * expected.pixel)
+    first = f"{rounded_size_text(expected.rmse)} px / {metres} m RMSE predicted by cross-validation"
     then = f"at {accuracy.image.n} independent check points"
     assert f"Accuracy {first}" in shown
     assert shown.index(first) < shown.index(then, shown.index(first))
@@ -188,7 +189,7 @@ def test_few_independent_points_come_after_the_prediction(tmp_path: Path) -> Non
 def test_many_independent_points_come_first() -> None:
     result = termsel.run(features=sheet(84), options={"fractions": "2:1:1"})
     assert result.accuracy is not None
-    assert f"Accuracy  {rounded(result.accuracy.image.total)} px / " in result.summary()
+    assert f"Accuracy  {rounded_size_text(result.accuracy.image.total)} px / " in result.summary()
     assert accuracy_tags(result)["ACCURACY_STATED"].startswith("by independent check points")
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import termsel
 from termsel.data.features import FeatureSet, Points
-from termsel.data.roles import in_order
+from termsel.data.roles import sorted_by_id
 
 SMALL = {"population": 30, "polish": False}
 
@@ -48,5 +48,5 @@ def test_the_order_of_rows_changes_no_digit(problem: str, given: dict[str, Any])
 def test_numbers_in_ids_count_as_numbers() -> None:
     names = ("P10", "P2", "P02", "b", "P1", "9", "10", "P2b", "P1_10", "P1_9", f"P{'9' * 60}")
     points = Points(names, np.arange(22.0).reshape(11, 2), np.arange(33.0).reshape(11, 3))
-    assert in_order(FeatureSet(points)).points.ids == (
+    assert sorted_by_id(FeatureSet(points)).points.ids == (
         "9", "10", "P1", "P1_9", "P1_10", "P02", "P2", "P2b", "P10", f"P{'9' * 60}", "b")

@@ -18,7 +18,7 @@ from termsel.simulate import (
     simulate_scene,
 )
 from termsel.simulate.geometry_files import geometry_from, geometry_text
-from termsel.simulate.render import checkerboard
+from termsel.simulate.render import checkerboard_pattern
 
 NAMES = tuple(SCENES)
 PLACE = {"lon": 48.5, "lat": 34.8, "height": 1850.0, "gsd": 1.0, "image_size": (7000, 8000),
@@ -336,10 +336,10 @@ def test_sensor_and_terrain_of_a_scene_are_computed_once():
     for name in NAMES:
         simulate_scene(name)
     scenes._noise_free_features.cache_clear()
-    before = scenes._geometry.cache_info()
+    before = scenes._scene_geometry.cache_info()
     for name in NAMES:
         simulate_scene(name, seed=1)
-    after = scenes._geometry.cache_info()
+    after = scenes._scene_geometry.cache_info()
     assert after.misses == before.misses
     assert after.hits >= before.hits + len(NAMES)
 
@@ -351,7 +351,7 @@ def test_a_geometry_is_read_as_it_was_written():
 
 
 def test_a_checkerboard_begins_dark_at_its_origin():
-    pattern = checkerboard((10.0, 20.0), (5.0, 2.0))
+    pattern = checkerboard_pattern((10.0, 20.0), (5.0, 2.0))
     places = np.array([[11.0, 21.0], [16.0, 21.0], [16.0, 23.0], [9.0, 21.0]])
     assert pattern(places).tolist() == [60.0, 190.0, 60.0, 190.0]
 

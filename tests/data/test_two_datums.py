@@ -10,7 +10,7 @@ import pytest
 
 import termsel
 from termsel.data.features import FeatureSet, Points
-from termsel.runs.data_notes import datum_of, two_groups
+from termsel.runs.data_notes import datum_of, find_two_groups
 from termsel.simulate import simulate_scene
 from termsel.simulate.catalogue import SCENES
 
@@ -42,7 +42,7 @@ def moved(features: FeatureSet, metres: tuple[float, float], which: slice) -> Fe
 def test_a_constant_shift_of_some_points_is_found(shift: tuple[float, float],
                                                   which: slice) -> None:
     features = moved(points(), shift, which)
-    found = two_groups(features)
+    found = find_two_groups(features)
     assert found is not None
     expected = features.points.ids[which]
     if len(expected) == 15:  # nothing tells which half is wrong
@@ -59,7 +59,7 @@ def test_errors_and_relief_are_no_two_groups(seed: int) -> None:
                      points(seed=seed, relief=200.0),
                      points(seed=seed, relief=200.0, height=False),
                      moved(points(seed=seed), (400.0, 0.0), slice(0, 3))):
-        assert two_groups(features) is None
+        assert find_two_groups(features) is None
 
 
 def test_a_wide_area_around_a_pole_is_no_two_groups() -> None:
@@ -73,12 +73,12 @@ def test_a_wide_area_around_a_pole_is_no_two_groups() -> None:
     ground = np.column_stack([lon, lat, np.full(12, np.nan)])
     features = FeatureSet(Points(tuple(f"q{i}" for i in range(12)), image, ground),
                           crs="EPSG:4326")
-    assert two_groups(features) is None
+    assert find_two_groups(features) is None
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_scenes_are_no_two_groups(name: str) -> None:
-    assert two_groups(simulate_scene(name)) is None
+    assert find_two_groups(simulate_scene(name)) is None
 
 
 def test_two_levels_are_told_by_their_heights() -> None:
@@ -87,9 +87,9 @@ def test_two_levels_are_told_by_their_heights() -> None:
     ground[::2, 2] += 500.0
     image[::2, 1] += 0.4 * 500.0 / 3
     levels = replace(features, points=replace(features.points, ground=ground, image=image))
-    assert two_groups(levels) is None
+    assert find_two_groups(levels) is None
     ground[:, 2] = np.nan
-    blank = two_groups(replace(levels, points=replace(levels.points, ground=ground)))
+    blank = find_two_groups(replace(levels, points=replace(levels.points, ground=ground)))
     assert blank is not None
     assert "two levels whose heights are not known" in blank.sentence()
 
@@ -101,23 +101,23 @@ def test_points_on_one_line_have_no_two_groups() -> None:
     image[::2, 0] += 40.0
     for ground in (np.column_stack([along, zero, zero]), np.column_stack([zero, along, zero])):
         on_line = Points(tuple(f"q{i}" for i in range(20)), image, ground)
-        assert two_groups(FeatureSet(on_line, crs="EPSG:32633")) is None
+        assert find_two_groups(FeatureSet(on_line, crs="EPSG:32633")) is None
 
 
 def test_the_other_datum_is_named() -> None:
     pytest.importorskip("pyproj")
     features = moved(points(height=False), (63.0, -2.0), slice(0, 12))
-    found = two_groups(features)
+    found = find_two_groups(features)
     assert found is not None
     assert datum_of(found, features.crs, PLACE) == "NAD27"
-    far = two_groups(moved(points(height=False), (630.0, 900.0), slice(0, 12)))
+    far = find_two_groups(moved(points(height=False), (630.0, 900.0), slice(0, 12)))
     assert far is not None
     assert datum_of(far, features.crs, PLACE) == ""
 
 
 def test_without_pyproj_no_datum_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyproj", None)
-    found = two_groups(moved(points(height=False), (63.0, -2.0), slice(0, 12)))
+    found = find_two_groups(moved(points(height=False), (63.0, -2.0), slice(0, 12)))
     assert found is not None
     assert datum_of(found, "EPSG:4326", PLACE) == ""
 

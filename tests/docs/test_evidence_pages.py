@@ -46,10 +46,10 @@ def test_the_optimum_of_the_rfm_has_the_figures_of_the_page():
 def test_a_set_of_the_open_benchmark_has_the_figure_of_the_page(name):
     pytest.importorskip("termsel_bench")
     from termsel_bench.methods.base import AUTO
-    from termsel_bench.protocol import Work, score
+    from termsel_bench.protocol import Work, score_work
 
     said = float(row("benchmark", name)[2].split()[0])
-    assert score(Work(AUTO, name)).rmse == pytest.approx(said, rel=0.01)
+    assert score_work(Work(AUTO, name)).rmse == pytest.approx(said, rel=0.01)
 
 
 @pytest.mark.slow

@@ -14,11 +14,11 @@ from termsel.adjustment.bayesian.field import (
     FIELD_VARIANCE_FACTOR,
     blunder_odds,
 )
-from termsel.adjustment.bayesian.posterior import Posterior, posterior
+from termsel.adjustment.bayesian.posterior import Posterior, solve_posterior
 from termsel.auto.blunders import find_blunders
-from termsel.data.features import FloatArray, no_lines
+from termsel.data.features import FloatArray, empty_lines
 from termsel.data.fit_data import FitData
-from termsel.data.monomials import graded_exponents, monomials
+from termsel.data.monomials import evaluate_monomials, graded_exponents
 
 PLANE = graded_exponents(2, 2)
 N = 12
@@ -28,14 +28,15 @@ SCALES = np.array([[1.0, 0.5, 1.0], [0.3, 1.0, 0.1]])
 def measured() -> tuple[FloatArray, FloatArray]:
     """Points of a bent plane with noise; the last is off by 30 times the noise."""
     rng = np.random.default_rng(3)
-    columns = monomials(np.column_stack([rng.uniform(-1, 1, (N, 2)), np.zeros(N)]), PLANE)
+    columns = evaluate_monomials(np.column_stack([rng.uniform(-1, 1, (N, 2)), np.zeros(N)]), PLANE)
     image = columns @ rng.standard_normal((6, 2)) + 0.01 * rng.standard_normal((N, 2))
     image[8] += [0.2, -0.3]
     return columns, image
 
 
 def solved(columns: FloatArray, image: FloatArray, weights: FloatArray) -> Posterior:
-    found = posterior(columns, image, np.array(PLANE).sum(axis=1), weights, SCALES, len(image))
+    found = solve_posterior(
+        columns, image, np.array(PLANE).sum(axis=1), weights, SCALES, len(image))
     assert found is not None
     return found
 
@@ -79,7 +80,7 @@ def far_point(shift: float) -> FeatureSet:
     ground[0] = 1000.0, 1000.0, 50.0
     image = ground[:, 1::-1] * 2 + 0.5 * rng.standard_normal((24, 2))
     image[0] += shift
-    return FeatureSet(Points(tuple(map(str, range(24))), image, ground), no_lines(), "local")
+    return FeatureSet(Points(tuple(map(str, range(24))), image, ground), empty_lines(), "local")
 
 
 @pytest.mark.parametrize(("shift", "blunder", "probable"), [

@@ -18,7 +18,7 @@ from termsel.adjustment.bayesian.physics import (
 )
 from termsel.auto.physical import camera_average, camera_average_of
 from termsel.data.fit_data import FitData
-from termsel.data.monomials import graded_exponents, monomials
+from termsel.data.monomials import evaluate_monomials, graded_exponents
 from termsel.simulate import simulate_scene
 from termsel_bench.scenes.cameras import CHOSEN, image_of
 
@@ -26,7 +26,7 @@ from termsel_bench.scenes.cameras import CHOSEN, image_of
 def solutions(rows=slice(None), seed=3, scale=1.0):
     """A stack of one prior."""
     rng = np.random.default_rng(seed)
-    columns = monomials(rng.uniform(-1, 1, (7, 3)), graded_exponents(2, 3))
+    columns = evaluate_monomials(rng.uniform(-1, 1, (7, 3)), graded_exponents(2, 3))
     image, weights = rng.normal(size=(7, 2)), rng.uniform(0.5, 1.5, (7, 2))
     rest = 2 * (columns.shape[1] - N_FREE)
     mean, root = 0.1 * rng.normal(size=rest), scale * rng.normal(size=(rest, rest))

@@ -11,16 +11,16 @@ from scipy import stats
 import termsel
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.solve import solve
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name_error
 from termsel.core.options import Option
-from termsel.data.coordinates.places import beyond
+from termsel.data.coordinates.places import distance_beyond_hull
 from termsel.data.coordinates.plausible import check_ground
 from termsel.data.features import FeatureSet, FloatArray, Lines, Points
 from termsel.data.monomials import RPC00B, monomial_name
-from termsel.data.roles import SPLITS, by_roles, observe
+from termsel.data.roles import SPLITS, observations_by_role, observe
 from termsel.data.rpc import Rpc
-from termsel.data.scaling import scaling_of
-from termsel.fitting.figures import in_role, significance
+from termsel.data.scaling import make_scaling
+from termsel.fitting.figures import restrict_to_control, term_significance
 from termsel.fitting.fit import Fit
 from termsel.fitting.least_squares import LEAST_SQUARES
 from termsel.models.polynomial import Affine
@@ -50,7 +50,7 @@ def lines(n: int, noise: float) -> Lines:
 
 
 def fitted(control: FeatureSet, used: np.ndarray | None = None) -> Fit:
-    return LEAST_SQUARES.fit(Affine(), control, scaling_of(control), np.ones(8, dtype=bool),
+    return LEAST_SQUARES.fit(Affine(), control, make_scaling(control), np.ones(8, dtype=bool),
                              np.ones(len(control), dtype=bool) if used is None else used)
 
 
@@ -72,7 +72,8 @@ def test_points_that_are_off_stay_off_however_roles_are_assigned(how: str) -> No
 
 def test_distances_count_by_the_longer_side_of_the_control() -> None:
     control = np.array([(0.0, 0.0), (0.0, 40.0), (10.0, 0.0), (10.0, 40.0)])
-    np.testing.assert_allclose(beyond(control, np.array([(20.0, 5.0), (5.0, 60.0)])), [0.25, 0.5])
+    np.testing.assert_allclose(
+        distance_beyond_hull(control, np.array([(20.0, 5.0), (5.0, 60.0)])), [0.25, 0.5])
 
 
 def test_one_point_near_the_origin_of_a_projection_is_no_degree() -> None:
@@ -143,19 +144,20 @@ def test_the_box_of_an_image_has_lines_before_samples() -> None:
 
 
 def test_a_fit_to_control_and_check_cannot_be_repeated_with_the_control_alone() -> None:
-    observations = by_roles(FeatureSet(points(12, noise=0.5, roles=("control", "check") * 6)))
-    shown = in_role(fitted(observations.together), observations)
+    observations = observations_by_role(
+        FeatureSet(points(12, noise=0.5, roles=("control", "check") * 6)))
+    shown = restrict_to_control(fitted(observations.together), observations)
     assert shown.control is observations.control
     with pytest.raises(TermselError, match="has given coefficients, so no feature can be"):
         shown.leave_one_out_rmse()
     own = fitted(observations.control)
-    assert in_role(own, observations) is own
+    assert restrict_to_control(own, observations) is own
 
 
 def test_significance_is_two_sided() -> None:
     found = termsel.fit(FeatureSet(points(20, noise=3.0)), "affine")
     freedom = found.adjustment.redundancy
-    for one in significance(found).values():
+    for one in term_significance(found).values():
         assert one.p == pytest.approx(2 * stats.t.sf(one.t, freedom), rel=1e-9)
 
 
@@ -178,16 +180,16 @@ def test_other_words_are_neither(text: str) -> None:
     ("ply", "")])
 def test_names_that_may_be_meant_stand_without_a_long_list(name: str, near: str) -> None:
     names = ["rpb", "rpc-txt", "rpc-vrt", "stac"]
-    few = str(unknown_name("writer", name, names))
+    few = str(unknown_name_error("writer", name, names))
     guess = f"Did you mean {near} " if near else ""
     assert few == f"unknown writer {name!r}. {guess}Known: rpb, rpc-txt, rpc-vrt, stac."
-    many = str(unknown_name("writer", name, [*names, *(f"{i:09d}" for i in range(30))]))
+    many = str(unknown_name_error("writer", name, [*names, *(f"{i:09d}" for i in range(30))]))
     assert ("Known: " in many) is not bool(near)
 
 
 @pytest.mark.parametrize(("n", "end"), [(39, "n38."), (40, "n39."), (41, "n39 and 1 more."),
                                         (50, "n39 and 10 more.")])
 def test_an_unknown_name_lists_forty_known_ones(n: int, end: str) -> None:
-    error = unknown_name("thing", "zzz", [f"n{i:02d}" for i in range(n)])
+    error = unknown_name_error("thing", "zzz", [f"n{i:02d}" for i in range(n)])
     assert str(error).startswith("unknown thing 'zzz'. Known: n00, n01, ")
     assert str(error).endswith(f", {end}")

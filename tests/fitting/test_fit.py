@@ -10,8 +10,8 @@ import pytest
 import termsel
 from termsel.adjustment.solve import solve
 from termsel.auto.methods import METHODS
-from termsel.data.features import FeatureSet, Lines, Points, no_lines, no_points
-from termsel.data.scaling import scaling_of
+from termsel.data.features import FeatureSet, Lines, Points, empty_lines, empty_points
+from termsel.data.scaling import make_scaling
 from termsel.fitting.least_squares import LeastSquares
 from termsel.fitting.least_squares import fit as low_level
 from termsel.fitting.residuals import Residuals
@@ -34,13 +34,13 @@ def points_of(n: int = 30, seed: int = 1, noise: float = 0.5) -> FeatureSet:
 def lines_of(n: int = 24, seed: int = 3, noise: float = 0.3) -> FeatureSet:
     rng = np.random.default_rng(seed)
     plain = low_level(RationalFunctions(order=1), points_of(60, noise=0.0),
-                      scaling_of(points_of(60)))
+                      make_scaling(points_of(60)))
     middle = rng.uniform([800, 800, 40], [7200, 5200, 360], (n, 1, 3))
     half = rng.uniform(-600, 600, (n, 1, 3)) * [1, 1, 0.1]
     ground = np.concatenate([middle - half, middle + half], axis=1)
     image = plain.project(ground.reshape(-1, 3)).reshape(n, 2, 2)
-    return FeatureSet(no_points(), Lines(tuple(f"L{i}" for i in range(n)),
-                                         image + noise * rng.normal(size=image.shape), ground))
+    return FeatureSet(empty_points(), Lines(tuple(f"L{i}" for i in range(n)),
+                                            image + noise * rng.normal(size=image.shape), ground))
 
 
 def by_refits(fitted: termsel.Fit) -> np.ndarray:
@@ -162,7 +162,7 @@ def test_leave_one_out_of_an_iterated_fit_is_to_first_order_about_its_solution()
 
 def test_without_iteration_the_equations_are_solved_once() -> None:
     features = lines_of()
-    once, again = (low_level(RationalFunctions(order=1), features, scaling_of(features),
+    once, again = (low_level(RationalFunctions(order=1), features, make_scaling(features),
                              iterated=iterated) for iterated in (False, True))
     model = once.model
     solved = solve(model.equations(once.scaled_control), once.terms, once.used)
@@ -223,7 +223,7 @@ def test_roles_say_what_is_control() -> None:
     others = features.points.take(np.isin(roles, "independent"))
     errors = others.image - fitted.project(others.ground)
     assert fitted.rmse(others).total == pytest.approx(np.sqrt((errors**2).sum(axis=1).mean()))
-    assert fitted.rmse(no_points()) is None
+    assert fitted.rmse(empty_points()) is None
 
 
 def test_lines_and_points_are_control_together() -> None:
@@ -240,7 +240,7 @@ def test_lines_and_points_are_control_together() -> None:
 def test_vertices_of_further_pieces_of_a_line_have_further_numbers() -> None:
     lines = lines_of(12).lines
     pieces = replace(lines, ids=("A", "B", "A", *(f"L{i}" for i in range(8)), "A"))
-    fitted = termsel.fit(FeatureSet(no_points(), pieces), "affine")
+    fitted = termsel.fit(FeatureSet(empty_points(), pieces), "affine")
     assert [one.kind for one in fitted.residuals if one.id == "A"] == [
         f"vertex {number}" for number in range(1, 7)]
 
@@ -290,7 +290,7 @@ def without_heights() -> FeatureSet:
     (points_of(), RationalFunctions(), {"order": 2}, "has its options already, takes no option"),
     (points_of(), "rfn", {}, "unknown model 'rfn'. Did you mean 'rfm'"),
     (points_of(), "rfm", {"ordr": 2}, "unknown option 'ordr'"),
-    (FeatureSet(no_points(), no_lines()), "affine", {}, "there are no control features"),
+    (FeatureSet(empty_points(), empty_lines()), "affine", {}, "there are no control features"),
     (points_of(6).with_(points=replace(points_of(6).points, roles=("check",) * 6)), "affine", {},
      "all 6 points have other roles than control: check")])
 def test_what_cannot_be_fitted_is_refused(features: FeatureSet, model: str, options: dict,

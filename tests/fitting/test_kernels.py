@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from termsel.adjustment import Equations, solve
-from termsel.adjustment.blocks import paying, reduced
+from termsel.adjustment.blocks import reduced_rows, where_blocks_pay
 from termsel.adjustment.kernels import BLOCK, _kept_data_of, needs_compilation, solve_many
 from termsel.data.features import FeatureSet, Points
 from termsel.models.quotient import RationalFunctions
@@ -265,16 +265,16 @@ def test_many_rows_are_solved_as_lapack_does(prior: bool) -> None:
             b = equations.b[rows]
             gap = np.linalg.norm(A[rows] @ (x - one.coefficients))
             assert gap <= 1e-10 * np.linalg.norm(b)
-        system = next(reduced(_kept_data_of(equations).blocks,
-                              _kept_data_of(equations).triangle[:, :k],
-                              mask[None], np.array([True])))[1]
+        system = next(reduced_rows(_kept_data_of(equations).blocks,
+                                   _kept_data_of(equations).triangle[:, :k],
+                                   mask[None], np.array([True])))[1]
         unsafe += system is None
     assert 1 <= unsafe <= 20
     # With terms of their own, too, where that is faster: of many terms, and for many features.
     terms = rng.random((40, k)) < np.linspace(0.2, 1.0, 40)[:, None]
     terms[5], features[5] = True, np.arange(n) % 6 == 0
     found, violation = solve_many(equations, None, features)
-    those = paying(_kept_data_of(equations).feature, terms, features)
+    those = where_blocks_pay(_kept_data_of(equations).feature, terms, features)
     assert 5 <= those.sum() <= 35
     own = solve_many(equations, terms, features)
     for on, mask, x, lacking in zip(terms, features, *own, strict=True):

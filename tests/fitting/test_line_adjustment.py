@@ -8,8 +8,8 @@ from scipy.optimize import least_squares
 
 from termsel import TermselError, prepare, simulate_scene
 from termsel.adjustment.equations import approximate_image, line_normals, row_weights
-from termsel.data.features import FeatureSet, Lines, Points, no_points
-from termsel.data.scaling import scaling_of
+from termsel.data.features import FeatureSet, Lines, Points, empty_points
+from termsel.data.scaling import make_scaling
 from termsel.fitting.least_squares import fit
 from termsel.models.quotient import RationalFunctions
 
@@ -61,7 +61,7 @@ def test_a_fit_to_lines_is_the_least_squares_of_distances(order: int, ridge: flo
     below = np.array([".den" in name for name in model.terms])
     terms = np.array([not name.endswith(("XY", "XZ", "YZ", "X2", "Z2")) or ".num" in name
                       for name in model.terms])
-    found = fit(model, features, scaling_of(features), terms)
+    found = fit(model, features, make_scaling(features), terms)
     scaled = found.scaling.features(features)
     normal, rho = (np.repeat(one, 2, axis=0) for one in line_normals(scaled.lines))
     weight = row_weights(scaled)
@@ -85,8 +85,8 @@ def test_a_fit_to_lines_is_the_least_squares_of_distances(order: int, ridge: flo
 def test_a_shared_denominator_keeps_off_zero_in_the_scene() -> None:
     """With a term for every other line, noise alone would let it grow to a pole."""
     scene = simulate_scene("ikonos-hamedan", n_points=74, n_lines=120, wrong_lines=0, seed=3)
-    control = scene.with_(points=no_points())
-    scaling = scaling_of(control)
+    control = scene.with_(points=empty_points())
+    scaling = make_scaling(control)
     held, free, plain = (fit(RationalFunctions(order=3, **options), control, scaling)
                          for options in ({"denominators": "shared"},
                                          {"denominators": "shared", "ridge": 0.0},

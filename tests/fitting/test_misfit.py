@@ -11,7 +11,13 @@ import pytest
 import termsel
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.fitting.local_courses import MAX_CELLS, TREND_COLUMNS, local_courses
-from termsel.fitting.misfit import NoisePrior, matern, misfit_of, mixed_misfit, trend_of
+from termsel.fitting.misfit import (
+    NoisePrior,
+    matern_correlations,
+    misfit_of,
+    mixed_misfit,
+    trend_of,
+)
 from termsel.fitting.scene import scene_grid
 from termsel.io.plan import plan
 from termsel.io.result_folder import write_result
@@ -166,7 +172,8 @@ def rough_or_smooth(smoothness: float, seed: int) -> tuple[FeatureSet, FloatArra
     """Return control of a sheet with local errors of 8 px, and 100 places where it shows them."""
     rng = np.random.default_rng([10, seed])
     share = rng.uniform(0.02, 0.98, (160, 2))
-    root = np.linalg.cholesky(matern(share, share, (0.3, 0.3), smoothness) + 1e-9 * np.eye(160))
+    root = np.linalg.cholesky(
+        matern_correlations(share, share, (0.3, 0.3), smoothness) + 1e-9 * np.eye(160))
     image = share * SIZE + 8.0 * root @ rng.standard_normal((160, 2))
     ground = np.column_stack([500_000 + 3 * SIZE[1] * share[:, 1], 5e6 - 3 * SIZE[0] * share[:, 0],
                               np.full(160, np.nan)])
@@ -256,7 +263,8 @@ def test_many_points_know_a_weak_bend_better_than_any_two_hundred_of_them() -> N
 def test_groups_of_many_points_tell_a_rough_field_from_a_smooth_one(smoothness: float) -> None:
     rng = np.random.default_rng(16)
     places = rng.uniform(-1.0, 1.0, (600, 2))
-    root = np.linalg.cholesky(matern(places, places, (0.6, 0.6), smoothness) + 1e-9 * np.eye(600))
+    root = np.linalg.cholesky(
+        matern_correlations(places, places, (0.6, 0.6), smoothness) + 1e-9 * np.eye(600))
     courses = local_courses(many_points(6.0 * root @ rng.standard_normal((600, 2)), places), 2e-3)
     assert courses is not None
     share = sum(solutions.shares[:, 0].sum() for solutions in courses.solutions

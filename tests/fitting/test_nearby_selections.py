@@ -9,7 +9,7 @@ from termsel import prepare
 from termsel.adjustment import Equations, nearby
 from termsel.adjustment.kernels import solve_many
 from termsel.data.features import BoolArray
-from termsel.selection.solvers.heuristics.swap import neighbours
+from termsel.selection.solvers.heuristics.swap import neighbour_batches
 from termsel.selection.solvers.ledger import Ledger
 
 
@@ -70,7 +70,7 @@ def test_a_search_sees_the_same_neighbours(name: str, monkeypatch: pytest.Monkey
     problem = prepare(name).problem
     monkeypatch.setattr(nearby, "MIN_WORK", 0)
     start = problem.genome.random(np.random.default_rng(3), 1)[0]
-    ledger, around = Ledger(problem), next(neighbours(start, problem.genome))
+    ledger, around = Ledger(problem), next(neighbour_batches(start, problem.genome))
     found, expected = ledger.evaluate_near(around, start), problem.evaluate(around)
     np.testing.assert_allclose(found.objectives, expected.objectives, rtol=1e-8)
     np.testing.assert_allclose(found.violation, expected.violation, rtol=1e-8)

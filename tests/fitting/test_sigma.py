@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.data.coordinates.places import beyond
-from termsel.data.features import FeatureSet, FloatArray, Points, no_lines
+from termsel.data.coordinates.places import distance_beyond_hull
+from termsel.data.features import FeatureSet, FloatArray, Points, empty_lines
 from termsel.simulate import scene_truth, simulate_scene
 from termsel.simulate.catalogue import SCENES
 from termsel.simulate.scenes import _ground_positions
@@ -23,7 +23,7 @@ def _part(name: str, seed: int, count: int) -> FeatureSet:
     """Return control from three quarters of the lines and samples of a scene."""
     points = simulate_scene(name, seed=seed, n_points=4 * count).points
     near = np.flatnonzero((points.image < 0.75 * np.array(SCENES[name].image_size)).all(axis=1))
-    return FeatureSet(replace(points.take(near[:count]), roles=("control",) * count), no_lines(),
+    return FeatureSet(replace(points.take(near[:count]), roles=("control",) * count), empty_lines(),
                       "EPSG:4979")
 
 
@@ -41,7 +41,7 @@ def _covered(model: str, count: int, **options: int) -> dict[str, tuple[float, f
             errors, noise = fitted.project(ground) - truth, rng.standard_normal(truth.shape) / 2
             within = [np.abs(e) < NORMAL_90 * fitted.sigma(ground, measured=measured)
                       for e, measured in ((errors, False), (errors + noise, True))]
-            away = beyond(control.points.image, truth)
+            away = distance_beyond_hull(control.points.image, truth)
             for region, which in zip(REGIONS, (away == 0, (away > 0) & (away < 0.15),
                                                away >= 0.15), strict=True):
                 found[region].append((within[0][which].mean(), within[1][which].mean()))

@@ -13,12 +13,12 @@ import termsel
 from termsel.adjustment.bayesian import field, posterior
 from termsel.adjustment.bayesian.field import fit_gaussian_process
 from termsel.adjustment.bayesian.posterior import predict_positions
-from termsel.adjustment.bayesian.shrinkage import orthogonal
+from termsel.adjustment.bayesian.shrinkage import orthogonal_factors
 from termsel.adjustment.bayesian.thin_plate import thin_plates
 from termsel.auto.auto import Auto
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.data.fit_data import FitData
-from termsel.data.monomials import graded_exponents, monomials
+from termsel.data.monomials import evaluate_monomials, graded_exponents
 from termsel_cameras import simulate_map
 
 UNITS = (1.0, 0.7)
@@ -143,7 +143,7 @@ def test_one_solution_is_universal_kriging(monkeypatch: pytest.MonkeyPatch) -> N
     field._cached_gaussian_process.cache_clear()
     posterior._cached_polynomial_posterior.cache_clear()
     assert found is not None
-    one, other = (monomials(g, found.exponents) for g in (points.ground, at))
+    one, other = (evaluate_monomials(g, found.exponents) for g in (points.ground, at))
     own = size * np.array([0.1 ** (sum(e) - 2.0) for e in found.exponents[3:]])
     turn = np.linalg.lstsq(one[:, :3], points.image)[0]
 
@@ -217,9 +217,9 @@ def test_what_is_foreseen_varies_within_solutions_and_between_them() -> None:
     points, at = scattered(12), scattered(5, seed=6).ground
     exponents = graded_exponents(2, 3)
     order = np.array(exponents).sum(axis=1)
-    one, other = monomials(points.ground, exponents), monomials(at, exponents)
+    one, other = evaluate_monomials(points.ground, exponents), evaluate_monomials(at, exponents)
     scales = posterior.scales_of(np.array(exponents)[order > 1])
-    found = posterior.posterior(one, points.image, order, None, scales, 12)
+    found = posterior.solve_posterior(one, points.image, order, None, scales, 12)
     assert found is not None
     foreseen = predict_positions(found, other[:, order < 2], other[:, order > 1])
     share, precision = found.cells.share, np.zeros(len(order))
@@ -244,7 +244,7 @@ def test_what_is_foreseen_varies_within_solutions_and_between_them() -> None:
 def test_one_decomposition_for_all_scales_gives_what_one_for_each_does(
         n: int, noise: float, near: float) -> None:
     points = scattered(n)
-    columns = np.concatenate([monomials(points.ground, graded_exponents(2, 2)),
+    columns = np.concatenate([evaluate_monomials(points.ground, graded_exponents(2, 2)),
                               np.random.default_rng(1).normal(size=(n, 30))], axis=1)
     image = columns @ np.random.default_rng(2).normal(size=(36, 2)) \
         + noise * np.random.default_rng(3).normal(size=(n, 2))
@@ -253,8 +253,8 @@ def test_one_decomposition_for_all_scales_gives_what_one_for_each_does(
     others = columns.copy()
     others[:, 6:] *= 2.0
     stack = np.array([others, columns])[:, :, 3:]
-    by_one = posterior.posteriors(columns[:, :3], stack, image, None, scales, 3)
-    by_each = posterior.posteriors(columns[:, :3], stack, image, None, scales, 33)
+    by_one = posterior.solve_posteriors(columns[:, :3], stack, image, None, scales, 3)
+    by_each = posterior.solve_posteriors(columns[:, :3], stack, image, None, scales, 33)
     assert by_one is not None
     assert by_each is not None
     found = by_one[1]
@@ -274,7 +274,7 @@ def test_columns_are_orthogonal_whatever_their_condition(condition: float) -> No
     rng = np.random.default_rng(8)
     turn = np.linalg.qr(rng.normal(size=(64, 64)))[0]
     columns = rng.normal(size=(300, 64)) * np.geomspace(1.0, 1.0 / condition, 64) @ turn
-    q, r = orthogonal(columns)
+    q, r = orthogonal_factors(columns)
     np.testing.assert_allclose(q.T @ q, np.eye(64), atol=1e-13)
     np.testing.assert_allclose(q @ r, columns, atol=1e-13 * np.abs(columns).max())
     assert not np.tril(r, -1).any()

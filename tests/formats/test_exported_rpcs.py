@@ -16,15 +16,15 @@ from termsel.data.fingerprints import KEPT, makers_of, with_control_record
 from termsel.data.roles import Observations
 from termsel.formats.rpc_control import read_errors
 from termsel.formats.rpc_files import (
-    delivered_rpc,
     from_items,
+    read_delivered_rpc,
     read_rpc,
     rpb_text,
     rpc_txt_text,
     with_rpc,
 )
 from termsel.runs.exported_rpc import _is_taken_away, doubt_of_fitted_rpc, refuse_makers
-from termsel.simulate.example import SENSOR, SIZE, corners, vendor_rpc
+from termsel.simulate.example import SENSOR, SIZE, ground_of_corners, vendor_rpc
 from termsel.toolkit.files import rpc_items
 
 pytest.importorskip("rasterio")
@@ -37,7 +37,8 @@ NOISE = 0.3
 def points(count: int, seed: int = 0) -> FeatureSet:
     """Return points of the example's scene, measured with noise."""
     rng = np.random.default_rng(seed)
-    ground = np.asarray(corners())[rng.choice(len(corners()), count, replace=False)]
+    ground = np.asarray(
+        ground_of_corners())[rng.choice(len(ground_of_corners()), count, replace=False)]
     image = SENSOR.project(ground) + rng.normal(0.0, NOISE, (count, 2))
     ids = tuple(f"P{i}" for i in range(count))
     return FeatureSet(Points(ids, image, ground), crs="EPSG:4979", image_size=SIZE)
@@ -166,7 +167,7 @@ def test_the_vendors_rpc_is_found_behind_an_exported_one(
     vendor = vendor_rpc()
     image.with_name("scene.RPB").write_text(rpb_text(fitted_rpc(points(12))))
     image.with_name("scene_RPC.TXT").write_text(rpc_txt_text(vendor))
-    assert delivered_rpc(image) == vendor
+    assert read_delivered_rpc(image) == vendor
     assert "That of scene_RPC.TXT is used." in caplog.text
 
 
@@ -179,10 +180,11 @@ def test_the_vendors_rpc_within_the_image_is_found(tmp_path: Path) -> None:
                        rpcs=RPC.from_gdal(rpc_items(vendor_rpc()))):
         pass
     path.with_name("tagged.RPB").write_text(rpb_text(fitted_rpc(points(12))))
-    delivered = delivered_rpc(path)
+    delivered = read_delivered_rpc(path)
     assert delivered is not None
     assert not delivered.control_count
-    assert np.abs(delivered.project(corners()) - vendor_rpc().project(corners())).max() < 1e-6
+    assert np.abs(delivered.project(ground_of_corners())
+                  - vendor_rpc().project(ground_of_corners())).max() < 1e-6
 
 
 def test_a_vrt_and_its_copy_carry_the_mark(image: Path) -> None:
@@ -195,7 +197,7 @@ def test_a_vrt_and_its_copy_carry_the_mark(image: Path) -> None:
     copy(vrt, tiff, driver="GTiff")
     for path in (vrt, tiff):
         assert read_rpc(path).control_count == 12
-        assert delivered_rpc(path) is None
+        assert read_delivered_rpc(path) is None
 
 
 @pytest.mark.parametrize("ending", [".RPB", "_RPC.TXT"])
@@ -219,7 +221,7 @@ def test_gdals_copies_say_that_termsel_fitted_the_rpc(
         assert read.control_count == 12
         assert not read.control_digests
         assert (read.error_bias, read.error_random) == (None, 0.25)
-        assert delivered_rpc(path) is None if path.suffix in (".tif", ".vrt") else True
+        assert read_delivered_rpc(path) is None if path.suffix in (".tif", ".vrt") else True
     assert f"--rpc {tags}" in caplog.text
 
 

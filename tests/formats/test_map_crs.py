@@ -131,7 +131,7 @@ def test_an_image_of_which_single_places_are_known_has_no_map(
         monkeypatch: pytest.MonkeyPatch) -> None:
     outline = np.full((21, 21, 2), np.nan)
     outline[3, 4] = outline[9, 12] = 5e5, 5.2e6
-    monkeypatch.setattr(module, "_ground", lambda *_: outline)
+    monkeypatch.setattr(module, "_outline_on_map", lambda *_: outline)
     with pytest.raises(termsel.TermselError, match="no ground position anywhere"):
         module.grid_of_image(scene("EPSG:25832", 11.0, 47.4), "EPSG:25832", dem=None, height=110.0)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import termsel
 from termsel import FeatureSet, Points
 from termsel.formats.heights import open_dem
-from termsel.io.resampling import ImageWindow, resampled
+from termsel.io.resampling import ImageWindow, resample_pixels
 
 rasterio = pytest.importorskip("rasterio")
 
@@ -108,8 +108,9 @@ def test_resampling_is_that_of_gdal(resampling: str, step: float) -> None:
     # The centre of a pixel of the map, in pixels of the image from the centre of the first one.
     positions = np.stack([first[0] + (lines + 0.5) * step, first[1] + (samples + 0.5) * step],
                          axis=-1) - 0.5
-    mine, shown = resampled(ImageWindow(pixels, np.ones(pixels.shape, dtype=bool), 0, 0), positions,
-                            resampling, (90, 120), np.zeros(1))
+    mine, shown = resample_pixels(ImageWindow(pixels, np.ones(pixels.shape, dtype=bool), 0, 0),
+                                  positions,
+                                  resampling, (90, 120), np.zeros(1))
     inner = (slice(None), slice(4, -4), slice(4, -4))
     assert shown[inner].all()
     assert np.abs(mine - made)[inner].max() < 1e-3
@@ -122,8 +123,9 @@ def test_pixels_without_data_take_no_part_in_means() -> None:
     lines, samples = np.indices((10, 20))
     positions = np.stack([lines + 3.4, samples - 0.3], axis=-1)
     for resampling in ("bilinear", "cubic", "lanczos", "average"):
-        values, shown = resampled(ImageWindow(pixels, known, 0, 0), positions, resampling, (20, 20),
-                                  np.zeros(1))
+        values, shown = resample_pixels(ImageWindow(pixels, known, 0, 0), positions, resampling,
+                                        (20, 20),
+                                        np.zeros(1))
         assert set(values[shown].tolist()) == {10}
         assert not shown[0, :, 11:].any()
         assert not shown[0, positions[..., 1] < -0.5].any()
@@ -133,7 +135,7 @@ def test_complex_pixels_keep_both_parts() -> None:
     pixels = (np.arange(100.0).reshape(1, 10, 10) * (1 + 2j)).astype(np.complex64)
     positions = np.stack(np.meshgrid([2.5, 3.5], [4.25, 5.0], indexing="ij"), axis=-1)
     window = ImageWindow(pixels, np.ones(pixels.shape, dtype=bool), 0, 0)
-    values, shown = resampled(window, positions, "bilinear", (10, 10), np.zeros(1))
+    values, shown = resample_pixels(window, positions, "bilinear", (10, 10), np.zeros(1))
     assert shown.all()
     np.testing.assert_allclose(values[0], (1 + 2j) * (10 * positions[..., 0] + positions[..., 1]),
                                rtol=1e-6)

@@ -15,7 +15,7 @@ import rasterio
 from rasterio.enums import ColorInterp, MaskFlags
 
 import termsel
-from termsel.data.thumbnail import thumbnail
+from termsel.data.thumbnail import make_thumbnail
 from tests import scans
 
 pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
@@ -341,7 +341,7 @@ def test_a_small_picture_of_indices_shows_their_colours(tmp_path: Path) -> None:
     bits = np.zeros((1, *scans.SIZE), dtype=np.uint8)
     bits[:, :, : scans.SIZE[1] // 2] = 1  # ink, with the colour table of white paper
     image = scans.write(tmp_path / "sheet.tif", bits, nbits=1, photometric="MINISWHITE")
-    content = base64.b64decode(thumbnail(image)[0].partition(",")[2])
+    content = base64.b64decode(make_thumbnail(image)[0].partition(",")[2])
     with rasterio.MemoryFile(content) as file, file.open() as raster:
         grey = raster.read(1).astype(float)
     assert grey[:, :50].mean() < grey[:, 70:].mean() - 100

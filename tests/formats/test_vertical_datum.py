@@ -47,10 +47,10 @@ def geoid(tmp_path: Path) -> Iterator[None]:
     write_geoid(folder, EGM96, GEOID)
     before = pyproj.datadir.get_data_dir()
     pyproj.datadir.append_data_dir(str(folder))
-    crs_module.transformation.cache_clear()
+    crs_module.transformation_between.cache_clear()
     yield
     pyproj.datadir.set_data_dir(before)
-    crs_module.transformation.cache_clear()
+    crs_module.transformation_between.cache_clear()
 
 
 def relief(x: FloatArray, y: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ import pytest
 
 import termsel
 from termsel.core.errors import TermselError
-from termsel.data.coordinates.crs import horizontal, metres_per_height, to_wgs84
+from termsel.data.coordinates.crs import horizontal_crs, metres_per_height, to_wgs84
 from termsel.data.coordinates.height_units import UNITS, with_height_unit
 from termsel.data.features import FloatArray, Points
 from termsel.formats.readers.csv_tables import write_points_csv
@@ -137,7 +137,7 @@ def test_a_dem_gives_heights_in_the_unit_of_z(tmp_path: Path) -> None:
 def test_a_crs_states_any_unit_of_heights(crs: str, unit: str) -> None:
     changed = with_height_unit(crs, unit)
     assert metres_per_height(changed) == pytest.approx(UNITS[unit], rel=1e-12)
-    assert horizontal(changed) == horizontal(crs)
+    assert horizontal_crs(changed) == horizontal_crs(crs)
     assert with_height_unit(changed, unit) == changed
 
 

@@ -22,13 +22,13 @@ from typing import Any
 
 import termsel
 from termsel.cli.main import cli
-from termsel.core.errors import TermselError, printable
+from termsel.core.errors import TermselError, make_printable
 from termsel.data.features import FeatureSet
 from termsel.formats.heights import with_heights
 from termsel.plugins.registry import registry
 from termsel.results import pictures
-from termsel.results.pictures import picture
-from termsel.results.result import SEALS, of_record
+from termsel.results.pictures import draw_picture
+from termsel.results.result import SEALS, checksum_of_record
 from termsel.runs.request import DATA_OPTIONS
 from termsel.simulate import read_geometry
 from tests.fuzz import readers, surfaces
@@ -96,8 +96,9 @@ def run_case(seed: int) -> Outcome:
         Tells the file, its mutations and its use; the same seed gives the same case.
     """
     random = Random(seed)
-    if pictures._helper()._child is None:  # begun outside of the limits, which V8 cannot keep
-        picture(_chart(), ".svg")
+    # Begun outside of the limits, which V8 cannot keep.
+    if pictures._drawing_helper()._child is None:
+        draw_picture(_chart(), ".svg")
         readers.start_helper()
     chosen = None if random.random() < 0.15 else random.choice(_drawn())
     _prepare("points" if chosen is None else chosen.kind)
@@ -143,7 +144,7 @@ def _sealed(content: bytes) -> bytes:
     """Return a record with the checksum of what it now holds, so that more of it is read."""
     with contextlib.suppress(ValueError, RecursionError, TypeError, KeyError, AttributeError):
         record = json.loads(content)
-        record[SEALS]["record"] = of_record(record)
+        record[SEALS]["record"] = checksum_of_record(record)
         return json.dumps(record).encode()
     return content
 
@@ -190,7 +191,8 @@ def _ended(use: Callable[[], int]) -> tuple[int, str]:
         code = use()
     except TermselError as error:
         text = str(error)
-        return 2, "" if printable(text) == text and len(text) < 7500 else f"not shown: {text!r}"
+        is_shown = make_printable(text) == text and len(text) < 7500
+        return 2, "" if is_shown else f"not shown: {text!r}"
     except TooSlow:
         return 1, f"more than {SECONDS:g} s"
     except Exception as error:  # noqa: BLE001 - whatever it is, it is a finding
@@ -223,7 +225,7 @@ def command(*words: object) -> int:
     shown = out.getvalue() + err.getvalue()
     for found in ("Traceback", "Exception ignored"):
         assert found not in shown, shown[-500:]
-    assert printable(shown) == shown, repr(shown[-500:])
+    assert make_printable(shown) == shown, repr(shown[-500:])
     assert code != 2 or "Error: " in err.getvalue(), shown[-500:]
     return code
 

@@ -18,15 +18,15 @@ from types import SimpleNamespace
 import numpy as np
 
 import termsel
-from termsel.core.errors import printable
+from termsel.core.errors import make_printable
 from termsel.core.files.names import JOURNAL
 from termsel.data.rasters import tiff_bytes
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import Registry
-from termsel.studies.cells.folder import PLAN, status
+from termsel.studies.cells.folder import PLAN, study_progress
 from termsel.studies.cells.journal import _seal_record as sealed_line
-from termsel.studies.compare import asked, plan_cells
-from termsel_studies.pages import latex, markdown
+from termsel.studies.compare import plan_cells, requested_study
+from termsel_studies.pages import study_as_latex, study_as_markdown
 from termsel_studies.report import report
 from tests.fuzz.seeds import Seed, result_files
 
@@ -133,7 +133,7 @@ def _session() -> bytes:
 
 def _study(path: Path, random: Random) -> int:
     """Plan a study; what it asks for may take days."""
-    plan_cells(*asked(path, {}))
+    plan_cells(*requested_study(path, {}))
     return 0
 
 
@@ -153,9 +153,9 @@ def _journal(path: Path, random: Random) -> int:
         path = again / JOURNAL
     try:
         study = termsel.read_study(path.parent)
-        status(path.parent)
-        markdown(study)
-        latex(study)
+        study_progress(path.parent)
+        study_as_markdown(study)
+        study_as_latex(study)
         if random.random() < 0.3:
             report(study)
     finally:
@@ -225,7 +225,7 @@ def _plugin(path: Path, random: Random) -> int:
             os.environ.update(environ)
     assert "poly2d" in known_models
     texts = [str(fault) for fault in found]
-    assert texts == list(map(printable, texts)), texts
+    assert texts == list(map(make_printable, texts)), texts
     return 0
 
 
@@ -236,7 +236,7 @@ def _opened_session(path: Path, random: Random) -> int:
     worker, session.Worker = session.Worker, lambda *_: SimpleNamespace(
         ask=lambda _: None, close=lambda: None)
     try:
-        given, folder = command.found(session.Files(str(path.parent)), None)
+        given, folder = command.files_of_session(session.Files(str(path.parent)), None)
         with session.open_session(given, folder) as made:
             json.dumps(made.state(), allow_nan=False)
     finally:

@@ -17,7 +17,7 @@ if sys.platform != "linux":
     pytest.skip("limits memory as Linux does", allow_module_level=True)
 
 import termsel
-from termsel.core.errors import TermselError, printable
+from termsel.core.errors import TermselError, make_printable
 from termsel.core.options import Option
 from tests.fuzz import cases
 from tests.fuzz.mutate import NUMBERS, TEXTS, mutated
@@ -56,7 +56,7 @@ def test_tables_of_any_cells(data: st.DataObject) -> None:
         try:
             points = termsel.read(path, crs="local", format="points-csv").points
         except TermselError as error:
-            assert printable(str(error)) == str(error)  # noqa: PT017 - both ends are right
+            assert make_printable(str(error)) == str(error)  # noqa: PT017 - both ends are right
             return
         termsel.write_points_csv(points, path)
         assert termsel.read(path, crs="local").points.ids == points.ids

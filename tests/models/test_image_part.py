@@ -12,7 +12,7 @@ import termsel
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet, FloatArray
 from termsel.formats.readers.csv_tables import write_points_csv
-from termsel.models.image_part import ImagePart, recognised
+from termsel.models.image_part import ImagePart, recognise_part
 from tests.formats.test_vertical_datum import camera, control, needs_rpc
 
 PARTS = {
@@ -83,7 +83,7 @@ def test_the_interval_knows_that_the_place_of_a_part_was_estimated() -> None:
 @pytest.mark.parametrize("move", [[0.0, 0.0], [17.0, -9.0], [60.0, 60.0]])
 def test_a_shift_of_vendors_size_is_no_part(move: list[float]) -> None:
     whole = camera().project(control(12).points.ground)
-    assert recognised(whole, whole + move) is None
+    assert recognise_part(whole, whole + move) is None
 
 
 def test_another_image_is_no_part() -> None:
@@ -93,8 +93,8 @@ def test_another_image_is_no_part() -> None:
         "exchanged": whole[:, ::-1], "of another place": rng.uniform(0, 2000, (12, 2)),
         "turned": 2000 - whole, "all at one place": np.zeros((12, 2))}
     for name, measured in others.items():
-        assert recognised(whole, measured) is None, name
-    assert recognised(whole[:2], whole[:2] - 700) is None
+        assert recognise_part(whole, measured) is None, name
+    assert recognise_part(whole[:2], whole[:2] - 700) is None
 
 
 @needs_rpc

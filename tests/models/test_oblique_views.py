@@ -16,10 +16,10 @@ from termsel.auto.blunders import find_blunders
 from termsel.auto.methods import named
 from termsel.auto.rule import has_pole, refusal, validated
 from termsel.data.features import FloatArray
-from termsel.data.fit_data import FitData, carriers
-from termsel.data.scaling import scaling_of
+from termsel.data.fit_data import FitData, relief_carriers
+from termsel.data.scaling import make_scaling
 from termsel.data.view import view_of
-from termsel.fitting.accuracy import predicted_by
+from termsel.fitting.accuracy import predict_rmse_of_fit
 
 MOST = 1.3
 """RMSE of auto at the truth by that of the better projection."""
@@ -166,7 +166,7 @@ def test_locate_finds_all_that_an_oblique_photograph_shows(angle: int, relief: i
 
 def test_a_vertical_photograph_and_a_satellite_call_for_no_oblique_view() -> None:
     features = termsel.get("datasets", "ikonos-hamedan").load()
-    assert view_of(scaling_of(features).features(features).points) is None
+    assert view_of(make_scaling(features).features(features).points) is None
 
 
 def test_project_names_places_behind_the_camera(tmp_path: Path,
@@ -352,21 +352,21 @@ def test_only_a_projection_explains_its_held_out_errors_by_leverage(name: str,
     fitted = termsel.fit(scene(40, 100, 9, 0).features, name)
     assert fitted.view is not None
     errors = np.ones((9, 2))
-    predicted = predicted_by(fitted, errors, 50).rmse
+    predicted = predict_rmse_of_fit(fitted, errors, 50).rmse
     assert predicted < 1.3 if is_projection else predicted == pytest.approx(np.sqrt(2.0))
 
 
 def test_two_points_off_a_plane_confirm_each_other_in_a_view() -> None:
     drawn = scene(40, 20, 8, 3)
     points = drawn.features.points
-    assert carriers(FitData.of(drawn.features)) == ()
+    assert relief_carriers(FitData.of(drawn.features)) == ()
     name, error = chosen_by(drawn)
     assert name == "pinhole"
     assert error < 1.0
     wrong = points.ground.copy()
     wrong[2, 2] += 12.0
     changed = replace(drawn.features, points=replace(points, ground=wrong))
-    assert set(carriers(FitData.of(changed))) == {"P02", "P05"}
+    assert set(relief_carriers(FitData.of(changed))) == {"P02", "P05"}
 
 
 def test_the_sky_is_not_held_and_outlines_leave_it_out(tmp_path: Path) -> None:

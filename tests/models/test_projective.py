@@ -8,7 +8,7 @@ from skimage.transform import ProjectiveTransform
 
 import termsel
 from termsel.adjustment import solve
-from termsel.data.features import FeatureSet, FloatArray, Points, no_lines
+from termsel.data.features import FeatureSet, FloatArray, Points, empty_lines
 from termsel.models.projective import DLT2D, DLT3D, Projective2D
 from termsel.models.quotient import RationalFunctions, RationalModel
 
@@ -112,6 +112,6 @@ def test_plane_models_take_features_without_heights() -> None:
     ground = features.points.ground.copy()
     ground[:, 2] = np.nan
     flat = features.with_(points=Points(features.points.ids, features.points.image, ground),
-                          lines=no_lines())
+                          lines=empty_lines())
     for model in (Projective2D(), DLT2D()):
         np.testing.assert_array_equal(model.equations(flat).A, model.equations(features).A)

@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from termsel.cli.new_plugin import NEW_KINDS, package
+from termsel.cli.new_plugin import NEW_KINDS, package_files
 from termsel.plugins.registry import Registry
 
 LISTED = {"model": "models", "solver": "solvers", "problem": "problems", "criterion": "criteria",
@@ -74,7 +74,7 @@ def test_a_new_package_installs_passes_its_tests_and_shows_up(
 
 @pytest.mark.parametrize("kind", NEW_KINDS)
 def test_all_marks_are_filled_in(kind: str) -> None:
-    files = package("Termsel.Demo_x", kind)
+    files = package_files("Termsel.Demo_x", kind)
     assert sorted(Path(file).name for file in files) == [
         "README.md", "build_wheel.py", "pyproject.toml", "termsel_demo_x.py",
         "test_termsel_demo_x.py"]

@@ -9,7 +9,7 @@ import pytest
 import termsel
 from termsel import Problem, ProblemData, Recipe, SelectionProblem, feature_options
 from termsel.cli import describe
-from termsel.data.features import no_lines
+from termsel.data.features import empty_lines
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.testing import check
 
@@ -36,7 +36,7 @@ def test_points_and_lines_are_control_together() -> None:
 def test_a_recipe_over_both_requires_lines_and_passes_the_suite() -> None:
     scene = termsel.simulate_scene("ikonos-hamedan")
     with pytest.raises(termsel.TermselError, match="needs control lines"):
-        termsel.prepare(_recipe("both"), features=scene.with_(lines=no_lines()))
+        termsel.prepare(_recipe("both"), features=scene.with_(lines=empty_lines()))
     check(_recipe("both"))
 
 

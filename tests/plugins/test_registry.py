@@ -10,14 +10,14 @@ import pytest
 import termsel
 from termsel.core.errors import TermselError
 from termsel.core.isolation.parts import is_left_out, own_packages
-from termsel.core.options import by_part
+from termsel.core.options import options_by_part
 from termsel.io.read import READ_OPTIONS, read_options
 from termsel.plugins import builtin, hookspecs
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.loading import HOOKS
 from termsel.plugins.registry import Registry
 from termsel.plugins.registry import registry as process_registry
-from termsel.plugins.requirements import fits
+from termsel.plugins.requirements import version_fits
 from tests.plugin_texts import BROKEN, INSTANCE, MODEL, NEW_RULE
 
 BUILT_IN = {
@@ -237,7 +237,7 @@ def test_an_option_of_a_package_that_is_left_out_names_it(monkeypatch):
     monkeypatch.setenv("TERMSEL_PLUGINS", "")
     with pytest.raises(TermselError, match=r"unknown option 'camera_focal'.*It is an option of the "
                                            "package termsel-cameras, which is"):
-        by_part({"camera_focal": "3600"}, {"model": ()})
+        options_by_part({"camera_focal": "3600"}, {"model": ()})
 
 
 def test_a_plugin_is_asked_once(install, registry):
@@ -310,7 +310,7 @@ def test_a_plugin_for_another_version_is_refused_with_the_reason(
     ("==0.2.*", "0.3.0", False), ("!=0.3.*", "0.3.2", False), ("~=0.3.1", "0.3.4", True),
     ("~=0.3.1", "0.4.0", False), (">0.3", "0.3.0", False), ("<=0.3", "0.3.0", True)])
 def test_requirements_of_versions(requirement, version, is_met):
-    assert fits(requirement, version) == is_met
+    assert version_fits(requirement, version) == is_met
 
 
 def test_get_takes_the_word_of_a_kind_and_names_the_kinds():

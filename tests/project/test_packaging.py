@@ -19,7 +19,7 @@ import yaml
 
 import termsel
 from termsel import toolkit
-from termsel.cli.new_plugin import package
+from termsel.cli.new_plugin import package_files
 from termsel.core import version
 from termsel.plugins import registry as manager
 from termsel.plugins.registry import Registry
@@ -71,7 +71,7 @@ def test_bound_of_a_plugin_follows_from_the_version(named: str, api: str, bound:
 
 def test_new_packages_and_that_of_the_readme_state_the_bound() -> None:
     needed = f'dependencies = ["termsel{version.plugin_bound()}"]'
-    assert needed in package("termsel-demo", "model")["pyproject.toml"].splitlines()
+    assert needed in package_files("termsel-demo", "model")["pyproject.toml"].splitlines()
     assert needed in _text("README.md").splitlines()
 
 

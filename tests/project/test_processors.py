@@ -25,9 +25,9 @@ def _on_another(code: str, **more: str) -> str:
 
 def _sums() -> str:
     from termsel.plugins.registry import registry
-    from termsel.results.result import of_features
+    from termsel.results.result import checksum_of_features
 
-    return "".join(f"{entry.name} {of_features(entry.object.load())}\n"
+    return "".join(f"{entry.name} {checksum_of_features(entry.object.load())}\n"
                    for entry in registry().entries("datasets"))
 
 

@@ -95,14 +95,14 @@ def test_one_blunder_does_not_flatten_all_bars(errors: list[float], broken: set[
         {"id": f"F{i}", "role": "control", "distance": error,
          "blunder": "certain" * (i == 0 and error > 9)}
         for i, error in enumerate(errors)])
-    shown = max(rows_of(bars.worst_bars(view)).values(), key=len, default=[])
+    shown = max(rows_of(bars.bars_of_worst(view)).values(), key=len, default=[])
     assert {row["id"] for row in shown if row.get("broken")} == broken
     assert {row["label"] for row in shown if row.get("broken")} == {
         f"{error:.3g} px" + ", blunder" * (i == 0) for i, error in enumerate(errors)
         if f"F{i}" in broken}
     ends = [row["end"] for row in shown]
     assert not broken or max(ends) < 12 * float(np.median(ends))
-    assert bool(bars.broken(view)) == bool(broken)  # which the caption says
+    assert bool(bars.caption_on_breaks(view)) == bool(broken)  # which the caption says
 
 
 @pytest.mark.parametrize(("crs", "unit", "axes"), [
@@ -116,7 +116,7 @@ def test_axes_on_the_ground_have_units(crs: str, unit: float | None,
 
     view: Any = SimpleNamespace(record=SimpleNamespace(data=SimpleNamespace(crs=crs)),
                                 units_per_metre=unit)
-    assert maps._axes(view) == axes
+    assert maps._axis_titles(view) == axes
 
 
 def test_a_drawing_has_a_margin_for_wider_letters() -> None:

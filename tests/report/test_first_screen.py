@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from msgspec import convert
 
-from termsel.data.record.figures import determined_exactly
+from termsel.data.record.figures import is_determined_exactly
 from termsel.data.record.record import Record
 from termsel.results.first_screen import SCREEN_LINES
 from tests.records import (
@@ -207,7 +207,7 @@ def test_that_a_model_is_determined_exactly_is_said_once(number: int, said: str)
     lines = first_screen(
         strategy=choice("affine", predicted=None), adjustment=adjustment,
         data=counts(independent=0, check=0, control=number),
-        notes=[f"{determined_exactly(number, 'point')}, so its accuracy is not known."])
+        notes=[f"{is_determined_exactly(number, 'point')}, so its accuracy is not known."])
     assert " ".join(lines).count("the model exactly") == 1
     assert any(line.endswith(f"not known: {said}; measure at least one more") for line in lines)
 

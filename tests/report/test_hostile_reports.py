@@ -13,8 +13,8 @@ import pytest
 
 import termsel
 from termsel.core.errors import TermselError
-from termsel.data.thumbnail import thumbnail
-from termsel.results.plots import chart, save
+from termsel.data.thumbnail import make_thumbnail
+from termsel.results.plots import save, styled_chart
 
 altair = pytest.importorskip("altair")
 pytest.importorskip("vl_convert")
@@ -47,7 +47,7 @@ def test_an_image_is_reduced_to_a_thousand_pixels(size: tuple[int, int], shown: 
     with rasterio.open(tmp_path / "a.tif", "w", driver="GTiff", height=size[0], width=size[1],
                        count=1, dtype="uint16") as image:
         image.write(np.linspace(0, 60_000, size[0] * size[1]).reshape(size), 1)
-    text, own = thumbnail(tmp_path / "a.tif")
+    text, own = make_thumbnail(tmp_path / "a.tif")
     assert own == size
     content = base64.b64decode(text.partition(",")[2])
     with rasterio.MemoryFile(content) as file, file.open() as jpeg:
@@ -66,7 +66,7 @@ def test_ids_may_be_what_objects_of_javascript_have(tmp_path: Path) -> None:
     points = replace(scene.points, ids=(*NAMES, *scene.points.ids[5:]), image=image)
     result = termsel.run("rfm-terms", features=termsel.FeatureSet(points, crs=scene.crs),
                          strategy="as-asked", solver="all-terms", criterion="press")
-    save(chart(result.view, "worst"), tmp_path / "worst.svg")
+    save(styled_chart(result.view, "worst"), tmp_path / "worst.svg")
     drawn = (tmp_path / "worst.svg").read_text()
     shown = {row["id"] for row in result.view.worst[:25]} & set(NAMES)
     assert len(shown) > 2

@@ -20,7 +20,7 @@ import pytest
 import termsel
 from termsel.data.record.search import HistoryRow
 from termsel.results import view
-from termsel.results.plots import KINDS, chart
+from termsel.results.plots import KINDS, styled_chart
 from termsel.results.theme import with_theme
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.plan.spec import spec_of
@@ -100,7 +100,7 @@ def study() -> Study:
 def of_result(name: str) -> Any:
     result = searched() if name in ("front", "convergence", "empires", "frequency", "terms",
                                     "correlations") else chosen()
-    return chart(result.view, name)
+    return styled_chart(result.view, name)
 
 
 def of_study(name: str) -> Any:

@@ -22,7 +22,7 @@ from termsel.io.example import write_example
 from termsel.results import library
 from termsel.results.charts import maps
 from termsel.results.plots import KINDS
-from termsel.results.repeat import command, not_by_command
+from termsel.results.repeat import repeating_command, why_not_by_command
 
 altair = pytest.importorskip("altair")
 pytest.importorskip("vl_convert")
@@ -347,7 +347,7 @@ def test_the_command_repeats_the_run(call: Call, request: pytest.FixtureRequest,
     folder = request.getfixturevalue(fixture)
     monkeypatch.chdir(folder)
     record = json.loads((folder / "result.json").read_text())
-    words = shlex.split(command(termsel.read_result(folder)).replace("\\\n", " "))
+    words = shlex.split(repeating_command(termsel.read_result(folder)).replace("\\\n", " "))
     assert call(*words[1:], "--quiet", "--out", tmp_path / "again").exit_code == 0
     again = json.loads((tmp_path / "again" / "result.json").read_text())
     for key in ("terms", "features"):
@@ -366,7 +366,7 @@ def test_the_command_repeats_a_run_with_an_rpc_and_an_image(
     monkeypatch.chdir(tmp_path / "files")
     features = termsel.read("gcps.csv", rpc="vendor.RPB", image="scene.tif")
     first = termsel.run(features=features, problem="rpc-gcps", evaluations=50, out="r")
-    assert "--rpc result.json" in command(first)
+    assert "--rpc result.json" in repeating_command(first)
     monkeypatch.chdir("r")
     again = termsel.read("points.csv", crs="EPSG:4979", rpc="result.json")
     assert again.image_size == first.features.image_size == (500, 600)
@@ -383,8 +383,8 @@ def test_budgets_are_in_the_record_and_the_command(tmp_path: Path) -> None:
     assert as_plain_data(result.budget) == {"generations": 7, "seconds": 95.0, "patience": 30}
     record = json.loads((tmp_path / "r" / "result.json").read_text())
     assert record["budget"] == as_plain_data(result.budget)
-    assert "--generations 7 " in command(result)
-    assert command(result).replace("\\\n", " ").split()[-6:] == [
+    assert "--generations 7 " in repeating_command(result)
+    assert repeating_command(result).replace("\\\n", " ").split()[-6:] == [
         "--generations", "7", "--seconds", "95", "--patience", "30"]
     result.report(tmp_path / "page.html")
     assert "so the result depends on the machine" in (tmp_path / "page.html").read_text()
@@ -408,7 +408,7 @@ def test_what_no_command_repeats_is_said(tmp_path: Path) -> None:
     task = termsel.prepare("poly-terms")
     genes = task.problem.genome.random(np.random.default_rng(1), 1)[0]
     result = termsel.assess(termsel.GivenGenes(genes), task)
-    assert "genes were given" in not_by_command(result)
+    assert "genes were given" in why_not_by_command(result)
 
 
 @pytest.mark.slow
@@ -431,13 +431,13 @@ def test_the_image_lies_below_the_residuals(searched: Path, call: Call, tmp_path
 def test_the_drawing_library_is_put_together_once(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = list[str]()
-    monkeypatch.setattr(library, "bundle",
+    monkeypatch.setattr(library, "drawing_bundle",
                         lambda snippet: made.append(snippet) or "draw('</script>é\r\n')")
     monkeypatch.setattr(library, "_CACHE_FOLDER", tmp_path / "kept")
 
     def text() -> str:
-        library.library.cache_clear()
-        return library.library()
+        library.read_library.cache_clear()
+        return library.read_library()
 
     try:
         for _ in range(2):
@@ -454,4 +454,4 @@ def test_the_drawing_library_is_put_together_once(
         assert text() == text() == "draw('<\\/script>é\r\n')"
         assert len(made) == 6
     finally:
-        library.library.cache_clear()
+        library.read_library.cache_clear()

@@ -8,8 +8,8 @@ from scipy.special import chdtri, stdtr, stdtrit
 
 from termsel.data.record.chances import (
     chi_squared_quantile,
-    median,
-    quantile,
+    median_of,
+    quantile_of,
     t_beyond,
     t_quantile,
 )
@@ -32,8 +32,9 @@ def test_quantiles_of_values_are_those_of_numpy(count: int) -> None:
     values = np.random.default_rng(count).normal(size=(4, 3, count))
     values[0, 0, count // 2] = np.nan
     for share in (0.0, 0.25, 0.7, 0.75, 0.9, 1.0):
-        np.testing.assert_array_equal(quantile(values, share), np.quantile(values, share, axis=-1))
-    np.testing.assert_array_equal(median(values), np.median(values, axis=-1))
+        np.testing.assert_array_equal(quantile_of(values, share),
+                                      np.quantile(values, share, axis=-1))
+    np.testing.assert_array_equal(median_of(values), np.median(values, axis=-1))
 
 
 @pytest.mark.parametrize("freedom", FREEDOM)

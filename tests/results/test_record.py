@@ -14,7 +14,7 @@ import pytest
 import termsel
 from termsel.auto.methods import METHODS, named
 from termsel.core.errors import TermselError
-from termsel.data.features import FeatureSet, no_lines, no_points
+from termsel.data.features import FeatureSet, empty_lines, empty_points
 from termsel.data.record.figures import AdjustmentFigures, StandardFigure, as_plain_data
 from termsel.data.record.record import FitRecord
 from termsel.fitting.fit import Fit
@@ -142,7 +142,7 @@ def test_auto_on_odd_data_is_read_again(kind: str, tmp_path: Path) -> None:
         elif kind == "twins":
             image[5], ground[5] = image[4] + 0.2, ground[4] + 1e-9
         features = features.with_(points=replace(points, image=image, ground=ground),
-                                  lines=features.lines if kind == "plane lines" else no_lines())
+                                  lines=features.lines if kind == "plane lines" else empty_lines())
     options = {"roles": "stratified"} if kind != "field" else {}
     result = termsel.run("owdis-lines" if kind == "plane lines" else "poly-terms",
                          strategy="auto", features=features, options=options)
@@ -181,13 +181,13 @@ def test_every_model_is_the_same_again(name: str) -> None:
     if name not in registry().names("models"):
         pytest.skip(f"no package with {name} is installed")
     options = {"order": 1} if name == "rfm" else {}
-    fitted = termsel.fit(SCENE.with_(lines=no_lines()), name, **options)
+    fitted = termsel.fit(SCENE.with_(lines=empty_lines()), name, **options)
     _require_same(_recorded(fitted), fitted)
 
 
 @pytest.mark.slow_cases("huber-lines", "ridge-lines", "tukey-lines")
 @pytest.mark.parametrize("features", [
-    SCENE.with_(lines=no_lines()), SCENE.with_(points=no_points()), PLANE],
+    SCENE.with_(lines=empty_lines()), SCENE.with_(points=empty_points()), PLANE],
     ids=["points", "lines", "map"])
 @pytest.mark.parametrize("name", [one.name for one in METHODS])
 def test_every_candidate_is_the_same_again(name: str, features: FeatureSet) -> None:

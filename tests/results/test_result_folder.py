@@ -15,7 +15,7 @@ import termsel
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet, Points
 from termsel.io.result_folder import read_result, write_result
-from termsel.results.result import Result, of_record
+from termsel.results.result import Result, checksum_of_record
 from termsel.simulate import simulate_scene
 from termsel.testing import example_results
 from termsel_cameras import simulate_map
@@ -182,7 +182,7 @@ def _damaged(folder: Path, **change: object) -> None:
     for key, value in change.items():
         merged = key in ("data", "coefficients") and isinstance(value, dict)
         record[key] = record[key] | value if merged else value
-    record["checksums"]["record"] = of_record(record)
+    record["checksums"]["record"] = checksum_of_record(record)
     path.write_text(json.dumps(record))
 
 

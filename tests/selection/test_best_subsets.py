@@ -19,7 +19,7 @@ from termsel.selection.best_subsets.columns.system import (
     SCORES,
     SubsetSystem,
     SubtreeNode,
-    better,
+    better_of_each_size,
     count_subsets,
 )
 from termsel.selection.best_subsets.score_systems import ScoreSystems, score_systems
@@ -216,7 +216,7 @@ def test_the_better_subset_of_a_tie_is_the_smaller_mask() -> None:
     one, other = np.array([1.0, 2.0, 3.0, np.inf]), np.array([1.0, 2.0, 2.5, 7.0])
     masks, at = np.array([6, 3, 1, 0], dtype=np.uint64), np.array([5, 12, 9, 2], dtype=np.uint64)
     for pair in ((one, masks, other, at), (other, at, one, masks)):
-        best, kept = better(*pair)
+        best, kept = better_of_each_size(*pair)
         np.testing.assert_array_equal(best, [1.0, 2.0, 2.5, 7.0])
         np.testing.assert_array_equal(kept, [5, 3, 9, 2])
 

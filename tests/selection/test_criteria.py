@@ -15,8 +15,8 @@ import pytest
 import termsel
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.leave_out import leave_one_out
-from termsel.data.features import FeatureSet, Points, no_lines, no_points
-from termsel.data.scaling import scaling_of
+from termsel.data.features import FeatureSet, Points, empty_lines, empty_points
+from termsel.data.scaling import make_scaling
 from termsel.fitting.population import Fits
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.models.base import SensorModel
@@ -25,7 +25,7 @@ from termsel.models.quotient import RationalModel
 from termsel.selection.criteria import CheckRmse, Ebic, KFold, Press
 from termsel.selection.problems.base import WORST, ProblemData
 from termsel.selection.problems.selection import SelectionProblem
-from termsel.selection.solvers.proofs.exact import gap
+from termsel.selection.solvers.proofs.exact import gap_to_optimum
 from termsel.selection.solvers.proofs.proof import count, prove
 from termsel.simulate import simulate_scene
 from tests.criteria_cases import (
@@ -55,15 +55,15 @@ def test_left_out_features_against_refits(case: str, criterion: str) -> None:
 
 @pytest.mark.parametrize("model", [Spreading(degree=1), Opaque()])
 def test_models_that_are_no_plain_quotients(model: SensorModel) -> None:
-    control = simulate_scene("ikonos-hamedan").with_(lines=no_lines())
-    scaling = scaling_of(control)
+    control = simulate_scene("ikonos-hamedan").with_(lines=empty_lines())
+    scaling = make_scaling(control)
     features = scaling.features(control)
     for criterion in (Press(), KFold(folds=4)):
-        problem = SelectionProblem(ProblemData(model, features, no_points(), scaling.image_scale,
+        problem = SelectionProblem(ProblemData(model, features, empty_points(), scaling.image_scale,
                                           criterion), terms=True, features=False)
         genes = selections(problem, 4)
         folds = ([np.array([i]) for i in range(len(control))] if isinstance(criterion, Press)
-                 else list(criterion.folds(features.points, no_lines())))
+                 else list(criterion.folds(features.points, empty_lines())))
         assert problem.evaluate(genes).objectives[:, 0] == pytest.approx(
             [refitted(problem, one, folds) for one in genes], rel=1e-9)
 
@@ -145,7 +145,8 @@ def test_an_indispensable_feature_makes_a_selection_infeasible() -> None:
     points = Points(tuple(f"p{i}" for i in range(12)), ground[:, :2] + 0.1 * ground[:, 2:], ground)
     for criterion in (Press(), KFold()):
         problem = SelectionProblem(
-            ProblemData(Polynomial3D(degree=1), FeatureSet(points), no_points(), 1000.0, criterion),
+            ProblemData(
+                Polynomial3D(degree=1), FeatureSet(points), empty_points(), 1000.0, criterion),
             terms=True, features=False)
         names = np.array([name.split(":")[1] for name in problem.inputs.model.terms])
         evaluation = problem.evaluate(np.array([names != "", names != "Z"]))
@@ -177,7 +178,7 @@ def test_folds_partition_the_control(how: str) -> None:
 
 def test_random_folds_follow_their_seed() -> None:
     points = simulate_scene("ikonos-hamedan").points
-    first, second = (KFold(how="random", fold_seed=seed).folds(points, no_lines())
+    first, second = (KFold(how="random", fold_seed=seed).folds(points, empty_lines())
                      for seed in (1, 2))
     assert not np.array_equal(first[0], second[0])
 
@@ -254,7 +255,8 @@ def test_ebic_of_a_perfect_fit_prefers_fewer_terms() -> None:
     ground = rng.uniform(-1, 1, (40, 3))
     points = Points(tuple(f"p{i}" for i in range(40)),
                     ground[:, :2] * 0.5 + 0.1 * ground[:, 2:], ground)
-    problem = SelectionProblem(ProblemData(Polynomial3D(degree=2), FeatureSet(points), no_points(),
+    problem = SelectionProblem(ProblemData(Polynomial3D(degree=2), FeatureSet(points),
+                                           empty_points(),
                                       1000.0, Ebic()), terms=True, features=False)
     names = [name.split(":")[1] for name in problem.inputs.model.terms]
     affine = np.array([name in ("1", "X", "Y", "Z") for name in names])
@@ -304,8 +306,8 @@ def test_exact_finds_what_brute_force_finds(criterion: str, space: str) -> None:
             expected[k] = best = least
     found = dict(zip(front.sum(axis=1).tolist(), values.objectives[:, 0].tolist(), strict=True))
     assert found == pytest.approx(expected, rel=1e-9)
-    assert gap(problem, float(objectives.min()))["optimal"]
-    assert not gap(problem, float(np.sort(objectives)[5]))["optimal"]
+    assert gap_to_optimum(problem, float(objectives.min()))["optimal"]
+    assert not gap_to_optimum(problem, float(np.sort(objectives)[5]))["optimal"]
 
 
 @pytest.mark.parametrize("criterion", ["press", "kfold"])
@@ -316,10 +318,10 @@ def test_weighted_rows_are_not_enumerated(criterion: str) -> None:
 
 
 def test_a_spreading_model_is_not_enumerated() -> None:
-    features = simulate_scene("ikonos-hamedan").with_(lines=no_lines())
-    scaling = scaling_of(features)
+    features = simulate_scene("ikonos-hamedan").with_(lines=empty_lines())
+    scaling = make_scaling(features)
     problem = SelectionProblem(
-        ProblemData(Spreading(degree=1), scaling.features(features), no_points(),
+        ProblemData(Spreading(degree=1), scaling.features(features), empty_points(),
                     scaling.image_scale, Press()), terms=True, features=False)
     with pytest.raises(termsel.TermselError, match="corrects its predictions by the control"):
         problem.parts()

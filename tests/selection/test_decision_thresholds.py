@@ -16,16 +16,16 @@ from termsel.auto.rule import validated
 from termsel.auto.selected import select_forward
 from termsel.auto.shrunken import average
 from termsel.data.coordinates.places import spatial_order
-from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, no_points
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, empty_points
 from termsel.data.fit_data import FitData
-from termsel.data.monomials import graded_exponents, monomials
-from termsel.data.roles import by_roles
+from termsel.data.monomials import evaluate_monomials, graded_exponents
+from termsel.data.roles import observations_by_role
 from termsel.fitting.fit import HeldOut
 from termsel.fitting.method import Method
 from termsel.fitting.population import Fits
 from termsel.models.projective import DLT3D
-from termsel.results.result import of_features
-from termsel.runs.recommend import recommended
+from termsel.results.result import checksum_of_features
+from termsel.runs.recommend import with_recommended_member
 from termsel.runs.request import request_of
 from termsel.runs.task import observe, prepare
 from termsel.selection.criteria import Ebic, KFold
@@ -137,7 +137,7 @@ def test_every_point_is_in_one_fold_and_predicted_by_the_others() -> None:
 
 def test_forward_selection_keeps_a_third_of_the_equations() -> None:
     ground = places(13)
-    columns = monomials(ground, CUBIC)
+    columns = evaluate_monomials(ground, CUBIC)
     affine = np.array([sum(e) < 2 for e in CUBIC])
     target = columns @ np.random.default_rng(4).normal(size=20)
     columns, target = columns[None], target[None]
@@ -151,7 +151,7 @@ def test_forward_selection_keeps_a_third_of_the_equations() -> None:
 def test_errors_of_weighted_points_are_those_of_the_others() -> None:
     rng = np.random.default_rng(5)
     ground = places(24)
-    image = monomials(ground, CUBIC)[:, 1:3] * 100 + rng.normal(0, 1, (24, 2))
+    image = evaluate_monomials(ground, CUBIC)[:, 1:3] * 100 + rng.normal(0, 1, (24, 2))
     weights = np.ones((24, 2))
     weights[[9, 15]] = 0.25
     found = average(ground, image, CUBIC, weights)
@@ -160,7 +160,7 @@ def test_errors_of_weighted_points_are_those_of_the_others() -> None:
         others = np.arange(24) != out
         rest = average(ground[others], image[others], CUBIC, weights[others])
         assert rest is not None
-        error = image[out] - monomials(ground[[out]], CUBIC)[0] @ rest.coefficients
+        error = image[out] - evaluate_monomials(ground[[out]], CUBIC)[0] @ rest.coefficients
         np.testing.assert_allclose(found.errors[out], error, rtol=1e-3, atol=1e-3)
 
 
@@ -169,7 +169,7 @@ def test_a_baseline_without_redundancy_has_no_figures(n: int, determined: bool) 
     rng = np.random.default_rng(6)
     ground = places(n)
     image = 1000 * ground[:, :2] + 100 * ground[:, [2, 2]] + rng.normal(0, 1, (n, 2))
-    observations = by_roles(set_of(ground, image, ("control",) * n))
+    observations = observations_by_role(set_of(ground, image, ("control",) * n))
     baselines = compare(observations, Auto()).baselines(observations)
     baseline = next(one for one in baselines if one.name == "rfm-2")
     assert baseline.n_terms == 38
@@ -203,7 +203,7 @@ def test_errors_near_a_pole_are_infinite(below: float, counts: bool) -> None:
     coefficients = np.zeros((1, len(model.terms)))
     coefficients[0, model.terms.index("den:X")] = below - 1.0
     points = Points(("A", "B"), np.zeros((2, 2)), np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]))
-    fits = Fits(model, points, no_points(), 1.0, np.ones((1, 11), dtype=bool), coefficients)
+    fits = Fits(model, points, empty_points(), 1.0, np.ones((1, 11), dtype=bool), coefficients)
     assert np.isfinite(fits.held_out(coefficients, np.arange(2))).tolist() == [[counts, True]]
 
 
@@ -255,13 +255,13 @@ def test_a_proof_stops_one_short_of_the_equations() -> None:
 
 def test_checksums_of_features_cover_roles_and_deviations() -> None:
     features = photograph(0.2, 9)
-    sums = {of_features(one) for one in (
+    sums = {checksum_of_features(one) for one in (
         features, features.with_(points=replace(features.points, roles=("check",) * 9)),
         features.with_(points=replace(features.points, sigma=np.ones((9, 2)))),
         replace(features, crs="EPSG:4979"))}
     assert len(sums) == 4
     lines = termsel.simulate_scene("ikonos-hamedan", n_lines=6).lines
-    sums = {of_features(features.with_(lines=replace(lines, sigma=sigma)))
+    sums = {checksum_of_features(features.with_(lines=replace(lines, sigma=sigma)))
             for sigma in (None, np.full(6, 0.5), np.full(6, 1.0))}
     assert len(sums) == 3
 
@@ -301,7 +301,7 @@ def recommended_size(rule: str, first: list[float], second: list[float], n_check
                     request=replace(task.request, options=options),
                     observations=replace(task.observations,
                                          check=photograph(0.0, n_check).points))
-    return int(recommended(ruled, ruled.problem.found()).genes.sum())  # type: ignore[attr-defined]
+    return int(with_recommended_member(ruled, ruled.problem.found()).genes.sum())  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(("value", "n_check", "size"), [

@@ -168,7 +168,7 @@ def test_history_holds_each_generation() -> None:
         feasible = generation.evaluation.violation == 0
         assert one.feasible == feasible.mean()
         assert one.median == np.median(generation.evaluation.objectives[feasible, 0])
-    hopeless = search(problems.hopeless(), GeneticAlgorithm(population=5), generations=1)
+    hopeless = search(problems.hopeless_problem(), GeneticAlgorithm(population=5), generations=1)
     assert {(one.best, one.median, one.feasible) for one in hopeless.history} == {(None, None, 0.0)}
 
 

@@ -15,7 +15,11 @@ import termsel
 from termsel.data.features import FeatureSet
 from termsel.data.record.figures import as_plain_data
 from termsel.selection.best_subsets.features.walk import Branch, RowSystem, Selections
-from termsel.selection.solvers.proofs.exact_features import duration, prove_features, selections_of
+from termsel.selection.solvers.proofs.exact_features import (
+    duration_in_words,
+    prove_features,
+    selections_of,
+)
 
 
 def random_systems(rng: np.random.Generator, n: int, *, ill: bool) -> tuple[RowSystem, ...]:
@@ -263,7 +267,7 @@ def test_that_nothing_is_feasible_is_proven(scene: FeatureSet) -> None:
     (0.01, "0.1 s"), (90, "90.0 s"), (120, "2 min"), (7200, "2 h"), (1e9, "32 years"),
     (1e33, "more than a million years")])
 def test_a_time_in_words(seconds: float, words: str) -> None:
-    assert duration(seconds) == words
+    assert duration_in_words(seconds) == words
 
 
 def test_the_number_of_workers_changes_nothing(scene: FeatureSet) -> None:

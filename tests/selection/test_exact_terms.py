@@ -14,14 +14,14 @@ import termsel
 from termsel.core.errors import TermselError
 from termsel.data.record.figures import as_plain_data
 from termsel.fitting.population import Fits
-from termsel.runs.searching import assessed
+from termsel.runs.searching import result_of_search
 from termsel.selection.best_subsets import descents as subset_descents
 from termsel.selection.best_subsets import subsets
 from termsel.selection.criteria import CheckRmse
 from termsel.selection.solvers.genetic.ga import GeneticAlgorithm
 from termsel.selection.solvers.proofs import exact
 from termsel.selection.solvers.proofs import proof as proof_module
-from termsel.selection.solvers.proofs.exact import Exact, gap
+from termsel.selection.solvers.proofs.exact import Exact, gap_to_optimum
 from termsel.selection.solvers.proofs.proof import count, prove
 from termsel.testing import check
 
@@ -111,7 +111,7 @@ def test_a_large_space_is_not_cut_and_ends_with_a_certificate(
     assert re.search(r"exact: 132,955,328,176 subsets to enumerate or exclude by bounds "
                      r"\(all selections of up to 23 terms "
                      r"an axis, 2 parts\)", caplog.text)
-    certificate = assessed(task, found).certificate
+    certificate = result_of_search(task, found).certificate
     assert not certificate.optimal
     assert certificate.subsets < certificate.of == count(task.problem)
     assert 0 <= certificate.bound <= found.objectives[0]
@@ -206,7 +206,7 @@ def test_an_interrupted_proof_proves_nothing_but_has_the_best_so_far() -> None:
     assert found.violation == 0
     assert not found.certificate["optimal"]
     assert found.certificate["subsets"] < found.certificate["of"]
-    result = assessed(task, found)
+    result = result_of_search(task, found)
     assert as_plain_data(result.certificate) == found.certificate
     assert not result.front
     assert not all(one.optimal for one in result.by_size)
@@ -227,15 +227,15 @@ def test_a_heuristic_states_its_gap() -> None:
 
 
 def test_a_large_space_has_no_gap() -> None:
-    assert gap(termsel.prepare("rfm-terms").problem, 1.0) is None
-    assert gap(termsel.prepare("owdis-lines").problem, 1.0) is None
+    assert gap_to_optimum(termsel.prepare("rfm-terms").problem, 1.0) is None
+    assert gap_to_optimum(termsel.prepare("owdis-lines").problem, 1.0) is None
 
 
 def test_systems_of_very_many_rows_are_not_made_for_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = termsel.prepare("poly-terms", criterion="kfold", options={"degree": 2}).problem
-    assert gap(problem, 1e6) is not None
+    assert gap_to_optimum(problem, 1e6) is not None
     monkeypatch.setattr("termsel.selection.solvers.proofs.exact.QUICK_ROWS", 400)
-    assert gap(problem, 1e6) is None
+    assert gap_to_optimum(problem, 1e6) is None
 
 
 @pytest.mark.parametrize(("problem", "options", "why"), [
@@ -302,9 +302,9 @@ def test_a_proof_that_an_evaluation_beats_is_refused() -> None:
 
 def test_no_gap_to_an_optimum_that_the_find_beats() -> None:
     problem = termsel.prepare("poly-terms", options={"degree": 2}).problem
-    optimum = gap(problem, 1e6)["optimum"]
-    assert gap(problem, optimum)["optimal"]
-    assert gap(problem, 0.9 * optimum) is None
+    optimum = gap_to_optimum(problem, 1e6)["optimum"]
+    assert gap_to_optimum(problem, optimum)["optimal"]
+    assert gap_to_optimum(problem, 0.9 * optimum) is None
 
 
 @pytest.mark.slow

@@ -19,13 +19,13 @@ from termsel.selection.solvers.genetic.fast import FastMutation
 from termsel.selection.solvers.genetic.ga import GeneticAlgorithm
 from termsel.selection.solvers.genetic.ga_steady import (
     SteadyStateGA,
-    coding,
+    coding_of_genome,
 )
 from termsel.selection.solvers.genetic.operators import (
-    crossover,
+    cross_at_two_points,
+    cross_pairs,
     replace_one,
     set_crossover,
-    two_point_crossover,
 )
 from termsel.selection.solvers.heuristics.yardsticks import RandomSearch
 from termsel.selection.solvers.search import search
@@ -126,7 +126,7 @@ def test_mutation_replaces_one_number_by_a_new_one() -> None:
 
 def test_coding_leaves_forced_genes_alone() -> None:
     genome = fixed(9, 4, ("g2",), ("g5", "g6"))
-    code = coding(genome)
+    code = coding_of_genome(genome)
     assert (code.free.tolist(), code.m) == ([0, 2, 3, 6, 7, 8], 3)
     tuples = random_subsets(50, len(code.free), code.m, rng())
     genes = code.genes(tuples)
@@ -138,7 +138,7 @@ def test_coding_leaves_forced_genes_alone() -> None:
 def test_coding_of_a_range_of_numbers(least: int, most: int | None) -> None:
     labels = tuple(f"g{i}" for i in range(9))
     genome = Genome([Bits("features", labels, least, most)], on=("g2",), off=("g5", "g6"))
-    code = coding(genome)
+    code = coding_of_genome(genome)
     genes = code.genes(random_subsets(500, code.numbers, code.m, rng()))
     assert np.array_equal(genome.repair(genes, rng()), genes)
     assert {max(least, 1) + 1, (most or 7) - 1} <= set(genes.sum(axis=1))
@@ -259,7 +259,7 @@ def test_half_of_the_bits_are_on_at_first_if_asked() -> None:
 @pytest.mark.parametrize(("budget", "all_near_half"), [(100, False), (200, False), (500, True)])
 def test_a_short_search_begins_with_selections_of_all_sizes(budget: int,
                                                             all_near_half: bool) -> None:
-    problem = problems.trap(78)
+    problem = problems.trap_problem(78)
     problem.budget = budget
     sizes = GeneticAlgorithm().toolbox(problem, rng()).population().sum(axis=1)
     assert ((sizes > 20) & (sizes < 58)).all() == all_near_half
@@ -293,21 +293,21 @@ def test_genes_that_are_no_bits_begin_as_ever() -> None:
 def test_two_point_crossover_swaps_what_lies_between_two_places(size: int) -> None:
     parents = np.zeros((400, size), dtype=bool)
     parents[1::2] = True
-    children = two_point_crossover(parents, 1.0, rng(3))
+    children = cross_at_two_points(parents, 1.0, rng(3))
     first, second = children[::2], children[1::2]
     # Each gene is in one of two children, and what was swapped is one piece.
     assert (first ^ second).all()
     changes = (np.diff(first.astype(int), axis=1) != 0).sum(axis=1)
     assert (changes <= 2).all()
     assert 0 < first.any(axis=1).mean() <= 1
-    assert (two_point_crossover(parents, 0.0, rng()) == parents).all()
+    assert (cross_at_two_points(parents, 0.0, rng()) == parents).all()
 
 
 def test_bits_among_other_genes_are_crossed_between_two_places() -> None:
     genome = Genome([Bits("bits", tuple("abcdefgh")), Integers("number", ("n",), 0, 9)])
     parents = np.zeros((200, 9), dtype=np.intp)
     parents[1::2, :8] = 1
-    children = crossover(parents, genome, 1.0, rng(), points=2)
+    children = cross_pairs(parents, genome, 1.0, rng(), points=2)
     changes = (np.diff(children[:, :8], axis=1) != 0).sum(axis=1)
     assert changes.max() == 2
 

@@ -24,8 +24,8 @@ from termsel import (
 from termsel.plugins.registry import registry
 from termsel.selection.problems.base import Evaluation, Selection
 from termsel.selection.problems.segments import SEGMENTS, AnySegment, Genes
-from termsel.selection.solvers.genetic.operators import crossover, from_keys, mutation, n_keys
-from termsel.selection.solvers.heuristics.swap import neighbours
+from termsel.selection.solvers.genetic.operators import cross_pairs, from_keys, mutate_genes, n_keys
+from termsel.selection.solvers.heuristics.swap import neighbour_batches
 from termsel.selection.solvers.ledger import Ledger
 from termsel.selection.solvers.search import search
 from termsel.testing.problems import Even, Toy
@@ -81,21 +81,21 @@ def test_operators_keep_types_bounds_and_cardinality(genome: Genome, seed: int,
     valid(genome, genes)
     np.testing.assert_array_equal(genome.repair(genes, rng), genes)
     before = genes.copy()
-    for changed in (crossover(genes, genome, rate, rng), mutation(genes, genome, rate, rng)):
+    for changed in (cross_pairs(genes, genome, rate, rng), mutate_genes(genes, genome, rate, rng)):
         assert changed.dtype == genome.dtype
         valid(genome, genome.repair(changed, rng))
         unforced = Genome([s if not isinstance(s, Bits) else Bits(s.name, s.labels)
                            for s in genome.segments])
         assert unforced.fault(changed) is None
     np.testing.assert_array_equal(genes, before)
-    np.testing.assert_array_equal(crossover(genes, genome, 0.0, rng), genes)
-    np.testing.assert_array_equal(mutation(genes, genome, 0.0, rng), genes)
+    np.testing.assert_array_equal(cross_pairs(genes, genome, 0.0, rng), genes)
+    np.testing.assert_array_equal(mutate_genes(genes, genome, 0.0, rng), genes)
 
 
 @given(genomes(), st.integers(0, 2**32 - 1))
 def test_neighbours_are_valid_and_others(genome: Genome, seed: int) -> None:
     genes = genome.random(np.random.default_rng(seed), 1)[0]
-    around = [one for batch in neighbours(genes, genome) for one in batch]
+    around = [one for batch in neighbour_batches(genes, genome) for one in batch]
     if around:
         valid(genome, np.array(around))
         assert len({one.tobytes() for one in around} | {genes.tobytes()}) == len(around) + 1
@@ -211,7 +211,7 @@ def test_children_of_subsets_keep_what_both_parents_have() -> None:
     # 5 is first in one parent and last in the other, so that no column holds it in both.
     genome = Genome([Subset("s", labels("s", 12), 4)])
     genes = np.tile([[5, 7, 9, 11], [0, 2, 4, 5]], (50, 1))
-    children = crossover(genes, genome, 1.0, np.random.default_rng(1))
+    children = cross_pairs(genes, genome, 1.0, np.random.default_rng(1))
     assert (children == 5).any(axis=1).all()
     assert len({tuple(child) for child in children.tolist()}) > 10
 
@@ -307,6 +307,7 @@ def test_bits_and_a_subset_have_the_same_neighbours(seed: int, n: int, m: int) -
     subset, bits = (Genome([one]) for one in (Subset("s", labels("s", n), m),
                                               Bits("s", labels("s", n), m, m)))
     genes = subset.random(np.random.default_rng(seed), 1)
-    around = [tuple(np.flatnonzero(one)) for batch in neighbours(subset.chosen(genes)[0], bits)
+    around = [tuple(np.flatnonzero(one))
+              for batch in neighbour_batches(subset.chosen(genes)[0], bits)
               for one in batch]
-    assert around == [tuple(one) for batch in neighbours(genes[0], subset) for one in batch]
+    assert around == [tuple(one) for batch in neighbour_batches(genes[0], subset) for one in batch]

@@ -16,17 +16,17 @@ from termsel.selection.solvers.heuristics.ica import (
     Empires,
     ImperialistCompetition,
     assimilate,
-    costs,
+    count_colonies,
+    finite_costs,
     found_empires,
-    normalised_cost,
+    normalise_cost,
     normalised_power,
-    possession,
+    normalised_powers,
+    possession_probability,
     revolt,
-    shares,
-    sizes,
     total_power,
 )
-from termsel.selection.solvers.proofs.exact import gap
+from termsel.selection.solvers.proofs.exact import gap_to_optimum
 from termsel.testing import Check, checks, problems
 from termsel.testing.problems import Watched
 
@@ -43,15 +43,15 @@ def evaluation(objective: list[float], violation: list[float]) -> Evaluation:
 
 
 def test_equation_5() -> None:
-    assert normalised_cost(np.array([1.0, 2.0, 4.0]), 5.0).tolist() == [4.0, 3.0, 1.0]
+    assert normalise_cost(np.array([1.0, 2.0, 4.0]), 5.0).tolist() == [4.0, 3.0, 1.0]
 
 
 def test_equation_6() -> None:
-    assert shares(np.array([4.0, 3.0, 1.0])).tolist() == [0.5, 0.375, 0.125]
+    assert normalised_powers(np.array([4.0, 3.0, 1.0])).tolist() == [0.5, 0.375, 0.125]
 
 
 def test_equation_6_where_all_cost_the_same() -> None:
-    assert shares(np.zeros(4)).tolist() == [0.25] * 4
+    assert normalised_powers(np.zeros(4)).tolist() == [0.25] * 4
 
 
 @pytest.mark.parametrize(("share", "colonies", "expected"), [
@@ -62,14 +62,14 @@ def test_equation_6_where_all_cost_the_same() -> None:
     ([0.96, 0.02, 0.02], 10, [10, 0, 0]),
 ])
 def test_equation_7(share: list[float], colonies: int, expected: list[int]) -> None:
-    assert sizes(np.array(share), colonies).tolist() == expected
+    assert count_colonies(np.array(share), colonies).tolist() == expected
 
 
 @given(st.lists(st.floats(0.0, 1e6), min_size=1, max_size=20), st.integers(0, 500))
 def test_sizes_add_up_and_are_the_rounded_ones_where_these_do(
         normalised: list[float], colonies: int) -> None:
-    share = shares(np.array(normalised))
-    size = sizes(share, colonies)
+    share = normalised_powers(np.array(normalised))
+    size = count_colonies(share, colonies)
     assert size.sum() == colonies
     assert (np.abs(size - share * colonies) < 1 + 1e-6).all()
     rounded = np.floor(share * colonies + 0.5)
@@ -126,7 +126,7 @@ def test_equation_8() -> None:
 def test_equations_9_and_10() -> None:
     normalised = normalised_power(np.array([2.0, 4.0, 8.0]))
     assert normalised.tolist() == [4.0, 2.0, 1.0]
-    assert possession(normalised) == pytest.approx([4 / 7, 2 / 7, 1 / 7])
+    assert possession_probability(normalised) == pytest.approx([4 / 7, 2 / 7, 1 / 7])
 
 
 @pytest.mark.parametrize(("power", "expected"), [
@@ -138,12 +138,13 @@ def test_equations_9_and_10() -> None:
 ])
 def test_equation_9_where_the_paper_would_divide_by_zero_or_less(
         power: list[float], expected: list[float]) -> None:
-    assert possession(normalised_power(np.array(power))) == pytest.approx(expected, abs=1e-11)
+    assert possession_probability(
+        normalised_power(np.array(power))) == pytest.approx(expected, abs=1e-11)
 
 
 @given(st.lists(st.floats(-1e9, 1e9), min_size=1, max_size=20))
 def test_the_more_powerful_the_more_probable(power: list[float]) -> None:
-    chance = possession(normalised_power(np.array(power)))
+    chance = possession_probability(normalised_power(np.array(power)))
     assert chance.sum() == pytest.approx(1)
     assert (np.diff(chance[np.argsort(power, kind="stable")]) <= 1e-12).all()
 
@@ -153,18 +154,18 @@ def test_the_more_powerful_the_more_probable(power: list[float]) -> None:
 
 def test_infeasible_countries_cost_a_bounded_penalty_by_rank() -> None:
     judged = evaluation([4.0, 1e9, 2.0, 1e9, 0.0], [0.0, 7.0, 0.0, 1e6, 7.0])
-    assert costs(judged) == pytest.approx([4.0, 4 + 2 * 2 / 3, 2.0, 6.0, 4 + 2 / 3])
+    assert finite_costs(judged) == pytest.approx([4.0, 4 + 2 * 2 / 3, 2.0, 6.0, 4 + 2 / 3])
 
 
 def test_costs_where_nothing_is_feasible() -> None:
-    assert costs(evaluation([1e9, 1e9, 1e9], [3.0, 1.0, 3.0])).tolist() == [1.0, 0.5, 1.0]
+    assert finite_costs(evaluation([1e9, 1e9, 1e9], [3.0, 1.0, 3.0])).tolist() == [1.0, 0.5, 1.0]
 
 
 @given(st.lists(st.tuples(st.floats(-1e9, 1e9), st.sampled_from([0.0, 0.0, 1e-9, 1.0, 1e9])),
                 min_size=1, max_size=30))
 def test_costs_are_finite_and_in_order(countries: list[tuple[float, float]]) -> None:
     judged = evaluation([c for c, _ in countries], [v for _, v in countries])
-    cost = costs(judged)
+    cost = finite_costs(judged)
     assert np.isfinite(cost).all()
     assert (np.diff(cost[judged.order()]) >= 0).all()
     feasible = judged.violation == 0
@@ -244,7 +245,7 @@ def check_world(generation: Generation, before: Generation | None) -> None:
 @pytest.mark.parametrize("seed", range(1, 6))
 @pytest.mark.parametrize("population", [4, 7, 30, 100])
 @pytest.mark.parametrize("problem", [
-    problems.twelve_terms(), problems.bound(), problems.trap(), problems.hopeless(),
+    problems.twelve_terms(), problems.bound(), problems.trap_problem(), problems.hopeless_problem(),
     problems.narrow(1)], ids=["twelve terms", "bound", "trap", "hopeless", "narrow"])
 def test_what_holds_in_every_generation(problem: termsel.Problem, population: int,
                                         seed: int) -> None:
@@ -287,7 +288,7 @@ def test_the_polynomials_of_the_paper(degree: int, population: int) -> None:
     for seed in (1, 2):
         found = termsel.search(task.problem, ImperialistCompetition(population=population),
                                seed=seed, evaluations=40_000, polish=True)
-        certificate = gap(task.problem, float(found.objectives[0]))
+        certificate = gap_to_optimum(task.problem, float(found.objectives[0]))
         assert certificate is not None
         assert certificate["optimal"]
 

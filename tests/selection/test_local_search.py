@@ -27,7 +27,7 @@ def test_neighbours_are_all_selections_one_step_away(seed: int, a: int, b: int) 
                              int(rng.integers(least, a + 1))),
                      Bits("b", tuple(f"b{i}" for i in range(b)))], on=("b0",))
     genes = genome.random(rng, 1)[0]
-    found = {tuple(one) for batch in local.neighbours(genes, genome) for one in batch}
+    found = {tuple(one) for batch in local.neighbour_batches(genes, genome) for one in batch}
     everything = (np.arange(2**genome.size)[:, None] >> np.arange(genome.size)) & 1 > 0
     expected = set()
     for one in everything[genome.keeps(everything)]:
@@ -41,7 +41,7 @@ def test_neighbours_are_all_selections_one_step_away(seed: int, a: int, b: int) 
 
 def test_neighbours_of_many_genes_come_in_batches() -> None:
     genome = Genome([Bits("features", tuple(map(str, range(200))))])
-    sizes = [len(b) for b in local.neighbours(np.arange(200) % 2 == 0, genome)]
+    sizes = [len(b) for b in local.neighbour_batches(np.arange(200) % 2 == 0, genome)]
     assert sum(sizes) == 200 + 100 * 100
     assert max(sizes) == local.BATCH
 
@@ -49,7 +49,7 @@ def test_neighbours_of_many_genes_come_in_batches() -> None:
 def test_neighbours_of_very_many_genes_take_no_memory_before_their_turn() -> None:
     genome = Genome([Bits("features", tuple(map(str, range(20_000))))])
     tracemalloc.start()
-    batches = local.neighbours(np.arange(20_000) % 2 == 0, genome)
+    batches = local.neighbour_batches(np.arange(20_000) % 2 == 0, genome)
     assert len(next(batches)) == local.BATCH
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()

@@ -15,7 +15,7 @@ import termsel
 from termsel.adjustment.equations import line_normals
 from termsel.data.features import Lines
 from termsel.data.rpc import Rpc
-from termsel.fitting.figures import correlations, orientation_spread, significance
+from termsel.fitting.figures import correlated_terms, orientation_spread, term_significance
 from termsel.runs import steps
 from termsel.runs.steps import search_in_steps
 from termsel.simulate import simulate_scene
@@ -214,7 +214,7 @@ def test_significance_is_that_of_a_textbook_regression() -> None:
     # The adjustment has one sigma for both axes.
     t = np.abs(x) / np.sqrt(np.diag(inverse)) / fit.adjustment.sigma0
     expected = 2 * stats.t.sf(t, fit.adjustment.redundancy)
-    found = significance(fit)
+    found = term_significance(fit)
     for i, value, p in zip(line, t, expected, strict=True):
         one = found[fit.model.terms[i]]
         assert one.t == pytest.approx(value, rel=1e-6)
@@ -225,7 +225,7 @@ def test_significance_is_that_of_a_textbook_regression() -> None:
     place = {int(j): i for i, j in enumerate(np.flatnonzero(fit.terms))}
     index = [place[int(j)] for j in line]
     assert fit.adjustment.correlations[np.ix_(index, index)] == pytest.approx(matrix, abs=1e-6)
-    assert all(abs(value) >= 0.95 for *_, value in correlations(fit))
+    assert all(abs(value) >= 0.95 for *_, value in correlated_terms(fit))
 
 
 @pytest.mark.slow

@@ -12,13 +12,13 @@ from scipy.spatial import ConvexHull, QhullError
 import termsel
 from termsel.adjustment.leave_out import independent_parts
 from termsel.data.features import FeatureSet, Points
-from termsel.runs.recommend import recommended
+from termsel.runs.recommend import with_recommended_member
 from termsel.selection.problems.coverage import hull_areas, uncovered_share
 from termsel.selection.problems.objectives import (
     PopulationSelection,
     max_correlation,
-    uncovered,
-    unevenness,
+    uncovered_outside_hull,
+    unevenness_of_selections,
 )
 from termsel.selection.solvers.search import SearchResult
 from termsel_optimisers.survivals import _AgeSurvival
@@ -69,7 +69,7 @@ def test_the_rules_recommend_what_they_say() -> None:
     chosen = {}
     for rule in ("best", "knee", "one-standard-error"):
         task.options["problem"]["recommend"] = rule
-        chosen[rule] = recommended(task, found).objectives
+        chosen[rule] = with_recommended_member(task, found).objectives
     assert chosen["best"][0] == first.min()
     bound = first.min() * (1 + 1 / np.sqrt(4 * 24))
     assert chosen["one-standard-error"][0] <= bound
@@ -90,11 +90,11 @@ def test_the_least_ebic_of_a_front() -> None:
     best = np.where(figures.violation > 0, np.inf, figures.objectives[:, 0]).argmin()
     assert best >= 2
     of_front = SearchResult(**{**vars(found), "front": front})
-    assert (recommended(task, of_front).genes == front[best]).all()
+    assert (with_recommended_member(task, of_front).genes == front[best]).all()
     # Without any member of enough redundancy it is the best criterion.
     first = task.problem.evaluate(np.array(rich)).objectives[:, 0].argmin()
     crowded = SearchResult(**{**vars(found), "front": rich})
-    assert (recommended(task, crowded).genes == rich[first]).all()
+    assert (with_recommended_member(task, crowded).genes == rich[first]).all()
 
 
 @pytest.mark.slow
@@ -130,7 +130,7 @@ def test_a_front_of_one_member_is_recommended() -> None:
     task, found = two()
     alone = SearchResult(**{**vars(found), "front": found.front[:1]})
     task.options["problem"]["recommend"] = "knee"
-    assert (recommended(task, alone).genes == found.front[0]).all()
+    assert (with_recommended_member(task, alone).genes == found.front[0]).all()
 
 
 def test_a_solver_for_one_objective_is_refused_with_those_that_can() -> None:
@@ -184,8 +184,8 @@ def chosen(image: np.ndarray, mask: np.ndarray) -> PopulationSelection:
 def test_uncovered_and_unevenness_of_a_square() -> None:
     square = np.array([[0.0, 0], [0, 10], [10, 0], [10, 10], [5, 5]])
     masks = np.array([[1, 1, 1, 1, 0], [1, 1, 1, 0, 0], [1, 1, 0, 0, 0], [1, 0, 0, 1, 1]], bool)
-    assert uncovered(chosen(square, masks)) == pytest.approx([0.0, 0.5, 1.0, 1.0])
-    assert unevenness(chosen(square, masks)) == pytest.approx([0.0, 0.0, 1.0, 0.0])
+    assert uncovered_outside_hull(chosen(square, masks)) == pytest.approx([0.0, 0.5, 1.0, 1.0])
+    assert unevenness_of_selections(chosen(square, masks)) == pytest.approx([0.0, 0.0, 1.0, 0.0])
 
 
 def test_max_correlation_is_that_of_numpy() -> None:

@@ -9,30 +9,35 @@ import pytest
 
 import termsel
 from termsel.selection.problems.base import Evaluation
-from termsel.selection.solvers.heuristics.pso import BinarySwarm, improved, leaders, sigmoid
-from termsel.selection.solvers.proofs.exact import gap
+from termsel.selection.solvers.heuristics.pso import (
+    BinarySwarm,
+    are_improved,
+    chance_of_gene,
+    find_leaders,
+)
+from termsel.selection.solvers.proofs.exact import gap_to_optimum
 from termsel.testing import problems
 
 
 def test_feasible_ones_are_better_whatever_they_cost() -> None:
     found = Evaluation(np.array([[9.0], [1.0], [2.0], [3.0]]), np.array([0.0, 1.0, 0.0, 0.5]))
     own = Evaluation(np.array([[1.0], [9.0], [2.0], [4.0]]), np.array([1.0, 0.0, 0.0, 0.5]))
-    assert improved(found, own).tolist() == [True, False, False, True]
+    assert are_improved(found, own).tolist() == [True, False, False, True]
 
 
 def test_leaders_are_the_best_of_each_neighbourhood_in_the_ring() -> None:
     order = np.array([3, 5, 0, 1, 2, 4])
-    assert leaders(order, 1).tolist() == [5, 0, 3, 3, 3, 5]
-    assert leaders(order, 2).tolist() == [5, 3, 3, 3, 3, 3]
+    assert find_leaders(order, 1).tolist() == [5, 0, 3, 3, 3, 5]
+    assert find_leaders(order, 2).tolist() == [5, 3, 3, 3, 3, 3]
 
 
 @pytest.mark.parametrize("reach", [0, 3, 50])
 def test_one_leader_of_the_whole_swarm(reach: int) -> None:
-    assert leaders(np.array([3, 5, 0, 1, 2, 4]), reach).tolist() == [3] * 6
+    assert find_leaders(np.array([3, 5, 0, 1, 2, 4]), reach).tolist() == [3] * 6
 
 
 def test_sigmoid() -> None:
-    assert sigmoid(np.array([0.0, 4.0, -4.0])) == pytest.approx([0.5, 55.6 / 56.6, 1 / 55.6],
+    assert chance_of_gene(np.array([0.0, 4.0, -4.0])) == pytest.approx([0.5, 55.6 / 56.6, 1 / 55.6],
                                                                rel=1e-3)
 
 
@@ -79,6 +84,6 @@ def test_polynomials_with_a_shared_mask(degree: int) -> None:
                            options={"degree": degree, "mask": "shared"})
     for seed in (1, 2):
         found = termsel.search(task.problem, BinarySwarm(), seed=seed, evaluations=10_000)
-        certificate = gap(task.problem, float(found.objectives[0]))
+        certificate = gap_to_optimum(task.problem, float(found.objectives[0]))
         assert certificate is not None
         assert certificate["optimal"]

@@ -24,8 +24,8 @@ from termsel.selection.problems.selection import SelectionProblem
 from termsel.selection.solvers.base import Generation, Solver
 from termsel.selection.solvers.ledger import BudgetSpent, Ledger
 from termsel.selection.solvers.search import search
-from termsel.testing.problems import Toy, Watched, trap, twelve_terms
-from termsel.testing.scenes import imaged, random_coefficients
+from termsel.testing.problems import Toy, Watched, trap_problem, twelve_terms
+from termsel.testing.scenes import imaged_features, random_coefficients
 
 # The same examples every time: a failure in a test of figures must not depend on luck.
 settings.register_profile("core", deadline=None, derandomize=True, max_examples=40)
@@ -58,7 +58,7 @@ def test_lines_on_their_image_leave_no_residual(model: SensorModel, n: int, m: i
                                                 seed: int) -> None:
     rng = np.random.default_rng(seed)
     truth = random_coefficients(model, rng)
-    equations = model.equations(imaged(model, truth, rng, points=n, lines=m))
+    equations = model.equations(imaged_features(model, truth, rng, points=n, lines=m))
     np.testing.assert_allclose(equations.A @ truth, equations.b, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(equations.feature, np.repeat(np.arange(n + m), 2))
 
@@ -68,7 +68,7 @@ def test_points_leave_no_residual_under_separate_denominators(order: int, n: int
                                                               seed: int) -> None:
     model, rng = RationalFunctions(order=order), np.random.default_rng(seed)
     truth = random_coefficients(model, rng)
-    equations = model.equations(imaged(model, truth, rng, points=n))
+    equations = model.equations(imaged_features(model, truth, rng, points=n))
     np.testing.assert_allclose(equations.A @ truth, equations.b, rtol=0, atol=1e-12)
 
 
@@ -77,7 +77,7 @@ def test_line_residual_is_the_distance_from_the_image_line(model: SensorModel, s
                                                            shift: float) -> None:
     rng = np.random.default_rng(seed)
     truth = random_coefficients(model, rng)
-    features = imaged(model, truth, rng, lines=3)
+    features = imaged_features(model, truth, rng, lines=3)
     along = features.lines.image[:, 1] - features.lines.image[:, 0]
     normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -233,7 +233,7 @@ def test_repaired_genes_keep_the_rules(genome: Genome, n: int, seed: int) -> Non
 @given(st.lists(st.integers(0, 30), max_size=12), st.integers(1, 150), seeds)
 def test_ledger_counts_exactly(batches: list[int], limit: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    problem = Watched(trap())
+    problem = Watched(trap_problem())
     ledger = Ledger(problem, evaluations=limit)
     pool = problem.genome.random(rng, 40)
     met: set[bytes] = set()
@@ -290,7 +290,7 @@ def test_ledger_refuses_what_is_not_finite(bad: float, violated: bool, seed: int
         (violation if violated else objectives[:, 0])[-1] = bad
         return objectives, violation
 
-    problem = Toy(trap().genome, judge)
+    problem = Toy(trap_problem().genome, judge)
     genes = problem.genome.random(np.random.default_rng(seed), 5)
     with pytest.raises(TermselError, match="not finite"):
         Ledger(problem).evaluate(genes)
@@ -303,13 +303,13 @@ def selection_problem(rng: np.random.Generator, order: int, kind: str, n: int, m
                       selects: str, mask: str, flat: bool) -> SelectionProblem:
     model = RationalFunctions(order=order, denominators=kind)
     truth = random_coefficients(model, rng)
-    control = imaged(model, truth, rng, points=n, lines=m)
+    control = imaged_features(model, truth, rng, points=n, lines=m)
     if flat and n:
         # On one straight line on the ground: hardly any term is determined.
         points = control.points
         line = points.ground[:, :1] * [[1.0, 0.5, 0.2]]
         control = control.with_(points=Points(points.ids, points.image, line))
-    check = imaged(model, truth, rng, points=6).points
+    check = imaged_features(model, truth, rng, points=6).points
     check = Points(check.ids, check.image + rng.normal(0, 0.01, (6, 2)), check.ground)
     inputs = ProblemData(model, control, check, 5000.0, CheckRmse())
     return SelectionProblem(inputs, terms="terms" in selects, features="features" in selects,

@@ -13,7 +13,11 @@ from termsel.data.features import BoolArray
 from termsel.fitting.least_squares import fit
 from termsel.selection.problems.base import Problem
 from termsel.selection.solvers.heuristics.yardsticks import AllTerms
-from termsel.selection.solvers.regression.base import Regression, TermRegression, regressions
+from termsel.selection.solvers.regression.base import (
+    Regression,
+    TermRegression,
+    regressions_of_problem,
+)
 from termsel.selection.solvers.regression.ridge import Ridge, shrink
 from termsel.simulate import simulate_scene
 from tests.regressions import part_of, sparse
@@ -195,7 +199,8 @@ def test_ridge_betters_a_rational_model_with_ample_control() -> None:
 def test_embedded_scenes_run(solver: type[termsel.Solver], name: str, options: dict) -> None:
     task = termsel.prepare(name, solver=solver, options=options)
     if name == "rfm-terms":
-        assert [part.columns.shape for part in regressions(task.problem)] == [(24, 39)] * 2
+        assert [part.columns.shape
+                for part in regressions_of_problem(task.problem)] == [(24, 39)] * 2
     before = np.random.get_state()[1].tobytes()
     found = [list(solver().generations(task.problem, np.random.default_rng(seed)))
              for seed in (1, 2)]
@@ -225,7 +230,7 @@ def test_forced_genes_and_cardinality_hold(solver: type[termsel.Solver]) -> None
         problem.genome = termsel.Genome(
             [termsel.Bits(line.name, line.labels, minimum=least, maximum=most), sample],
             on=["line.num:Y4", "sample.num:X2"], off=["sample.num:1", "sample.num:Y3"])
-        assert [part.constant.sum() for part in regressions(problem)] == [1, 0]
+        assert [part.constant.sum() for part in regressions_of_problem(problem)] == [1, 0]
         genes = termsel.search(problem, solver()).genes[None]
         np.testing.assert_array_equal(
             genes, problem.genome.repair(genes, np.random.default_rng(0)))
@@ -245,7 +250,8 @@ def test_the_constant_is_found_under_weights() -> None:
     rng = np.random.default_rng(0)
     points = dataclasses.replace(features.points, sigma=rng.uniform(0.3, 1.0, (74, 2)))
     task = termsel.prepare("rfm-terms", features=features.with_(points=points))
-    for part, name in zip(regressions(task.problem), ("line.num:1", "sample.num:1"), strict=True):
+    for part, name in zip(
+            regressions_of_problem(task.problem), ("line.num:1", "sample.num:1"), strict=True):
         labels = [task.problem.genome.labels[g] for g in part.genes[part.constant]]
         assert labels == [name]
         assert np.ptp(part.columns[:, part.constant]) > 0

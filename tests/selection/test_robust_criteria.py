@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.fitting.losses import figure
+from termsel.fitting.losses import rmse_like_figure
 from termsel.selection.criteria import Huber, KFold, Median, Press
 from termsel.simulate import simulate_scene
 from tests.criteria_cases import (
@@ -45,7 +45,7 @@ def test_robust_criteria_are_rmse_for_normal_errors() -> None:
     np.testing.assert_allclose(Huber().score(Errors), rmse, rtol=0.06)
     distances = np.hypot(*np.moveaxis(Errors.check_errors, -1, 0))
     for threshold in (0.5, 3.0):
-        np.testing.assert_allclose(Huber(threshold=threshold).score(Errors), figure(
+        np.testing.assert_allclose(Huber(threshold=threshold).score(Errors), rmse_like_figure(
             distances, np.ones_like(distances), "huber", threshold))
 
 
@@ -58,7 +58,7 @@ def test_a_figure_by_hand(loss: str) -> None:
     d[0, np.flatnonzero(~used[0])[0]] = np.inf  # that is not in use
     d[5, 3] = np.inf
     weights = used * rng.integers(1, 4, 9)
-    found = figure(d, weights, loss, 1.5)
+    found = rmse_like_figure(d, weights, loss, 1.5)
     assert np.isinf(found[4:]).all()
     for got, errors, weight in zip(found[:4], d, weights, strict=False):
         e, w = errors[weight > 0], weight[weight > 0]
@@ -91,7 +91,8 @@ def test_robust_figures_of_features_left_out(criterion: str, loss: str, case: st
             for i in fold[used[fold]]:
                 weights[0, i] = 1 if i < n else ends
                 squares[0, i] = (errors_of(problem, x, np.array([i])) ** 2).sum() / weights[0, i]
-        assert value == pytest.approx(figure(np.sqrt(squares), weights, loss)[0], rel=1e-7)
+        assert value == pytest.approx(
+            rmse_like_figure(np.sqrt(squares), weights, loss)[0], rel=1e-7)
 
 
 def test_robust_losses_cannot_be_walked_and_have_no_standard_error() -> None:

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.adjustment.solve import by_size, largest
+from termsel.adjustment.solve import index_of_largest, replace_rounding_by_size
 from termsel.auto.selected import select_forward
 from termsel.data.features import FeatureSet, Points
-from termsel.data.monomials import graded_exponents, monomials
+from termsel.data.monomials import evaluate_monomials, graded_exponents
 
 PARTS = {
     "affine": ({"1": 1.0, "X": 0.9, "Y": -0.1, "Z": 0.05},
@@ -91,7 +91,7 @@ def test_forward_selection_ends_where_rounding_is_left(kind: str) -> None:
 def test_the_rounding_of_a_target_is_by_its_size(scale: float) -> None:
     rng = np.random.default_rng(4)
     exponents = graded_exponents(3, 3)
-    columns = monomials(rng.uniform(-1, 1, (60, 3)), exponents)
+    columns = evaluate_monomials(rng.uniform(-1, 1, (60, 3)), exponents)
     affine = np.array([sum(one) < 2 for one in exponents])
     target = scale * (columns[:, affine].sum(axis=1) + 2.0 * columns[:, 12])
     chosen, = select_forward(columns[None], target[None], affine) or []
@@ -108,11 +108,12 @@ def test_fewest_features_are_the_best_where_all_leave_rounding() -> None:
 
 def test_of_values_that_are_equal_but_for_rounding_the_first_is_the_largest() -> None:
     values = np.array([[1.0, 3.0, 3.0 + 1e-12, -1.0], [0.0, -1.0, -1.0, 2.0]])
-    assert largest(values).tolist() == [1, 3]
+    assert index_of_largest(values).tolist() == [1, 3]
 
 
 def test_figures_that_are_rounding_are_by_the_size_of_the_selection() -> None:
-    figures = by_size(np.array([1e-12, 5.0, 1e-13]), 1e-9, np.array([0.5, 0.1, 1.0]))
+    figures = replace_rounding_by_size(
+        np.array([1e-12, 5.0, 1e-13]), 1e-9, np.array([0.5, 0.1, 1.0]))
     np.testing.assert_allclose(figures, [5e-10, 5.0, 1e-9])
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import termsel
 from termsel.runs import steps
-from termsel.runs.recommend import recommended
+from termsel.runs.recommend import with_recommended_member
 from termsel.selection.solvers.search import SearchResult
 
 
@@ -37,8 +37,8 @@ def test_a_rule_without_a_front_is_a_note(task: termsel.Task, rule: str) -> None
     ruled = replace(task, request=replace(task.request, options=options))
     search = found(genes=task.problem.genome.on, notes=("One.",))
     expected = ("One.",) if rule == "best" else ("One.", NO_FRONT.format(rule))
-    assert recommended(ruled, search).notes == expected
-    assert recommended(ruled, replace(search, front=(search.genes,))).notes == ("One.",)
+    assert with_recommended_member(ruled, search).notes == expected
+    assert with_recommended_member(ruled, replace(search, front=(search.genes,))).notes == ("One.",)
 
 
 @pytest.mark.parametrize(("order", "word", "counts"), [

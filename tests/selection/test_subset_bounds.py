@@ -11,7 +11,7 @@ import pytest
 from termsel.data.features import FloatArray
 from termsel.selection.best_subsets import rising_bound, subsets
 from termsel.selection.best_subsets.bounds import held_out as subset_held_out
-from termsel.selection.best_subsets.bounds.closed import first_closed
+from termsel.selection.best_subsets.bounds.closed import first_closed_by_parts
 from termsel.selection.best_subsets.columns.kernels import LINEAR, RATIONAL
 from termsel.selection.best_subsets.columns.system import SCORES, Masks, SubsetSystem, SubtreeNode
 from termsel.selection.best_subsets.score_systems import ScoreSystems, score_systems
@@ -45,8 +45,9 @@ def test_a_limit_that_a_subset_scores_never_rules_it_out() -> None:
             vectors, limits, _ = systems._vectors_of_node(SubtreeNode(used, rest, len(rest)))
             first = int(np.flatnonzero(np.isin(rest, chosen))[0])
             upper = np.append(np.ones(c), 1 / (limits.margin * c))
-            end = first_closed(vectors.top[0, 0], vectors.extra[0, 0], first, len(rest),
-                               score * (1 + 1e-9), upper, True, systems._space(vectors).bound)
+            end = first_closed_by_parts(
+                vectors.top[0, 0], vectors.extra[0, 0], first, len(rest), score * (1 + 1e-9), upper,
+                True, systems._space(vectors).bound)
             assert end > first
             assert (np.append(below, 1) / below.sum() <= upper * (1 + 1e-9)).all()
             closed += end < len(rest)
@@ -85,7 +86,7 @@ def test_subsets_of_few_columns_are_decided_before_all_others(
     A, b = rng.normal(size=(18, 9)), rng.normal(size=(18, 1))
     system = SubsetSystem(A[:12], b[:12], A[12:], b[12:])
     *_, plain = subsets.search(system, score)
-    monkeypatch.setattr(subsets, "descents", nothing)
+    monkeypatch.setattr(subsets, "descend_through_subsets", nothing)
     for name in ("_SMALL_SIZES", "_NODE_SUBSETS", "_BOUNDED_SUBSETS"):
         monkeypatch.setattr(subsets, name, 100)
     monkeypatch.setattr(subsets, "_DESCEND_FROM", 1)
@@ -114,7 +115,7 @@ def test_a_bound_of_all_scores_comes_before_any_is_decided(
         systems = score_systems(system, "check", (), 6)
         for share, least in ((1.0, 0.81), (8.0, 2.0)):  # of the optimum, as the best known
             known = np.full(10, share * proof.best.min())
-            *_, (best, masks, level) = rising_bound.rising_bounds(
+            *_, (best, masks, level) = rising_bound.raise_bound(
                 systems, known, np.zeros(10, dtype=np.uint64), 1 << 6, 1)
             assert level == pytest.approx(least * proof.best.min())
             assert (proof.best >= np.minimum(best, level) * (1 - 1e-9)).all()

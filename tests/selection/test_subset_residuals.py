@@ -15,7 +15,7 @@ from termsel.selection.best_subsets.bounds.poles import node_bound, order_column
 from termsel.selection.best_subsets.columns.system import SubsetSystem, SubtreeNode
 from termsel.selection.best_subsets.descents import _single_changes
 from termsel.selection.best_subsets.score_systems import ScoreSystems, score_systems
-from termsel.selection.best_subsets.splicing import best_by_splicing, tells_changes
+from termsel.selection.best_subsets.splicing import find_best_by_splicing, tells_changes
 from termsel.selection.best_subsets.subsets import SubsetResult, search
 
 pytestmark = pytest.mark.usefixtures("bounds_of_few")
@@ -222,7 +222,7 @@ def test_splicing_finds_the_best_of_all_changes_by_a_column(score: str) -> None:
         members = rng.permutation(everything.candidates)[:count]
         mask = int(sum(1 << int(column) for column in (*everything.used, *members)))
         nothing = (np.full(systems.k + 1, np.inf), np.zeros(systems.k + 1, dtype=np.uint64))
-        found = best_by_splicing(systems, mask, *nothing, set())
+        found = find_best_by_splicing(systems, mask, *nothing, set())
         best, masks = nothing
         for node in _single_changes(systems, mask):
             walked = systems.walk(node, best, masks)

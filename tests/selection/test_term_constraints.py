@@ -11,7 +11,7 @@ import pytest
 import termsel
 from termsel.data.features import FeatureSet
 from termsel.models.polynomial import Polynomial3D
-from termsel.selection.problems.constraints import excess, parents
+from termsel.selection.problems.constraints import count_excess_terms, parent_pairs
 from termsel.selection.problems.selection import SelectionProblem
 
 
@@ -50,7 +50,7 @@ def test_wishes_that_cannot_be_are_refused(options: dict, message: str) -> None:
 
 def test_a_term_has_its_parents() -> None:
     terms = Polynomial3D(degree=3).terms
-    pairs = {(terms[c], terms[p]) for c, p in zip(*parents(terms), strict=True)}
+    pairs = {(terms[c], terms[p]) for c, p in zip(*parent_pairs(terms), strict=True)}
     assert ("line.num:X2Y", "line.num:XY") in pairs
     assert ("line.num:X2Y", "line.num:X2") in pairs
     assert ("line.num:X", "line.num:1") in pairs
@@ -64,7 +64,7 @@ def test_hierarchy_leaves_no_orphans() -> None:
     assert found.feasible
     names = found.fit.model.terms
     chosen = np.isin(names, found.selection.terms)
-    child, parent = parents(names)
+    child, parent = parent_pairs(names)
     assert not (chosen[child] & ~chosen[parent]).any()
 
 
@@ -187,7 +187,7 @@ def test_coupled_axes_share_a_cap() -> None:
     genes[:, slices["features"]] = np.arange(120) < 20  # 40 equations: 10 terms
     for row, n in zip(genes, (5, 6, 10), strict=True):
         row[slices["terms"]][:n] = True  # each gene switches a line term and a sample term
-    counted = excess(problem._parts, *problem.masks(genes), 0.25)
+    counted = count_excess_terms(problem._parts, *problem.masks(genes), 0.25)
     assert counted.tolist() == [0, 2, 10]
     assert (problem.evaluate(genes).violation[1:] >= [2, 10]).all()
     assert slices["terms"].stop == 19

@@ -15,7 +15,7 @@ import pytest
 import termsel
 from termsel.data.coordinates.earth import is_mirrored
 from termsel.data.features import FeatureSet, Points
-from termsel.studies.cells.neighbours import _note_on_mirrored, batch_of, setting_of
+from termsel.studies.cells.neighbours import _note_on_mirrored, batch_of, location_figures
 from termsel.studies.compare import estimate
 from termsel.studies.outputs import write_outputs
 
@@ -44,7 +44,7 @@ def mirrored(features: FeatureSet) -> FeatureSet:
 
 
 def said(images: dict[str, FeatureSet]) -> tuple[str, ...]:
-    return batch_of({name: setting_of(one) for name, one in images.items()}).sentences
+    return batch_of({name: location_figures(one) for name, one in images.items()}).sentences
 
 
 def batch(count: int = 8) -> dict[str, FeatureSet]:
@@ -85,7 +85,7 @@ def test_half_of_a_batch_that_is_mirrored_is_named(count: int) -> None:
     assert said(images) == (
         f"{count // 2} of {count} images {verb} of the ground, the others are not (are x and y "
         f"exchanged, or line and sample?): {', '.join(names)}.",)
-    doubts = batch_of({name: setting_of(one) for name, one in images.items()}).doubts
+    doubts = batch_of({name: location_figures(one) for name, one in images.items()}).doubts
     assert list(doubts) == names
 
 

@@ -16,7 +16,7 @@ import termsel
 from termsel import Generation, Solver
 from termsel.core.files.names import JOURNAL
 from termsel.plugins.registry import registry
-from termsel.studies.cells.identity import made_of
+from termsel.studies.cells.identity import checksum_of_code
 from termsel.studies.cells.journal import _seal_record, _sum, read_journal
 
 FEW: dict[str, Any] = {"seeds": 1, "budget": {"evaluations": 60}}
@@ -71,9 +71,9 @@ def test_code_of_a_package_that_changed_is_not_the_same(
         (tmp_path / name).mkdir(exist_ok=True)
         (tmp_path / name / "__init__.py").write_text("class Mine:\n    name = 'mine'\n")
         (tmp_path / name / "helper.py").write_text(f"FACTOR = {factor}\n")
-        termsel.studies.cells.identity._source.cache_clear()  # as in a new process
+        termsel.studies.cells.identity._source_checksum.cache_clear()  # as in a new process
         monkeypatch.delitem(sys.modules, name, raising=False)
-        sums.append(made_of(__import__(name).Mine))
+        sums.append(checksum_of_code(__import__(name).Mine))
     assert len(set(sums)) == 3
 
 
@@ -85,9 +85,9 @@ def test_code_of_a_package_that_changed_is_not_the_same(
     (lambda x: x + 1, lambda x: x + 2),
 ])
 def test_what_differs_has_another_checksum_and_what_does_not_the_same(one: Any, other: Any) -> None:
-    assert made_of(one) != made_of(other)
-    assert made_of(one) == made_of(one)
-    assert made_of(_solver(4)) == made_of(_solver(4))
+    assert checksum_of_code(one) != checksum_of_code(other)
+    assert checksum_of_code(one) == checksum_of_code(one)
+    assert checksum_of_code(_solver(4)) == checksum_of_code(_solver(4))
 
 
 @pytest.mark.parametrize("text", [

@@ -92,7 +92,7 @@ def test_the_table_of_an_earlier_study_is_no_image(tmp_path: Path,
     (tmp_path / "image9.csv").unlink()
     (tmp_path / "study.csv").write_text("data,state\nimage0.csv,done\n")
     caplog.set_level("INFO", "termsel")
-    spec, folder = compare.asked(None, {
+    spec, folder = compare.requested_study(None, {
         "problems": ["poly-terms"], "solvers": ["random"],
         "data": [{"crs": "local", "points": [str(tmp_path / "*.csv")]}]})
     cells = compare.plan_cells(spec, folder, frozenset([(tmp_path / "study.csv").resolve()]))

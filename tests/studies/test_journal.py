@@ -19,13 +19,13 @@ import pytest
 
 import termsel
 from termsel import TermselError
-from termsel.core.files.lock import holder, lock_folder
+from termsel.core.files.lock import lock_folder, lock_holder
 from termsel.core.files.names import JOURNAL
 from termsel.studies.cells.cell import Cell
 from termsel.studies.cells.folder import PLAN
 from termsel.studies.cells.journal import CellRecord, Journal, read_journal
 from termsel.studies.cells.table import TIMES
-from termsel.studies.execution.executors import DIED, processes, serial
+from termsel.studies.execution.executors import DIED, run_in_processes, run_serially
 from termsel.studies.plan.data import Data
 
 Call = Callable[..., SimpleNamespace]
@@ -181,7 +181,7 @@ def test_a_second_process_is_refused_with_the_name_of_the_first(
         study: Path, call: Call, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert call("compare", study, "--out", out).exit_code == 0
-    assert holder(out) is None
+    assert lock_holder(out) is None
     with lock_folder(out):
         done = call("compare", study, "--out", out)
         status = call("compare", "--status", out)
@@ -215,7 +215,7 @@ def test_other_versions_are_refused(study: Path, call: Call, tmp_path: Path,
 
     out = tmp_path / "out"
     assert call("compare", study, "--out", out).exit_code == 0
-    monkeypatch.setattr(compare, "versions", lambda: {"termsel": "99"})
+    monkeypatch.setattr(compare, "package_versions", lambda: {"termsel": "99"})
     done = call("compare", study, "--out", out)
     assert done.exit_code == 2
     assert "(now 99)" in done.stderr
@@ -243,11 +243,11 @@ def test_a_cell_that_ends_its_process_fails_alone() -> None:
     features = {"data": termsel.prepare("poly-terms").features}
     good = [_cell(f"good{i}", seed=i) for i in range(4)]
     bad = _cell("bad", options=_Deadly())
-    found = {one.record.cell: one.record for one in processes(
+    found = {one.record.cell: one.record for one in run_in_processes(
         [*good[:2], bad, *good[2:]], features, lambda: False, 2)}
     assert set(found) == {"good0", "good1", "good2", "good3", "bad"}
     assert (found["bad"].state, found["bad"].reason) == ("failed", DIED)
-    alone = {one.record.cell: one.record for one in serial(good, features, lambda: False)}
+    alone = {one.record.cell: one.record for one in run_serially(good, features, lambda: False)}
     for key, record in alone.items():
         assert found[key].figures["fitness"] == record.figures["fitness"]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from termsel.core.isolation.parts import missing
+from termsel.core.isolation.parts import missing_package_error
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.simulate import simulate_scene
 from termsel.studies import outputs
@@ -50,8 +50,8 @@ def test_the_text_of_images_is_their_own(
         raise AssertionError("images are no searches")
 
     output = outputs.StudyOutput((), lambda study, out: (), of_searches, page)
-    monkeypatch.setattr(outputs, "parts", lambda slot: [output])
-    text = outputs.summary(Study(Spec(strategies=("auto",)), {}, {}, None))
+    monkeypatch.setattr(outputs, "values_of_slot", lambda slot: [output])
+    text = outputs.study_summary(Study(Spec(strategies=("auto",)), {}, {}, None))
     assert ("A page of all images comes with the package termsel-studies, which " in text) \
         == says_which_package
 
@@ -59,6 +59,6 @@ def test_the_text_of_images_is_their_own(
 def test_a_package_that_cannot_be_loaded_is_not_called_missing(
         monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("termsel.core.isolation.parts.distribution", lambda name: name)
-    error = missing("study", "the page of a study requires")
+    error = missing_package_error("study", "the page of a study requires")
     assert "termsel-studies, which is installed, but cannot be loaded" in str(error)
     assert "termsel plugins says why" in str(error)

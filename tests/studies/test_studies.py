@@ -353,13 +353,13 @@ def test_bad_calls_from_python_are_refused() -> None:
 @pytest.mark.slow
 def test_the_study_files_of_the_documentation_can_be_planned(tmp_path: Path) -> None:
     for name in solver_table.STUDIES:
-        cells = compare.plan_cells(*compare.asked(solver_table.HERE / f"{name}.toml", {}))
+        cells = compare.plan_cells(*compare.requested_study(solver_table.HERE / f"{name}.toml", {}))
         seeds = 1 if name == "solver-table-exact" else 10
         assert {cell.labels["seed"] for cell in cells} == set(range(1, seeds + 1))
     accuracy.draw(tmp_path, ["ikonos-hamedan"], [20], 1)
     for name in accuracy.STUDIES:
         shutil.copy(accuracy.HERE / f"{name}.toml", tmp_path)
-        cells = compare.plan_cells(*compare.asked(tmp_path / f"{name}.toml", {}))
+        cells = compare.plan_cells(*compare.requested_study(tmp_path / f"{name}.toml", {}))
         assert {cell.labels["strategy"] for cell in cells} == {"auto", "as-asked"}
         assert {accuracy.parts_of(cell.data.label) for cell in cells} == {("ikonos-hamedan", 20, 0)}
 

@@ -230,7 +230,7 @@ def test_a_chart_that_cannot_be_drawn_takes_no_table_along(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     study = termsel.compare(problems=["poly-terms"], solvers=["random", "swap"], seeds=2,
                             budget={"evaluations": 60}, options={"degree": 2}, out=tmp_path)
-    monkeypatch.setattr(pictures, "_helper", lambda: Helper("import os; os.abort()"))
+    monkeypatch.setattr(pictures, "_drawing_helper", lambda: Helper("import os; os.abort()"))
     written = write_outputs(study, tmp_path)
     assert {path.name for path in written} >= {"study.csv", "summary.md", "report.html", "ioh"}
     assert not list((tmp_path / "figures").iterdir())

@@ -12,21 +12,21 @@ from msgspec import structs
 from scipy import stats
 
 import termsel
-from termsel.adjustment.bayesian.posterior import PRIOR_SIZES, posterior
+from termsel.adjustment.bayesian.posterior import PRIOR_SIZES, solve_posterior
 from termsel.auto.auto import Auto
-from termsel.data.coordinates.metres import in_metres
+from termsel.data.coordinates.metres import offsets_in_metres
 from termsel.data.features import FeatureSet, Points
 from termsel.data.fit_data import FitData
-from termsel.data.monomials import graded_exponents, monomials
+from termsel.data.monomials import evaluate_monomials, graded_exponents
 from termsel.data.record.figures import InImage, OnGround, rmse_interval
-from termsel.data.scaling import scaling_of
+from termsel.data.scaling import make_scaling
 from termsel.fitting.accuracy import (
     accuracy_of,
-    asprs,
-    distances,
-    nssda,
-    predicted_by,
-    predicted_rmse,
+    asprs_rmse,
+    distance_figures,
+    nssda_accuracy,
+    predict_rmse,
+    predict_rmse_of_fit,
 )
 from termsel.fitting.residuals import freedom_of, rmse_of
 from termsel.fitting.uncertainty import _Belief, shared_variance
@@ -42,7 +42,7 @@ def _all_points(name: str = "irs1c-mashad", independent: int = 26, **changes: in
 
 def _errors(n: int, effective: float, rng: np.random.Generator) -> tuple[float, float, float]:
     """Return ends of an interval, and the RMSE of points to come, for independent errors."""
-    found = predicted_rmse(rng.standard_normal((n, 2)), effective, 15)
+    found = predict_rmse(rng.standard_normal((n, 2)), effective, 15)
     to_come = (rng.standard_normal((15, 2)) ** 2).sum(axis=1)
     return found.low, float(np.sqrt(to_come.mean())), found.high
 
@@ -59,7 +59,7 @@ def test_interval_is_wider_for_fewer_points_more_parameters_and_heavier_tails() 
 
     def width(errors: np.ndarray, effective: float, points: int,
               shared: float | None = None) -> float:
-        found = predicted_rmse(errors, effective, points, shared)
+        found = predict_rmse(errors, effective, points, shared)
         return found.high / found.low
 
     usual = width(errors, 12.0, 100)
@@ -74,18 +74,18 @@ def test_interval_is_wider_for_fewer_points_more_parameters_and_heavier_tails() 
 @pytest.mark.parametrize("effective", [60.0, 78.0, 79.9, 300.0])
 def test_interval_of_a_field_near_interpolation_holds_the_predicted_rmse(effective: float) -> None:
     errors = np.random.default_rng(2).standard_normal((40, 2))
-    before, found = predicted_rmse(errors, 40.0, 24), predicted_rmse(errors, effective, 24)
+    before, found = predict_rmse(errors, 40.0, 24), predict_rmse(errors, effective, 24)
     assert found.low < before.low < found.rmse < before.high < found.high
 
 
 def _scaled(features: FeatureSet) -> FeatureSet:
-    return scaling_of(features).features(features)
+    return make_scaling(features).features(features)
 
 
 def test_interval_without_parameters_is_that_of_normal_errors() -> None:
     """Those of 40 points have chi-squared distributed squares."""
     errors = np.ones((40, 2)) / np.sqrt(2)  # alike, so that normal ones are more spread
-    found = predicted_rmse(errors, 0.0, 0)
+    found = predict_rmse(errors, 0.0, 0)
     low, high = rmse_interval(1.0, 80)
     assert found.low == pytest.approx(low, rel=0.04)
     assert found.high == pytest.approx(high, rel=0.04)
@@ -94,7 +94,7 @@ def test_interval_without_parameters_is_that_of_normal_errors() -> None:
 def test_an_interval_that_nothing_bounds_ends_where_the_quantile_does() -> None:
     # The largest factor between prediction and upper end is exp(q^2 / 2).
     errors = np.random.default_rng(4).standard_normal((3, 2))
-    found = predicted_rmse(errors, 5.9, 1, shared=1e6)
+    found = predict_rmse(errors, 5.9, 1, shared=1e6)
     quantile = float(stats.t.ppf(0.95, 2.0))
     assert found.rmse == pytest.approx(np.sqrt((errors**2).sum(axis=1).mean()))
     assert found.high == pytest.approx(found.rmse * np.exp(quantile**2 / 2))
@@ -114,11 +114,11 @@ def test_what_places_have_in_common_falls_with_points_and_is_unknown_with_lines(
 def test_solutions_that_differ_in_their_errors_contest_each_other() -> None:
     """By the hat matrices of ridge regressions, one for each size of line and of sample."""
     rng = np.random.default_rng(0)
-    columns = monomials(np.column_stack([rng.uniform(-1, 1, (9, 2)), np.zeros(9)]),
-                        graded_exponents(2, 2))
+    columns = evaluate_monomials(
+        np.column_stack([rng.uniform(-1, 1, (9, 2)), np.zeros(9)]), graded_exponents(2, 2))
     image = columns @ rng.standard_normal((6, 2)) + 0.3 * rng.standard_normal((9, 2))
     weights, scales = rng.uniform(0.5, 2, (9, 2)), np.array([[1.0, 0.3, 2.0]])
-    found = posterior(columns, image, np.array([0, 1, 1, 2, 2, 2]), weights, scales, 9)
+    found = solve_posterior(columns, image, np.array([0, 1, 1, 2, 2, 2]), weights, scales, 9)
     assert found is not None
 
     def figures(axis: int, size: float) -> tuple[float, float]:
@@ -153,7 +153,7 @@ def test_interval_of_simulated_scenes_holds_the_independent_rmse() -> None:
         assert choice is not None
         assert errors is not None
         fitted = choice.chosen
-        found = predicted_by(fitted, errors, 100)
+        found = predict_rmse_of_fit(fitted, errors, 100)
         independent = fitted.rmse(points.take(order[12:]))
         assert independent is not None
         held += found.low <= independent.total <= found.high
@@ -207,7 +207,7 @@ def test_a_search_has_accuracy_and_no_prediction() -> None:
 def test_mean_errors_and_normality_are_those_of_scipy(n: int) -> None:
     rng = np.random.default_rng(3)
     errors = np.stack([rng.standard_normal(n) + 0.5, rng.standard_cauchy(n)], axis=1)
-    found = distances(InImage, errors)
+    found = distance_figures(InImage, errors)
     assert found.mean == pytest.approx(errors.mean(axis=0))
     assert found.normal == pytest.approx([stats.shapiro(column).pvalue for column in errors.T],
                                          rel=1e-4)
@@ -218,7 +218,7 @@ def test_mean_errors_and_normality_are_those_of_scipy(n: int) -> None:
 @pytest.mark.parametrize("errors", [np.random.default_rng(1).standard_normal((7, 2)),
                                     np.ones((20, 2)), np.zeros((20, 2))])
 def test_few_or_equal_errors_have_no_test_of_normality(errors: np.ndarray) -> None:
-    assert distances(InImage, errors).normal is None
+    assert distance_figures(InImage, errors).normal is None
 
 
 def test_the_summary_tells_a_mean_error_and_errors_that_are_not_normal() -> None:
@@ -239,7 +239,7 @@ def test_the_summary_tells_a_mean_error_and_errors_that_are_not_normal() -> None
 
 def test_figures_of_known_errors() -> None:
     errors = np.array([[3.0, 4.0]] + [[0.0, 1.0]] * 9)
-    found = distances(InImage, errors)
+    found = distance_figures(InImage, errors)
     assert found.n == 10
     assert found.line == pytest.approx(np.sqrt(0.9))
     assert found.sample == pytest.approx(np.sqrt(2.5))
@@ -263,16 +263,16 @@ def test_metres_of_degrees_of_feet_and_of_nothing() -> None:
     place = np.array([[59.6, 36.3, 1000.0]])
     azimuth, _, distance = geod.inv(59.6, 36.3, 59.601, 36.3005)
     expected = distance * np.array([np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))])
-    found = in_metres("EPSG:4979", place, np.array([[0.001, 0.0005]]))
+    found = offsets_in_metres("EPSG:4979", place, np.array([[0.001, 0.0005]]))
     assert found is not None
     np.testing.assert_allclose(found[0], expected, rtol=1e-4)
-    turned = in_metres("EPSG:4979", place, np.array([[0.001 - 360, 0.0005]]))
+    turned = offsets_in_metres("EPSG:4979", place, np.array([[0.001 - 360, 0.0005]]))
     np.testing.assert_allclose(turned, found, rtol=1e-6)
-    feet = in_metres("EPSG:2229", place, np.array([[1.0, 0.0]]))
+    feet = offsets_in_metres("EPSG:2229", place, np.array([[1.0, 0.0]]))
     assert feet is not None
     assert feet[0, 0] == pytest.approx(0.3048, rel=1e-4)
-    assert in_metres("local", place, np.array([[1.0, 0.0]])) is None
-    assert in_metres("EPSG:4978", place, np.array([[1.0, 0.0]])) is None
+    assert offsets_in_metres("local", place, np.array([[1.0, 0.0]])) is None
+    assert offsets_in_metres("EPSG:4978", place, np.array([[1.0, 0.0]])) is None
 
 
 def _of(x: float, y: float) -> OnGround:
@@ -280,13 +280,14 @@ def _of(x: float, y: float) -> OnGround:
 
 
 def test_standards_have_figures_only_where_their_rules_hold() -> None:
-    assert nssda(20, _of(2.0, 2.0)).value == pytest.approx(1.7308 * np.hypot(2.0, 2.0), rel=1e-4)
-    assert nssda(20, _of(1.5, 2.0)).value == pytest.approx(2.4477 * 1.75)
-    assert asprs(30, _of(1.5, 2.0)).value == pytest.approx(2.5)
-    for found, words in ((nssda(19, _of(2.0, 2.0)), "at least 20"),
-                         (asprs(29, _of(2.0, 2.0)), "at least 30"),
-                         (nssda(25, None), "metres"), (asprs(30, None), "metres"),
-                         (nssda(25, _of(1.0, 2.0)), "one axis is below 0.6")):
+    assert nssda_accuracy(
+        20, _of(2.0, 2.0)).value == pytest.approx(1.7308 * np.hypot(2.0, 2.0), rel=1e-4)
+    assert nssda_accuracy(20, _of(1.5, 2.0)).value == pytest.approx(2.4477 * 1.75)
+    assert asprs_rmse(30, _of(1.5, 2.0)).value == pytest.approx(2.5)
+    for found, words in ((nssda_accuracy(19, _of(2.0, 2.0)), "at least 20"),
+                         (asprs_rmse(29, _of(2.0, 2.0)), "at least 30"),
+                         (nssda_accuracy(25, None), "metres"), (asprs_rmse(30, None), "metres"),
+                         (nssda_accuracy(25, _of(1.0, 2.0)), "one axis is below 0.6")):
         assert found.value is None
         assert words in (found.reason or "")
 

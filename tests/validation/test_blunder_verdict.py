@@ -10,9 +10,9 @@ import pytest
 
 import termsel
 from termsel.auto.auto import Auto
-from termsel.data.features import FeatureSet, no_lines
-from termsel.data.roles import by_roles
-from termsel.results.repeat import command
+from termsel.data.features import FeatureSet, empty_lines
+from termsel.data.roles import observations_by_role
+from termsel.results.repeat import repeating_command
 from termsel.runs.verdict import judge_features, judge_independent
 
 ROLES = ("control", "check", "independent")
@@ -80,7 +80,7 @@ def test_what_was_tested_before_is_not_tested_again(problem: str) -> None:
     result = termsel.run(problem, features=features, **how)
     assert {one.role for one in result.outliers} == {"independent"}
     assert features.points.ids[0] in {one.id for one in result.residuals}
-    assert "--set tested=true" in command(result)
+    assert "--set tested=true" in repeating_command(result)
     clean = termsel.run(problem, features=scene({}), **how)
     assert "Outliers  tested in an earlier run, not in this one" in clean.summary()
     assert "Outliers were tested in an earlier run, not here." in clean.summary(verbose=True)
@@ -89,14 +89,14 @@ def test_what_was_tested_before_is_not_tested_again(problem: str) -> None:
 def test_six_control_points_and_others_tell_an_independent_blunder() -> None:
     points = scene({"independent": 60.0}).points
     roles = tuple("control" if i % 10 == 0 else "independent" for i in range(60))
-    features = FeatureSet(replace(points, roles=roles), no_lines(), "EPSG:4979")
+    features = FeatureSet(replace(points, roles=roles), empty_lines(), "EPSG:4979")
     result = termsel.run("rfm-terms", features=features, strategy="auto")
     assert [(one.id, one.role) for one in result.outliers] == [(points.ids[2], "independent")]
 
 
 def test_six_points_name_nothing() -> None:
     points = scene({}).points.take(np.arange(6) * 9)
-    few = FeatureSet(replace(points, roles=("control",) * 6), no_lines(), "EPSG:4979")
+    few = FeatureSet(replace(points, roles=("control",) * 6), empty_lines(), "EPSG:4979")
     assert termsel.run("rfm-terms", features=few).outliers == ()
 
 
@@ -104,7 +104,7 @@ def test_six_points_name_nothing() -> None:
 def test_clean_scenes_have_no_blunders() -> None:
     named = 0
     for seed in range(10):
-        observations = by_roles(scene({}, 27, seed))
+        observations = observations_by_role(scene({}, 27, seed))
         verdict = judge_features(observations, Auto())
         mine, _ = judge_independent(observations, Auto().choose(observations.pool))
         named += bool(verdict.blunders or mine.outliers)

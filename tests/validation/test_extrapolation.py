@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial import ConvexHull
 
 import termsel
-from termsel.data.coordinates.places import beyond, hull
+from termsel.data.coordinates.places import convex_hull, distance_beyond_hull
 from termsel.data.features import FeatureSet, Points
-from termsel.data.scaling import scaling_of
+from termsel.data.scaling import make_scaling
 from termsel.fitting.least_squares import fit
 from termsel.models.polynomial import Polynomial2D
 from termsel.runs.data_notes import uncertain_corners
@@ -22,12 +22,12 @@ SQUARE = np.array([(0.0, 0.0), (0.0, 10.0), (10.0, 0.0), (10.0, 10.0), (5.0, 5.0
 
 def test_distances_from_a_square() -> None:
     places = np.array([(5.0, 5.0), (10.0, 3.0), (15.0, 5.0), (-2.0, 20.0)])
-    np.testing.assert_allclose(beyond(SQUARE, places), [0, 0, 0.5, 1.0], atol=1e-12)
+    np.testing.assert_allclose(distance_beyond_hull(SQUARE, places), [0, 0, 0.5, 1.0], atol=1e-12)
 
 
 def test_control_without_a_hull_reaches_nothing() -> None:
-    assert np.isinf(beyond(np.arange(6.0).reshape(3, 2), SQUARE)).all()
-    assert np.isinf(beyond(SQUARE[:2], SQUARE)).all()
+    assert np.isinf(distance_beyond_hull(np.arange(6.0).reshape(3, 2), SQUARE)).all()
+    assert np.isinf(distance_beyond_hull(SQUARE[:2], SQUARE)).all()
 
 
 @pytest.mark.parametrize("start", [(500000.1, 5500000.3), (51.25, 35.7)])
@@ -37,14 +37,14 @@ def test_places_on_one_oblique_line_have_no_hull(start: tuple[float, float]) -> 
         rng = np.random.default_rng(seed)
         along = rng.uniform(0, 1000 if start[0] > 1e3 else 0.01, 6)
         line = np.array(start) + along[:, None] * rng.uniform(-2, 2, 2)
-        assert hull(line) == []
+        assert convex_hull(line) == []
 
 
 @pytest.mark.parametrize("n", [3, 10, 1000])
 def test_a_hull_is_that_of_scipy(n: int) -> None:
     places = np.random.default_rng(n).random((n, 2)) * [3.0, 1000.0] + 4e6
     corners = ConvexHull(places).vertices.tolist()
-    found = hull(np.concatenate([places, places.mean(axis=0)[None], places[corners[:2]]]))
+    found = convex_hull(np.concatenate([places, places.mean(axis=0)[None], places[corners[:2]]]))
     assert sorted(map(tuple, np.concatenate([places, [[0, 0]], places[corners[:2]]])[found])) \
         == sorted(map(tuple, places[corners]))
 
@@ -67,11 +67,11 @@ def test_corners_where_the_model_is_uncertain_are_said() -> None:
                     np.column_stack([xy * 0.5, np.zeros(24)]) + np.array([4e5, 5e6, 0.0]))
     inner, whole = (FeatureSet(points, crs="EPSG:32633", image_size=size)
                     for size in ((720, 720), (1000, 1000)))
-    [said] = uncertain_corners(fit(Polynomial2D(degree=3), whole, scaling_of(whole)), 0.8)
+    [said] = uncertain_corners(fit(Polynomial2D(degree=3), whole, make_scaling(whole)), 0.8)
     assert "px at the corners of the image" in said
     assert "times the RMSE, which holds within the control" in said
     # A model of few terms goes on as far as it was measured.
-    affine = fit(Polynomial2D(degree=1), inner, scaling_of(inner))
+    affine = fit(Polynomial2D(degree=1), inner, make_scaling(inner))
     assert list(uncertain_corners(affine, 0.8)) == []
 
 

@@ -10,8 +10,8 @@ import pytest
 
 import termsel
 from termsel.data.features import FeatureSet, FloatArray, Lines, Points
-from termsel.data.fit_data import FitData, off_plane, with_usual_heights
-from termsel.fitting.accuracy import predicted_by
+from termsel.data.fit_data import FitData, distance_off_plane, with_usual_heights
+from termsel.fitting.accuracy import predict_rmse_of_fit
 from termsel.simulate import pushbroom_at
 
 OTHERS = 60
@@ -123,9 +123,10 @@ def test_places_like_the_control_change_nothing() -> None:
     assert with_usual_heights(control, ground) is ground
     found = termsel.fit(control.features, "regularised-quadratic")
     errors = np.random.default_rng(0).standard_normal((20, 2))
-    assert predicted_by(found, errors, 40, ground) == predicted_by(found, errors, 40)
+    assert predict_rmse_of_fit(found, errors, 40, ground) == predict_rmse_of_fit(found, errors, 40)
     higher = ground + np.array([0.0, 0.0, 3000.0])
-    assert predicted_by(found, errors, 40, higher).rmse > predicted_by(found, errors, 40).rmse
+    assert predict_rmse_of_fit(
+        found, errors, 40, higher).rmse > predict_rmse_of_fit(found, errors, 40).rmse
     usual = with_usual_heights(control, higher)
     np.testing.assert_allclose(usual[:, :2], ground[:, :2])
     assert usual[:, 2].max() < higher[:, 2].min() - 1000.0
@@ -167,7 +168,7 @@ def test_heights_in_feet_do_what_they_do_in_metres() -> None:
         crs = f"EPSG:32618+{vertical}"
         control = FitData.of(FeatureSet(Points(
             points.ids[:12], points.image[:12], ground[:12]), crs=crs))
-        effects.append(off_plane(control, ground)[1])
+        effects.append(distance_off_plane(control, ground)[1])
         found = termsel.run("poly-terms", model="affine", solver="all-terms", criterion="press",
                             features=FeatureSet(replace(points, ground=ground), crs=crs))
         notes.append([note for note in found.notes if " m a" in note])

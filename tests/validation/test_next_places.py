@@ -11,9 +11,9 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
-from termsel.data.features import FeatureSet, FloatArray, Points, no_points
+from termsel.data.features import FeatureSet, FloatArray, Points, empty_points
 from termsel.fitting.fit import Fit
-from termsel.fitting.next_places import MIN_DISTANCE, covariances, rank_places
+from termsel.fitting.next_places import MIN_DISTANCE, error_covariances, rank_places
 from termsel.fitting.scene import scene_grid
 from termsel.io.plan import GRID, plan
 from termsel.simulate import scene_truth, simulate_scene
@@ -64,7 +64,7 @@ def test_greedy_choice_is_the_best_by_brute_force() -> None:
     fitted = _fit(points.take(np.arange(12)))
     candidates, scene = points.ground[12:24], points.ground[24:]
     found = rank_places(fitted, candidates, scene, 3, min_distance=0.0)
-    both = covariances(fitted, np.concatenate([candidates, scene]))
+    both = error_covariances(fitted, np.concatenate([candidates, scene]))
     assert both is not None
     assert both.factors is not None
 
@@ -91,7 +91,7 @@ def test_greedy_choice_is_the_best_by_brute_force() -> None:
 
 def test_a_model_of_lines_plans_by_its_own_adjustment() -> None:
     scene = simulate_scene("ikonos-hamedan", wrong_lines=0)
-    fitted = termsel.fit(scene.with_(points=no_points()), "affine")
+    fitted = termsel.fit(scene.with_(points=empty_points()), "affine")
     found = rank_places(fitted, scene.points.ground[:20], scene.points.ground, 3)
     assert len(set(found.order.tolist())) == 3
     assert (np.diff([found.sigma_before, *found.sigma]) < 0).all()

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from termsel.auto.contradictions import Suspects
-from termsel.data.features import FeatureSet, FloatArray, Lines, Points, no_lines
-from termsel.data.roles import Observations, by_roles
-from termsel.data.scaling import scaling_of
+from termsel.data.features import FeatureSet, FloatArray, Lines, Points, empty_lines
+from termsel.data.roles import Observations, observations_by_role
+from termsel.data.scaling import make_scaling
 from termsel.fitting.extrapolation import warnings_of
 from termsel.fitting.figures import PARALLEL, orientation_spread
 from termsel.fitting.fit import Fit
@@ -64,16 +64,16 @@ def lines(directions: FloatArray) -> Lines:
 def observed(*, check: float = 1.0, independent: float = 1.0, n_control: int = 25) -> Observations:
     """Exact control, check and independent points with constant errors [px]."""
     middle = GRID[[6, 7, 8, 11, 12, 13]]
-    return by_roles(FeatureSet(joined(points("C", "control", GRID[:n_control]),
-                                      points("K", "check", middle, check),
-                                      points("I", "independent", middle, independent))))
+    return observations_by_role(FeatureSet(joined(points("C", "control", GRID[:n_control]),
+                                                  points("K", "check", middle, check),
+                                                  points("I", "independent", middle, independent))))
 
 
 def fitted(observations: Observations, model: SensorModel | None = None,
            used: np.ndarray | None = None) -> Fit:
     control = observations.control
     model = model or Affine()
-    return LEAST_SQUARES.fit(model, control, scaling_of(control),
+    return LEAST_SQUARES.fit(model, control, make_scaling(control),
                              np.ones(len(model.terms), dtype=bool),
                              np.ones(len(control), dtype=bool) if used is None else used)
 
@@ -153,7 +153,7 @@ def curved(noise: float) -> Observations:
     end = start + rng.uniform(-0.3, 0.3, (40, 3))
     image = np.stack([seen(start), seen(end)], axis=1) + rng.normal(0, noise, (40, 2, 2))
     ground = rng.uniform(-1, 1, (20, 3))
-    return by_roles(FeatureSet(
+    return observations_by_role(FeatureSet(
         Points(tuple(f"P{i}" for i in range(20)), seen(ground), ground, None, ("check",) * 20),
         Lines(tuple(f"L{i}" for i in range(40)), image, np.stack([start, end], axis=1))))
 
@@ -190,7 +190,7 @@ def of_lines(directions: FloatArray, off: int = 0, control: int = 0) -> Observat
     parts = [points("K", "check", GRID[[6, 7, 8, 11, 12, 13]], 1.0)]
     parts += [points("O", "off", GRID[:off])] * bool(off)
     parts += [points("C", "control", GRID[-control:])] * bool(control)
-    return by_roles(FeatureSet(joined(*parts), lines(directions)))
+    return observations_by_role(FeatureSet(joined(*parts), lines(directions)))
 
 
 WIDE = np.linspace(0, np.pi, 25, endpoint=False)
@@ -208,8 +208,8 @@ def test_points_that_stay_out_where_lines_are_the_control(off: int, text: list[s
 
 
 def test_points_that_are_off_are_not_named_where_points_are_the_control() -> None:
-    observations = by_roles(FeatureSet(joined(points("C", "control", GRID),
-                                              points("O", "off", GRID[:4]))))
+    observations = observations_by_role(
+        FeatureSet(joined(points("C", "control", GRID), points("O", "off", GRID[:4]))))
     assert notes(observations, criterion=Press()) == []
 
 
@@ -333,7 +333,7 @@ def limits(n: int, scale: float = 1.0) -> list[str]:
     points = at(np.random.default_rng(0).uniform(0, 10, (n, 3)))
     none = np.zeros(n, dtype=bool)
     found = Suspects(none, none, none, 10.0 + np.arange(n), scale * (1.0 + np.arange(n)))
-    return list(verdict._limits(FeatureSet(points), found))
+    return list(verdict._limits_of_detection(FeatureSet(points), found))
 
 
 def test_few_points_are_told_what_cannot_be_found() -> None:
@@ -348,7 +348,7 @@ def test_few_points_are_told_what_cannot_be_found() -> None:
 def of_auto(model: SensorModel, errors: FloatArray | None, *, flat: bool = False) -> list[str]:
     ground = np.random.default_rng(0).uniform(0, 10, (30, 3)) * [1, 1, not flat]
     roles = ("control", "check") * 15
-    return auto._notes(model, by_roles(FeatureSet(Points(
+    return auto._notes_on_choice(model, observations_by_role(FeatureSet(Points(
         tuple(f"P{i}" for i in range(30)), imaged(ground), ground, None, roles))), errors,
         plane=False, determined=False, has_geometry=False)
 
@@ -370,7 +370,8 @@ def test_an_image_far_beyond_all_points_is_a_note_of_a_choice() -> None:
     ground = np.random.default_rng(0).uniform(0, 10, (30, 3))
     of_points = Points(tuple(f"P{i}" for i in range(30)), imaged(ground), ground, None,
                        ("control", "check") * 15)
-    features = FeatureSet(of_points, no_lines(), "local", (900, 9000))
-    assert auto._notes(Affine(), by_roles(features), np.zeros((30, 2)), plane=False,
-                       determined=False, has_geometry=False) == [
+    features = FeatureSet(of_points, empty_lines(), "local", (900, 9000))
+    assert auto._notes_on_choice(Affine(), observations_by_role(features), np.zeros((30, 2)),
+                                 plane=False,
+                                 determined=False, has_geometry=False) == [
         OUTSIDE.format("2 of 4 corners of the image lie")]

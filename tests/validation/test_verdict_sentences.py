@@ -6,7 +6,7 @@ import pytest
 
 import termsel
 from termsel.auto.methods import named
-from termsel.core.errors import counted
+from termsel.core.errors import count_in_words
 from termsel.data.record.figures import Rmse
 from termsel.fitting.figures import Baseline
 from termsel.fitting.method import Method
@@ -202,7 +202,7 @@ def test_the_conventional_fit_is_named_by_what_could_be_selected(
 
 @pytest.mark.parametrize(("number", "text"), [(0, "0 lines"), (1, "1 line"), (2, "2 lines")])
 def test_a_number_and_its_noun(number: int, text: str) -> None:
-    assert counted(number, "line") == text
+    assert count_in_words(number, "line") == text
 
 
 def test_without_many_check_points_both_models_are_compared_in_leave_one_out() -> None:

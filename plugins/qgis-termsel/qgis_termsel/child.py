@@ -33,7 +33,7 @@ def own_environment():
     return Path(QgsApplication.qgisSettingsDirPath()) / "termsel-environment"
 
 
-def executable():
+def find_termsel_command():
     """Return the command termsel: of the settings, of the own environment, or on PATH.
 
     Raises
@@ -88,7 +88,7 @@ def run(arguments, feedback, program=None, show=False):
     QgsProcessingException
         With the message of the command, if it fails or is cancelled.
     """
-    command = [program or executable(), *map(str, arguments)]
+    command = [program or find_termsel_command(), *map(str, arguments)]
     feedback.pushCommandInfo(" ".join(command))
     # A group of its own, so that cancelling ends the processes that the command began, too.
     options = ({"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
@@ -112,7 +112,7 @@ def run(arguments, feedback, program=None, show=False):
     # Readers may still have lines when the process has ended.
     while process.poll() is None or any(reader.is_alive() for reader in readers):
         if feedback.isCanceled():
-            _end(process)
+            _end_process_tree(process)
             _remove_leftovers(process.pid, command)
             raise QgsProcessingException("Cancelled; nothing was written.")
         _forward_messages(messages, feedback, lines)
@@ -171,7 +171,7 @@ def _remove_leftovers(number, command):
             shutil.rmtree(leftover, ignore_errors=True)
 
 
-def _end(process):
+def _end_process_tree(process):
     """End a process and those that it began: by Ctrl-C, and by force if that takes too long."""
     if _WINDOWS:
         taskkill = Path(os.environ["SYSTEMROOT"]) / "System32" / "taskkill.exe"

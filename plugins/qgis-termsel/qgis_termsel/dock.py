@@ -25,7 +25,7 @@ from qgis.PyQt.QtWidgets import (
     QWidget,
 )
 
-from .algorithms.base import scratch
+from .algorithms.base import scratch_folder
 from .algorithms.georeference import inputs_of, model_named
 from .child import run
 from .layers import add_blunders, blunder_style, read_inside
@@ -111,7 +111,7 @@ class ResultDock(QDockWidget):
 
         QGIS would open a file of the folder, which may be a stranger's, with all its drivers.
         """
-        file = Path(scratch() + ".gpkg")
+        file = Path(scratch_folder() + ".gpkg")
         try:
             self.map_tool.crs, self.map_tool.places = places_of(self.folder, record)
             run(["export", self.folder, "--to", "residuals-gpkg", "-o", file],

@@ -27,7 +27,7 @@ KNOWN = {
 _UNIT = re.compile(r"\s*[\[({<【].*$|[\s_.-]+(px|pix|pixels?|m|deg|degrees?|dms|wgs84|utm)$")
 
 
-def folded(name):
+def fold_name(name):
     """Return a name in small letters, without accents, spaces and signs."""
     letters = unicodedata.normalize("NFKD", name.casefold().replace("ł", "l"))
     without_accents = "".join(sign for sign in letters if not unicodedata.combining(sign))
@@ -42,6 +42,6 @@ def field_of(meaning, fields):
     forms = {}
     for name in fields:
         normal = unicodedata.normalize("NFKC", name.strip().casefold())
-        forms.setdefault(folded(normal), name)
-        forms.setdefault(folded(_UNIT.sub("", normal)), name)
+        forms.setdefault(fold_name(normal), name)
+        forms.setdefault(fold_name(_UNIT.sub("", normal)), name)
     return next((forms[known] for known in KNOWN[meaning].split() if known in forms), None)

@@ -40,14 +40,14 @@ def points_csv(source, fields):
     QgsProcessingException
         If there are no fields of line and sample, or no CRS.
     """
-    names = {meaning: _field(source, meaning, fields.get(meaning)) for meaning in KNOWN}
+    names = {meaning: _find_field(source, meaning, fields.get(meaning)) for meaning in KNOWN}
     for meaning in ("line", "sample"):
         if names[meaning] is None:
             raise QgsProcessingException(
                 f"The layer of points has no field that is known as {meaning}. State which it is; "
                 f"its fields are {', '.join(field.name() for field in source.fields())}.")
     path = QgsProcessingUtils.generateTempFilename("points.csv")
-    rows = [_row(feature, names, number)
+    rows = [_point_cells(feature, names, number)
             for number, feature in enumerate(source.getFeatures(), 1)]
     write_table(path, [["id", "role", "line", "sample", "x", "y", "z"], *rows])
     return path, crs_text(source.sourceCrs())
@@ -60,14 +60,14 @@ _FORMULA = re.compile(r"'*\s*[=+\-@\uff1d\uff0b\uff0d\uff20\ufe62\ufe63\ufe66\uf
 def write_table(path, rows):
     """Write rows as CSV, with an apostrophe before texts that a spreadsheet would run.
 
-    `unguarded`, and termsel, take it off again.
+    `unguard_formula`, and termsel, take it off again.
     """
     with open(path, "w", newline="", encoding="utf-8") as opened:
         csv.writer(opened, lineterminator="\n").writerows(
-            [[_guarded(cell) for cell in row] for row in rows])
+            [[_guard_formula(cell) for cell in row] for row in rows])
 
 
-def _guarded(cell):
+def _guard_formula(cell):
     """Return a cell with an apostrophe before what a spreadsheet would run as a formula.
 
     Numbers, and what is no text, stay.
@@ -81,12 +81,12 @@ def _guarded(cell):
     return cell
 
 
-def unguarded(text):
+def unguard_formula(text):
     """Return a cell without the apostrophe that `write_table` puts before a formula."""
     return text[1:] if text[:1] == "'" and _FORMULA.match(text) else text
 
 
-def _field(source, meaning, stated):
+def _find_field(source, meaning, stated):
     """Return the field that the user stated, or else the one with a usual name.
 
     None if none has it.
@@ -96,7 +96,7 @@ def _field(source, meaning, stated):
     return field_of(meaning, [field.name() for field in source.fields()])
 
 
-def _row(feature, names, number):
+def _point_cells(feature, names, number):
     """Return the cells of a point.
 
     Raises
@@ -255,7 +255,7 @@ def add_blunders(folder, record, target):
     features = []
     for row in csv.DictReader(line for line in io.StringIO(text) if not line.startswith("#")):
         # Only points: a blunder among lines has no place of its own.
-        name = unguarded(row["id"])
+        name = unguard_formula(row["id"])
         if name in errors:
             feature = QgsFeature(layer.fields())
             feature.setAttributes([name, errors[name]])

@@ -10,7 +10,7 @@ from qgis.core import (
 )
 from qgis.gui import QgsMapToolEmitPoint
 
-from .layers import read_inside, stated_crs, unguarded
+from .layers import read_inside, stated_crs, unguard_formula
 
 CLICK_PX = 15
 """Pixels of the screen within which a click finds a point."""
@@ -28,7 +28,8 @@ def places_of(folder, record):
     """
     text = read_inside(folder, "points.csv")
     rows = csv.DictReader(line for line in io.StringIO(text) if not line.startswith("#"))
-    places = {unguarded(row["id"]): QgsPointXY(float(row["x"]), float(row["y"])) for row in rows}
+    places = {unguard_formula(row["id"]): QgsPointXY(float(row["x"]), float(row["y"]))
+              for row in rows}
     return stated_crs(record["data"].get("crs", "")), places
 
 

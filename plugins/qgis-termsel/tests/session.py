@@ -392,10 +392,10 @@ def setup():
     feedback = Told()
     told["setup"] = run("setup", feedback, PACKAGES=f"'{wheel}'")
     told["setup said"] = feedback.said
-    told["found"] = child.executable()
+    told["found"] = child.find_termsel_command()
     QgsSettings().remove(child.SETTING)
     stated = os.environ.pop("TERMSEL_EXECUTABLE")
-    told["found without setting"] = child.executable()
+    told["found without setting"] = child.find_termsel_command()
     os.environ["TERMSEL_EXECUTABLE"] = stated
     told["stated"] = run("setup", ENVIRONMENT=str(environment), PACKAGES="")
     told["no environment"] = run("setup", ENVIRONMENT=str(folder))

@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from termsel import TermselError
 from termsel_app.matching import refined_place
 from termsel_app.prediction import Prediction
-from termsel_app.quality import Question, judged
+from termsel_app.quality import Question, judge_control
 from termsel_app.session import Files, Session, open_session
 
 pytest.importorskip("termsel_match")
@@ -44,8 +44,8 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
         for line, sample in ((60, 60), (70, 430), (420, 80), (430, 440), (250, 250)):
             begun.put({"image": [float(line), float(sample)], "map": place(line, sample)})
         begun.asked = begun.version
-        for answer in judged(Question(begun.version, begun.control.features("EPSG:25832"),
-                                      begun.size)):
+        for answer in judge_control(
+                Question(begun.version, begun.control.features("EPSG:25832"), begun.size)):
             begun.keep_answer(answer)
             if begun.prediction is not None:
                 break
@@ -103,7 +103,7 @@ def test_three_points_predict_with_an_uncertainty(session: Session, tmp_path: Pa
         for line, sample in ((60, 60), (70, 430), (420, 80)):
             begun.put({"image": [float(line), sample + 0.5], "map": place(line, sample)})
         begun.asked = begun.version
-        begun.keep_answer(next(iter(judged(Question(
+        begun.keep_answer(next(iter(judge_control(Question(
             begun.version, begun.control.features("EPSG:25832"), begun.size)))))
         there = begun.predict(image=[300.0, 300.0])
     assert there is not None

@@ -18,7 +18,7 @@ import pytest
 import termsel
 from termsel import TermselError
 from termsel_app.outputs import OUTPUTS, command_line, save
-from termsel_app.quality import Question, chosen_lines, judged
+from termsel_app.quality import Question, judge_control, split_lines_by_owdis
 from termsel_app.session import Files, open_session
 
 TIMES = frozenset(("seconds", "checksums"))
@@ -84,22 +84,23 @@ def test_the_result_is_that_of_the_command_line_file_by_file(scene: Path, tmp_pa
 def test_of_lines_the_choice_of_owdis_is_told(scene: Path) -> None:
     features = termsel.read(lines=scene / "lines.csv")
     few = features.with_(lines=features.lines.take(np.arange(12)))
-    answer = chosen_lines(few)
+    answer = split_lines_by_owdis(few)
     expected = termsel.run("owdis-lines", features=few, criterion="press", strategy="as-asked")
     assert answer["chosen"] == list(expected.selection.features)
     assert f"OWDIS uses {len(answer['chosen'])} of 12 lines" in answer["text"]
     flat = few.with_(lines=termsel.Lines(few.lines.ids, few.lines.image, np.concatenate(
         [few.lines.ground[..., :2], np.full((12, 2, 1), np.nan)], axis=2)))
-    assert chosen_lines(flat)["text"].startswith("OWDIS ")
+    assert split_lines_by_owdis(flat)["text"].startswith("OWDIS ")
 
 
 def test_lines_are_chosen_from_six_on(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def stages(count: int) -> list[str]:
         lines = features.with_(lines=features.lines.take(np.arange(count)))
-        return [str(answer["stage"]) for answer in judged(Question(1, lines, None))]
+        return [str(answer["stage"]) for answer in judge_control(Question(1, lines, None))]
 
     features = termsel.read(lines=scene / "lines.csv")
-    monkeypatch.setattr("termsel_app.quality.chosen_lines", lambda _: {"chosen": None, "text": ""})
+    monkeypatch.setattr("termsel_app.quality.split_lines_by_owdis",
+                        lambda _: {"chosen": None, "text": ""})
     assert "lines" not in stages(5)
     assert "lines" in stages(8)
 

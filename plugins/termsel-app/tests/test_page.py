@@ -24,8 +24,8 @@ import pytest
 import rasterio
 
 import termsel
-from termsel_app.quality import accuracy
-from termsel_app.rasters import png
+from termsel_app.quality import shown_accuracy
+from termsel_app.rasters import encode_png
 
 REQUIRED = os.environ.get("TERMSEL_BROWSER") == "required"
 """Whether the browser was installed for these tests, so that none may skip."""
@@ -393,7 +393,7 @@ def test_the_result_that_is_saved_has_the_figures_of_the_page(
     shown = measured.text("accuracy")
     measured.save("Result folder")
     result = termsel.read_result(example / "measured" / "result")
-    figure = accuracy(result)
+    figure = shown_accuracy(result)
     assert figure is not None
     assert shown.split()[0] == f"{figure['px'][0]:.3g}"
     measured.silent()
@@ -552,7 +552,7 @@ def pictures(asked: list[str]) -> Iterator[str]:
                 "protocol": "http://iiif.io/api/image", "width": 2000, "height": 1000,
                 "profile": ["http://iiif.io/api/image/2/level2.json"],
                 "tiles": [{"width": 256, "scaleFactors": [1, 2, 4, 8]}]}).encode() if info
-                else png(np.full((256, 256, 4), 200, dtype=np.uint8)))
+                else encode_png(np.full((256, 256, 4), 200, dtype=np.uint8)))
 
         def log_message(self, *_: Any) -> None:
             """Say nothing."""

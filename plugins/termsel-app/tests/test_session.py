@@ -301,7 +301,7 @@ def test_the_journal_is_lines_of_json_with_the_files_first(
 
 
 def test_control_is_written_as_termsel_reads_it(scan: Path, ortho: Path, tmp_path: Path) -> None:
-    from termsel_app.quality import written
+    from termsel_app.quality import write_control_tables
 
     with session_of(tmp_path / "out", str(scan), (str(ortho),)) as session:
         rng = np.random.default_rng(3)
@@ -312,7 +312,7 @@ def test_control_is_written_as_termsel_reads_it(scan: Path, ortho: Path, tmp_pat
         line = session.put({"kind": "line", "image": [[1.0, 1.0], [9.0, 9.0]]})
         session.put({"id": line, "map": [[500001.0, 5199999.0], [500019.0, 5199980.0]]})
         features = session.control.features(session.places.crs)
-        names = written(features, tmp_path)
+        names = write_control_tables(features, tmp_path)
         again = termsel.read(names["points"], names["lines"])
     assert again.points.ids == features.points.ids == ("P01", "P02", "P03", "P04", "P05")
     np.testing.assert_array_equal(again.points.image, features.points.image)

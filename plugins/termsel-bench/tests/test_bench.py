@@ -21,13 +21,13 @@ from termsel import TermselError, simulate_scene
 from termsel.testing import invoke
 from termsel_bench.methods.base import AUTO, PEERS, Method
 from termsel_bench.methods.scripts import Cubic
-from termsel_bench.protocol import Score, Work, score
+from termsel_bench.protocol import Score, Work, score_work
 from termsel_bench.scenes import catalogue
 from termsel_bench.scenes.base import INDEPENDENT, BenchSet
 from termsel_bench.scenes.catalogue import QUICK, SETS, simulated_set
 from termsel_bench.scenes.real import real_set
 from termsel_bench.submitted import read_submitted
-from termsel_bench.tables import best_of, losses, ratio
+from termsel_bench.tables import least_error_by_set, losses, ratio_to_best
 
 MINE = """
 import numpy as np
@@ -137,14 +137,14 @@ def test_written_files_are_those_of_the_metadata_and_are_read(tmp_path: Path) ->
 
 
 def test_metadata_name_each_file_once() -> None:
-    names = list(catalogue.checksums())
+    names = list(catalogue.frozen_checksums())
     assert len(names) == len(set(names)) == 40 + 4 + 4  # points, lines and RPCs
     means = json.loads(Path(catalogue.__file__).parents[1].joinpath(catalogue.MEANS).read_text())
     assert list(means) == names
 
 
 def test_a_score_is_the_rmse_of_independent_points(package: str) -> None:
-    found = score(Work(Method("package", package), "steady-3"))
+    found = score_work(Work(Method("package", package), "steady-3"))
     one = simulated_set("steady-3")
     at = one.features.points.ground
     middle = at.mean(axis=0)
@@ -157,7 +157,7 @@ def test_a_score_is_the_rmse_of_independent_points(package: str) -> None:
 
 
 def test_an_affine_package_is_the_affine_model(package: str) -> None:
-    model, mine = (score(Work(method, "steady-3")) for method in (
+    model, mine = (score_work(Work(method, "steady-3")) for method in (
         Method("model", "affine"), Method("package", f"{package}:georeference")))
     assert mine.rmse == pytest.approx(model.rmse, rel=1e-6)
 
@@ -166,7 +166,7 @@ def test_an_affine_package_is_the_affine_model(package: str) -> None:
     ("broken", "failed in georeference"), ("nowhere", "no position for 1000 of 1000 places"),
     ("short", "positions of the shape (3, 2)")])
 def test_a_faulty_package_has_no_result(package: str, function: str, why: str) -> None:
-    found = score(Work(Method("package", f"{package}:{function}"), "frame-1"))
+    found = score_work(Work(Method("package", f"{package}:{function}"), "frame-1"))
     assert np.isinf(found.rmse)
     assert why in found.why
 
@@ -179,10 +179,10 @@ def test_peers_do_what_they_say(peer: str) -> None:
     modules = {"gdal-polynomial": "rasterio", "gdal-tps": "rasterio", "ransac": "sklearn",
                "scikit-learn": "sklearn", "orthority": "orthority", "opencv": "cv2"}
     pytest.importorskip(modules.get(peer, "numpy"))
-    found = score(Work(Method("peer", peer), name))
+    found = score_work(Work(Method("peer", peer), name))
     assert not found.why
     assert found.rmse < 20
-    assert found.rmse == score(Work(Method("peer", peer), name)).rmse
+    assert found.rmse == score_work(Work(Method("peer", peer), name)).rmse
 
 
 def test_a_spline_of_gdal_is_exact_at_its_points() -> None:
@@ -212,8 +212,8 @@ def test_losses_and_ratios() -> None:
     other = Method("model", "affine")
     found = [one(AUTO, "a", 2.0), one(other, "a", 1.0), one(AUTO, "b", 1.0),
              one(other, "b", float("inf")), one(AUTO, "c", 1.01), one(other, "c", 1.0)]
-    best = best_of(found)
-    assert [ratio(row, best) for row in found[:4]] == [2.0, 1.0, 1.0, float("inf")]
+    best = least_error_by_set(found)
+    assert [ratio_to_best(row, best) for row in found[:4]] == [2.0, 1.0, 1.0, float("inf")]
     lost = losses(found, "auto")
     assert [(mine.set_name, rival.method) for mine, rival in lost] == [("a", other)]
 
@@ -254,7 +254,8 @@ def test_bad_files_of_results_are_refused(
         tmp_path: Path, change: Callable[[dict[str, Any]], None], message: str) -> None:
     said = {"schema": "termsel-bench-1",
             "method": {"kind": "model", "name": "affine", "options": {}, "problem": ""},
-            "sets": {"frame-1": {"sha256": catalogue.checksums()["frame-1.csv"], "rmse": 3.0}}}
+            "sets": {"frame-1": {"sha256": catalogue.frozen_checksums()["frame-1.csv"],
+                                 "rmse": 3.0}}}
     change(said)
     (tmp_path / "mine.json").write_text(json.dumps(said))
     with pytest.raises(TermselError, match=message):
@@ -265,7 +266,8 @@ def test_what_is_not_installed_is_not_refuted(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said = {"schema": "termsel-bench-1",
             "method": {"kind": "peer", "name": "ransac", "options": {}, "problem": ""},
-            "sets": {"frame-1": {"sha256": catalogue.checksums()["frame-1.csv"], "rmse": 3.0}}}
+            "sets": {"frame-1": {"sha256": catalogue.frozen_checksums()["frame-1.csv"],
+                                 "rmse": 3.0}}}
     (tmp_path / "ransac.json").write_text(json.dumps(said))
     monkeypatch.setitem(sys.modules, "sklearn.linear_model", None)
     text = run("--check", tmp_path, code=2)

@@ -11,7 +11,7 @@ pytest.importorskip("termsel_bench", reason="termsel-bench is not installed: "
 
 from termsel import TermselError
 from termsel_bench.methods.base import Method
-from termsel_bench.protocol import scores
+from termsel_bench.protocol import score_all
 from termsel_bench.submitted import check, read_submitted
 
 
@@ -20,10 +20,10 @@ def test_workers_of_a_scheduler_give_the_scores_of_this_process() -> None:
     distributed = pytest.importorskip("distributed")
     methods = [Method("model", "affine"), Method("peer", "gdal-polynomial")]
     names = ["frame-1", "old-map-1"]
-    alone = list(scores(methods, names))
+    alone = list(score_all(methods, names))
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False,
                                   dashboard_address=None) as cluster:
-        shared = list(scores(methods, names, scheduler=cluster.scheduler_address))
+        shared = list(score_all(methods, names, scheduler=cluster.scheduler_address))
     assert [(one.set_name, one.method, one.rmse, one.low, one.high) for one in shared] == \
         [(one.set_name, one.method, one.rmse, one.low, one.high) for one in alone]
     assert all(one.rmse > 0 for one in shared)
@@ -33,7 +33,7 @@ def test_workers_of_a_scheduler_give_the_scores_of_this_process() -> None:
 def test_a_scheduler_that_is_not_there_is_named() -> None:
     pytest.importorskip("distributed")
     with pytest.raises(TermselError, match="does not answer"):
-        list(scores([Method("model", "affine")], ["frame-1"], scheduler="tcp://127.0.0.1:1"))
+        list(score_all([Method("model", "affine")], ["frame-1"], scheduler="tcp://127.0.0.1:1"))
 
 
 @pytest.mark.slow_cases("auto.json")

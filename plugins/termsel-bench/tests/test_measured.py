@@ -16,9 +16,9 @@ pytest.importorskip("termsel_bench", reason="termsel-bench is not installed: "
 from termsel import TermselError
 from termsel.testing import invoke
 from termsel_bench.methods.base import Method
-from termsel_bench.protocol import Work, score
+from termsel_bench.protocol import Work, score_work
 from termsel_bench.scenes import measured as suite
-from termsel_bench.scenes.measured import SOURCES, drawn_folds, measured, measured_names
+from termsel_bench.scenes.measured import SOURCES, draw_folds, measured_names, read_measured_set
 
 ALLOWED = {"CC0-1.0", "BSD-3-Clause", "Unlicense"}
 
@@ -44,12 +44,12 @@ def test_all_files_are_the_published_ones_under_a_licence() -> None:
 
 def test_folds_are_frozen() -> None:
     text = (files("termsel_bench") / "measured" / "folds.json").read_bytes()
-    assert json.loads(text) == drawn_folds()
+    assert json.loads(text) == draw_folds()
 
 
 @pytest.mark.parametrize("name", ["measured-map-001", "measured-photo-042"])
 def test_each_point_is_hidden_once(name: str) -> None:
-    one = measured(name)
+    one = read_measured_set(name)
     hidden_ids: list[str] = []
     for fold in range(one.trials):
         seen, hidden = one.trial(fold)
@@ -60,44 +60,44 @@ def test_each_point_is_hidden_once(name: str) -> None:
 
 
 def test_of_matches_a_method_sees_one_fold() -> None:
-    one = measured("measured-matches-001")
+    one = read_measured_set("measured-matches-001")
     sizes = {len(one.trial(fold)[0].points) for fold in range(one.trials)}
     assert sizes == {86, 87}
 
 
 def test_a_score_is_the_median_distance_of_all_hidden_points() -> None:
     method = Method("model", "helmert2d")
-    one = measured("measured-map-003")
+    one = read_measured_set("measured-map-003")
     distances: list[float] = []
     for fold in range(one.trials):
         seen, hidden = one.trial(fold)
         errors = method.positions(seen, hidden, 1) - hidden.image
         distances += np.hypot(*errors.T).tolist()
-    found = score(Work(method, one.name))
+    found = score_work(Work(method, one.name))
     assert found.rmse == pytest.approx(np.median(distances))
     assert found.low <= found.rmse <= found.high
     assert found.independent == len(one.features.points)
 
 
 def test_a_method_that_fails_in_a_fold_has_no_result() -> None:
-    found = score(Work(Method("peer", "ransac"), "measured-photo-002"))
+    found = score_work(Work(Method("peer", "ransac"), "measured-photo-002"))
     assert found.rmse == float("inf")
     assert "requires more than" in found.why
 
 
 def test_a_search_of_terms_makes_check_points_where_there_are_no_roles() -> None:
-    assert score(Work(Method("peer", "deap-script"), "measured-map-017")).rmse < 1000
-    of_photo = score(Work(Method("peer", "deap-script"), "measured-photo-002"))
+    assert score_work(Work(Method("peer", "deap-script"), "measured-map-017")).rmse < 1000
+    of_photo = score_work(Work(Method("peer", "deap-script"), "measured-photo-002"))
     assert "fewer terms than its 3 control points" in of_photo.why
 
 
 def test_a_method_is_told_the_focal_length_of_a_photo() -> None:
-    photo = measured("measured-photo-001")
+    photo = read_measured_set("measured-photo-001")
     seen, _hidden = photo.trial(0)
     assert set(seen.points.attributes[suite.FOCAL]) == {"3131.847740584272"}
     assert photo.features.image_size == (1407, 1500)
     with pytest.raises(TermselError, match="the set states none"):
-        Method("peer", "opencv").positions(measured("measured-map-001").features,
+        Method("peer", "opencv").positions(read_measured_set("measured-map-001").features,
                                            seen.points, 1)
 
 
@@ -128,12 +128,12 @@ def test_files_of_the_suite_have_licences_folds_and_a_description(tmp_path: Path
 
 def test_another_file_and_an_unknown_set_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(TermselError, match="unknown set"):
-        measured("measured-map-099")
+        read_measured_set("measured-map-099")
     with pytest.raises(TermselError, match="no measured set 'radar'"):
         measured_names("radar")
-    changed = dict(suite._meta("slv_maps"))
+    changed = dict(suite._read_meta("slv_maps"))
     changed["sha256"] = dict.fromkeys(changed["sha256"], "0" * 64)
-    monkeypatch.setattr(suite, "_meta", lambda _folder: changed)
-    measured.cache_clear()
+    monkeypatch.setattr(suite, "_read_meta", lambda _folder: changed)
+    read_measured_set.cache_clear()
     with pytest.raises(TermselError, match="not that of the published file"):
-        measured("measured-map-002")
+        read_measured_set("measured-map-002")

@@ -19,9 +19,15 @@ import jsonschema  # type: ignore[import-untyped]
 
 from termsel import FeatureSet, Points, Rpc, TermselError, read_result, read_rpc
 from termsel.testing import invoke
-from termsel_block.accuracy import Spread, errors_in_space, independent_points, predicted, rmse
+from termsel_block.accuracy import (
+    Spread,
+    errors_in_space,
+    independent_points,
+    predicted_errors,
+    rms_length,
+)
 from termsel_block.block import Block, BlockImage, Ties
-from termsel_block.estimation.equations import TieRows, pairs, solve
+from termsel_block.estimation.equations import TieRows, image_pairs, solve
 from termsel_block.evidence.factors import log_bayes_factor
 from termsel_block.files.block_file import read_block
 from termsel_block.geometry.frame import FloatArray, IntArray
@@ -66,14 +72,14 @@ def adjusted(vendors: Simulated) -> BlockResult:
 
 def errors(result: BlockResult, i: int) -> float:
     points = judging(result, i)
-    return rmse(points.image - result.project(i, points.ground))
+    return rms_length(points.image - result.project(i, points.ground))
 
 
 def test_an_image_without_control_is_held_by_its_ties(
         vendors: Simulated, adjusted: BlockResult) -> None:
     image = vendors.block.images[2]
     points = judging(adjusted, 2)
-    delivered = rmse(points.image - vendor(image).project(points.ground))
+    delivered = rms_length(points.image - vendor(image).project(points.ground))
     assert errors(adjusted, 2) < 0.6 * delivered
     assert adjusted.adjusted.converged
 
@@ -110,7 +116,7 @@ def test_standard_deviations_are_true(vendors: Simulated, adjusted: BlockResult)
     assert (ratio > 0.02).all()
     assert (ratio < 5).all()
     for i in range(3):
-        expected = predicted(adjusted, i)
+        expected = predicted_errors(adjusted, i)
         assert expected.low < expected.rmse < 1.2 * expected.high
         assert errors(adjusted, i) < 2.5 * expected.high
 
@@ -121,7 +127,7 @@ def test_an_interval_is_for_the_independent_points_of_the_image(adjusted: BlockR
         image, points = adjusted.block.images[2], judging(adjusted, 2).take(keep)
         images = (*adjusted.block.images[:2], replace(image, features=replace(
             own(image), points=points)))
-        return predicted(replace(adjusted, block=replace(adjusted.block, images=images)), 2)
+        return predicted_errors(replace(adjusted, block=replace(adjusted.block, images=images)), 2)
 
     points = judging(adjusted, 2)
     away = np.hypot(*(points.image - points.image.mean(axis=0)).T)
@@ -156,7 +162,7 @@ def test_the_step_is_that_of_lapack() -> None:
     normal = A.T @ A + ridge
     expected = np.linalg.solve(normal, A.T @ np.array(aim))
     got = solve(seen, prior, [np.zeros(2 * m)] * images, of_ties, np.zeros((ties, 3)),
-                pairs([part.tie for part in seen], ties))
+                image_pairs([part.tie for part in seen], ties))
     np.testing.assert_allclose(np.concatenate(got.steps), expected[:images * 2 * m], rtol=1e-9)
     np.testing.assert_allclose(got.ties.ravel(), expected[images * 2 * m:], rtol=1e-9)
     covariance = np.linalg.inv(normal)
@@ -382,7 +388,7 @@ def test_good_control_stays_and_its_precision_is_true() -> None:
 
 def test_a_map_has_one_scale() -> None:
     """A strip is not drawn as a square, nor one of a single row of ties as a line."""
-    (x, width), (y, height) = page._one_scale(np.array([[0.0, 0.0], [10.0, 100.0]]))
+    (x, width), (y, height) = page._equal_scales(np.array([[0.0, 0.0], [10.0, 100.0]]))
     assert (x[1] - x[0]) / width == pytest.approx((y[1] - y[0]) / height)
     assert height == pytest.approx(560.0)
     assert width == pytest.approx(220.0)
@@ -399,7 +405,7 @@ def test_a_page_says_how_much_of_a_large_block_it_shows(
     count = int((times_seen(adjusted) > 1).sum())
     assert f"height; 20 of {count} are shown. Triangles" in shown
     assert "; 1 of 3 are shown." in shown
-    outlines = json.dumps(page._map(adjusted).to_dict())
+    outlines = json.dumps(page._ground_chart(adjusted).to_dict())
     assert all(image.name in outlines for image in adjusted.block.images)
 
 
@@ -428,7 +434,7 @@ def test_a_block_in_plane_coordinates() -> None:
         tuple(f"P{k}" for k in range(8)), seen(i, known), known), crs="local") if i < 2 else None)
         for i in range(3))
     result = adjust(Block("local", images, ties))
-    assert rmse(seen(2, known) - result.project(2, known)) < 0.05
+    assert rms_length(seen(2, known) - result.project(2, known)) < 0.05
 
 
 def test_places_of_a_block_in_plane_coordinates_are_written_without_a_warning(

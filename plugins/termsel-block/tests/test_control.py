@@ -12,7 +12,7 @@ pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
 
 from termsel_block.block import Block
 from termsel_block.estimation import adjustment
-from termsel_block.estimation.steps import Steps, shrunk, soft
+from termsel_block.estimation.steps import Steps, shrinkage_of_mean_square, soft_weights
 from termsel_block.geometry.frame import BoolArray
 from termsel_block.joint import adjust
 from termsel_block.shown.record import record_of
@@ -99,6 +99,6 @@ def test_control_that_its_image_follows_is_not_judged(
 def test_weights_that_fall_make_squares_so_much_less(share: float, axes: int) -> None:
     residual = np.sqrt(share) * np.random.default_rng(0).standard_normal((400_000, axes))
     square = (residual**2).sum(axis=1)
-    weight = soft(np.sqrt(square))
+    weight = soft_weights(np.sqrt(square))
     simulated = (weight @ square) / (axes * weight.sum()) / share
-    assert shrunk(share, axes) == pytest.approx(simulated, rel=0.01)
+    assert shrinkage_of_mean_square(share, axes) == pytest.approx(simulated, rel=0.01)

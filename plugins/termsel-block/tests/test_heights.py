@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
                     "pip install -e plugins/termsel-block")
 
-from termsel_block.accuracy import independent_points, predicted, rmse
+from termsel_block.accuracy import independent_points, predicted_errors, rms_length
 from termsel_block.block import Block
 from termsel_block.example import write_example
 from termsel_block.files.block_file import read_block
@@ -20,14 +20,14 @@ from termsel_block.geometry.frame import FloatArray, Frame
 from termsel_block.geometry.heights import ControlHeights, Heights
 from termsel_block.joint import BlockResult, adjust, heights_of
 from termsel_block.shown.record import record_of
-from termsel_block.simulated import LAT, LON, Hills, Simulated, height, simulate_block
+from termsel_block.simulated import LAT, LON, Hills, Simulated, ground_heights, simulate_block
 
 
 def error(result: BlockResult, i: int) -> float:
     """Return the RMSE of the independent points of an image [px]."""
     points = independent_points(result, i)
     assert points is not None
-    return rmse(points.image - result.project(i, points.ground))
+    return rms_length(points.image - result.project(i, points.ground))
 
 
 def dem(path: Path, hills: Hills, off: float) -> Path:
@@ -41,7 +41,7 @@ def dem(path: Path, hills: Hills, off: float) -> Path:
             path, "w", driver="GTiff", width=n, height=n, count=1, dtype="float32",
             crs="EPSG:4979",
             transform=rasterio.transform.from_origin(LON - half, LAT + half, step, step)) as raster:
-        raster.write((height(places, hills) + off).reshape(n, n).astype(np.float32), 1)
+        raster.write((ground_heights(places, hills) + off).reshape(n, n).astype(np.float32), 1)
     return path
 
 
@@ -71,7 +71,7 @@ def test_control_of_the_other_image_tells_how_high_a_plain_is() -> None:
     hilly = adjust(pair(vendor_height=80.0).block)
     assert hilly.adjusted.roughness == pytest.approx(130, rel=0.4)
     # Rays tell nothing of the height, so that the ground does, the better the plainer it is.
-    assert predicted(flat, 1).rmse < 0.3 * predicted(hilly, 1).rmse
+    assert predicted_errors(flat, 1).rmse < 0.3 * predicted_errors(hilly, 1).rmse
     assert error(flat, 1) < 1.5
 
 
@@ -82,7 +82,7 @@ def test_a_dem_holds_a_pair_even_if_it_refers_to_another_surface(tmp_path: Path)
     result = adjust(replace(simulated.block, dem=dem(tmp_path / "dem.tif", Hills(), -28.0)))
     assert result.adjusted.offset == pytest.approx(28, abs=3)
     assert error(result, 1) < 1.2
-    assert predicted(result, 1).rmse < 0.5 * predicted(without, 1).rmse
+    assert predicted_errors(result, 1).rmse < 0.5 * predicted_errors(without, 1).rmse
     assert any(note.startswith("The DEM is 2") and "m below the ground" in note
                for note in record_of(result).notes)
 
@@ -132,7 +132,7 @@ def test_heights_that_are_the_dems_do_not_confirm_it(tmp_path: Path) -> None:
     block = read_block(stated)
     assert [sorted(image.of_dem) for image in block.images] == [["G0", "G1", "G2"]] * 2 + [[]]
     known = heights_of(block, Frame.at(np.array([[LON, LAT, 1700.0]]), block.crs),
-                       lambda xy: height(xy) - 28.0)
+                       lambda xy: ground_heights(xy) - 28.0)
     np.testing.assert_allclose(known.control, [28.0] * 3, atol=0.01)
 
 
@@ -160,7 +160,7 @@ def test_what_the_prior_alone_holds_is_as_uncertain_as_the_prior() -> None:
     block = simulate_block(3, n_ties=60, rpcs=True, control=(4, 4), seed=1, independent=10).block
     ties, keep = block.ties, block.ties.image != 2
     keep &= (np.bincount(ties.tie[keep], minlength=len(ties.names)) > 1)[ties.tie]
-    spread = predicted(adjust(replace(block, ties=replace(
+    spread = predicted_errors(adjust(replace(block, ties=replace(
         ties, tie=ties.tie[keep], image=ties.image[keep], position=ties.position[keep]))), 2)
     # Of a shift in line and in sample, were its variance known: 0.23 and 1.73.
     assert spread.low < 0.21 * spread.rmse
@@ -197,4 +197,4 @@ def test_without_control_a_block_says_that_the_dem_is_another(
     assert ("m below it by the RPCs" if said
             else "For each 100 m that it is off, images are up to 17 px off") in note
     for i in range(3):
-        assert error(result, i) < predicted(result, i).high
+        assert error(result, i) < predicted_errors(result, i).high

@@ -11,9 +11,9 @@ import pytest
 pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
                     "pip install -e plugins/termsel-block")
 
-from termsel_block.accuracy import independent_points, rmse
+from termsel_block.accuracy import independent_points, rms_length
 from termsel_block.evidence.integrating import Integrated, integrate
-from termsel_block.evidence.variances import OWN, TAIL, looser
+from termsel_block.evidence.variances import OWN, TAIL, loosening_factors
 from termsel_block.geometry.frame import FloatArray
 from termsel_block.joint import adjust
 from termsel_block.simulated import Hills, simulate_block
@@ -89,7 +89,7 @@ def test_terms_of_sensors_scatter_as_the_images_say() -> None:
     camera = SimpleNamespace(stated={"rate": 0, "yaw": 1}, looser=np.ones(2))
     parameters = [np.array([value, 0.0]) for value in (4.0, -5.0, 3.0)]
     covariances = [np.diag([0.01, 1.0])] * 3
-    found = looser([camera] * 3, parameters, covariances)  # type: ignore[list-item]
+    found = loosening_factors([camera] * 3, parameters, covariances)  # type: ignore[list-item]
     assert found["rate"] == pytest.approx(np.sqrt((50 + OWN) / (3 + OWN)), rel=1e-3)
     assert found["yaw"] == pytest.approx(1.0)
 
@@ -105,4 +105,4 @@ def test_steps_that_were_shortened_come_to_an_end() -> None:
     assert 0.9 < result.adjusted.state.sigma_ties / 0.4 < 1.1
     points = independent_points(result, 0)
     assert points is not None
-    assert rmse(points.image - result.project(0, points.ground)) < 7.0
+    assert rms_length(points.image - result.project(0, points.ground)) < 7.0

@@ -18,11 +18,11 @@ pytest.importorskip("termsel_cameras", reason="termsel-cameras is not installed:
 from termsel import TermselError, read_result, write_result
 from termsel.testing import invoke
 from termsel_block import contradictions, joint
-from termsel_block.accuracy import independent_points, rmse
+from termsel_block.accuracy import independent_points, rms_length
 from termsel_block.block import Block
 from termsel_block.files.block_file import read_block
 from termsel_block.files.folders import image_result
-from termsel_block.geometry.control import own_control
+from termsel_block.geometry.control import control_equations
 from termsel_block.geometry.frame import Frame
 from termsel_block.geometry.physical import Contradiction, PhysicalModel
 from termsel_block.joint import BlockResult, adjust
@@ -50,7 +50,7 @@ def errors(result: BlockResult) -> list[float]:
     for i in range(3):
         points = independent_points(result, i)
         assert points is not None
-        found.append(rmse(points.image - result.project(i, points.ground)))
+        found.append(rms_length(points.image - result.project(i, points.ground)))
     return found
 
 
@@ -276,7 +276,7 @@ def test_a_model_without_a_start_is_refused(simulated: Simulated) -> None:
     frame = Frame.at(features.points.ground, simulated.block.crs)
     with pytest.raises(TermselError, match="have no priors"):
         PhysicalModel("poly3d", {"degree": 1}).fitted(
-            frame, *own_control(features, frame).points(), "A")
+            frame, *control_equations(features, frame).points(), "A")
 
 
 def test_a_scanner_without_ties_is_held_by_its_control() -> None:

@@ -11,14 +11,14 @@ import pytest
 pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
                     "pip install -e plugins/termsel-block")
 
-from termsel_block.accuracy import independent_points, rmse
+from termsel_block.accuracy import independent_points, rms_length
 from termsel_block.evidence.variances import posterior_mean
 from termsel_block.files.folders import image_result
 from termsel_block.geometry.cameras import PolynomialCamera
 from termsel_block.geometry.frame import FloatArray
 from termsel_block.joint import BlockResult, adjust
 from termsel_block.shown.record import record_of, times_seen
-from termsel_block.simulated import LAT, LON, Hills, Simulated, height, simulate_block
+from termsel_block.simulated import LAT, LON, Hills, Simulated, ground_heights, simulate_block
 
 
 def errors(result: BlockResult) -> FloatArray:
@@ -27,7 +27,7 @@ def errors(result: BlockResult) -> FloatArray:
     for i in range(len(result.block.images)):
         points = independent_points(result, i)
         assert points is not None
-        found.append(rmse(points.image - result.project(i, points.ground)))
+        found.append(rms_length(points.image - result.project(i, points.ground)))
     return np.array(found)
 
 
@@ -112,7 +112,7 @@ def test_a_dem_holds_ties_that_no_image_in_use_sees(tmp_path: Path) -> None:
             tmp_path / "dem.tif", "w", driver="GTiff", width=n, height=n, count=1,
             dtype="float32", crs="EPSG:4979",
             transform=rasterio.transform.from_origin(LON - half, LAT + half, step, step)) as raster:
-        raster.write(height(places).reshape(n, n).astype(np.float32), 1)
+        raster.write(ground_heights(places).reshape(n, n).astype(np.float32), 1)
     simulated = simulate_block(3, control=(6, 6, 0), seed=1, independent=30, wrong=0.1)
     without = adjust(simulated.block)
     result = adjust(replace(simulated.block, dem=tmp_path / "dem.tif"))
@@ -144,7 +144,7 @@ def test_jitter_is_found_where_it_is_and_written() -> None:
     assert written.model == "rpc-jitter"
     ground = simulated.block.images[1].features.points.ground  # type: ignore[union-attr]
     away = written.fit.project(ground) - result.project(1, ground)
-    assert rmse(away) < 0.3
+    assert rms_length(away) < 0.3
 
 
 def test_a_variance_that_data_leave_open_is_not_zero() -> None:

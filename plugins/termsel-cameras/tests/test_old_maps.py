@@ -138,7 +138,7 @@ def test_independent_points_of_a_map_take_no_part_in_the_choice() -> None:
 
 def test_local_deformation_has_the_size_asked_for() -> None:
     places = np.random.default_rng(0).uniform(0, maps.SIZE, (300, 2))
-    shifts = [maps._field(np.random.default_rng(seed), 5.0, places) for seed in range(40)]
+    shifts = [maps._random_shift(np.random.default_rng(seed), 5.0, places) for seed in range(40)]
     assert np.sqrt(np.mean(np.square(shifts))) == pytest.approx(5.0, rel=0.1)
 
 

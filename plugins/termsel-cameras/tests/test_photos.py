@@ -17,7 +17,7 @@ import termsel
 from termsel import FeatureSet, Points, TermselError, read_result
 from termsel.testing import Check, checks
 from termsel_cameras import Radial2D, Radial3D, photo
-from termsel_cameras.photo import CENTRE, seen
+from termsel_cameras.photo import CENTRE, project_into_scan
 from termsel_cameras.problem import RECIPE
 from termsel_cameras.radial import FloatArray
 
@@ -93,17 +93,17 @@ def test_a_front_has_the_parameters_of_each_member() -> None:
 
 
 def test_the_photo_is_distorted_as_stated() -> None:
-    points = photo.photo().points
+    points = photo.read_photo_points().points
     assert len(points) == 120
-    noise = points.image - seen(points.ground - [400000.0, 4000000.0, 0.0])
+    noise = points.image - project_into_scan(points.ground - [400000.0, 4000000.0, 0.0])
     assert noise.std() == pytest.approx(0.5, rel=0.15)
 
 
 def test_the_photo_is_distorted_by_both_terms(monkeypatch: pytest.MonkeyPatch) -> None:
-    ground = photo.photo().points.ground - [400000.0, 4000000.0, 0.0]
-    away = seen(ground) - CENTRE
+    ground = photo.read_photo_points().points.ground - [400000.0, 4000000.0, 0.0]
+    away = project_into_scan(ground) - CENTRE
     monkeypatch.setattr(photo, "DISTORTION", (0.0, 0.0))
-    ideal = seen(ground) - CENTRE
+    ideal = project_into_scan(ground) - CENTRE
     r2 = (away**2).sum(axis=1, keepdims=True)
     np.testing.assert_allclose(away * (1 + 7.0e-9 * r2 - 6.0e-16 * r2**2), ideal, atol=1e-6)
 

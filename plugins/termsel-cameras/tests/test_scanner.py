@@ -16,7 +16,7 @@ pytest.importorskip("termsel_cameras", reason="termsel-cameras is not installed:
 import termsel
 from termsel import FeatureSet, Points, TermselError
 from termsel.simulate import pushbroom_at
-from termsel.toolkit import scaling_of
+from termsel.toolkit import make_scaling
 from termsel_cameras import SENSORS, Scanner
 
 
@@ -58,7 +58,7 @@ def test_a_fit_follows_the_bent_valley_to_its_end() -> None:
     """Altitude, pixel and period make up for each other: 100 steps were not enough from here."""
     scene = spot(40)
     control = scene.take(np.array([role == "control" for role in scene.points.roles]))
-    scaling = scaling_of(control)
+    scaling = make_scaling(control)
     model, scaled = Scanner().prepared(scaling, control.crs), scaling.features(control)
     ends = [model.descended(scaled, start) for start in model.starts(scaled)]
     assert all(end is not None and end.converged and end.steps < 40 for end in ends)

@@ -16,14 +16,14 @@ pytest.importorskip("pyproj", reason="pyproj is not installed: pip install pypro
 import termsel
 from termsel import FeatureSet, FitData, Points, TermselError
 from termsel.testing import checks, invoke
-from termsel.toolkit.coordinates import normalise, transformation
-from termsel_cameras.sheets.candidates import projections_of_file, usual_projections
-from termsel_cameras.sheets.choosing import chosen_of, tried_projections
+from termsel.toolkit.coordinates import normalise, transformation_between
+from termsel_cameras.sheets.candidates import candidate_projections, projections_of_file
+from termsel_cameras.sheets.choosing import first_of_the_best, rank_projections
 from termsel_cameras.sheets.meridians import meridian_of
 from termsel_cameras.sheets.paper import Sheet, matrix_of, paper_of, values_of
 from termsel_cameras.sheets.reading import candidates_of, from_greenwich
 from termsel_cameras.sheets.series import SHEET_OF_SERIES, paper_of_text, stated_paper
-from termsel_cameras.sheets.series_file import in_series, series_of
+from termsel_cameras.sheets.series_file import series_of, with_series_columns
 
 CONIC = "+proj=lcc +lat_1=43.5 +lat_2=48.5 +lat_0=46 +lon_0=8 +datum=WGS84 +units=m +no_defs"
 FLAT = "+proj=eqc +lat_ts=46 +lon_0=8 +datum=WGS84 +units=m +no_defs"
@@ -38,7 +38,7 @@ def sheet(n: int, seed: int, middle: tuple[float, float] = (8.0, 46.0),
     rng = np.random.default_rng(seed)
     degrees = np.array(middle) + rng.uniform(-extent, extent, (n, 2)) * [1.0, 0.7]
     ground = np.column_stack([degrees, np.zeros(n)])
-    x, y, _ = transformation("EPSG:4326", CONIC)(ground).T
+    x, y, _ = transformation_between("EPSG:4326", CONIC)(ground).T
     image = np.column_stack([-y, x]) / (extent * 40.0) + 4000.0 + rng.normal(0.0, 1.0, (n, 2))
     return FeatureSet(Points(tuple(f"P{i}" for i in range(n)), image,
                              np.column_stack([degrees, np.full(n, np.nan)])), crs="EPSG:4326")
@@ -149,7 +149,7 @@ def test_a_sheet_of_four_points_borrows_the_paper_of_its_neighbours() -> None:
     ratios = []
     for seed in range(10, 18):
         features, ground, image = paper_sheet(4, seed)
-        borrowed = SHEET_OF_SERIES.fit(FitData.of(in_series(features, series)))
+        borrowed = SHEET_OF_SERIES.fit(FitData.of(with_series_columns(features, series)))
         alone = termsel.fit(features, "poly2d", degree=1)
         errors = [np.sqrt(((fit.project(ground) - image) ** 2).sum(axis=1).mean())
                   for fit in (borrowed, alone)]
@@ -176,7 +176,7 @@ def test_sheets_about_half_a_turn_have_a_mean_turn_there() -> None:
 
 def test_the_sheet_of_a_series_keeps_the_rules() -> None:
     series = series_of([paper_sheet(15, seed)[0] for seed in range(3)], "")
-    features = [in_series(paper_sheet(n, 10 + n)[0], series) for n in (4, 9)]
+    features = [with_series_columns(paper_sheet(n, 10 + n)[0], series) for n in (4, 9)]
     for check in checks(SHEET_OF_SERIES, features=features):
         check.run()
 
@@ -188,21 +188,21 @@ def test_independent_points_take_no_part() -> None:
     roles = ("control",) * 7 + ("independent",) * 3
     other = replace(features, points=replace(features.points, image=wild, roles=roles))
     mine = replace(features, points=features.points.take(np.arange(10) < 7))
-    candidates = usual_projections(np.array([[2.0, 41.0], [14.0, 51.0]]), 20)[:3]
-    assert tried_projections([other], candidates) == tried_projections([mine], candidates)
+    candidates = candidate_projections(np.array([[2.0, 41.0], [14.0, 51.0]]), 20)[:3]
+    assert rank_projections([other], candidates) == rank_projections([mine], candidates)
 
 
 def test_projections_that_predict_alike_are_the_first_one() -> None:
     small = sheet(8, 4, extent=0.05)
-    candidates = usual_projections(np.array([[7.95, 45.97], [8.05, 46.03]]))
-    assert chosen_of(tried_projections([small], candidates[:2]), candidates[:2]).crs == \
+    candidates = candidate_projections(np.array([[7.95, 45.97], [8.05, 46.03]]))
+    assert first_of_the_best(rank_projections([small], candidates[:2]), candidates[:2]).crs == \
         candidates[0].crs
 
 
 def test_a_century_has_its_projections(tmp_path: Path) -> None:
     place = np.array([[2.0, 41.0], [14.0, 51.0]])
-    assert "Bonne" in {one.name for one in usual_projections(place, 19)}
-    assert "UTM 32N" not in {one.name for one in usual_projections(place, 19)}
+    assert "Bonne" in {one.name for one in candidate_projections(place, 19)}
+    assert "UTM 32N" not in {one.name for one in candidate_projections(place, 19)}
     (tmp_path / "wrong.txt").write_text("EPSG:4326\nnonsense\n", encoding="utf-8")
     with pytest.raises(TermselError) as refused:
         projections_of_file(tmp_path / "wrong.txt")
@@ -241,6 +241,6 @@ def test_a_projection_on_an_ellipsoid_without_a_datum_is_one_of_a_map(
                                places[:, :2], atol=1e-7)
     assert "no datum" not in caplog.text
     # For all other uses a note says that where this is on the Earth is not known well.
-    transformation(bonne.replace("+lat_1=46", "+lat_1=46.25"), "EPSG:4979")
+    transformation_between(bonne.replace("+lat_1=46", "+lat_1=46.25"), "EPSG:4979")
     # PROJ calls a CRS without a name unknown, which names nothing.
     assert "Note: the CRS has an ellipsoid and no datum" in caplog.text

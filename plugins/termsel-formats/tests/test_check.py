@@ -16,7 +16,7 @@ pytest.importorskip("termsel_formats", reason="termsel-formats is not installed:
 import termsel
 from termsel import FeatureSet, Points, TermselError, write_result
 from termsel.testing import Check, checks, invoke
-from termsel_formats import compared
+from termsel_formats import compare_programs
 
 rasterio = pytest.importorskip("rasterio")
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -69,7 +69,7 @@ def exact(result: termsel.Result, moved: float = 0.0) -> object:
 @pytest.mark.parametrize("moved", [0.0, 20.0])
 def test_an_affine_transformation_is_as_far_off_as_it_was_moved(
         result: termsel.Result, tmp_path: Path, moved: float) -> None:
-    found, answers = compared(raster(tmp_path / "a.tif", exact(result, moved)), result)
+    found, answers = compare_programs(raster(tmp_path / "a.tif", exact(result, moved)), result)
     asked = [one for one in found if one.by_default and one.over_image is not None]
     assert asked[0].program.startswith("rasterio")
     assert len(asked) >= 1 + WITH_GDAL
@@ -92,7 +92,7 @@ def test_a_geotransform_hides_gcps_from_nobody(result: termsel.Result, tmp_path:
     ground = result.locate(image, 0.0)
     gcps = [GroundControlPoint(row=line + 0.5, col=sample + 0.5, x=x, y=y, z=0.0)
             for (line, sample), (x, y) in zip(image, ground[:, :2], strict=True)]
-    found, _ = compared(raster(tmp_path / "g.tif", gcps=gcps), result)
+    found, _ = compare_programs(raster(tmp_path / "g.tif", gcps=gcps), result)
     for one in found:
         if one.over_image is not None and "spline" not in one.transformation:
             assert one.over_image.largest < 0.01, one
@@ -101,7 +101,7 @@ def test_a_geotransform_hides_gcps_from_nobody(result: termsel.Result, tmp_path:
 @pytest.mark.slow
 def test_a_raster_without_place_has_no_transformation(result: termsel.Result, tmp_path: Path,
                                                       ) -> None:
-    found, _ = compared(raster(tmp_path / "plain.tif"), result)
+    found, _ = compare_programs(raster(tmp_path / "plain.tif"), result)
     assert all(one.over_image is None for one in found)
     assert found[0].transformation == "none: no georeferencing"
 
@@ -116,7 +116,7 @@ def test_a_check_writes_nothing_next_to_the_raster(held: bytes | None, tmp_path:
         file.write(np.arange(2000, dtype="uint8").reshape(1, 40, 50))
     if held is not None:
         sidecar.write_bytes(held)
-    found, _ = compared(path, None)
+    found, _ = compare_programs(path, None)
     assert any(one.program.startswith("QGIS") for one in found)
     assert (sidecar.read_bytes() if sidecar.exists() else None) == held
 
@@ -133,7 +133,7 @@ def test_a_world_file_is_read_with_or_without_its_image(result: termsel.Result, 
     if beside:
         raster(tmp_path / "scene.tif")
     before = sorted(tmp_path.iterdir())
-    found, _ = compared(world, result)
+    found, _ = compare_programs(world, result)
     assert found[0].over_image is not None
     assert found[0].over_image.largest < 1e-4
     assert found[0].crs == ""
@@ -145,7 +145,7 @@ def test_an_rpc_is_told_apart_from_one_at_the_height_0(tmp_path: Path) -> None:
     scene = termsel.simulate_scene("ikonos-hamedan", n_lines=0)
     own = termsel.run("rfm-terms", features=scene, solver="all-terms", options={"order": 2})
     termsel.export(own, "rpc-txt", tmp_path / "scene_RPC.TXT")
-    found, _ = compared(tmp_path / "scene_RPC.TXT", own)
+    found, _ = compare_programs(tmp_path / "scene_RPC.TXT", own)
     by_name = {one.transformation.partition(" (")[0]: one for one in found}
     flat = by_name["RPC at the height 0"].over_image
     assert flat is not None
@@ -175,7 +175,7 @@ def test_gcps_hide_an_rpc_that_gdal_takes_by_its_option(example_files: Path,
     path = raster(tmp_path / "both.tif", gcps=gcps[:8], crs="EPSG:4326", size=(6000, 6000))
     rpc = termsel.read_rpc(example_files / "vendor.RPB")
     termsel.write_rpc(rpc, tmp_path / "both.RPB")
-    taken = {row.program: row.transformation for row in compared(path)[0]}
+    taken = {row.program: row.transformation for row in compare_programs(path)[0]}
     [by_default] = [program for program in taken if program.startswith("GDAL")]
     assert "GCPs" in taken[by_default]
     assert taken["  with -rpc"] == "RPC at the height 0"
@@ -212,7 +212,7 @@ def test_what_cannot_be_checked(name: str, said: str, tmp_path: Path) -> None:
 def test_another_image_is_refused(result: termsel.Result, tmp_path: Path) -> None:
     other = raster(tmp_path / "map.tif", exact(result), size=(410, 500))
     with pytest.raises(TermselError, match="410 lines and 500 samples, and the image of the"):
-        compared(other, result)
+        compare_programs(other, result)
 
 
 def test_a_world_file_that_lacks_a_number_is_named(tmp_path: Path) -> None:
@@ -220,4 +220,4 @@ def test_a_world_file_that_lacks_a_number_is_named(tmp_path: Path) -> None:
     world = tmp_path / "scene.tfw"
     world.write_text("10\n0\n0\n-10\n500000\n")
     with pytest.raises(TermselError, match="6 numbers, a line each, and this one has 5"):
-        compared(world)
+        compare_programs(world)

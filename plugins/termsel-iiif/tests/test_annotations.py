@@ -19,10 +19,10 @@ import termsel
 from termsel import FeatureSet, Points, Result, TermselError, export, read
 from termsel.testing import check, checks, invoke
 from termsel.toolkit.coordinates import to_wgs84
-from termsel_iiif.annotation import MASK, SOURCE, TRANSFORMATION, corners, maps_of
+from termsel_iiif.annotation import MASK, SOURCE, TRANSFORMATION, maps_of, polygon_corners
 from termsel_iiif.reader import ALL_POINTS, AnnotationReader
-from termsel_iiif.viewer import TRANSFORMATIONS, degrees, forward, kind_of, mercator
-from termsel_iiif.writer import AnnotationWriter, _transformation
+from termsel_iiif.viewer import TRANSFORMATIONS, forward, from_mercator, kind_of, to_mercator
+from termsel_iiif.writer import AnnotationWriter, _choose_transformation
 
 MASK_OF_4 = '<svg width="3000" height="2000"><polygon points="5,5 5,1990 2990,1990 2990,5" /></svg>'
 
@@ -223,9 +223,9 @@ def test_web_mercator_is_that_of_pyproj() -> None:
     pyproj = pytest.importorskip("pyproj")
     lonlat = np.array([[-179.0, -80.0], [2.3, 48.9], [0.0, 0.0], [120.0, 71.5]])
     known = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:3857", always_xy=True)
-    np.testing.assert_allclose(mercator(lonlat), np.column_stack(known.transform(*lonlat.T)),
+    np.testing.assert_allclose(to_mercator(lonlat), np.column_stack(known.transform(*lonlat.T)),
                                rtol=1e-12, atol=1e-6)
-    np.testing.assert_allclose(degrees(mercator(lonlat)), lonlat, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(from_mercator(to_mercator(lonlat)), lonlat, rtol=1e-12, atol=1e-12)
 
 
 EXACT = {
@@ -276,9 +276,9 @@ def test_the_deviation_is_that_of_the_viewer(
     caplog.set_level("INFO", logger="termsel")
     one = annotation(4)
     corners_of = np.array([[0.0, 0.0], [2000, 0], [0, 2000], [2000, 2000]])  # column, row
-    plane = mercator(np.array([[2.2, 48.9]])) + corners_of * [1.0, -1.01]
+    plane = to_mercator(np.array([[2.2, 48.9]])) + corners_of * [1.0, -1.01]
     for feature, place, lonlat in zip(one["body"]["features"], corners_of.tolist(),
-                                      degrees(plane).tolist(), strict=True):
+                                      from_mercator(plane).tolist(), strict=True):
         feature["properties"]["resourceCoords"] = place
         feature["geometry"]["coordinates"] = lonlat
     one["target"]["source"].update(width=2000, height=2000)
@@ -302,7 +302,7 @@ def test_the_sky_of_an_oblique_photo_is_not_asked_for(caplog: pytest.LogCaptureF
     ground = np.column_stack([5e5 + right * ahead, 5.2e6 + ahead, up])
     points = Points(tuple(map(str, range(20))), image + rng.normal(0.0, 0.3, image.shape), ground)
     fit = termsel.fit(FeatureSet(points, crs="EPSG:32632", image_size=(2000, 2000)), "dlt")
-    stated = _transformation(fit, points.image, to_wgs84("EPSG:32632")(ground)[:, :2], None)
+    stated = _choose_transformation(fit, points.image, to_wgs84("EPSG:32632")(ground)[:, :2], None)
     assert stated == {"type": "projective"}
     assert "viewer with projective" in caplog.text
 
@@ -368,8 +368,8 @@ def test_what_reading_says_of_a_map_is_a_command_that_fits_it_to_all_points(
 
 
 def test_corners_are_numbers_in_pairs() -> None:
-    assert corners("1,2 3.5,-4e1  5 6") == [(1, 2), (3.5, -40), (5, 6)]
-    assert corners("1,2 x,4") == []
+    assert polygon_corners("1,2 3.5,-4e1  5 6") == [(1, 2), (3.5, -40), (5, 6)]
+    assert polygon_corners("1,2 x,4") == []
 
 
 def test_those_of_allmaps_are_read_or_refused_as_there() -> None:

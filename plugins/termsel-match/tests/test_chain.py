@@ -21,10 +21,10 @@ from pyogrio.raw import write
 import termsel
 from termsel import FeatureSet, Lines, TermselError, write_points_csv
 from termsel.testing import checks
-from termsel_match.chain import georeference, judge, model_for
+from termsel_match.chain import georeference_image, judge, model_for
 from termsel_match.commands import NOT_GOOD_ENOUGH, auto_georeference
 from termsel_match.judgement.criteria import Agreement
-from termsel_match.judgement.picture import arrow, scale_of
+from termsel_match.judgement.picture import arrow_ends, scale_of
 from termsel_match.judgement.selection import AGREEING, select_points, with_lines
 
 CHECKS = (*checks(Agreement()), *checks(
@@ -198,16 +198,16 @@ def test_a_folder_that_cannot_be_made_is_refused_at_once(place: Any, says: Any,
 def test_vectors_that_cannot_be_read_are_refused_before_the_matching(place: Any,
                                                                      tmp_path: Path) -> None:
     with pytest.raises(TermselError, match="a table or other text, without lines of a map"):
-        georeference(tmp_path / "none.tif", place / "ortho.tif", tmp_path / "map.tif",
-                     dem=place / "dem.tif", vectors=place / "image.RPB")
+        georeference_image(tmp_path / "none.tif", place / "ortho.tif", tmp_path / "map.tif",
+                           dem=place / "dem.tif", vectors=place / "image.RPB")
 
 
 def test_the_package_that_rpcs_require_is_asked_for_before_the_matching(
         place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("termsel_match.chain.find_spec", {}.get)
     with pytest.raises(TermselError, match=r"pip install \./plugins/termsel-rpc"):
-        georeference(place / "image.tif", place / "ortho.tif", tmp_path / "map.tif",
-                     dem=place / "dem.tif", folder=tmp_path / "out")
+        georeference_image(place / "image.tif", place / "ortho.tif", tmp_path / "map.tif",
+                           dem=place / "dem.tif", folder=tmp_path / "out")
     assert not any(tmp_path.iterdir())
 
 
@@ -215,7 +215,7 @@ def test_the_package_that_rpcs_require_is_asked_for_before_the_matching(
 def test_arrows_of_residuals_are_as_long_however_large_the_image_is(step: int) -> None:
     away = np.random.default_rng(1).normal(0, 0.1, (100, 2))
     times = scale_of(away, step)
-    ends = np.array([arrow(np.full(2, 400.0), one, times, step) for one in away]) / 16
+    ends = np.array([arrow_ends(np.full(2, 400.0), one, times, step) for one in away]) / 16
     usual = np.quantile(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), 0.9)
     assert 15 < usual < 41
     assert np.allclose(ends[:, 0], (400.5 / step - 0.5), atol=0.1)

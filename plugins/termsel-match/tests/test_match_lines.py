@@ -23,18 +23,18 @@ import termsel
 from termsel import FeatureSet, Lines, TermselError
 from termsel.testing import checks
 from termsel_match.commands import match_lines
-from termsel_match.images.starts import Start, start_of, turned
+from termsel_match.images.starts import Start, start_of, transform_plane
 from termsel_match.lines import ridges
 from termsel_match.lines.candidates import LineCandidates
 from termsel_match.lines.candidates import match_lines as match
 from termsel_match.lines.certainty import (
-    fitted_to,
-    most_decisive,
-    undetermined,
+    fit_to_lines,
+    most_decisive_vector,
+    sentences_on_certainty,
 )
 from termsel_match.lines.problem import RECIPE, MatchedLines
 from termsel_match.lines.rounds import iterate_lines
-from termsel_match.lines.tracing import Tracing, _drawn_together, left_by_tracing
+from termsel_match.lines.tracing import Tracing, _bootstrap_units, variance_of_tracing
 from termsel_match.lines.vectors import pieces_of
 
 CHECKS = (*checks(match_lines, words=["none.tif", "--vectors", "none.gpkg"]),
@@ -54,19 +54,20 @@ def band_at(middle: float, width: float) -> tuple[np.ndarray, np.ndarray]:
 
 def test_the_response_to_a_band_is_how_much_brighter_it_is() -> None:
     offset, row = band_at(1.0, 6.0)
-    response = ridges._response(row, 6.0)[0]
+    response = ridges._band_response(row, 6.0)[0]
     assert response[offset == 1.0] == pytest.approx(100.0)
     assert np.nanmax(response) == pytest.approx(100.0)
-    assert ridges._response(-row, 6.0)[0][offset == 1.0] == pytest.approx(-100.0)
+    assert ridges._band_response(-row, 6.0)[0][offset == 1.0] == pytest.approx(-100.0)
     # Than the brighter of its sides.
     for side in (offset < -2.0, offset > 4.0):
         brighter = np.where(side, 50.0, row)
-        assert ridges._response(brighter, 6.0)[0][offset == 1.0] == pytest.approx(60.0)
+        assert ridges._band_response(brighter, 6.0)[0][offset == 1.0] == pytest.approx(60.0)
 
 
 def test_a_band_lies_in_the_middle_of_its_edges() -> None:
     offset, row = band_at(1.0, 6.0)
-    assert ridges._between_edges(row, offset, np.array([0.4]), 6.0) == pytest.approx(1.0, abs=0.05)
+    assert ridges._middles_between_edges(
+        row, offset, np.array([0.4]), 6.0) == pytest.approx(1.0, abs=0.05)
 
 
 
@@ -150,7 +151,7 @@ def test_what_errors_of_tracing_leave_is_told(sigma: float) -> None:
     told, true = [], []
     for seed in range(6):
         problem, chosen, away = traced(sigma, seed, 14)
-        found = left_by_tracing(problem, chosen, 1)
+        found = variance_of_tracing(problem, chosen, 1)
         assert found.vectors == 14
         assert "a whole vector" not in found.text()
         told.append(found.sigma)
@@ -161,7 +162,7 @@ def test_what_errors_of_tracing_leave_is_told(sigma: float) -> None:
 
 def test_few_vectors_do_not_show_errors_of_whole_ones() -> None:
     problem, chosen, _ = traced(2.0, 1, 4)
-    text = left_by_tracing(problem, chosen, 1).text()
+    text = variance_of_tracing(problem, chosen, 1).text()
     assert "apart from errors that a whole vector has" in text
     assert "Fewer than 6 vectors" in text
 
@@ -173,14 +174,14 @@ def test_stretches_of_few_vectors_are_contiguous() -> None:
         **one.attributes, "vector": np.full(len(one), "1", dtype=object)}))
     single: Any = termsel.prepare("matched-lines", features=features, model="poly2d",
                                   options={"degree": 1, "half_at": 1.0}).problem
-    assert (np.diff(_drawn_together(single.vector)) >= 0).all()
+    assert (np.diff(_bootstrap_units(single.vector)) >= 0).all()
     pieces = [str(one.attributes["piece"][own[0]]) for own in single._equations_of_pieces()]
     assert pieces == [str(number) for number in range(48)]
 
 
 def test_it_is_said_why_tracing_cannot_be_told() -> None:
     few: Any = SimpleNamespace(vector=np.zeros(3, dtype=int))
-    found = left_by_tracing(few, (), 1)
+    found = variance_of_tracing(few, (), 1)
     assert "so few pieces" in found.text()
     assert found.vectors == 1
 
@@ -201,12 +202,12 @@ def test_lines_of_one_direction_leave_the_other_undetermined() -> None:
     image = np.stack([along + np.array([shift, 0]) for shift in (10, 200, 400)])
     ground = np.dstack([image, np.zeros((3, 2))])
     lines = Lines(("a", "b", "c"), image, ground, np.full(3, 0.5))
-    assert "along it not at all" in undetermined(lines)
+    assert "along it not at all" in sentences_on_certainty(lines)
     crossing = image[:1, :, ::-1] + 5
     more = Lines(("a", "b", "c", "d"), np.concatenate([image, crossing]),
                  np.dstack([np.concatenate([image, crossing]), np.zeros((4, 2))]),
                  np.full(4, 0.5))
-    assert "in all directions" in undetermined(more)
+    assert "in all directions" in sentences_on_certainty(more)
 
 
 @pytest.fixture
@@ -217,7 +218,8 @@ def street(place: Any) -> FeatureSet:
                       for ends in (samples[:-1], samples[1:])], axis=1)
     seen = image.reshape(-1, 2) + np.array([0.0, 3.0])  # along it, the ends are elsewhere
     lonlat = place.world.camera.locate(seen, 520.0)
-    ground = np.column_stack([turned(lonlat, "EPSG:4326", "EPSG:32633"), np.full(20, 520.0)])
+    ground = np.column_stack(
+        [transform_plane(lonlat, "EPSG:4326", "EPSG:32633"), np.full(20, 520.0)])
     lines = Lines(tuple(f"L{i}" for i in range(10)), image, ground.reshape(10, 2, 3),
                   np.full(10, 0.3), attributes={"vector": np.array(["7"] * 10, dtype=object)})
     return FeatureSet(lines=lines, crs="EPSG:32633", image_size=(500, 500))
@@ -228,7 +230,7 @@ def test_one_street_fixes_the_image_across_it_and_the_start_holds_it_along(
     options = {"rpc": str(place / "image.RPB")}
     start = start_of(None, place / "image.tif")
     assert start is not None
-    used, fitted = fitted_to(street, "rpc-drift", options, start, 60.0)
+    used, fitted = fit_to_lines(street, "rpc-drift", options, start, 60.0)
     assert len(used.points) == 4
     result = termsel.run("owdis-lines", features=used, model="rpc-drift", solver="all-terms",
                          criterion="press", options={**options, "mixed": True})
@@ -239,8 +241,8 @@ def test_one_street_fixes_the_image_across_it_and_the_start_holds_it_along(
     assert error[0] < 0.3 < 5 < error[1]
     sigma = fitted.sigma(middle)
     assert (sigma[:, 1] > 20 * sigma[:, 0]).all()
-    assert "along it not at all: there the start holds it" in undetermined(street.lines)
-    assert "Uncertain: without vector 7" in most_decisive(used, "rpc-drift", options).text()
+    assert "along it not at all: there the start holds it" in sentences_on_certainty(street.lines)
+    assert "Uncertain: without vector 7" in most_decisive_vector(used, "rpc-drift", options).text()
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from rasterio.windows import Window
 
 from termsel import TermselError
 from termsel_match import commands
-from termsel_match.images.masks import NONE, open_masked, otsu, tell_of_idle
+from termsel_match.images.masks import NONE, open_masked, otsu_threshold, tell_of_idle
 from termsel_match.points.candidates import match_points as match
 
 pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform",
@@ -149,10 +149,10 @@ def test_areas_of_zeros_are_no_data_unless_the_file_says_otherwise(tmp_path: Pat
 
 def test_otsu_divides_two_classes() -> None:
     rng = np.random.default_rng(1)
-    limit, apart = otsu(np.concatenate([rng.normal(0, 1, 900), rng.normal(20, 1, 100)]))
+    limit, apart = otsu_threshold(np.concatenate([rng.normal(0, 1, 900), rng.normal(20, 1, 100)]))
     assert 3 < limit < 17
     assert apart > 0.9
-    assert otsu(rng.normal(0, 1, 1000))[1] < 0.75
+    assert otsu_threshold(rng.normal(0, 1, 1000))[1] < 0.75
 
 
 @pytest.mark.slow
@@ -209,11 +209,11 @@ def test_progress_without_a_terminal_is_a_line_every_ten_seconds(
         monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     now = [0.0]
     monkeypatch.setattr(commands, "monotonic", lambda: now[0])
-    with commands.bar("match", quiet=False) as tell:
+    with commands.progress_bar("match", quiet=False) as tell:
         assert tell is not None
         for second in range(0, 25):
             now[0] = float(second)
             tell(second / 25)
     assert capsys.readouterr().err == "match: 40 %\nmatch: 80 %\n"
-    with commands.bar("match", quiet=True) as tell:
+    with commands.progress_bar("match", quiet=True) as tell:
         assert tell is None

@@ -14,7 +14,7 @@ pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
                     "pip install -e plugins/termsel-match")
 
 from termsel import read_result, write_points_csv
-from termsel_match.points.calibration import calibrated, smooth_part
+from termsel_match.points.calibration import calibrate_deviations, smooth_part
 from termsel_match.simulated.world import CRS, World
 from termsel_match.simulated.world_files import write_world
 
@@ -130,8 +130,8 @@ def test_standard_deviations_are_those_of_matches_that_agree() -> None:
     found = smooth_part(places, moved)
     assert found is not None
     assert np.abs(found[0] - (moved - noise))[80:].max() < 0.3
-    out = calibrated(places, moved, sigma)
+    out = calibrate_deviations(places, moved, sigma)
     assert np.allclose(np.median(out, axis=0), [0.3, 0.15], rtol=0.15)
     few = slice(0, 8)
-    assert (calibrated(places[few], moved[few], sigma[few]) == 0.2).all()
+    assert (calibrate_deviations(places[few], moved[few], sigma[few]) == 0.2).all()
     assert smooth_part(places, rng.uniform(-300, 300, (300, 2))) is None

@@ -8,7 +8,7 @@ import rasterio
 from rasterio.transform import from_origin
 
 from termsel import TermselError
-from termsel_match.images.positions import in_words, require_same_area
+from termsel_match.images.positions import middle_in_words, require_same_area
 
 
 def raster(path: Path, west: float, north: float, crs: str = "EPSG:4326", pixel: float = 0.1,
@@ -20,8 +20,8 @@ def raster(path: Path, west: float, north: float, crs: str = "EPSG:4326", pixel:
 
 
 def test_places_are_said_in_degrees_whatever_their_crs() -> None:
-    assert in_words(np.array([[500000.0, 0.0]]), "EPSG:32631") == "0.000 N, 3.000 E"
-    assert in_words(np.array([[-70.5, -33.25]]), "EPSG:4326") == "33.250 S, 70.500 W"
+    assert middle_in_words(np.array([[500000.0, 0.0]]), "EPSG:32631") == "0.000 N, 3.000 E"
+    assert middle_in_words(np.array([[-70.5, -33.25]]), "EPSG:4326") == "33.250 S, 70.500 W"
 
 
 def test_a_reference_and_a_dem_of_two_places_are_refused(tmp_path: Path) -> None:

@@ -23,13 +23,18 @@ from rasterio.windows import Window
 from benchmarks.verdicts import BAD, PASSED, REFUSED, Repeated, verdict
 from termsel import FeatureSet, Points, TermselError, read, read_result, write_points_csv
 from termsel_match import chain
-from termsel_match.chain import georeference, judge
+from termsel_match.chain import georeference_image, judge
 from termsel_match.images.rasters import GreyRaster, open_picture
-from termsel_match.judgement.along import Along, along
-from termsel_match.judgement.evidence import OtherPlace, other_place, structure, unsupported
-from termsel_match.judgement.repeats import repetition
+from termsel_match.judgement.along import Along, drift_along
+from termsel_match.judgement.evidence import (
+    OtherPlace,
+    find_other_place,
+    residual_structure,
+    unsupported_share,
+)
+from termsel_match.judgement.repeats import repetition_distance
 from termsel_match.judgement.selection import Selected, _rms_at_unused, select_points
-from termsel_match.judgement.verdict import reasons
+from termsel_match.judgement.verdict import reasons_to_reject
 from termsel_match.simulated.world import CRS, World
 from termsel_match.simulated.world_files import write_world
 
@@ -83,7 +88,7 @@ def test_a_smooth_correction_that_follows_a_seam_is_remarked(
     image[points.image[:, 0] > before] += seam * np.array([0.6, -0.8])
     features = FeatureSet(replace(points, image=image, roles=()), crs=CRS, image_size=(500, 500))
     chosen = select_points(features, "rpc-drift", {"rpc": str(place / "image.RPB")})
-    change = along(chosen, chosen.points.take(chosen.agrees), 500)
+    change = drift_along(chosen, chosen.points.take(chosen.agrees), 500)
     assert change.matters(2.0)
     certificate = chosen.result.certificate
     assert certificate is None or certificate.of == 1  # all are used: nothing to prove
@@ -209,7 +214,7 @@ def test_roles_are_all_along_the_lines(straight: Selected) -> None:
 
 
 def test_a_correction_without_a_seam_changes_nowhere(straight: Selected) -> None:
-    assert not along(straight, straight.points.take(straight.agrees), 500).matters(2.0)
+    assert not drift_along(straight, straight.points.take(straight.agrees), 500).matters(2.0)
     certificate = straight.result.certificate
     assert certificate is None or certificate.of == 1  # all are used: nothing to prove
 
@@ -241,8 +246,8 @@ def test_a_reference_of_a_part_is_no_reason_to_refuse(place: Any, altered: Calla
     maps = []
     for extent in ("image", "reference"):
         maps.append(tmp_path / f"{extent}.tif")
-        done = georeference(place / "image.tif", ortho, maps[-1], dem=place / "dem.tif",
-                            extent=extent, count=150)
+        done = georeference_image(
+            place / "image.tif", ortho, maps[-1], dem=place / "dem.tif", extent=extent, count=150)
         assert not done.reasons
         assert done.evidence.covered > 0.4  # of a third of the image
         exact = place.world.independent()
@@ -321,7 +326,7 @@ def test_structure_is_seen_where_there_is_some(seed: int, noise: float) -> None:
     rng = np.random.default_rng(seed)
     image = rng.uniform(0, 1000, (80, 2))
     step = np.where(image[:, :1] > 500, 1.0, -1.0) * [0.6, 0.8]
-    found = structure(image, step + rng.normal(0, noise, (80, 2)), 2.0, SIZE, rng)
+    found = residual_structure(image, step + rng.normal(0, noise, (80, 2)), 2.0, SIZE, rng)
     assert found is not None
     assert found.level <= 0.01
     assert 0.6 < found.size < 1.2
@@ -331,7 +336,8 @@ def test_structure_is_seen_where_there_is_some(seed: int, noise: float) -> None:
 def test_structure_of_noise_is_rarely_seen() -> None:
     rng, seen = np.random.default_rng(5), 0
     for _ in range(100):
-        found = structure(rng.uniform(0, 1000, (60, 2)), rng.normal(0, 1, (60, 2)), 3.5, SIZE, rng)
+        found = residual_structure(
+            rng.uniform(0, 1000, (60, 2)), rng.normal(0, 1, (60, 2)), 3.5, SIZE, rng)
         assert found is not None
         seen += found.level <= 0.01
     assert seen <= 4
@@ -343,11 +349,11 @@ def test_another_place_is_told_from_chance(seed: int) -> None:
     rng = np.random.default_rng(seed)
     image, wrong = rng.uniform(0, 1000, (40, 2)), rng.uniform(-70, 70, (40, 2))
     alike = np.array([40.0, -12.0]) + rng.normal(0, 0.3, (12, 2))
-    found = other_place(image, np.concatenate([wrong[:28], alike]), 2.0, SIZE)
+    found = find_other_place(image, np.concatenate([wrong[:28], alike]), 2.0, SIZE)
     assert found is not None
     assert found.count >= 12
     assert np.allclose(found.away, [40, -12], atol=0.6)
-    assert other_place(image[:3], alike[:3], 2.0, SIZE) is None
+    assert find_other_place(image[:3], alike[:3], 2.0, SIZE) is None
 
 
 @pytest.mark.parametrize(("change", "said"), [
@@ -369,7 +375,7 @@ def test_each_limit_is_a_reason(change: dict[str, Any], said: tuple[str, ...]) -
         "independent": np.ones(60, dtype=bool), "agrees": np.ones(60, dtype=bool), "median": 2.0,
         "rmse": 2.0, "sigma": 2.0, "structure": None, "other_place": None, "along_lines": Along(),
         **change})
-    refused = reasons(found, found, 2.0)
+    refused = reasons_to_reject(found, found, 2.0)
     assert len(refused) == len(said)
     assert all(reason.startswith(word) for reason, word in zip(refused, said, strict=True))
 
@@ -377,12 +383,12 @@ def test_each_limit_is_a_reason(change: dict[str, Any], said: tuple[str, ...]) -
 def test_parts_without_candidates_are_named() -> None:
     rng, shown = np.random.default_rng(1), np.ones((33, 33), dtype=bool)
     image = rng.uniform(0, 1000, (100, 2))
-    assert unsupported(image, shown, SIZE)[0] < 0.05
-    share, where = unsupported(image[image[:, 0] < 500], shown, SIZE)
+    assert unsupported_share(image, shown, SIZE)[0] < 0.05
+    share, where = unsupported_share(image[image[:, 0] < 500], shown, SIZE)
     assert 0.25 < share < 0.5
     assert where == "the lower part"
     shown[17:] = False  # the reference ends there, so none is expected
-    assert unsupported(image[image[:, 0] < 500], shown, SIZE)[0] < 0.1
+    assert unsupported_share(image[image[:, 0] < 500], shown, SIZE)[0] < 0.1
 
 
 def test_ground_that_repeats_is_told_from_other_ground(tmp_path: Path) -> None:
@@ -392,8 +398,8 @@ def test_ground_that_repeats_is_told_from_other_ground(tmp_path: Path) -> None:
                            height=len(pixels), width=pixels.shape[1]) as raster:
             raster.write(pixels, 1)
         with open_picture(path) as picture:
-            distance, alike = repetition(picture, np.array([[0, 0], picture.size]))
-            assert repetition(picture, np.full((3, 2), np.nan)) == (0, 0)
+            distance, alike = repetition_distance(picture, np.array([[0, 0], picture.size]))
+            assert repetition_distance(picture, np.full((3, 2), np.nan)) == (0, 0)
         assert least <= alike <= most
     assert distance == 59  # the tile has 118 px of 0.5 m
 

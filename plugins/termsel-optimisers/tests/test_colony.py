@@ -15,8 +15,8 @@ from termsel import Bits, Generation, Genome
 from termsel.testing import problems
 from termsel.testing.problems import Toy
 from termsel.toolkit import BoolArray, FloatArray
-from termsel.toolkit.searches import gap
-from termsel_optimisers.rivals.colony import AntColony, deposit, grafts, has_settled, renew
+from termsel.toolkit.searches import gap_to_optimum
+from termsel_optimisers.rivals.colony import AntColony, deposit, graft_segments, has_settled, renew
 
 
 def bits(*texts: str) -> BoolArray:
@@ -50,7 +50,7 @@ def test_settled_by_the_rarer_states() -> None:
 
 def test_grafts_take_one_segment_each() -> None:
     genome = Genome([Bits("a", ("1", "2")), Bits("b", ("3", "4", "5"))])
-    assert grafts(bits("11000")[0], bits("01101")[0], genome).tolist() == bits(
+    assert graft_segments(bits("11000")[0], bits("01101")[0], genome).tolist() == bits(
         "01000", "11101").tolist()
 
 
@@ -111,6 +111,6 @@ def test_polynomials_with_a_shared_mask(degree: int) -> None:
     for seed in (1, 2):
         found = termsel.search(task.problem, AntColony(), seed=seed, evaluations=40_000,
                                polish=True)
-        certificate = gap(task.problem, float(found.objectives[0]))
+        certificate = gap_to_optimum(task.problem, float(found.objectives[0]))
         assert certificate is not None
         assert certificate["optimal"]

@@ -12,7 +12,7 @@ from termsel_optimisers.papers.correlation import (
     CorrelationSeededGA,
     activation_probabilities,
     correlation_sums,
-    seeded_population,
+    seed_population,
 )
 
 
@@ -71,7 +71,7 @@ def test_probabilities_beyond_1_are_refused_with_what_is_permitted() -> None:
 @pytest.mark.parametrize("n", [1, 37, 200])
 def test_genes_are_on_in_exactly_so_many_chromosomes(n: int) -> None:
     probability = np.array([0.0, 0.15, 0.5, 0.59, 1.0])
-    genes = seeded_population(probability, n, rng())
+    genes = seed_population(probability, n, rng())
     assert genes.shape == (n, 5)
     assert genes.sum(axis=0).tolist() == [round(p * n) for p in probability]
 

@@ -234,7 +234,7 @@ def test_each_algorithm_of_pymoo_runs_and_repeats(algorithm: str) -> None:
 def test_generators_that_pymoo_makes_without_a_seed_have_one(algorithm: str) -> None:
     """It draws from them where two are equally infeasible."""
     solver = Pymoo(algorithm=algorithm, population=20)
-    problem = problems.trap() if algorithm in SINGLE else Counted(problems.trap())
+    problem = problems.trap_problem() if algorithm in SINGLE else Counted(problems.trap_problem())
     seen: list[bytes] = []
     for _ in range(2):
         search(problem, solver, generations=6, observers=[
@@ -266,7 +266,7 @@ def test_what_pymoo_cannot_do_here_is_refused_with_the_reason(options: dict[str,
 
 @pytest.mark.parametrize("algorithm", ["nsga3", "ctaea"])
 def test_a_population_smaller_than_the_directions_is_refused(algorithm: str) -> None:
-    problem = Counted(Counted(Counted(problems.two_aims())))
+    problem = Counted(Counted(Counted(problems.problem_of_two_aims())))
     solver = Pymoo(algorithm=algorithm, population=4)
     with pytest.raises(TermselError, match="each of 5 objectives, but a population of 4"):
         search(problem, solver, generations=1)
@@ -301,8 +301,8 @@ def test_a_partial_function_gives_a_toolbox() -> None:
 
 
 def test_rvea_runs_beyond_its_horizon() -> None:
-    shifted, usual = (search(problems.two_aims(), Pymoo(algorithm="rvea", population=12,
-                                                        horizon=horizon), generations=6)
+    shifted, usual = (search(problems.problem_of_two_aims(), Pymoo(algorithm="rvea", population=12,
+                                                                   horizon=horizon), generations=6)
                       for horizon in (2, None))
     assert shifted.generations == usual.generations == 6
 
@@ -317,7 +317,7 @@ def test_an_algorithm_for_another_number_of_objectives_is_told_its_options() -> 
 
 def test_c_taea_has_as_many_directions_as_its_population_allows() -> None:
     sizes = []
-    search(problems.two_aims(), Pymoo(algorithm="ctaea", population=15), generations=2,
+    search(problems.problem_of_two_aims(), Pymoo(algorithm="ctaea", population=15), generations=2,
            observers=[lambda progress: sizes.append(len(progress.generation.genes))])
     assert sizes[0] == 15
 

@@ -126,7 +126,7 @@ def test_a_solver_finds_what_the_same_script_finds() -> None:
 
 
 def test_variables_of_all_types_evolve_by_their_types() -> None:
-    problem = problems.typed(SEGMENTS)
+    problem = problems.typed_problem(SEGMENTS)
     mine = from_pymoo(MixedVariableGA(pop_size=20))
     assert (mine.min_objectives, mine.max_objectives) == (1, 1)
     first, found, again = (search(problem, mine(), seed=1, generations=n) for n in (1, 25, 25))

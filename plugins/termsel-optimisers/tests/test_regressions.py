@@ -14,22 +14,22 @@ pytest.importorskip("termsel_optimisers", reason="termsel-optimisers is not inst
 import termsel
 from termsel import Equations, FeatureSet, LeastSquares, Points, Regression, TermRegression
 from termsel.toolkit import solve
-from termsel.toolkit.searches import regressions
+from termsel.toolkit.searches import regressions_of_problem
 from termsel_optimisers.rivals.lasso import Lasso, PathSegment, lasso_path
 from termsel_optimisers.rivals.nested import (
     NestedRegression,
-    explained_share,
+    explained_shares,
     rational_errors,
-    rms,
+    rms_of_targets,
 )
 from termsel_optimisers.rivals.scatter import ScatterMatrix
 from termsel_optimisers.rivals.stepwise import (
     Stepwise,
     TTest,
-    gains,
-    independent,
-    losses,
-    significance,
+    gains_of_entering,
+    independent_columns,
+    losses_of_leaving,
+    p_value_of_change,
 )
 from tests.regressions import part_of, sparse, square
 
@@ -46,8 +46,8 @@ def test_gains_and_losses_are_those_of_refits() -> None:
     part, _ = sparse(1, r=2)
     chosen = np.zeros(12, dtype=bool)
     chosen[[0, 1, 2, 6]] = True
-    gain, before = gains(part, chosen)
-    loss, same = losses(part, chosen)
+    gain, before = gains_of_entering(part, chosen)
+    loss, same = losses_of_leaving(part, chosen)
     assert before == pytest.approx(square(part, chosen))
     assert same == pytest.approx(before)
     for j in range(12):
@@ -63,11 +63,11 @@ def test_a_loss_is_the_square_of_t() -> None:
     part, _ = sparse(2)
     chosen = np.ones(12, dtype=bool)
     adjusted = solve(Equations(part.columns, part.target[:, 0], np.arange(40)))
-    loss, rest = losses(part, chosen)
+    loss, rest = losses_of_leaving(part, chosen)
     t = adjusted.coefficients / adjusted.deviations
     np.testing.assert_allclose(loss / (rest / 28), t**2, rtol=1e-9)
     for j in range(12):
-        assert significance(part, loss[j], rest, chosen) == pytest.approx(
+        assert p_value_of_change(part, loss[j], rest, chosen) == pytest.approx(
             2 * stats.t.sf(abs(t[j]), 28), rel=1e-9)
 
 
@@ -77,15 +77,15 @@ def test_significance_of_a_line_through_five_points() -> None:
     columns = np.column_stack([np.ones(5), np.arange(-2.0, 3.0)])
     part = part_of(columns, np.array([1.0, 3.0, 2.0, 5.0, 4.0]))
     both = np.ones(2, dtype=bool)
-    loss, rest = losses(part, both)
+    loss, rest = losses_of_leaving(part, both)
     assert (loss[1], rest) == pytest.approx((6.4, 3.6))
     expected = stats.f.sf(16 / 3, 1, 3)
-    assert significance(part, loss[1], rest, both) == pytest.approx(expected)
+    assert p_value_of_change(part, loss[1], rest, both) == pytest.approx(expected)
     assert expected == pytest.approx(
         stats.linregress(columns[:, 1], part.target[:, 0]).pvalue)
     # With an image of two axes: the same again next to it, twice the degrees of freedom.
     double = part_of(columns, np.column_stack([part.target, part.target]))
-    assert significance(double, 12.8, 7.2, both) == pytest.approx(stats.f.sf(16 / 3, 2, 6))
+    assert p_value_of_change(double, 12.8, 7.2, both) == pytest.approx(stats.f.sf(16 / 3, 2, 6))
 
 
 def p_value(part: Regression, smaller: np.ndarray, larger: np.ndarray) -> float:
@@ -132,7 +132,7 @@ def test_stepwise_drops_what_others_make_superfluous() -> None:
     a, b = rng.normal(size=(2, 60))
     columns = np.column_stack([np.ones(60), a, b, a + b + 0.4 * rng.normal(size=60)])
     part = part_of(columns, a + b + 0.01 * rng.normal(size=60))
-    assert gains(part, part.kept)[0].argmax() == 3  # it enters first
+    assert gains_of_entering(part, part.kept)[0].argmax() == 3  # it enters first
     np.testing.assert_array_equal(Stepwise().choose(part), [True, True, True, False])
 
 
@@ -162,9 +162,9 @@ def test_elimination_begins_with_the_first_independent_columns() -> None:
     columns[:, 3] = columns[:, 1] - 2 * columns[:, 2]
     columns[:, 5] = 0.0
     part = part_of(columns, rng.normal(size=8))
-    assert np.flatnonzero(independent(part, 12)).tolist() == [0, 1, 2, 4, 6, 7, 8, 9]
-    assert np.flatnonzero(independent(part, 5)).tolist() == [0, 1, 2, 4, 6]
-    assert np.linalg.matrix_rank(columns[:, independent(part, 12)]) == 8
+    assert np.flatnonzero(independent_columns(part, 12)).tolist() == [0, 1, 2, 4, 6, 7, 8, 9]
+    assert np.flatnonzero(independent_columns(part, 5)).tolist() == [0, 1, 2, 4, 6]
+    assert np.linalg.matrix_rank(columns[:, independent_columns(part, 12)]) == 8
     # By default a quarter of the equations is left to test with.
     begins = TTest(alpha=1.0).choose(part)
     assert np.flatnonzero(begins).tolist() == [0, 1, 2, 4, 6, 7]
@@ -226,7 +226,7 @@ def test_nested_regression_by_hand() -> None:
         return np.flatnonzero(NestedRegression(thumb=thumb).choose(part)).tolist()
 
     part = part_of(columns, target)
-    share = explained_share(part, part.kept, rational_errors(part, part.kept))
+    share = explained_shares(part, part.kept, rational_errors(part, part.kept))
     np.testing.assert_allclose(share, np.array([0.0, 9.0, 1.44, 0.01]) / 10.45, atol=1e-12)
     assert terms(3.3) == [0, 1]          # 1.20 and a change of 2.03 are both below
     assert terms(1.9) == [0, 1, 2]       # 1.20 is, but the change of 2.03 is not
@@ -270,7 +270,7 @@ def test_nested_regression_of_a_polynomial_is_that_of_the_authors(seed: int) -> 
 def test_residuals_of_nested_regression_are_those_of_the_quotient() -> None:
     task = termsel.prepare("rfm-terms")
     problem = task.problem
-    for side, part in enumerate(regressions(problem)):
+    for side, part in enumerate(regressions_of_problem(problem)):
         chosen = NestedRegression().choose(part)
         terms = np.zeros(78, dtype=bool)
         terms[part.genes[chosen]] = True
@@ -281,7 +281,7 @@ def test_residuals_of_nested_regression_are_those_of_the_quotient() -> None:
         np.testing.assert_allclose(
             rational_errors(part, chosen)[:, 0] * part.pixels, errors, atol=1e-6)
         assert 2 <= chosen.sum() <= 23
-        assert rms(errors[:, None])[0] < 0.5 or chosen.sum() == 23
+        assert rms_of_targets(errors[:, None])[0] < 0.5 or chosen.sum() == 23
 
 
 @pytest.mark.parametrize(("noise", "thumb"), [(0.1, 0.15), (0.0, 1e-9)])

@@ -9,8 +9,13 @@ pytest.importorskip("termsel_optimisers", reason="termsel-optimisers is not inst
                     "pip install -e plugins/termsel-optimisers")
 
 import termsel
-from termsel_optimisers.rivals.scatter import ScatterMatrix, explained_squares, scatter_of, swept
-from termsel_optimisers.rivals.stepwise import gains, losses
+from termsel_optimisers.rivals.scatter import (
+    ScatterMatrix,
+    explained_squares,
+    scatter_of,
+    sweep_pivot,
+)
+from termsel_optimisers.rivals.stepwise import gains_of_entering, losses_of_leaving
 from tests.regressions import part_of, sparse, square
 
 
@@ -22,16 +27,16 @@ def test_a_sweep_gives_gains_and_losses_and_is_undone(seed: int) -> None:
     chosen = part.kept.copy()
     scale = square(part, chosen)  # the target about the constant has the length 1
     for j in (3, 5):
-        gain, _ = gains(part, chosen)
+        gain, _ = gains_of_entering(part, chosen)
         open_ones = ~chosen
         np.testing.assert_allclose(explained_squares(scatter, 8)[open_ones] * scale,
                                    gain[open_ones], rtol=1e-8)
-        scatter, chosen[j] = swept(scatter, j), True
-    loss, _ = losses(part, chosen)
+        scatter, chosen[j] = sweep_pivot(scatter, j), True
+    loss, _ = losses_of_leaving(part, chosen)
     np.testing.assert_allclose(explained_squares(scatter, 8)[[3, 5]] * scale, loss[[3, 5]],
                                rtol=1e-8)
     np.testing.assert_allclose(np.trace(scatter[8:, 8:]) * scale, square(part, chosen), rtol=1e-8)
-    np.testing.assert_allclose(swept(swept(scatter, 2), 2), scatter, atol=1e-12)
+    np.testing.assert_allclose(sweep_pivot(sweep_pivot(scatter, 2), 2), scatter, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(6))

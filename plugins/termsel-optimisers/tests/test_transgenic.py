@@ -17,7 +17,7 @@ from termsel.toolkit import BoolArray, FloatArray
 from termsel.toolkit.searches import WORST
 from termsel_optimisers import TransgenicGA
 from termsel_optimisers.rivals import transgenic
-from termsel_optimisers.rivals.transgenic import qualification
+from termsel_optimisers.rivals.transgenic import gene_qualification
 
 
 def rng(seed: int = 1) -> np.random.Generator:
@@ -43,7 +43,7 @@ def test_qualification_is_the_rank_sum_test() -> None:
     genes = rng().random((60, 8)) < 0.4
     genes[:, 6], genes[:, 7] = True, False
     cost = np.round(rng(2).normal(size=60) - genes[:, 0], 1)  # rounded: with ties
-    found = qualification(genes, judged(cost))
+    found = gene_qualification(genes, judged(cost))
     for gene in range(6):
         on = genes[:, gene]
         test = mannwhitneyu(cost[on], cost[~on], method="asymptotic", use_continuity=False)
@@ -55,15 +55,15 @@ def test_qualification_is_the_rank_sum_test() -> None:
 
 def test_qualification_without_differences() -> None:
     genes = rng().random((20, 5)) < 0.5
-    assert not qualification(genes, judged(np.full(20, WORST))).any()
-    assert not qualification(genes[:1], judged(np.ones(1))).any()
+    assert not gene_qualification(genes, judged(np.full(20, WORST))).any()
+    assert not gene_qualification(genes[:1], judged(np.ones(1))).any()
 
 
 def test_infeasible_chromosomes_rank_last() -> None:
     genes = np.arange(20)[:, None] < [10]
     cheap = np.where(genes[:, 0], 0.0, 1.0)
-    assert qualification(genes, judged(cheap))[0] > 3
-    assert qualification(genes, judged(cheap, violation=cheap == 0))[0] < -3
+    assert gene_qualification(genes, judged(cheap))[0] > 3
+    assert gene_qualification(genes, judged(cheap, violation=cheap == 0))[0] < -3
 
 
 def test_every_second_parent_has_the_qualified_genes() -> None:
@@ -85,7 +85,7 @@ def test_every_second_parent_has_the_qualified_genes() -> None:
 def test_the_test_of_a_gene_has_two_sides(coefficient: float, qualified: bool,
                                           monkeypatch: pytest.MonkeyPatch) -> None:
     """At the level 0.05 the limits of a standard normal variable are -1.96 and 1.96."""
-    monkeypatch.setattr(transgenic, "qualification",
+    monkeypatch.setattr(transgenic, "gene_qualification",
                         lambda *_: np.array([coefficient, -coefficient, 0.0]))
     genes = np.array([[False, True, False], [False, True, True]] * 4)
     seen: list[BoolArray] = []

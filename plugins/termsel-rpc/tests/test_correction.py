@@ -20,7 +20,7 @@ from termsel import FeatureSet, Points, Result, Rpc, read_rpc
 from termsel.testing import checks, invoke
 from termsel.toolkit import rpc_txt_text
 from termsel.toolkit.files import rpb_text, rpc_items
-from termsel_rpc.belief import CORRECTION_KINDS, Belief, grid
+from termsel_rpc.belief import CORRECTION_KINDS, Belief, correction_grid
 from termsel_rpc.correction import CORRECTIONS
 from termsel_rpc.jitter import CANDIDATE as JITTERED
 from termsel_rpc.local import CANDIDATE as LOCAL
@@ -176,7 +176,7 @@ def test_errors_without_each_are_those_of_the_rest() -> None:
     rng = np.random.default_rng(0)
     rows, right = rng.normal(size=(10, 6)), rng.normal(size=10)
     feature = np.repeat(np.arange(5), 2)
-    whole = Belief(rows, right, feature, grid(range(len(CORRECTION_KINDS))))
+    whole = Belief(rows, right, feature, correction_grid(range(len(CORRECTION_KINDS))))
     errors, density = whole.without_each
     rest = Belief(rows[2:], right[2:], feature[2:] - 1, whole.grid)
     np.testing.assert_allclose(errors[:2], right[:2] - rows[:2] @ rest.coefficients, atol=1e-6)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel_rpc import matches
+from termsel_rpc import simulate_matches
 
 
 def test_matches_are_wrong_in_the_share_asked_for() -> None:
-    exact, found = matches(0.0), matches(0.4)
+    exact, found = simulate_matches(0.0), simulate_matches(0.4)
     control = np.array(exact.points.roles) == "control"
     far = np.linalg.norm(found.points.image - exact.points.image, axis=1) > 4.0
     assert control.sum() == 100

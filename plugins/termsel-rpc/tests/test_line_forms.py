@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 import termsel
 from termsel import FeatureSet, Fit, LeastSquares, Lines, Points, Rpc, read_rpc
-from termsel.toolkit import scaling_of
+from termsel.toolkit import make_scaling
 from termsel_rpc import RpcShift
 from termsel_rpc.simulated import DATASET_NAME, RPC_FILE
 
@@ -25,7 +25,7 @@ def ground_of(rpc: Rpc, count: int, seed: int) -> FloatArray:
 
 def fit_of(model: RpcShift, control: FeatureSet) -> Fit:
     used = np.ones(len(control), dtype=bool)
-    return LeastSquares().fit(model, control, scaling_of(control),
+    return LeastSquares().fit(model, control, make_scaling(control),
                               np.ones(len(model.terms), dtype=bool), used)
 
 

@@ -25,8 +25,8 @@ from termsel import (
     write_result,
 )
 from termsel.simulate import scene_truth, write_geometry
-from termsel_rpc import Ce90, RpcShift, candidates
-from termsel_rpc.simulated import DATASET_NAME, RPC_FILE, SCENE, nominal_sensor, quality
+from termsel_rpc import Ce90, RpcShift, simulate_candidates
+from termsel_rpc.simulated import DATASET_NAME, RPC_FILE, SCENE, candidate_quality, nominal_sensor
 
 Call = Callable[..., SimpleNamespace]
 
@@ -41,7 +41,7 @@ def run_by_name(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def kinds(ids: tuple[str, ...]) -> list[str]:
-    of = dict(zip(candidates().points.ids, quality().tolist(), strict=True))
+    of = dict(zip(simulate_candidates().points.ids, candidate_quality().tolist(), strict=True))
     return [of[name] for name in ids]
 
 
@@ -73,7 +73,7 @@ def test_refined_rpc_serves_gdal(run_by_name: Path, tmp_path: Path, call: Call) 
     done = call("export", run_by_name, "--to", "rpb", "--output", tmp_path / "scene.RPB")
     assert done.exit_code == 0, done.stderr
     refined, vendor = read_rpc(tmp_path / "scene.RPB"), read_rpc(RPC_FILE)
-    ground = candidates().points.ground
+    ground = simulate_candidates().points.ground
     true = scene_truth(SCENE).sensor.project(ground)
     before, after = (np.linalg.norm(rpc.project(ground) - true, axis=1).mean()
                      for rpc in (vendor, refined))
@@ -203,7 +203,7 @@ def test_bad_input_gives_one_message(arguments: list[str], said: str, call: Call
                                                ("pushbroom-refine", "geometry")])
 def test_a_result_is_whole_without_the_vendors_file(
         model: str, option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file, ground = tmp_path / "vendor.scene", candidates().points.ground
+    file, ground = tmp_path / "vendor.scene", simulate_candidates().points.ground
     if option == "rpc":
         file.write_text(RPC_FILE.read_text())
     else:
@@ -235,12 +235,12 @@ def test_damaged_record_of_a_geometry(model: str, option: str, text: str) -> Non
 
 def test_own_points_do_not_take_the_rpc_of_the_embedded_ones() -> None:
     with pytest.raises(TermselError, match="requires the RPC to refine") as caught:
-        termsel.run("rpc-gcps", features=candidates())
+        termsel.run("rpc-gcps", features=simulate_candidates())
     assert "--rpc FILE" in str(caught.value)
 
 
 def test_embedded_points_are_as_stated() -> None:
-    points, kind = candidates().points, quality()
+    points, kind = simulate_candidates().points, candidate_quality()
     away = np.linalg.norm(points.image - scene_truth(SCENE).sensor.project(points.ground), axis=1)
     roles = np.array(points.roles)
     for role, counts in {"control": (48, 20, 12), "check": (48, 20, 12),

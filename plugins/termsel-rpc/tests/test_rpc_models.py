@@ -29,7 +29,7 @@ from termsel import (
 )
 from termsel.simulate import read_geometry, scene_truth, write_geometry
 from termsel.testing import Check, checks
-from termsel.toolkit import registry, scaling_of
+from termsel.toolkit import make_scaling, registry
 from termsel.toolkit.files import rpb_text
 from termsel_rpc import Ce90, PushbroomRefine, RpcAffine, RpcDrift, RpcField, RpcJitter, RpcShift
 from termsel_rpc.simulated import (
@@ -156,7 +156,7 @@ def test_fit_is_that_of_least_squares_on_what_gdal_projects(
 
 def least_squares(model: SensorModel, control: FeatureSet) -> Fit:
     """Return the fit of all terms to all control, whether or not it determines them."""
-    return LeastSquares().fit(model, control, scaling_of(control), *(
+    return LeastSquares().fit(model, control, make_scaling(control), *(
         np.ones(n, dtype=bool) for n in (len(model.terms), len(control))))
 
 

@@ -13,7 +13,7 @@ pytest.importorskip("termsel_studies", reason="termsel-studies is not installed:
 
 import termsel
 from termsel import TableBlock
-from termsel.toolkit.charts import Document, Section, page
+from termsel.toolkit.charts import Document, Section, render_page
 from termsel_studies.small import MAX_ARROWS, small_map
 
 
@@ -60,5 +60,5 @@ def test_the_page_of_two_hundred_images_is_small() -> None:
     drawn = [many] * 200
     table = TableBlock("200 images", ("image",), [(f"image {i}",) for i in range(200)],
                        pictures=drawn)
-    text = page(Document("Study", "", (), (Section("Images", (table,)),)))
+    text = render_page(Document("Study", "", (), (Section("Images", (table,)),)))
     assert len(text) < 3.5e6

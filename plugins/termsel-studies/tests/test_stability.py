@@ -27,7 +27,7 @@ from termsel import (
 from termsel.testing import invoke
 from termsel.toolkit.runs import Request, task_of
 from termsel_studies import frequencies as module
-from termsel_studies import stability
+from termsel_studies import selection_frequencies
 
 QUICK = {"model": "poly3d", "solver": "exact", "criterion": "press", "repeats": 4,
          "options": {"degree": 2}}
@@ -48,7 +48,7 @@ def few_terms(n: int = 90) -> tuple[FeatureSet, set[str]]:
 
 def test_terms_that_are_there_are_always_selected() -> None:
     features, wanted = few_terms()
-    found = stability("rfm-terms", features=features, **QUICK)
+    found = selection_frequencies("rfm-terms", features=features, **QUICK)
     always = {name for name, share in zip(found.terms, found.frequency, strict=True) if share == 1}
     assert wanted <= always
     assert found.frequency.mean() < 1
@@ -59,7 +59,8 @@ def test_terms_that_are_there_are_always_selected() -> None:
 
 def test_repetitions_differ_and_repeat_themselves() -> None:
     features, _ = few_terms()
-    first, second = (stability("rfm-terms", features=features, seed=3, **QUICK) for _ in range(2))
+    first, second = (
+        selection_frequencies("rfm-terms", features=features, seed=3, **QUICK) for _ in range(2))
     np.testing.assert_array_equal(first.selections, second.selections)
     assert len(np.unique(first.selections, axis=0)) > 1
 
@@ -68,7 +69,7 @@ def test_independent_points_take_no_part() -> None:
     features, _ = few_terms()
     independent = np.array(features.points.roles) == "independent"
     moved = replace(features.points, image=features.points.image + 9.0 * independent[:, None])
-    one, other = (stability("rfm-terms", features=each, **QUICK)
+    one, other = (selection_frequencies("rfm-terms", features=each, **QUICK)
                   for each in (features, FeatureSet(moved)))
     np.testing.assert_array_equal(one.selections, other.selections)
     assert one.rmse["check"] == other.rmse["check"]
@@ -80,14 +81,14 @@ def test_independent_points_take_no_part() -> None:
     ("poly-terms", {"repeats": 1}, "say nothing"), ("poly-terms", {"threshold": 0}, "say nothing")])
 def test_what_it_is_not_for(problem: str, more: dict[str, Any], message: str) -> None:
     with pytest.raises(termsel.TermselError, match=message):
-        stability(problem, evaluations=50, **more)
+        selection_frequencies(problem, evaluations=50, **more)
 
 
 def test_a_term_is_stable_from_the_threshold_on() -> None:
     features, _ = few_terms()
-    shares = stability("rfm-terms", features=features, seed=3, **QUICK).frequency
+    shares = selection_frequencies("rfm-terms", features=features, seed=3, **QUICK).frequency
     some = float(shares[(shares > 0) & (shares < 1)][0])
-    found = stability("rfm-terms", features=features, seed=3, threshold=some, **QUICK)
+    found = selection_frequencies("rfm-terms", features=features, seed=3, threshold=some, **QUICK)
     np.testing.assert_array_equal(found.frequency, shares)
     assert found.stable == tuple(name for name, share in zip(found.terms, shares, strict=True)
                                  if share >= some)
@@ -231,7 +232,7 @@ def test_twins_share_a_role_in_every_repetition(monkeypatch: pytest.MonkeyPatch)
         return task_of(request)
 
     monkeypatch.setattr(module, "task_of", recorded)
-    stability("rfm-terms", features=FeatureSet(points.join(twins)), **QUICK)
+    selection_frequencies("rfm-terms", features=FeatureSet(points.join(twins)), **QUICK)
     assert len(drawn) == 5
     for roles in drawn:
         assert all(roles[name] == roles[f"T{name}"] for name in some.ids)

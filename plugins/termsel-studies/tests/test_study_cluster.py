@@ -114,7 +114,7 @@ def test_workers_without_a_plugin_are_named_before_anything_runs(
     asked = {**ASKED, "budget": {"evaluations": 50}}
     for needed, said in ({"termsel-other": "1.0"}, "lacks termsel-other, which the study needs"), (
             {"numpy": "0.1"}, "has numpy .*, this machine 0.1"):
-        monkeypatch.setattr("termsel.studies.compare._plugins",
+        monkeypatch.setattr("termsel.studies.compare._plugin_versions",
                             lambda _cells, _spec, needed=needed: needed)
         out = tmp_path / next(iter(needed))
         with pytest.raises(TermselError, match=rf"worker tcp://127\.0\.0\.1:\d+ {said}"):

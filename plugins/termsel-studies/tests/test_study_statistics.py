@@ -15,30 +15,30 @@ from msgspec import structs
 import termsel
 from termsel.toolkit import FloatArray
 from termsel.toolkit.studies import CellRecord
-from termsel_studies.claims import claims, size_in_words
-from termsel_studies.fronts import front_figures, indicators, non_dominated
+from termsel_studies.claims import size_in_words, valid_claims
+from termsel_studies.fronts import front_figures, front_indicators, non_dominated
 from termsel_studies.groups import Groups, Runs, group
 from termsel_studies.ioh import WORST, ioh_files
-from termsel_studies.pages import latex, markdown, tables_of
+from termsel_studies.pages import study_as_latex, study_as_markdown, tables_of
 from termsel_studies.significance import (
     compare_methods,
     critical_difference,
     effect_size,
     effect_size_interval,
-    holm,
+    holm_correction,
     may_be_chance,
     performance_profile,
-    signed_rank,
+    signed_rank_test,
 )
 from termsel_studies.summaries import (
-    bands,
-    ecdf,
+    effort_to_target,
     expected_running_time,
-    hit,
-    quantiles,
-    summaries,
+    quantiles_with_infinity,
+    quartiles_by_budget,
+    success_curve,
+    summarise_runs,
     targets_of,
-    wilson,
+    wilson_interval,
 )
 
 # Demšar 2006, table 6: AUC of C4.5, C4.5+m, C4.5+cf and C4.5+m+cf on 14 data sets. The paper ranks
@@ -96,15 +96,16 @@ def test_critical_values_are_those_of_demsar() -> None:
 
 
 def test_holm_corrects_step_by_step() -> None:
-    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
-    assert holm([0.9, 0.8]) == pytest.approx([1.0, 1.0])
-    assert holm([]) == []
+    assert holm_correction([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm_correction([0.9, 0.8]) == pytest.approx([1.0, 1.0])
+    assert holm_correction([]) == []
 
 
 def test_holm_agrees_with_statsmodels() -> None:
     multitest = pytest.importorskip("statsmodels.stats.multitest")
     p = np.random.default_rng(1).uniform(size=12) ** 3
-    assert holm(p.tolist()) == pytest.approx(multitest.multipletests(p, method="holm")[1])
+    assert holm_correction(
+        p.tolist()) == pytest.approx(multitest.multipletests(p, method="holm")[1])
 
 
 def test_signed_rank_counts_a_method_without_result_as_worst() -> None:
@@ -112,13 +113,13 @@ def test_signed_rank_counts_a_method_without_result_as_worst() -> None:
     one = np.array([1.0, 2, 3, 4, 5, 6])
     other = one + np.arange(1, 7)
     for lower, pair in ((True, (one, other)), (False, (other, one))):
-        p, is_lower = signed_rank(*pair)
+        p, is_lower = signed_rank_test(*pair)
         assert p == pytest.approx(2 / 64)
         assert is_lower is lower
-    assert signed_rank(one, np.full(6, np.inf))[0] < 0.05
-    assert signed_rank(one, one)[0] == 1.0
+    assert signed_rank_test(one, np.full(6, np.inf))[0] < 0.05
+    assert signed_rank_test(one, one)[0] == 1.0
     both = np.full(6, np.inf)
-    assert signed_rank(both, both)[0] == 1.0
+    assert signed_rank_test(both, both)[0] == 1.0
 
 
 def test_effect_size_counts_pairs() -> None:
@@ -134,7 +135,7 @@ def test_wilson_is_the_published_interval() -> None:
     # Newcombe 1998, Stat. Med. 17, table I, method 3: 81 of 263, 15 of 148, 0 of 20, 1 of 29.
     for successes, runs, low, high in ((81, 263, .2553, .3662), (15, 148, .0624, .1605),
                                        (0, 20, 0.0, .1611), (1, 29, .0061, .1718)):
-        assert wilson(successes, runs) == pytest.approx((low, high), abs=5e-5)
+        assert wilson_interval(successes, runs) == pytest.approx((low, high), abs=5e-5)
 
 
 def test_expected_running_time_counts_the_runs_that_failed() -> None:
@@ -147,23 +148,24 @@ TRACES = [[[10, 5.0, 0.1], [20, 3.0, 0.2]], [[15, 4.0, 0.3]], []]
 
 
 def test_traces_give_hits_distributions_and_bands() -> None:
-    assert hit(TRACES[0], 4.0) == 20
-    assert hit(TRACES[0], 4.0, 2) == 0.2
-    assert hit(TRACES[1], 3.9) == math.inf
-    budgets, shares = ecdf([hit(trace, target) for trace in TRACES for target in (4.5, 3.0)])
+    assert effort_to_target(TRACES[0], 4.0) == 20
+    assert effort_to_target(TRACES[0], 4.0, 2) == 0.2
+    assert effort_to_target(TRACES[1], 3.9) == math.inf
+    budgets, shares = success_curve(
+        [effort_to_target(trace, target) for trace in TRACES for target in (4.5, 3.0)])
     assert budgets == [15, 20]
     assert shares == pytest.approx([1 / 6, 3 / 6])
-    assert ecdf([math.inf]) == ([], [])
+    assert success_curve([math.inf]) == ([], [])
     assert targets_of(2.0, [], 3) == pytest.approx([4.0, 2.02, 2.0002])
     assert targets_of(None, [Runs([], [3.0, math.inf])], 2) == pytest.approx([6.0, 3.0003])
-    assert bands(TRACES[:2], [5, 10, 20]) == [
+    assert quartiles_by_budget(TRACES[:2], [5, 10, 20]) == [
         (5, math.inf, math.inf, math.inf), (10, math.inf, math.inf, math.inf),
         (20, 3.25, 3.5, 3.75)]
 
 
 def test_quantiles_accept_what_is_infinite() -> None:
-    assert quantiles([1, 2, math.inf], (0, 0.25, 0.5, 1)) == [1, 1.5, 2, math.inf]
-    assert quantiles([math.inf] * 3, (0.5,)) == [math.inf]
+    assert quantiles_with_infinity([1, 2, math.inf], (0, 0.25, 0.5, 1)) == [1, 1.5, 2, math.inf]
+    assert quantiles_with_infinity([math.inf] * 3, (0.5,)) == [math.inf]
 
 
 def test_an_optimum_of_the_smaller_selections_alone_is_none_of_the_problem() -> None:
@@ -172,7 +174,7 @@ def test_an_optimum_of_the_smaller_selections_alone_is_none_of_the_problem() -> 
         solvers=[{"name": "exact", "max_terms": 2}, "swap"])
     exact = study.rows[0]
     assert (exact["proven"], exact["optimum"]) == (False, None)
-    assert "proven optimum" not in markdown(study)
+    assert "proven optimum" not in study_as_markdown(study)
 
 
 def test_no_optimum_is_reached_by_a_run_that_ends_elsewhere() -> None:
@@ -180,7 +182,7 @@ def test_no_optimum_is_reached_by_a_run_that_ends_elsewhere() -> None:
     row = {"optimum": 1.0, "state": "done", "evaluations": 100}
     runs = Runs([row] * 2, [1.0, 2.0], [
         CellRecord("k", "done", "", {"evaluations": 100}, [[40, 1.0, 0.1]], [])] * 2)
-    (found,) = summaries(Groups("fitness", {"one": {"ga": runs}}, ("ga",)))
+    (found,) = summarise_runs(Groups("fitness", {"one": {"ga": runs}}, ("ga",)))
     assert (found.optimum, found.reached, found.expected) == (1.0, 1, 40 + 100)
 
 
@@ -192,11 +194,11 @@ def test_a_performance_profile_is_that_of_its_definition() -> None:
 
 def test_indicators_of_fronts_by_hand() -> None:
     reference = np.array([[0.0, 10.0], [1.0, 0.0]])
-    volume, distance = indicators(reference, reference)
+    volume, distance = front_indicators(reference, reference)
     # Two corners, (0, 1) and (1, 0), below the reference point (1.1, 1.1).
     assert volume == pytest.approx(1.1 * 0.1 + 1.0 * 0.1)
     assert distance == 0
-    volume, distance = indicators(np.array([[0.5, 5.0]]), reference)
+    volume, distance = front_indicators(np.array([[0.5, 5.0]]), reference)
     assert volume == pytest.approx(0.36)
     assert distance == pytest.approx(0.5)  # each target is missed by 0.5 in one objective
     points = np.array([[1.0, 2.0], [2.0, 1.0], [2.0, 2.0], [1.0, 2.0]])
@@ -234,7 +236,8 @@ def test_what_failed_is_counted_as_worst_and_what_waits_is_not_counted() -> None
     groups = group(rows, {"c": NO_RECORD})
     runs = groups.instances["p"]["ga"]
     assert runs.values == [1.0, np.inf, np.inf]
-    assert "Without a result, and counted as worst: 2 of 4 runs." in claims(groups, None, rows)
+    assert "Without a result, and counted as worst: 2 of 4 runs." in valid_claims(
+        groups, None, rows)
 
 
 @pytest.mark.parametrize(("proven", "optimum", "n"), [(False, None, 1), (True, 1.0, 0),
@@ -242,7 +245,7 @@ def test_what_failed_is_counted_as_worst_and_what_waits_is_not_counted() -> None
 def test_an_optimum_that_exact_did_not_prove_is_said(proven: bool, optimum: float | None,
                                                      n: int) -> None:
     rows = [_row(), _row(solver="exact", proven=proven, optimum=optimum)]
-    said = claims(group(rows, {"c": NO_RECORD}), None, rows)
+    said = valid_claims(group(rows, {"c": NO_RECORD}), None, rows)
     assert sum(sentence.startswith("Not proven: 1 run of exact") for sentence in said) == n
 
 
@@ -254,7 +257,7 @@ def test_problems_with_models_of_their_own_are_compared_by_their_fitness() -> No
     assert groups.measure == "fitness"
     assert groups.methods == ("ga", "swap")
     assert list(groups.instances) == list(own)
-    said = claims(groups, None, rows)
+    said = valid_claims(groups, None, rows)
     assert said[0] == "Compared by the fitness (check-rmse or press); lower is better."
     assert said[1].startswith("All methods ran on 3 instances")
     # Models that are named are methods, and their fitness is not the accuracy.
@@ -270,30 +273,30 @@ def test_claims_say_what_the_tests_allow() -> None:
     base = rng.uniform(1, 2, (20, 1))
     clear = np.hstack([base, base + rng.uniform(0.5, 1, (20, 1)), base + rng.uniform(
         0.5, 1, (20, 1))])
-    said = " ".join(claims(_groups(clear), compare_methods(["m0", "m1", "m2"], clear), []))
+    said = " ".join(valid_claims(_groups(clear), compare_methods(["m0", "m1", "m2"], clear), []))
     assert "It may be claimed that m0 is better than m1: on 20 of 20 instances" in said
     assert "Of 1 pair no difference may be claimed" in said
     assert "Splits" not in said
     rows = [{"state": "done", "split": split} for split in (0, 1)]
-    said = " ".join(claims(_groups(clear), compare_methods(["m0", "m1", "m2"], clear), rows))
+    said = " ".join(valid_claims(_groups(clear), compare_methods(["m0", "m1", "m2"], clear), rows))
     assert "Splits of the same data are not independent" in said
     chance = rng.uniform(1, 2, (20, 3))
-    said = " ".join(claims(_groups(chance), compare_methods(["m0", "m1", "m2"], chance), []))
+    said = " ".join(valid_claims(_groups(chance), compare_methods(["m0", "m1", "m2"], chance), []))
     assert "cannot be distinguished" in said
     assert "It may be claimed" not in said
     few = clear[:4]
     assert compare_methods(["m0", "m1", "m2"], few) is None
-    assert "needs at least 5" in " ".join(claims(_groups(few), None, []))
+    assert "needs at least 5" in " ".join(valid_claims(_groups(few), None, []))
 
 
 def test_methods_that_were_not_run_on_an_instance_are_named() -> None:
     run = Runs([], [1.0, 2.0])
     apart = Groups("fitness", {"a": {"ga": run}, "b": {"pso": run}}, ("ga", "pso"))
-    said = " ".join(claims(apart, None, []))
+    said = " ".join(valid_claims(apart, None, []))
     assert "No instance was run with all methods, so nothing is compared." in said
     assert "There are no runs of pso on a, ga on b." in said
     partly = Groups("fitness", {"a": {"ga": run, "pso": run}, "b": {"pso": run}}, ("ga", "pso"))
-    said = " ".join(claims(partly, None, []))
+    said = " ".join(valid_claims(partly, None, []))
     assert "All methods ran on 1 of 2 instances" in said
     assert "There are no runs of ga on b." in said
     assert "On a, ga has the lowest median" in said
@@ -321,7 +324,7 @@ def test_a_claim_has_the_direction_of_the_ranks_that_were_tested() -> None:
     # m0 is lower by much on 19 instances, and higher by little on 21.
     difference = np.concatenate([-np.linspace(1, 2, 19), np.linspace(0.01, 0.02, 21)])
     values = np.stack([5 + difference, np.full(40, 5.0)], axis=1)
-    said = " ".join(claims(_groups(values), compare_methods(["m0", "m1"], values), []))
+    said = " ".join(valid_claims(_groups(values), compare_methods(["m0", "m1"], values), []))
     assert "It may be claimed that m0 is better than m1: on 19 of 40 instances" in said
 
 
@@ -345,7 +348,7 @@ def study() -> termsel.Study:
 
 
 def test_tables_have_optimum_success_and_fronts(study: termsel.Study) -> None:
-    page = markdown(study)
+    page = study_as_markdown(study)
     assert page.count("proven optimum") == page.count("expected evaluations")
     assert "| exact | 1 |" in page
     assert "## Fronts" in page
@@ -353,7 +356,7 @@ def test_tables_have_optimum_success_and_fronts(study: termsel.Study) -> None:
     by_method = {(row[0], row[1]): float(row[3]) for row in figures}
     assert all(distance == 0 for (_, method), distance in by_method.items() if method == "exact")
     assert all(distance > 0 for (_, method), distance in by_method.items() if method == "nsga2")
-    text = latex(study)
+    text = study_as_latex(study)
     assert text.count(r"\begin{table}") == text.count(r"\end{table}") == page.count("\n## ") - 1
     assert "_" not in text.replace(r"\_", "")
 
@@ -456,7 +459,7 @@ def test_parquet_and_csv_hold_the_same(study: termsel.Study, tmp_path: Path) -> 
 
 def test_figures_are_those_that_the_runs_allow(study: termsel.Study) -> None:
     pytest.importorskip("altair")
-    from termsel_studies.figures import alike, critical_differences, figures_of
+    from termsel_studies.figures import critical_differences, figures_of, runs_of_alike_ranks
 
     found = {one.name: one.chart for one in figures_of(study)}
     assert set(found) == {"ecdf-evaluations", "ecdf-cpu-seconds", "convergence",
@@ -468,8 +471,8 @@ def test_figures_are_those_that_the_runs_allow(study: termsel.Study) -> None:
     assert comparison is not None
     assert critical_differences(comparison).chart.to_dict()["layer"]
     # Figure 1 of Demšar 2006 has the same shape: two bars that overlap.
-    assert alike([1.0, 1.5, 2.4, 3.0], 1.6) == [(1.0, 2.4), (1.5, 3.0)]
-    assert alike([1.0, 4.0], 1.0) == []
+    assert runs_of_alike_ranks([1.0, 1.5, 2.4, 3.0], 1.6) == [(1.0, 2.4), (1.5, 3.0)]
+    assert runs_of_alike_ranks([1.0, 4.0], 1.0) == []
 
 
 def test_the_page_of_a_study_says_what_its_summary_says(study: termsel.Study,
@@ -496,6 +499,6 @@ def test_latex_compiles(command: str, study: termsel.Study, tmp_path: Path) -> N
     if shutil.which(command) is None:
         pytest.skip(f"{command} is not here")
     (tmp_path / "study.tex").write_text(
-        "\\documentclass{article}\\usepackage{booktabs}\\begin{document}\n" + latex(study)
+        "\\documentclass{article}\\usepackage{booktabs}\\begin{document}\n" + study_as_latex(study)
         + "\\end{document}\n")
     subprocess.run([command, "study.tex"], cwd=tmp_path, check=True, stdout=subprocess.DEVNULL)

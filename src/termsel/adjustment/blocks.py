@@ -19,7 +19,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 from termsel.data.features import BoolArray, FloatArray, IntArray
 
 SAFE_CONDITION = 1e4
@@ -65,7 +65,7 @@ def blocks_of(source: FloatArray, feature: IntArray, triangle: FloatArray) -> Fl
     return blocks
 
 
-@compiled
+@compile_lazily
 def _fill(Q: FloatArray, b: FloatArray, feature: IntArray, blocks: FloatArray) -> None:
     """Add up the rows of each feature: Q_i'Q_i and Q_i'b_i."""
     # Row x of the lower triangle of Q'Q, then its entry of Q'b: as `_reduce` reads them.
@@ -80,7 +80,7 @@ def _fill(Q: FloatArray, b: FloatArray, feature: IntArray, blocks: FloatArray) -
             position += 1
 
 
-@compiled
+@compile_lazily
 def _sum(blocks: FloatArray, features: BoolArray, total: FloatArray) -> None:
     """Add up the blocks of each individual, in an order that does not depend on the others."""
     n = len(blocks) - 1
@@ -113,7 +113,7 @@ def _sum(blocks: FloatArray, features: BoolArray, total: FloatArray) -> None:
                 position += 1
 
 
-@compiled
+@compile_lazily
 def _reduce(total: FloatArray, triangle: FloatArray, lower: FloatArray,
             source: FloatArray) -> float:
     """Turn summed blocks into k rows with the same solutions; return their condition.
@@ -163,7 +163,7 @@ def _reduce(total: FloatArray, triangle: FloatArray, lower: FloatArray,
     return trace * inverse_trace
 
 
-def paying(feature: IntArray, terms: BoolArray, features: BoolArray) -> BoolArray:
+def where_blocks_pay(feature: IntArray, terms: BoolArray, features: BoolArray) -> BoolArray:
     """Return the individuals for which blocks are faster than factoring their rows, shape (p,).
 
     A row takes time in proportion to its selected terms, a block does not. The feature of each row
@@ -177,8 +177,8 @@ def paying(feature: IntArray, terms: BoolArray, features: BoolArray) -> BoolArra
     return np.asarray((selected == k) | (rows * selected >= (count + SELECTED_BLOCK_GAIN * k) * k))
 
 
-def reduced(blocks: FloatArray, triangle: FloatArray, features: BoolArray, pays: BoolArray,
-            ) -> Iterator[tuple[slice, FloatArray | None]]:
+def reduced_rows(blocks: FloatArray, triangle: FloatArray, features: BoolArray, pays: BoolArray,
+                 ) -> Iterator[tuple[slice, FloatArray | None]]:
     """Yield k rows for each individual, with the same solutions as all of its rows.
 
     Blocks (n + 1, w) are as `blocks_of` gives them, the triangle is (k, k), features are (p, n) or

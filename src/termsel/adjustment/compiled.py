@@ -45,25 +45,25 @@ class LazyKernel:
         return self.dispatcher(*args, **keywords)
 
 
-def compiled(function: _Function, **flags: Any) -> _Function:
+def compile_lazily(function: _Function, **flags: Any) -> _Function:
     """Compile on first call, and keep the machine code on disk if a folder allows it.
 
     Flags are those of `numba.njit`. The first call raises TermselError where numba is to compile
     nothing.
     """
-    kernel = LazyKernel(partial(_dispatcher, function, flags),
-                 partial(_dispatcher, function, {**flags, "no_cpython_wrapper": True}))
+    kernel = LazyKernel(partial(_make_dispatcher, function, flags),
+                 partial(_make_dispatcher, function, {**flags, "no_cpython_wrapper": True}))
     return cast(_Function, update_wrapper(kernel, function))
 
 
-def _dispatcher(function: Callable[..., Any], flags: dict[str, Any]) -> Any:
+def _make_dispatcher(function: Callable[..., Any], flags: dict[str, Any]) -> Any:
     from termsel.adjustment.dispatchers import dispatcher_of
 
     return dispatcher_of(function, flags)
 
 
 def is_compiled(function: Callable[..., Any]) -> bool:
-    """Return whether a function that `compiled` returned can be called at once."""
+    """Return whether a function that `compile_lazily` returned can be called at once."""
     from termsel.adjustment.dispatchers import has_code
 
     return has_code(cast(LazyKernel, function).dispatcher)

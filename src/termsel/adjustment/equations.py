@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, Lines, Points
-from termsel.data.record.chances import median
+from termsel.data.record.chances import median_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,7 @@ def weights_of(points: Points) -> FloatArray:
     """Return the factors of the points' equations, (n, 2): median sigma by sigma; 1 without sigma.
     """
     return (np.ones_like(points.image) if points.sigma is None
-            else np.asarray(median(points.sigma.ravel()) / points.sigma))
+            else np.asarray(median_of(points.sigma.ravel()) / points.sigma))
 
 
 # Points and lines in an adjustment: their rows, positions of vertices, and weights.

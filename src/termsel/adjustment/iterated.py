@@ -48,8 +48,9 @@ class Quotients:
         return np.asarray((self.misfits(x, individuals)[0]**2).sum(axis=1) + prior_squares)
 
 
-def least_distances(quotients: Quotients, systems: tuple[IndependentPart, ...], terms: BoolArray,
-                    coefficients: FloatArray) -> FloatArray:
+def solve_least_distances(quotients: Quotients, systems: tuple[IndependentPart, ...],
+                          terms: BoolArray,
+                          coefficients: FloatArray) -> FloatArray:
     """Return coefficients (p, k) of the least weighted distances, from those of a first solution.
 
     Each part of the terms (p, k) is iterated by itself. Steps that do not lessen the sum of squares

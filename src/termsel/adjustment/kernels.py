@@ -26,8 +26,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.adjustment.blocks import blocks_of, paying, reduced
-from termsel.adjustment.compiled import compiled, is_compiled
+from termsel.adjustment.blocks import blocks_of, reduced_rows, where_blocks_pay
+from termsel.adjustment.compiled import compile_lazily, is_compiled
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.reflections import LANES, apply_one, apply_two
 from termsel.adjustment.solve import TOLERANCE
@@ -35,7 +35,7 @@ from termsel.data.features import BoolArray, FloatArray, IntArray
 
 # Twins in a population of masks.
 
-def distinct(columns: BoolArray, rows: BoolArray) -> tuple[IntArray, IntArray]:
+def distinct_masks(columns: BoolArray, rows: BoolArray) -> tuple[IntArray, IntArray]:
     """Return the first index of every distinct mask, (d,), and which of these each mask is, (p,).
 
     Masks are the rows of columns and of rows together, (p, k) and (p, n). It takes some hundredths
@@ -64,11 +64,11 @@ Reflections = tuple[FloatArray, FloatArray, FloatArray, IntArray]
 """Of the reflections: vectors, factors, products of neighbours, and the rows they reach."""
 
 # Without _nrt=False every slice would cost two atomic operations; hence nothing may be allocated.
-_compiled = partial(compiled, _nrt=False)
+_compiled = partial(compile_lazily, _nrt=False)
 
 
 @_compiled
-def _dot(u: FloatArray, v: FloatArray) -> float:
+def _dot_product(u: FloatArray, v: FloatArray) -> float:
     """Return a scalar product in four sums; in a single one each addition would wait for the one
     before."""
     a = b = c = d = 0.0
@@ -88,7 +88,7 @@ def _take(column: FloatArray, v: FloatArray) -> float:
     """Copy a column and return the sum of its squares."""
     for i in range(len(v)):
         v[i] = column[i]
-    return _dot(v, v)
+    return _dot_product(v, v)
 
 
 @_compiled
@@ -139,7 +139,7 @@ def _eliminate(panels: FloatArray, reflections: Reflections, heights: IntArray, 
                 before = vectors[rank - 1, rank:height]
                 before[stop[rank - 1] - rank:] = 0.0
                 vectors[rank, rank - 1] = 0.0
-                gram[rank - 1] = _dot(before, v)
+                gram[rank - 1] = _dot_product(before, v)
             if beta[rank] > 0.0 and lane < LANES - 1:
                 apply_one(panels, reflections, c, rank, height)
             column[rank] = diagonal
@@ -250,7 +250,7 @@ def _solve(panels: FloatArray, reflections: Reflections, source: FloatArray, tri
             _substitute(panels, reflections[1], columns, n, coefficients[individual])
 
 
-def _workspace(k: int, m: int) -> tuple[FloatArray, Reflections, IntArray, UintArray]:
+def _allocate_workspace(k: int, m: int) -> tuple[FloatArray, Reflections, IntArray, UintArray]:
     """Return panels, reflections, heights and columns for up to k columns of m rows."""
     width = k // LANES + 1
     rows = min(m, k + BLOCK)
@@ -265,14 +265,14 @@ def _workspace(k: int, m: int) -> tuple[FloatArray, Reflections, IntArray, UintA
     return panels, reflections, np.zeros(k, dtype=np.intp), columns
 
 
-def _triangle(source: FloatArray) -> FloatArray:
+def _reduce_to_triangle(source: FloatArray) -> FloatArray:
     """Return k rows (at most m) with the same solutions as the source, (m, k + 2), by reflections.
 
     Not by LAPACK, whose rounding varies from machine to machine.
     """
     m = source.shape[0]
     k = source.shape[1] - 2
-    panels, reflections, heights, columns = _workspace(k, m)
+    panels, reflections, heights, columns = _allocate_workspace(k, m)
     _solve(panels, reflections, source, triangular=False, feature=np.zeros(m, dtype=np.intp),
            rows=np.empty(m, dtype=np.uintp), columns=columns, heights=heights,
            terms=np.ones((1, k), dtype=bool), features=np.ones((1, 1), dtype=bool), tolerance=-1.0,
@@ -311,7 +311,7 @@ def _kept_data_of(equations: Equations) -> _Prepared:
         source = np.ascontiguousarray(source, dtype=np.float64)
         feature = np.full(len(b), ALWAYS, dtype=np.intp)
         feature[:len(equations.feature)] = equations.feature  # pseudo-observations come last
-        prepared = _Prepared(source, feature, _triangle(source),
+        prepared = _Prepared(source, feature, _reduce_to_triangle(source),
                           float(np.linalg.norm(source[:, :-2], axis=0).max(initial=0.0)))
         _PREPARED[equations] = prepared
     return prepared
@@ -353,13 +353,13 @@ def solve_many(equations: Equations, terms: BoolArray | None, features: BoolArra
     # One memory layout for all, or code would be compiled for each.
     columns = np.require(columns, requirements=("C", "W"))
     rows = np.require(rows, requirements=("C", "W"))
-    first, copies = distinct(columns, rows)
+    first, copies = distinct_masks(columns, rows)
     if len(first) < p:
         columns = columns[first]
         rows = rows[first]
     coefficients = np.zeros(columns.shape)
     violation = np.zeros(len(first), dtype=np.intp)
-    panels, reflections, heights, index = _workspace(k, len(source))
+    panels, reflections, heights, index = _allocate_workspace(k, len(source))
     order = np.zeros(len(source), dtype=np.uintp)
 
     def factor(individuals: slice, system: FloatArray, feature: IntArray, rows: BoolArray) -> None:
@@ -373,8 +373,8 @@ def solve_many(equations: Equations, terms: BoolArray | None, features: BoolArra
         factor(slice(None), source, feature, rows)
     else:
         single_feature = np.zeros(k, dtype=np.intp), np.ones((1, 1), dtype=bool)
-        for individuals, small_system in reduced(shared.blocks, shared.triangle[:, :k], rows,
-                                 paying(feature, columns, rows)):
+        for individuals, small_system in reduced_rows(shared.blocks, shared.triangle[:, :k], rows,
+                                 where_blocks_pay(feature, columns, rows)):
             if small_system is None:
                 factor(individuals, source, feature, rows[individuals])
             else:

@@ -21,7 +21,7 @@ from functools import partial
 
 import numpy as np
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 from termsel.adjustment.equations import Equations, row_axes
 from termsel.adjustment.kernels import solve_many
 from termsel.adjustment.nearby import solve_near
@@ -37,7 +37,7 @@ Reflections = tuple[FloatArray, FloatArray, FloatArray]
 
 # Without _nrt=False every slice would cost two atomic operations; hence nothing may be allocated.
 # Sums are taken in one order, whatever the width of the machine's registers.
-_compiled = partial(compiled, _nrt=False)
+_compiled = partial(compile_lazily, _nrt=False)
 
 
 @_compiled

@@ -53,7 +53,7 @@ def solve_near(equations: Equations, start: BoolArray, features: BoolArray,
     largest = np.trace(gram, axis1=1, axis2=2)
     safe = ((np.where(added < n, 1, 0) + np.where(dropped < n, 1, 0) == changes)
             & (largest[added] <= SAFE_CONDITION) &
-            (_remaining_shares(gram, start)[dropped] * SAFE_CONDITION >= 1.0))
+            (_least_remaining_shares(gram, start)[dropped] * SAFE_CONDITION >= 1.0))
     coefficients = np.empty((p, len(x)))
     violation = np.zeros(p, dtype=np.intp)
     if not safe.all():
@@ -114,7 +114,7 @@ def _reference_solution(equations: Equations, start: BoolArray,
     return x, V.T, np.linalg.solve(r, V).T, b - A @ x
 
 
-def _remaining_shares(gram: FloatArray, start: BoolArray) -> FloatArray:
+def _least_remaining_shares(gram: FloatArray, start: BoolArray) -> FloatArray:
     """Return the least share of its rows' weight that a feature leaves to others, (n + 1,).
 
     It is 1 for features that are not in use, and for the last, which has no rows.

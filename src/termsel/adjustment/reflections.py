@@ -20,7 +20,7 @@ LANES = 8
 """Columns of a panel."""
 
 
-def _reflector(count: int) -> Any:
+def _reflector_code(count: int) -> Any:
     """Return code that applies `count` consecutive reflections, 1 or 2, to one panel.
 
     It is called as apply(panels, reflections, c, t, stop): reflections from t on are applied to
@@ -68,7 +68,7 @@ def _reflector(count: int) -> Any:
         return current_row, carried
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        """Write the code of one call (see `_reflector` for what it computes)."""
+        """Write the code of one call (see `_reflector_code` for what it computes)."""
         panels_type, reflections_type = signature.args[:2]
         panels_value, reflections_value, c, t, stop = args
         panels = context.make_array(panels_type)(context, builder, panels_value)
@@ -133,5 +133,5 @@ def _reflector(count: int) -> Any:
     return intrinsic(apply)
 
 
-apply_one = LazyKernel(partial(_reflector, 1))
-apply_two = LazyKernel(partial(_reflector, 2))
+apply_one = LazyKernel(partial(_reflector_code, 1))
+apply_two = LazyKernel(partial(_reflector_code, 2))

@@ -151,7 +151,8 @@ files hold hardly more digits than this. Of an image of 10,000 px it is 5e-6 px.
 """
 
 
-def by_size(figures: FloatArray, floor: FloatArray | float, share: FloatArray) -> FloatArray:
+def replace_rounding_by_size(
+        figures: FloatArray, floor: FloatArray | float, share: FloatArray) -> FloatArray:
     """Return figures of selections, of which mere rounding is replaced by the selection's size.
 
     Figures up to `floor` become that times the selection's share of what may be selected, 0 to 1:
@@ -161,7 +162,7 @@ def by_size(figures: FloatArray, floor: FloatArray | float, share: FloatArray) -
     return np.asarray(np.where(figures <= floor, floor * share, figures))
 
 
-def largest(values: FloatArray) -> IntArray:
+def index_of_largest(values: FloatArray) -> IntArray:
     """Return the index of the largest value of each row; among equals, but for rounding, the first.
 
     The last axis is that of a row. Values are not negative; a negative one cannot be chosen.
@@ -174,7 +175,7 @@ _SIGNIFICANT_BITS = 30
 """Binary digits of a figure that searches compare: 30 are a relative difference of 1e-9."""
 
 
-def significant(figures: FloatArray | float) -> FloatArray:
+def round_to_nine_digits(figures: FloatArray | float) -> FloatArray:
     """Return figures to nine significant digits, so that processors agree which are equal.
 
     A figure is m 2^e with 0.5 <= m < 1; m is rounded to 30 binary digits. Selections whose figures
@@ -183,7 +184,7 @@ def significant(figures: FloatArray | float) -> FloatArray:
 
     Examples
     --------
-    >>> 0.1 + 0.2 == 0.3, significant(0.1 + 0.2) == significant(0.3)
+    >>> 0.1 + 0.2 == 0.3, round_to_nine_digits(0.1 + 0.2) == round_to_nine_digits(0.3)
     (False, True)
     """
     mantissa, exponent = np.frexp(figures)

@@ -35,7 +35,7 @@ from termsel.auto.rule import (
     standard_errors,
 )
 from termsel.core.errors import TermselError
-from termsel.core.isolation.arrays import of_shape, of_type
+from termsel.core.isolation.arrays import difference_from_shape, difference_from_type
 from termsel.core.isolation.faults import (
     HINT,
     PluginFault,
@@ -44,8 +44,8 @@ from termsel.core.isolation.faults import (
     is_own,
 )
 from termsel.data.coordinates.places import Lattice, ground_centres, spatial_order
-from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, no_lines
-from termsel.data.fit_data import FitData, carriers
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, empty_lines
+from termsel.data.fit_data import FitData, relief_carriers
 from termsel.fitting.fit import Fit, HeldOut, Undetermined
 from termsel.fitting.method import Method, Suspects
 from termsel.models.base import SensorModel
@@ -168,7 +168,7 @@ class Auto(Method):
             with attribute_errors_to(method, hook):
                 answer = call()
             answer = bool(answer) if isinstance(answer, np.bool_) else answer
-            fault = answer is not None and of_type(answer, _HOOK_TYPES[hook])
+            fault = answer is not None and difference_from_type(answer, _HOOK_TYPES[hook])
             if fault:
                 raise fault_of_method(method, hook, fault)
         # Not determined is an answer: the method has nothing to say of these features.
@@ -239,7 +239,7 @@ class Auto(Method):
         if held_out is None:
             return None
         if not is_own(method):
-            fault = of_shape(held_out.squares, (len(data),)) or (
+            fault = difference_from_shape(held_out.squares, (len(data),)) or (
                 None if isinstance(getattr(fitted.estimator, "name", None), str) else
                 "returned a fit by an estimator without a name, by which a result is read again")
             if fault is not None:
@@ -303,7 +303,7 @@ class Auto(Method):
         try:
             with attribute_errors_to(method, "settles"):
                 reason = method.settles(data)
-            if reason is not None and (fault := of_type(reason, str)):
+            if reason is not None and (fault := difference_from_type(reason, str)):
                 raise fault_of_method(method, "settles", fault)
         except PluginFault as fault:
             self.faults[method.name] = fault
@@ -332,7 +332,7 @@ class Auto(Method):
         choice = self.choose(data, watch, with_contained=with_contained)
         if choice is None or not count or not len(data.features.lines):
             return choice
-        points = FitData.of(data.features.with_(lines=no_lines()), data.heights)
+        points = FitData.of(data.features.with_(lines=empty_lines()), data.heights)
         points_choice = self.choose(points, with_contained=with_contained)
         if points_choice is None:
             return choice
@@ -527,7 +527,7 @@ def _features_without(data: FitData, out: BoolArray) -> FitData:
     They count as plane where relief rested on one of those out: it shows nothing of these.
     """
     rest = data.take(~out)
-    return replace(rest, heights=rest.heights and not carriers(rest, limit=1))
+    return replace(rest, heights=rest.heights and not relief_carriers(rest, limit=1))
 
 
 # What so few features determine exactly, so that nothing can be chosen.

@@ -49,7 +49,7 @@ from termsel.auto.robust import reweighted
 from termsel.auto.shrunken import Averaging
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.fit_data import FitData
-from termsel.data.record.chances import median
+from termsel.data.record.chances import median_of
 from termsel.fitting.fit import Fit
 from termsel.fitting.method import Suspects
 
@@ -245,7 +245,7 @@ def _judge_by_projection(control: FitData, auto: Auto,
 def _stands_out(errors: FloatArray) -> bool:
     """Return whether some error is far beyond the median, as that of no blunder is."""
     # The median of the larger of two normal errors is 1.05 standard deviations.
-    return bool(errors.max() > MIN_STRAIN * median(errors) / 1.05)
+    return bool(errors.max() > MIN_STRAIN * median_of(errors) / 1.05)
 
 
 def _points_a_model_explains(control: FitData, auto: Auto, suspected: BoolArray) -> BoolArray:
@@ -284,7 +284,7 @@ def _features_predicted_by(chosen: Fit, features: FeatureSet) -> BoolArray:
         return np.zeros(len(features), dtype=bool)
     # The median of the sum of two squared normal variables is 2 ln 2.
     squares = chosen.held_out().squares
-    bound = MIN_STRAIN * np.sqrt(median(squares) / (2 * np.log(2)))
+    bound = MIN_STRAIN * np.sqrt(median_of(squares) / (2 * np.log(2)))
     if _is_parametric(chosen):
         # The test was of another model than the chosen one.
         bound = max(bound, CLEAR_RATIO * np.sqrt(squares.max()))

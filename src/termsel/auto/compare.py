@@ -12,7 +12,7 @@ from termsel.auto.methods import ROBUST
 from termsel.auto.rule import Choice, method_of, refusal
 from termsel.data.fit_data import FitData
 from termsel.data.roles import Observations
-from termsel.fitting.figures import BOTH, Baseline, baseline, finite_or_none
+from termsel.fitting.figures import BOTH, Baseline, baseline_figures, finite_or_none
 from termsel.fitting.fit import Fit
 from termsel.fitting.method import Method
 from termsel.models.quotient import RationalModel
@@ -58,7 +58,7 @@ class Comparison:
         """Return the figures of all fits for some observations."""
         return tuple(
             Baseline(name, fitted, BOTH, False, dict.fromkeys(("control", "check", "independent")))
-            if isinstance(fitted, int) else baseline(
+            if isinstance(fitted, int) else baseline_figures(
                 name, fitted, predicted, observations, refused=self.refused.get(name, ""))
             for name, fitted, predicted in self.rows)
 

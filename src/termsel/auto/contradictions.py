@@ -14,16 +14,16 @@ import numpy as np
 from termsel.adjustment.bayesian.field import GaussianProcess, fit_gaussian_process
 from termsel.adjustment.bayesian.held_out import HeldOutPredictions, chance_of
 from termsel.adjustment.bayesian.line_posterior import line_posterior
-from termsel.adjustment.bayesian.posterior import Posterior, posterior, scales_of
+from termsel.adjustment.bayesian.posterior import Posterior, scales_of, solve_posterior
 from termsel.adjustment.equations import row_weights, weights_of
 from termsel.auto.rule import PRIOR_MARGIN, gain_of
 from termsel.auto.shrunken import FIELD_CALLED_FOR
 from termsel.data.coordinates.crs import is_geographic
-from termsel.data.coordinates.longitudes import continuous
+from termsel.data.coordinates.longitudes import unwrap_longitudes
 from termsel.data.coordinates.metres import is_polar
 from termsel.data.features import BoolArray, FloatArray, IntArray
 from termsel.data.fit_data import FitData
-from termsel.data.monomials import monomials
+from termsel.data.monomials import evaluate_monomials
 from termsel.fitting.fit import Undetermined
 from termsel.fitting.method import Method, Suspects
 from termsel.models.polynomial import Polynomial, Polynomial2D, Polynomial3D
@@ -116,7 +116,7 @@ class Division:
         if not is_geographic(features.crs):
             return False
         ground = features.points.ground
-        return is_polar(np.column_stack([continuous(ground[:, 0]), ground[:, 1]]))
+        return is_polar(np.column_stack([unwrap_longitudes(ground[:, 0]), ground[:, 1]]))
 
     @property
     def _gaussian_process(self) -> GaussianProcess | None:
@@ -297,10 +297,13 @@ def _prediction_of_points(division: Division, degree: int) -> _PointPrediction |
     weights = weights_of(points)
     # Those in use first, as the posterior counts them.
     order = np.argsort(~used, kind="stable")
-    posterior_of_points = posterior(monomials(scaled.ground[order],
-                                              exponents), scaled.image[order], powers,
-                                    (weights * np.where(used, 1.0, UNUSED_WEIGHT)[:, None])[order],
-                                    scales_of(np.array(exponents)[powers > 1]), int(used.sum()))
+    posterior_of_points = solve_posterior(evaluate_monomials(scaled.ground[order],
+                                                             exponents), scaled.image[order],
+                                                             powers,
+                                          (weights * np.where(used, 1.0, UNUSED_WEIGHT)[:, None])[
+                                              order],
+                                          scales_of(np.array(exponents)[powers > 1]),
+                                          int(used.sum()))
     return None if posterior_of_points is None else _PointPrediction(posterior_of_points, order,
                                                                      weights, scaling.image_scale)
 

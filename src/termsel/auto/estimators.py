@@ -8,7 +8,7 @@ from termsel.auto.physical import Physical, PinholeCamera
 from termsel.auto.robust import Reweighted
 from termsel.auto.selected import ForwardSelection
 from termsel.auto.shrunken import Averaging, Interpolated, RidgeByOrder
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name_error
 from termsel.fitting.fit import Estimator, FixedCoefficients
 from termsel.fitting.least_squares import LeastSquares
 
@@ -45,7 +45,7 @@ def estimator(name: str, /, **options: Any) -> Estimator:
     {'biweight': True}
     """
     if name not in ESTIMATORS:
-        raise unknown_name("estimator", name, ESTIMATORS)
+        raise unknown_name_error("estimator", name, ESTIMATORS)
     try:
         return ESTIMATORS[name](**options)
     except TypeError as error:

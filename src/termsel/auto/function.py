@@ -14,7 +14,7 @@ import numpy as np
 
 from termsel.auto.refits import held_out_by_refits
 from termsel.core.errors import TermselError
-from termsel.core.isolation.arrays import of_shape
+from termsel.core.isolation.arrays import difference_from_shape
 from termsel.core.isolation.faults import attribute_errors_to, fault_of_method
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
 from termsel.data.fit_data import FitData
@@ -47,7 +47,7 @@ class _Projects(Polynomial):
         assert projection is not None
         with attribute_errors_to(projection, "project"):
             positions = np.asarray(projection(scaling.unscaled(ground)), dtype=np.float64)
-        if fault := of_shape(positions, (len(ground), 2), finite=False):
+        if fault := difference_from_shape(positions, (len(ground), 2), finite=False):
             raise fault_of_method(projection, "project", fault)
         image = scaling.image(positions)
         return np.broadcast_to(image, (*coefficients.shape[:-1], *image.shape)).copy()

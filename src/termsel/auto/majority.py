@@ -30,7 +30,7 @@ from termsel.adjustment.equations import weights_of
 from termsel.auto.contradictions import Division, Test, polynomial_of
 from termsel.data.features import BoolArray, FloatArray, IntArray, Points
 from termsel.data.fit_data import FitData
-from termsel.data.monomials import monomials
+from termsel.data.monomials import evaluate_monomials
 from termsel.data.record.chances import t_quantile
 
 MIN_POINTS = 40
@@ -106,14 +106,14 @@ def majority(control: FitData) -> BoolArray | None:
         return None
     scaled = control.scaled.points
     exponents = polynomial_of(control.heights, 2).exponents
-    design = monomials(scaled.ground, exponents)
+    design = evaluate_monomials(scaled.ground, exponents)
     is_affine = np.array(exponents).sum(axis=1) <= 1
     if n < POINTS_BY_TERM * len(exponents):
         design = design[:, is_affine]
         is_affine = is_affine[is_affine]
     designs = [design]
     if n >= MIN_CUBIC_POINTS:
-        designs.append(np.hstack([design, monomials(scaled.ground, CUBIC_OF_PLANE)]))
+        designs.append(np.hstack([design, evaluate_monomials(scaled.ground, CUBIC_OF_PLANE)]))
     rng = np.random.default_rng(0)  # the same points have the same blunders
     sampled = rng.permutation(n)[:MAX_SAMPLED_POINTS]
     halves = _closest_halves([columns[sampled] for columns in designs], scaled.image[sampled],
@@ -162,7 +162,7 @@ def _regularised_majority(control: FitData, sampled: IntArray,
     is_sampled[sampled] = True
     data = control.take(is_sampled)
     points = data.scaled.points
-    quadratic = monomials(points.ground, polynomial_of(data.heights, 2).exponents)
+    quadratic = evaluate_monomials(points.ground, polynomial_of(data.heights, 2).exponents)
     # What errors blunders have is told by those that all points leave.
     distances = _distances_from_fit(quadratic, points.image, np.ones(len(data), dtype=bool))
     distances *= data.scaling.image_scale
@@ -186,7 +186,7 @@ def is_outvoted(data: FitData, minority: BoolArray, test: Test) -> bool:
     if np.median(test.strain[minority]) < GROSS_STRAIN:
         return False
     points = data.scaled.points
-    design = monomials(points.ground, polynomial_of(data.heights, 2).exponents)
+    design = evaluate_monomials(points.ground, polynomial_of(data.heights, 2).exponents)
     errors = _residuals(design, points.image, ~minority)[minority]
     return not _may_be_bend(points.ground, ~minority, errors)
 

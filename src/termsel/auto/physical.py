@@ -23,7 +23,7 @@ from termsel.adjustment.bayesian.physics import (
 )
 from termsel.adjustment.bayesian.posterior import (
     Posterior,
-    normalized,
+    normalise_probabilities,
     polynomial_posterior,
     predict_positions,
 )
@@ -41,7 +41,7 @@ from termsel.auto.shrunken import (
 )
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.fit_data import is_off_plane
-from termsel.data.monomials import Exponents, graded_exponents, monomials
+from termsel.data.monomials import Exponents, evaluate_monomials, graded_exponents
 from termsel.data.scaling import Scaling
 from termsel.data.view import CLEARER, CentralView, Measurements, view_of
 from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
@@ -131,7 +131,7 @@ class PriorEvidence:
     def shares(self) -> FloatArray:
         """Probability of the physical priors, then of the others, (p,)."""
         # Bayes' rule: shares in proportion to the marginal likelihoods.
-        return normalized(np.concatenate([self.physical.log_evidence, self.logs]))[0]
+        return normalise_probabilities(np.concatenate([self.physical.log_evidence, self.logs]))[0]
 
     @property
     def probability(self) -> float:
@@ -239,7 +239,7 @@ def _mean_without_each(logs: FloatArray, errors: FloatArray) -> FloatArray:
     Each has the errors (p, n, 2), and the log evidence of all other points as its weight, `logs`
     (p, n).
     """
-    return np.asarray(np.einsum("pn,pna->na", normalized(logs)[0], errors))
+    return np.asarray(np.einsum("pn,pna->na", normalise_probabilities(logs)[0], errors))
 
 
 def _slopes_on_ground(points: Points, scaling: Scaling, crs: str) -> FloatArray | None:
@@ -285,7 +285,7 @@ def _solutions_by_kind(points: Points, scaling: Scaling, crs: str, exponents: Ex
     if priors is None:
         return None
     # All kinds share the design of a cubic polynomial; only their priors differ.
-    equations = CameraEquations(monomials(points.ground, exponents), points.image,
+    equations = CameraEquations(evaluate_monomials(points.ground, exponents), points.image,
                                 weights_of(points))
     solutions = CameraSolutions(equations, priors, pixel)
     return solutions.take(
@@ -330,13 +330,13 @@ class Physical(Estimator):
         assert isinstance(fitted.model, Polynomial)
         average = camera_average_of(fitted)
         predictions = []
-        columns = monomials(ground, fitted.model.exponents)
+        columns = evaluate_monomials(ground, fitted.model.exponents)
         variances, noises = average.physical.spread(columns)
         for coefficients, variance, noise in zip(average.physical.coefficients, variances, noises,
                                                  strict=True):
             predictions.append((columns @ coefficients, variance, noise))
         for posterior, powers in average.shrunken:
-            columns_of_degree = monomials(ground, powers)
+            columns_of_degree = evaluate_monomials(ground, powers)
             lead = posterior.designs[0].free_triangle.shape[0]
             predicted = predict_positions(posterior, columns_of_degree[:, :lead],
                                           columns_of_degree[:, lead:])
@@ -492,7 +492,7 @@ def _coefficients(camera: Pinhole, model: Projective) -> FloatArray:
 def _plane(camera: Pinhole) -> FloatArray:
     """Return the plane through the control: its scaled height by 1, X and Y, (3,)."""
     ground = camera.view.ground
-    return np.asarray(np.linalg.lstsq(monomials(ground, ((0, 0, 0), (1, 0, 0), (0, 1, 0))),
+    return np.asarray(np.linalg.lstsq(evaluate_monomials(ground, ((0, 0, 0), (1, 0, 0), (0, 1, 0))),
                                       ground[:, 2])[0])
 
 

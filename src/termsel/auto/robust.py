@@ -14,7 +14,7 @@ import numpy as np
 
 from termsel.adjustment.equations import Equations
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
-from termsel.data.record.chances import median
+from termsel.data.record.chances import median_of
 from termsel.data.scaling import Scaling
 from termsel.fitting.figures import NORMAL_MEDIAN
 from termsel.fitting.fit import Estimator, Fit
@@ -67,7 +67,7 @@ def reweighted(equations: Equations, biweight: bool) -> tuple[FloatArray, FloatA
     for with_biweight in (False, True)[:1 + biweight]:
         for _ in range(MAX_ITERATIONS):
             residuals = np.abs(b - A @ x)
-            scale = float(median(residuals)) / NORMAL_MEDIAN
+            scale = float(median_of(residuals)) / NORMAL_MEDIAN
             if scale <= np.finfo(float).eps * np.abs(b).max():  # half of the rows fit exactly
                 break
             weights = _biweight(residuals / scale) if with_biweight else \

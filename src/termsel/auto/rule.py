@@ -14,7 +14,7 @@ import numpy as np
 
 from termsel.data.coordinates.places import MIN_LATTICE_LINES as FEWEST_LINES
 from termsel.data.coordinates.places import lattice_of
-from termsel.data.features import FeatureSet, FloatArray, no_points
+from termsel.data.features import FeatureSet, FloatArray, empty_points
 from termsel.data.fit_data import FitData
 from termsel.data.record.chances import t_quantile
 from termsel.fitting.fit import Fit, Undetermined
@@ -55,7 +55,7 @@ def has_pole(fitted: Fit) -> bool:
     control = fitted.scaled_control
     return bool(pole_violation(
         fitted.model, fitted.adjustment.coefficients[None],
-        guard_points(control, no_points(), POLE_BOX_FACTOR), pole_margin(control.points))[0])
+        guard_points(control, empty_points(), POLE_BOX_FACTOR), pole_margin(control.points))[0])
 
 
 def refusal(fitted: Fit) -> str:

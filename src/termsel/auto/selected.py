@@ -14,10 +14,10 @@ from math import comb
 import numpy as np
 
 from termsel.adjustment.equations import weights_of
-from termsel.adjustment.solve import ROUNDING, TOLERANCE, largest
+from termsel.adjustment.solve import ROUNDING, TOLERANCE, index_of_largest
 from termsel.auto.shrunken import points_alone
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
-from termsel.data.monomials import monomials
+from termsel.data.monomials import evaluate_monomials
 from termsel.data.scaling import Scaling
 from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
 from termsel.fitting.least_squares import LEAST_SQUARES
@@ -50,7 +50,7 @@ class ForwardSelection(Estimator):
         points_in_use = points_alone(control, used, "a selection of terms")
         points = scaling.points(points_in_use)
         weights = weights_of(points_in_use)
-        columns = monomials(points.ground, model.exponents)
+        columns = evaluate_monomials(points.ground, model.exponents)
         affine = np.array(model.exponents).sum(axis=1) < 2
         selections = select_forward(columns * weights.T[:, :, None], (points.image * weights).T,
                                     affine)
@@ -180,7 +180,7 @@ def _selected_terms(systems: FloatArray, equations: FloatArray, forced: int,
                 or (best_value < bounds[added + 1:].min(axis=0, initial=np.inf)).all()):
             break
         gain = np.einsum("bnk,bn->bk", free_rows, targets) ** 2
-        entering = largest(np.where(usable, gain / np.where(usable, squares, 1.0), -1.0))
+        entering = index_of_largest(np.where(usable, gain / np.where(usable, squares, 1.0), -1.0))
         q = free_rows[rows, :, entering] / np.sqrt(squares[rows, entering])[:, None]
         free_rows -= q[:, :, None] * np.einsum("bn,bnk->bk", q, free_rows)[:, None, :]
         targets = targets - q * np.einsum("bn,bn->b", q, targets)[:, None]

@@ -39,9 +39,9 @@ from termsel.adjustment.equations import line_normals, row_weights, weights_of
 from termsel.adjustment.interpolation import Interpolation
 from termsel.adjustment.leave_out import independent_parts
 from termsel.adjustment.solve import TOLERANCE, Adjustment, Spectrum, choose_penalty
-from termsel.core.errors import counted
+from termsel.core.errors import count_in_words
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
-from termsel.data.monomials import Exponents, monomials
+from termsel.data.monomials import Exponents, evaluate_monomials
 from termsel.data.scaling import Scaling
 from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
 from termsel.fitting.least_squares import LeastSquares
@@ -79,7 +79,8 @@ class Averaging(Estimator):
         if average_of_all is None:
             feature_word = "control feature" if len(scaled.lines) else "control point"
             raise Undetermined(
-                f"{counted(len(scaled), feature_word)} without any one of them do not determine "
+                f"{count_in_words(len(scaled), feature_word)} without any one of them do not "
+                "determine "
                 "an affine model", hint="Measure more control, spread over the area.")
         return fit_of(self, model, control, scaling, used, average_of_all)
 
@@ -94,7 +95,7 @@ def fit_of(estimator: Estimator, model: Polynomial, control: FeatureSet, scaling
         in_use = (equations.b - equations.A @ coefficients)[used[equations.feature]]
     else:
         points = scaled.points
-        predicted = monomials(points.ground, model.exponents) @ average_of_all.coefficients
+        predicted = evaluate_monomials(points.ground, model.exponents) @ average_of_all.coefficients
         in_use = ((points.image - predicted) * weights_of(points))[used].ravel()
     freedom = len(in_use) - average_of_all.effective
     count = round(average_of_all.effective)

@@ -15,7 +15,7 @@ import click
 
 from termsel.cli.messages import echo
 from termsel.cli.options.shared import PROGRESS
-from termsel.core.errors import percent, printable
+from termsel.core.errors import make_printable, percent_text
 
 if TYPE_CHECKING:
     from termsel.selection.solvers.ledger import Progress
@@ -27,13 +27,13 @@ _BETWEEN = 0.2  # seconds between two lines
 @contextmanager
 def search_bar(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
     """Yield an observer that shows the progress of a run; None where nobody would see it."""
-    with _bar(title, quiet) as renew:
+    with _show_bar(title, quiet) as renew:
         def observe(progress: Progress) -> None:
             # A population without a feasible member has a best value that means nothing.
             feasible = progress.violation == 0 and math.isfinite(progress.best)
             best = f"{progress.best:.4g}" if feasible else "-"
             assert renew is not None
-            renew(completed=progress.share or 0, description=progress.what or printable(title),
+            renew(completed=progress.share or 0, description=progress.what or make_printable(title),
                   total=None if progress.share is None else 1.0,
                   state=f"best {best}, {_bound(progress)}")
 
@@ -48,13 +48,13 @@ def _bound(progress: Progress) -> str:
         return f"{progress.evaluations} evaluations"
     gap = certificate.get("gap")
     return (f"bound {certificate['bound']:.4g}, gap "
-            + ("unknown" if gap is None else percent(gap)))
+            + ("unknown" if gap is None else percent_text(gap)))
 
 
 @contextmanager
 def share_bar(title: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
     """Yield a function that shows the fraction done, or None where nobody would see it."""
-    with _bar(title, quiet, total=1.0) as renew:
+    with _show_bar(title, quiet, total=1.0) as renew:
         # None where there is no bar, so that callers ask nothing but whether there is an observer.
         yield renew and (lambda share: renew(completed=share))
 
@@ -62,9 +62,9 @@ def share_bar(title: str, quiet: bool) -> Iterator[Callable[[float], None] | Non
 @contextmanager
 def study_bar(quiet: bool) -> Iterator[Callable[[StudyProgress], None] | None]:
     """Yield an observer that shows the progress of a study; None where nobody would see it."""
-    with _bar("runs", quiet, remaining=False) as renew:
+    with _show_bar("runs", quiet, remaining=False) as renew:
         def observe(progress: StudyProgress) -> None:
-            worst = f"; worst {printable(progress.worst)}" if progress.worst else ""
+            worst = f"; worst {make_printable(progress.worst)}" if progress.worst else ""
             assert renew is not None
             renew(completed=progress.finished, total=progress.total,
                   state=f"{progress.time_left()}; {progress.text()}{worst}")
@@ -73,8 +73,8 @@ def study_bar(quiet: bool) -> Iterator[Callable[[StudyProgress], None] | None]:
 
 
 @contextmanager
-def _bar(title: str, quiet: bool, *, total: float | None = None, remaining: bool = True,
-         ) -> Iterator[Callable[..., None] | None]:
+def _show_bar(title: str, quiet: bool, *, total: float | None = None, remaining: bool = True,
+              ) -> Iterator[Callable[..., None] | None]:
     """Yield a function that renews a bar, which disappears at the end; None without one.
 
     Text printed meanwhile appears above it.
@@ -102,7 +102,7 @@ def _bar(title: str, quiet: bool, *, total: float | None = None, remaining: bool
                TaskProgressColumn(), TextColumn("{task.fields[state]}", markup=False),
                TimeElapsedColumn(), *([TimeRemainingColumn()] if remaining else []))
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(printable(title), total=total, state="")
+        task = bar.add_task(make_printable(title), total=total, state="")
         yield partial(bar.update, task)
 
 

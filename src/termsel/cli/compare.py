@@ -16,8 +16,8 @@ from termsel.cli.options.run_options import COLUMNS_OPTION, parse_settings
 from termsel.cli.options.shared import progress_option, remote_option
 from termsel.cli.tables import print_table
 from termsel.cli.topics import Whole
-from termsel.core.errors import TermselError, counted, printable
-from termsel.core.files.names import no_such_file
+from termsel.core.errors import TermselError, count_in_words, make_printable
+from termsel.core.files.names import no_such_file_error
 from termsel.core.interrupts import INTERRUPTED
 from termsel.core.options import MOST_RUNS
 
@@ -117,7 +117,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     study, keys = _study_asked_for(files, options)
     # The name first: what the file holds is read later, when its cells are made.
     if study is not None and not study.exists():
-        raise no_such_file(study)
+        raise no_such_file_error(study)
     if dry_run:
         _show_plan(study, keys, workers)
         return
@@ -128,7 +128,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
 
     from termsel.studies import compare as comparing
     from termsel.studies.maps import next_command
-    from termsel.studies.outputs import summary, write_outputs
+    from termsel.studies.outputs import study_summary, write_outputs
 
     with study_bar(quiet) as observe:
         results = comparing.compare(study, out=out, workers=workers, scheduler=scheduler,
@@ -136,18 +136,20 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     # What was finished lies in the journal, and the same command skips it.
     if not results.complete:
         done = len(results.records)
-        echo(f"Interrupted: {done} of {counted(len(results.cells), results.noun)} are finished and "
+        echo(f"Interrupted: {done} of {count_in_words(len(results.cells), results.noun)} are "
+             "finished and "
              "kept. "
              "The same command goes on.", err=True)
         sys.exit(INTERRUPTED)
     written = write_outputs(results, out)
-    echo(summary(results), nl=False)
+    echo(study_summary(results), nl=False)
     if results.noun == "image" and (command := next_command(results, out)):
         echo(command)
     say_written(written)
     # An image that fails stops no other, so that only the exit code shows a script of it.
     if results.failures:
-        echo(f"{results.failures} of {counted(len(results.cells), 'image')} failed.", err=True)
+        echo(f"{results.failures} of {count_in_words(len(results.cells), 'image')} failed.",
+             err=True)
         sys.exit(EXIT_FAILED)
 
 
@@ -232,10 +234,10 @@ def _keys_of(options: dict[str, Any]) -> dict[str, Any]:
 
 def _show_status(folder: Path) -> None:
     """Print the progress of the study in a folder, and who is at work on it."""
-    from termsel.studies.cells.folder import status
+    from termsel.studies.cells.folder import study_progress
 
-    progress, holder = status(folder)
-    echo(f"{progress.finished} of {counted(progress.total, 'run')}: {progress.text()}.")
+    progress, holder = study_progress(folder)
+    echo(f"{progress.finished} of {count_in_words(progress.total, 'run')}: {progress.text()}.")
     if progress.finished < progress.total:
         echo(f"{progress.time_left()[0].upper()}{progress.time_left()[1:]}.")
     if progress.worst:
@@ -254,14 +256,14 @@ MOST_LISTED = 100
 
 def _list_files(study: Path | None, keys: dict[str, Any]) -> None:
     """Print the files that a study would read, before any is: the study may be a stranger's."""
-    from termsel.studies.compare import asked
+    from termsel.studies.compare import requested_study
     from termsel.studies.plan.data import files_of
 
-    spec, folder = asked(study, keys)
+    spec, folder = requested_study(study, keys)
     files = files_of(spec, folder)
     if not files:
         return
-    echo(f"Reads {counted(len(files), 'file')}:")
+    echo(f"Reads {count_in_words(len(files), 'file')}:")
     # A study from a stranger may name, or link to, any file of this computer.
     own_folder = folder.resolve()
     for file in files[:MOST_LISTED]:
@@ -269,7 +271,7 @@ def _list_files(study: Path | None, keys: dict[str, Any]) -> None:
         link = "" if target == file else f"{target}, "
         elsewhere = "" if target.is_relative_to(own_folder) else \
             f" ({link}outside of the folder of the study)"
-        echo(f"  {printable(str(file), keep='')}{printable(elsewhere, keep='')}")
+        echo(f"  {make_printable(str(file), keep='')}{make_printable(elsewhere, keep='')}")
     if len(files) > MOST_LISTED:
         echo(f"  and {len(files) - MOST_LISTED:,} more")
     echo("")
@@ -278,7 +280,7 @@ def _list_files(study: Path | None, keys: dict[str, Any]) -> None:
 def _show_plan(study: Path | None, keys: dict[str, Any], workers: int) -> None:
     """Print the kinds of cells of a study, with the time that all of them take."""
     from termsel.studies.compare import estimate
-    from termsel.studies.execution.progress import duration
+    from termsel.studies.execution.progress import duration_in_words
 
     _list_files(study, keys)
     # The time of each kind of cell is that of one cell that was run, times their number.
@@ -296,12 +298,13 @@ def _show_plan(study: Path | None, keys: dict[str, Any], workers: int) -> None:
     print_table(("problem", "strategy", "model", "criterion", "solver", "runs", "s each", ""),
                 rows)
     about = "more than" if ended_early else "about"
-    echo(f"\n{counted(cells, 'run')}; {about} {duration(total / workers)} with "
-         f"{counted(workers, 'worker')}.")
+    echo(f"\n{count_in_words(cells, 'run')}; {about} {duration_in_words(total / workers)} with "
+         f"{count_in_words(workers, 'worker')}.")
     # Runs wait while other programs have the processor; those tried have waited likewise.
     wait = (time.perf_counter() - clock) / max(time.process_time() - cpu, 1e-6)
     if wait > _BUSY and total / workers > _LONG:
-        echo(f"That is with a machine as busy as now; about {duration(total / workers / wait)} on "
+        echo("That is with a machine as busy as now; about "
+             f"{duration_in_words(total / workers / wait)} on "
              "an idle one.")
     if workers == 1 and total > 60:
         echo("--workers N runs N of them at a time.")

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import click
 from click.shell_completion import CompletionItem, get_completion_class
 
-from termsel.cli.messages import stdout
+from termsel.cli.messages import stream_of_results
 
 SHELLS = ("bash", "zsh", "fish")
 
@@ -33,7 +33,7 @@ def completion(context: click.Context, shell: str) -> None:
     assert class_of_shell is not None
     script = class_of_shell(program.command, {}, "termsel", "_TERMSEL_COMPLETE")
     # Not source(), which asks the shell, perhaps not this machine's, for its version.
-    click.echo(script.source_template % script.source_vars(), file=stdout())
+    click.echo(script.source_template % script.source_vars(), file=stream_of_results())
 
 
 Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]

@@ -13,7 +13,7 @@ import click
 from termsel.cli.completion import complete
 from termsel.cli.messages import echo
 from termsel.cli.tables import print_table
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name_error
 
 if TYPE_CHECKING:
     from termsel.core.options import Option
@@ -52,13 +52,13 @@ def describe(name: str) -> None:
         if _is_crs(name):
             raise TermselError(f"{name} is a coordinate reference system, which termsel does not "
                                "describe", hint=f"Give it to a command: --crs {name}.")
-        raise _unknown(name, known_names, names.hint(name, *KINDS))
+        raise _unknown_name_error(name, known_names, names.hint(name, *KINDS))
     # One name may be a model and a solver: all of them are described.
     for i, (kind, entry) in enumerate(entries):
         if i:
             echo()
         echo(f"{entry.name}: {KINDS[kind].word} of {entry.provided_by}")
-        _lead(kind, entry)
+        _print_lead(kind, entry)
         _DESCRIBE.get(kind, _describe_format)(entry)
 
 
@@ -79,11 +79,11 @@ def _is_crs(name: str) -> bool:
 _OF_AUTHORITY = re.compile(r"[A-Za-z_0-9]+:\w+")
 
 
-def _unknown(name: str, known_names: Iterable[str], hint: str) -> TermselError:
+def _unknown_name_error(name: str, known_names: Iterable[str], hint: str) -> TermselError:
     """Return the error for an unknown name; it shows near names alone, or where to look."""
     from termsel.plugins.kinds import KINDS
 
-    error = unknown_name("name", name, known_names, hint)
+    error = unknown_name_error("name", name, known_names, hint)
     if "Did you mean" not in str(error):
         words = {word: kind for kind in KINDS for word in (kind, KINDS[kind].word)}
         near = get_close_matches(name, words, n=1)
@@ -117,7 +117,7 @@ _EXAMPLES = {
 """A command for a thing of each kind; others say themselves how they are used."""
 
 
-def _lead(kind: str, entry: Entry) -> None:
+def _print_lead(kind: str, entry: Entry) -> None:
     """Print the purpose of a thing, its main options and an example."""
     thing = entry.object
     echo(f"\n{entry.summary}\n")
@@ -150,11 +150,11 @@ def _describe_problem(entry: Entry) -> None:
     # Of two rules the one that is met first ends the search.
     rules = {"{} generations": recipe.generations,
              "{} generations without a gain": recipe.patience}
-    _pairs({
-        "model": recipe.model + _settings(recipe.model_options), "data set": recipe.dataset,
+    _print_pairs({
+        "model": recipe.model + _option_settings(recipe.model_options), "data set": recipe.dataset,
         "criterion": recipe.criterion,
-        "solver": recipe.solver + _settings(recipe.solver_options.get(recipe.solver, {})),
-        **{f"with {solver}": _settings(options).strip()
+        "solver": recipe.solver + _option_settings(recipe.solver_options.get(recipe.solver, {})),
+        **{f"with {solver}": _option_settings(options).strip()
            for solver, options in recipe.solver_options.items() if solver != recipe.solver},
         "ends after": ", or ".join(rule.format(n) for rule, n in rules.items() if n) or
                       "the budget of every search",
@@ -178,14 +178,14 @@ def _options_of_prepared_problem(recipe: Recipe) -> list[Option]:
     return [option for option in undeclared if option.name in names]
 
 
-def _settings(options: Mapping[str, Any]) -> str:
+def _option_settings(options: Mapping[str, Any]) -> str:
     return "".join(f" --set {key}={value}" for key, value in options.items())
 
 
 def _describe_model(entry: Entry) -> None:
     """Print the needs of a model, its options and its terms."""
     _print_docstring(entry)
-    _pairs({"heights": "required" if entry.object.uses_height else "not used"})
+    _print_pairs({"heights": "required" if entry.object.uses_height else "not used"})
     _print_options(entry.object.declared_options)
     try:
         # Terms at other options are others: only those of the defaults can be listed.
@@ -203,7 +203,7 @@ def _describe_solver(entry: Entry) -> None:
     from termsel.selection.solvers.budget import EVALUATIONS, SEARCH_OPTIONS
 
     solver = entry.object
-    _pairs({
+    _print_pairs({
         "objectives": f"at most {solver.max_objectives}",
         "ends": "by itself" if solver.ends_by_itself else
                 f"with the budget; by default {EVALUATIONS:,} evaluations, as for every solver",
@@ -245,29 +245,30 @@ def _describe_method(entry: Entry) -> None:
     """Print when auto chooses a method, and how to fit it alone."""
     # In the order in which the choice itself asks: the first that holds decides.
     method = entry.object
-    _pairs({"chosen": "never: it is fitted where it is asked for" if method.on_request else
-            "never: it is shown for comparison" if method.only_shown else
-            "by the smallest leave-one-out RMSE, if points are few" if method.for_few else
-            "if it is better by one standard error, or instead of the methods that it contains"
-            if method.has_prior else
-            f"if it is better by {'two' if method.central else 'three'} standard errors and has "
-            "the smaller RMSE",
-            "contains": ", ".join(method.contains), "needs": ", ".join(method.needs),
-            "tried for": (f"up to {method.max_features:g} features"
-                          if method.max_features < float("inf") else "")})
+    _print_pairs({"chosen": "never: it is fitted where it is asked for" if method.on_request else
+                  "never: it is shown for comparison" if method.only_shown else
+                  "by the smallest leave-one-out RMSE, if points are few" if method.for_few else
+                  "if it is better by one standard error, or instead of the methods that it "
+                  "contains"
+                  if method.has_prior else
+                  f"if it is better by {'two' if method.central else 'three'} standard errors "
+                  "and has the smaller RMSE",
+                  "contains": ", ".join(method.contains), "needs": ", ".join(method.needs),
+                  "tried for": (f"up to {method.max_features:g} features"
+                                if method.max_features < float("inf") else "")})
     echo(f"\nFit it alone with termsel run --method {entry.name}, in Python with "
          f"termsel.fit(features, {entry.name!r}).")
 
 
 def _describe_dataset(entry: Entry) -> None:
-    _pairs({"measurements": "simulated" if entry.object.simulated else "real"})
+    _print_pairs({"measurements": "simulated" if entry.object.simulated else "real"})
 
 
 def _describe_format(entry: Entry) -> None:
     """Print the description of a reader or writer, its needs and its options."""
     _print_docstring(entry)
     if needs := getattr(entry.object, "needs", ""):
-        _pairs({"needs": needs})
+        _print_pairs({"needs": needs})
     _print_options(getattr(entry.object, "declared_options", ()))
 
 
@@ -296,7 +297,7 @@ _EXAMPLE_SECTION = re.compile(r"^Examples\n-{3,}\n.*?(?=^\w[\w ]*\n-{3,}$|\Z)",
 """The examples of a docstring, to the next heading or the end."""
 
 
-def _pairs(values: dict[str, Any]) -> None:
+def _print_pairs(values: dict[str, Any]) -> None:
     """Print names and values in two columns, without empty values."""
     # What a thing does not have is no line.
     shown = {key: value for key, value in values.items() if value}
@@ -318,7 +319,7 @@ def _print_options(options: Iterable[Option]) -> None:
 
 def _option_table(options: Iterable[Option]) -> None:
     print_table(("key", "default", "accepts", "meaning"), [
-        (option.name, "not set" if option.default in (None, "") else _text(option.default),
+        (option.name, "not set" if option.default in (None, "") else _value_text(option.default),
          _accepted_values(option), option.doc) for option in options])
 
 
@@ -327,5 +328,5 @@ def _accepted_values(option: Option) -> str:
     return f"{option.accepts} ({option.limits_files})" if option.limits_files else option.accepts
 
 
-def _text(value: Any) -> str:
+def _value_text(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)

@@ -21,9 +21,9 @@ from typing import Any, NoReturn
 
 import click
 
-from termsel.cli.messages import echo, give_back_stdout, stdout, take_stdout
+from termsel.cli.messages import echo, give_back_stdout, stream_of_results, take_stdout
 from termsel.cli.usage import usage_message
-from termsel.core.errors import TermselError, cut, is_printable, unknown_name
+from termsel.core.errors import TermselError, cut, is_printable, unknown_name_error
 from termsel.core.interrupts import INTERRUPTED, take_pending_interrupt
 from termsel.core.version import __version__
 from termsel.plugins.commands import COMMANDS, GROUPS, PACKAGES
@@ -40,13 +40,13 @@ def _stdout_may_end() -> Iterator[None]:
     """End the program silently when the reader of its output, such as head, has ended."""
     try:
         yield
-        stdout().flush()
+        stream_of_results().flush()
     except OSError as error:
         # Only errors of the output itself, which have no file name, are meant.
         if error.errno not in _UNWRITABLE or error.filename is not None:
             raise
         # Python flushes stdout once more when it ends.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stdout().fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream_of_results().fileno())
         # As head ends a pipe: everything that was wanted has been read.
         if isinstance(error, BrokenPipeError):
             raise click.exceptions.Exit(0) from None
@@ -69,7 +69,7 @@ class Commands(click.Group):
         if cmd_name in COMMANDS:
             # Imported by name, so that one command does not load what others need.
             module, _, attribute = COMMANDS[cmd_name][0].partition(":")
-            return _printing_alone(getattr(import_module(module), attribute))
+            return _print_alone(getattr(import_module(module), attribute))
         # Loading plugins runs their code, which may print.
         take_stdout()
         try:
@@ -92,7 +92,8 @@ class Commands(click.Group):
                 raise TermselError(f"{args[0]} is a file, and a command comes first",
                                    hint=f"Points are fitted by: termsel run {shlex.quote(args[0])}")
             names = [*COMMANDS, *registry().names("commands")]
-            raise unknown_name("command", args[0], names, registry().hint(args[0], "commands"))
+            raise unknown_name_error("command", args[0], names,
+                                     registry().hint(args[0], "commands"))
         if command is not None and not ctx.resilient_parsing:
             _refuse_repeated(command, args[1:])
         return args[0], command, args[1:]
@@ -149,7 +150,7 @@ class Commands(click.Group):
             return super().main(args, prog_name, complete_var, False, **extra)
         finally:
             with suppress(OSError):
-                stdout().flush()
+                stream_of_results().flush()
             if gives_back:
                 give_back_stdout()
 
@@ -161,7 +162,7 @@ class Commands(click.Group):
                 value = super().main(args, prog_name, complete_var, False, **extra)
             # numpy shows the shape that it cannot allocate: that becomes what to make smaller.
             except MemoryError as error:
-                raise _too_large(error) from error
+                raise _too_large_error(error) from error
         except TermselError as error:
             echo(f"Error: {error}", err=True)
             for line in _suggested_commands(sys.argv[1:] if args is None else args, error):
@@ -186,7 +187,7 @@ class Commands(click.Group):
                                                           info_name=words[0])
 
 
-def _too_large(error: MemoryError) -> TermselError:
+def _too_large_error(error: MemoryError) -> TermselError:
     from termsel.core.isolation.memory import out_of_memory
 
     return out_of_memory(error)
@@ -237,7 +238,7 @@ def _refuse_repeated(command: click.Command, words: list[str]) -> None:
             raise click.UsageError(f"{option.opts[0]} is given {times} times; it takes one value.")
 
 
-def _printing_alone(command: click.Command) -> click.Command:
+def _print_alone(command: click.Command) -> click.Command:
     """Return a built-in command during which nothing else prints on stdout.
 
     Its help page may print as it likes.
@@ -262,14 +263,14 @@ def _plugin_command(name: str) -> click.Command | None:
     for entry in names.entries("commands"):
         # A name that two plugins provide is answered by distribution:name.
         if entry.answers_to(name):
-            return _blaming(entry.object)
+            return _blame_plugin(entry.object)
     for failure in names.failures("commands"):
         if failure.plugin == name:
             return _broken_command(name, str(failure))
     return None
 
 
-def _blaming(command: click.Command) -> click.Command:
+def _blame_plugin(command: click.Command) -> click.Command:
     """Return a command of a plugin whose faults name the plugin; it may choose its exit code."""
     invoke = command.invoke
 

@@ -11,7 +11,7 @@ from typing import TextIO
 
 import click
 
-from termsel.core.errors import TermselError, printable
+from termsel.core.errors import TermselError, make_printable
 
 _results: TextIO | None = None
 """What stdout was before `take_stdout`."""
@@ -34,7 +34,7 @@ def give_back_stdout() -> None:
         _results = None
 
 
-def stdout() -> TextIO:
+def stream_of_results() -> TextIO:
     """Return where the results of a command go."""
     return _results or sys.stdout
 
@@ -44,14 +44,14 @@ def echo(text: str = "", *, err: bool = False, nl: bool = True) -> None:
     # If stderr cannot be written, as on a full disk, the command goes on.
     # stdout is not excused: who asks for a result must learn that it was not written.
     with suppress(OSError) if err else nullcontext():
-        click.echo(printable(text), file=sys.stderr if err else stdout(), nl=nl)
+        click.echo(make_printable(text), file=sys.stderr if err else stream_of_results(), nl=nl)
 
 
 def stdout_has(text: str) -> bool:
     """Return True if the encoding of stdout has all characters of a text."""
     try:
         # Some streams, as of tests, have no encoding.
-        text.encode(getattr(stdout(), "encoding", None) or "utf-8")
+        text.encode(getattr(stream_of_results(), "encoding", None) or "utf-8")
     except UnicodeEncodeError:
         return False
     return True
@@ -63,7 +63,8 @@ def echo_table(text: str) -> None:
     Raises TermselError if the encoding of stdout lacks one of its characters.
     """
     if not stdout_has(text):
-        raise TermselError(f"the encoding of stdout, {stdout().encoding}, does not have all "
+        raise TermselError(f"the encoding of stdout, {stream_of_results().encoding}, does not "
+                           "have all "
                            "characters of the table",
                            hint="Write to a file with --output, or set PYTHONIOENCODING=utf-8.")
     echo(text, nl=False)
@@ -86,7 +87,7 @@ class _OnStderr(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         with suppress(OSError):
-            print(printable(self.format(record)), file=sys.stderr)
+            print(make_printable(self.format(record)), file=sys.stderr)
 
 
 def show_messages() -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 
 from termsel.cli.messages import echo, say_written
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name_error
 from termsel.core.version import plugin_bound
 
 NEW_KINDS = ("model", "solver", "problem", "criterion", "objective", "method", "dataset", "split",
@@ -60,7 +60,7 @@ def new_plugin(name: str, kind: str, parent: Path) -> None:
       pip install ./termsel-demo
       termsel describe demo
     """
-    texts = package(name, *(kind_name.strip() for kind_name in kind.split(",")))
+    texts = package_files(name, *(kind_name.strip() for kind_name in kind.split(",")))
     folder = parent / name
     if not parent.is_dir():
         raise TermselError("this is a file, expected a folder" if parent.exists() else
@@ -85,7 +85,7 @@ def new_plugin(name: str, kind: str, parent: Path) -> None:
          f"Test it:    cd {folder}; {Path(sys.executable).name} -m unittest discover tests")
 
 
-def package(name: str, *kinds: str) -> dict[str, str]:
+def package_files(name: str, *kinds: str) -> dict[str, str]:
     """Return the files of a new package, by their path in it.
 
     Of several kinds each has a module and a name of its own, such as demo-model.
@@ -96,7 +96,7 @@ def package(name: str, *kinds: str) -> dict[str, str]:
                                hint="Name one kind, or several with a comma between: "
                                     f"--kind model,solver. Known: {', '.join(NEW_KINDS)}.")
         if kind not in NEW_KINDS:
-            raise unknown_name("kind of plugin", kind, NEW_KINDS)
+            raise unknown_name_error("kind of plugin", kind, NEW_KINDS)
     if len(set(kinds)) < len(kinds):
         raise TermselError(f"--kind {','.join(kinds)} names a kind twice", hint="Name each once.")
     # The name of the package is that of its module, as pip normalises it; that of the thing is
@@ -109,7 +109,7 @@ def package(name: str, *kinds: str) -> dict[str, str]:
     # All names are tried before any file is made.
     for kind in kinds:
         _require_free(name, module, plugin_name, kind, modules[kind], names[kind])
-    titles = {kind: f"{_word(kind)} {names[kind]}" for kind in kinds}
+    titles = {kind: f"{_name_as_word(kind)} {names[kind]}" for kind in kinds}
     words = {
         "DISTRIBUTION": name, "BOUND": plugin_bound(),
         "TITLE": f"The {', the '.join(titles.values())}",
@@ -128,7 +128,7 @@ def package(name: str, *kinds: str) -> dict[str, str]:
     return package_files
 
 
-def _word(kind: str) -> str:
+def _name_as_word(kind: str) -> str:
     return "data set" if kind == "dataset" else kind
 
 
@@ -157,8 +157,9 @@ def _require_free(name: str, package: str, bare: str, kind: str, module: str,
     from termsel.plugins.kinds import KINDS as REGISTERED
     from termsel.plugins.registry import Registry
 
-    plural = next((key for key, value in REGISTERED.items() if value.word == _word(kind)), None)
+    plural = next((key for key, value in REGISTERED.items() if value.word == _name_as_word(kind)),
+                  None)
     names_in_use = COMMANDS if plural is None else Registry([]).names(plural)
     if plugin_name in names_in_use:
-        raise TermselError(f"termsel has a {_word(kind)} {plugin_name!r} itself",
+        raise TermselError(f"termsel has a {_name_as_word(kind)} {plugin_name!r} itself",
                            hint="Choose another name.")

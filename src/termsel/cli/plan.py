@@ -38,7 +38,7 @@ def plan(folder: Path, candidates: Path | None, count: int, output: Path | None,
     """
     show_messages()
 
-    from termsel.core.errors import rounded
+    from termsel.core.errors import rounded_size_text
     from termsel.core.files.atomic import write_text
     from termsel.io.export import as_exported
     from termsel.io.plan import COLUMNS
@@ -50,13 +50,13 @@ def plan(folder: Path, candidates: Path | None, count: int, output: Path | None,
         require_replaceable([output], reads=[folder, candidates], overwrite=overwrite)
     positions = ranked(as_exported(read_result(folder), final), count, candidates)
     rows = [(name, f"{line:.1f}", f"{sample:.1f}", f"{x:.8g}", f"{y:.8g}",
-             "" if z != z else f"{z:.1f}", rounded(sigma))
+             "" if z != z else f"{z:.1f}", rounded_size_text(sigma))
             for name, (line, sample, x, y, z, sigma) in zip(
                 positions.ids, positions.values.tolist(), strict=True)]
     print_table(COLUMNS, rows)
     # The last row has the uncertainty after all positions above it were measured.
     measured = "this place" if len(rows) == 1 else f"these {len(rows)} places"
-    echo(f"Mean uncertainty over the image: {rounded(positions.sigma_before)} px now, "
+    echo(f"Mean uncertainty over the image: {rounded_size_text(positions.sigma_before)} px now, "
          f"{rows[-1][-1]} px with {measured}", err=True)
     if output is not None:
         write_text(output, positions.to_csv())

@@ -61,7 +61,7 @@ def plot(folder: Path, kind: str, output: Path, overwrite: bool) -> None:
 
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import read_result
-    from termsel.results.plots import chart, require_picture, save
+    from termsel.results.plots import require_picture, save, styled_chart
     from termsel.studies.cells.folder import PLAN
 
     if (folder / PLAN).is_file():
@@ -71,5 +71,5 @@ def plot(folder: Path, kind: str, output: Path, overwrite: bool) -> None:
     require_picture(output)
     # Whether it may be written is known before the charts are drawn, which takes seconds.
     require_replaceable([output], reads=[folder], overwrite=overwrite)
-    save(chart(read_result(folder).view, kind), output)
+    save(styled_chart(read_result(folder).view, kind), output)
     say_written([output])

@@ -49,8 +49,8 @@ def plugins(as_json: bool, timed: bool) -> None:
         print_json([{
             "name": plugin.name, "distribution": plugin.distribution, "version": plugin.version,
             "api": PLUGIN_API, "requires": plugin.requires, "hooks": list(plugin.hooks),
-            "status": _status(plugin, failures),
-            "reasons": _about(plugin, failures),
+            "status": _status_text(plugin, failures),
+            "reasons": _line_about_plugin(plugin, failures),
             **({"seconds": round(seconds.get(plugin, 0.0), 4)} if timed else {})}
             for plugin in names.plugins])
         return
@@ -60,7 +60,7 @@ def plugins(as_json: bool, timed: bool) -> None:
         ("name", "distribution", "version", "requires termsel", "status",
          *(["seconds"] if timed else []), "hooks"),
         [(plugin.name, plugin.distribution, plugin.version, plugin.requires,
-          _status(plugin, failures),
+          _status_text(plugin, failures),
           *([f"{seconds.get(plugin, 0.0):.3f}"] if timed else []),
           " ".join(hook.removeprefix("termsel_") for hook in plugin.hooks))
          for plugin in names.plugins])
@@ -76,10 +76,10 @@ def plugins(as_json: bool, timed: bool) -> None:
         echo(f"Broken: {failure}")
 
 
-def _about(plugin: Plugin, remarks: list[Remark]) -> list[str]:
+def _line_about_plugin(plugin: Plugin, remarks: list[Remark]) -> list[str]:
     return [remark.what for remark in remarks
             if (remark.plugin, remark.distribution) == (plugin.name, plugin.distribution)]
 
 
-def _status(plugin: Plugin, failures: list[Remark]) -> str:
-    return "broken" if _about(plugin, failures) else "ok"
+def _status_text(plugin: Plugin, failures: list[Remark]) -> str:
+    return "broken" if _line_about_plugin(plugin, failures) else "ok"

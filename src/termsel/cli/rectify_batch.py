@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from termsel.cli.bars import share_bar
 from termsel.cli.messages import echo, say_written
 from termsel.cli.tables import print_table
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name_error
 from termsel.core.files.atomic import make_folder, write_text
-from termsel.core.files.names import is_there, no_such_file
+from termsel.core.files.names import is_there, no_such_file_error
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
@@ -35,7 +35,7 @@ def rectify_batch(folder: Path, pictures: Path, out: Path, *, doubtful: bool, dr
         FAILED,
         TABLE,
         dem_of_batch,
-        needing_heights,
+        first_map_needing_heights,
         plan_maps,
         table_of_maps,
     )
@@ -45,7 +45,7 @@ def rectify_batch(folder: Path, pictures: Path, out: Path, *, doubtful: bool, dr
     maps = plan_maps(folder, pictures, out, with_doubtful=doubtful,
                      overwrite=options["overwrite"])
     if options["dem"] is None and options["height"] is None and (
-            planned := needing_heights(maps)) is not None:
+            planned := first_map_needing_heights(maps)) is not None:
         dem = dem_of_batch(folder)
         raise TermselError(f"the position of {planned.image} on the map depends on the height of "
                            "the ground", hint="Give --dem FILE or --height H." if dem is None else
@@ -70,10 +70,10 @@ def _require_options(options: Mapping[str, Any]) -> None:
         normalise(options["crs"])
     resampling = options["resampling"]
     if resampling is not None and resampling not in RESAMPLING:
-        raise unknown_name("resampling", resampling, RESAMPLING)
+        raise unknown_name_error("resampling", resampling, RESAMPLING)
     dem = options["dem"]
     if dem is not None and not is_there(dem):
-        raise no_such_file(dem)
+        raise no_such_file_error(dem)
 
 
 def _write(maps: list[ImageMap], quiet: bool, options: Mapping[str, Any]) -> list[ImageMap]:

@@ -8,7 +8,7 @@ import click
 
 from termsel.cli.messages import echo, refuse_stdout, say_written, show_messages
 from termsel.cli.options.shared import remote_option
-from termsel.core.errors import TermselError, first_of
+from termsel.core.errors import TermselError, first_names_in_words
 
 REPORT = "report.html"
 PAGES = (".html", ".htm")
@@ -47,12 +47,13 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
     from termsel.io.result_folder import files_of_result, read_result, results_within
     from termsel.studies.cells.folder import PLAN, read_study
     from termsel.studies.cells.images import IMAGES
-    from termsel.studies.outputs import page as study_page
+    from termsel.studies.outputs import study_page as study_page
 
     is_study = (folder / PLAN).is_file()
     if not is_study and not any(map(is_there, files_of_result(folder))):
         inner = results_within(folder)
-        one_of_them = f" Or one of these within it: {first_of(inner, 3)}." if inner else ""
+        one_of_them = \
+            f" Or one of these within it: {first_names_in_words(inner, 3)}." if inner else ""
         reason = "there is neither a result nor a study in this folder"
         if not folder.is_dir():
             reason = "this is a file, expected the folder of a result or study" if folder.exists() \

@@ -6,13 +6,13 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-from termsel.cli.messages import echo, stdout, stdout_has
-from termsel.core.errors import printable
+from termsel.cli.messages import echo, stdout_has, stream_of_results
+from termsel.core.errors import make_printable
 
 
 def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a table."""
-    if stdout().isatty():
+    if stream_of_results().isatty():
         _draw(header, rows)
         return
     # Columns as wide as their widest cell, as in a pipe nobody knows the width of a screen.
@@ -34,15 +34,15 @@ def _draw(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         table.add_column(title, no_wrap=i == 0, overflow="fold")
     for row in rows:
         # Text, as "[...]" in a summary is not markup.
-        table.add_row(*(Text(printable(cell)) for cell in row))
-    Console(file=stdout()).print(table)
+        table.add_row(*(Text(make_printable(cell)) for cell in row))
+    Console(file=stream_of_results()).print(table)
 
 
 def json_text(value: Any) -> str:
     """Return a value as JSON with a line end; in ASCII if a terminal cannot show its text."""
     text = json.dumps(value, indent=2, ensure_ascii=False)
     # Characters that would control a terminal are escaped as JSON has it, not as Python does.
-    is_printable = printable(text) == text
+    is_printable = make_printable(text) == text
     return (text if is_printable else json.dumps(value, indent=2)) + "\n"
 
 

@@ -58,7 +58,7 @@ class ByTopic(click.Command):
                    if isinstance(option, click.Option)}
         for topic, texts in TOPICS.items():
             # Options of plugins are not listed here, and need not be installed.
-            rows = [(_synopsis(options[name]), text) for name, text in texts.items()
+            rows = [(_option_synopsis(options[name]), text) for name, text in texts.items()
                     if name in options]
             with formatter.section(topic):
                 formatter.write_dl(rows)
@@ -78,7 +78,7 @@ def _show_all(context: click.Context, _: click.Parameter, is_asked_for: bool) ->
         context.exit()
 
 
-def _synopsis(option: click.Option) -> str:
+def _option_synopsis(option: click.Option) -> str:
     """Return an option with the name of its value."""
     if option.is_flag:
         return option.opts[0]

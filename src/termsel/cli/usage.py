@@ -11,7 +11,7 @@ from difflib import get_close_matches
 
 import click
 
-from termsel.core.errors import first_of
+from termsel.core.errors import first_names_in_words
 
 _NUMBER = re.compile(r"[+-]?\d+(\.\d*)?")
 _WITH_UNIT = re.compile(r"([+-]?\d+(?:\.\d*)?)\s*([A-Za-z]+)")
@@ -33,7 +33,7 @@ def usage_message(error: click.ClickException) -> str:
     if isinstance(error, click.MissingParameter):
         lines = _lines_on_missing(error)
     elif isinstance(error, click.NoSuchOption):
-        lines = [_no_such_option(error)]
+        lines = [_unknown_option_message(error)]
     elif isinstance(error, click.BadOptionUsage):
         lines = [_without_value(error)]
     elif isinstance(error, click.BadParameter) and error.param is not None:
@@ -66,7 +66,7 @@ def _first_sentence(option: click.Option) -> str:
     return (option.help or "").partition(". ")[0].rstrip(".")
 
 
-def _no_such_option(error: click.NoSuchOption) -> str:
+def _unknown_option_message(error: click.NoSuchOption) -> str:
     """Return the message for an unknown option, with a near one, or with all of a few."""
     params = error.ctx.command.params if error.ctx is not None else ()
     key = error.option_name.lstrip("-").replace("-", "_")
@@ -76,16 +76,16 @@ def _no_such_option(error: click.NoSuchOption) -> str:
                if isinstance(param, click.Option) and not param.hidden]
     others = _commands_with(error.option_name, error.ctx)
     # What another command calls so is no slip of the pen.
-    near = _near_option(error.option_name, options, spelt=bool(others))
+    near = _nearest_option(error.option_name, options, spelt=bool(others))
     if near:
         return f"there is no option {error.option_name}. Did you mean {near}?"
-    elsewhere = f" It belongs to termsel {first_of(others, 4)}." if others else ""
+    elsewhere = f" It belongs to termsel {first_names_in_words(others, 4)}." if others else ""
     # A command of many options is left to its help.
     listed = f" Known: {', '.join(options)}." if 0 < len(options) <= _MOST_OPTIONS else ""
     return f"there is no option {error.option_name}.{elsewhere}{listed}"
 
 
-def _near_option(typed: str, options: Sequence[str], spelt: bool) -> str:
+def _nearest_option(typed: str, options: Sequence[str], spelt: bool) -> str:
     """Return the option that is probably meant; "" if none is near.
 
     What is `spelt` as an option of another command is not taken for misspelt.
@@ -225,7 +225,7 @@ def _bad_value(error: click.BadParameter, param: click.Parameter) -> str:
         return f"{name} is {typed!r}, which is not {noun}. {remedy}"
     outside = _OUTSIDE.match(message)
     if outside and isinstance(param.type, click.IntRange | click.FloatRange):
-        return f"{name} is {outside[1].removesuffix('.0')}, expected {_range(param.type)}."
+        return f"{name} is {outside[1].removesuffix('.0')}, expected {_range_in_words(param.type)}."
     if isinstance(param.type, click.Choice):
         typed_word = re.match(r"'([^']+)' is not", message)
         choices = list(map(str, param.type.choices))
@@ -245,7 +245,7 @@ def _bad_value(error: click.BadParameter, param: click.Parameter) -> str:
     return f"{name}: {message.rstrip('.')}. Type {name} {_value_name(param)}."
 
 
-def _range(kind: click.IntRange | click.FloatRange) -> str:
+def _range_in_words(kind: click.IntRange | click.FloatRange) -> str:
     """Return the limits of a number in words; a limit that nobody reaches is left out."""
     noun = "a whole number" if isinstance(kind, click.IntRange) else "a number"
     limits = []

@@ -83,7 +83,7 @@ class TermselError(Exception):
         """Return the message as it can be shown: printable, and long cells without their middle."""
         position = []
         if self.file is not None:
-            position.append(printable(str(self.file), keep=""))
+            position.append(make_printable(str(self.file), keep=""))
         if self.line is not None:
             position.append(f"line {self.line}")
         if isinstance(self.column, str):
@@ -93,10 +93,10 @@ class TermselError(Exception):
         message = cut(self.what, _LONGEST_MESSAGE)
         text = ": ".join([", ".join(position), message]) if position else message
         end = "" if text.endswith(".") else "."  # of a library's message, or of a list cut short
-        return printable(f"{text}{end} {cut(self.hint, _LONGEST_HINT)}" if self.hint else text)
+        return make_printable(f"{text}{end} {cut(self.hint, _LONGEST_HINT)}" if self.hint else text)
 
 
-def printable(text: str, keep: str = "\n\t") -> str:
+def make_printable(text: str, keep: str = "\n\t") -> str:
     r"""Return text as a terminal can show it, whatever a file or a name brought.
 
     Other characters, which may control the terminal, are written as Python writes them, ``\x1b``;
@@ -110,7 +110,7 @@ def printable(text: str, keep: str = "\n\t") -> str:
 
 
 def is_printable(text: str) -> bool:
-    """Return True for text without line breaks and without characters that `printable` replaces."""
+    """Return True for text without line breaks and what `make_printable` replaces."""
     return text.isprintable() or all(
         char.isprintable() or char in _JOINERS or unicodedata.category(char) in _SHOWN
         for char in text)
@@ -134,7 +134,8 @@ MOST_BESIDE_NEAR = 25
 """Names a message lists next to the nearest: of more, the nearest stands alone."""
 
 
-def unknown_name(kind: str, name: str, names_known: Iterable[str], hint: str = "") -> TermselError:
+def unknown_name_error(
+        kind: str, name: str, names_known: Iterable[str], hint: str = "") -> TermselError:
     """Return the error for a name of some kind that is not among the known, with the nearest."""
     names = sorted(set(names_known))
     near = _likely_names(name, names)
@@ -171,31 +172,32 @@ def exception_in_words(error: BaseException) -> str:
     return " ".join(f"{type(error).__name__}: {message}".split()).rstrip(": ")
 
 
-def percent(share: float) -> str:
+def percent_text(share: float) -> str:
     """Return a share in per cent with two decimals, or two digits if these would be 0.00."""
     return f"{100 * share:.2f} %" if share >= 1e-3 else f"{100 * share:.2g} %"
 
 
-def counted(number: int, noun: str) -> str:
+def count_in_words(number: int, noun: str) -> str:
     """Return a number with its noun, which takes an s unless the number is 1."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def amount(number: int, noun: str = "") -> str:
+def amount_in_words(number: int, noun: str = "") -> str:
     """Return a number with commas, and its noun; above 15 digits in short, as 1.2e37."""
     short = f"{number:,}" if number < 10**15 else f"{number:.1e}".replace("e+", "e")
     ending = "" if number == 1 else "s"
     return f"{short} {noun}{ending}" if noun else short
 
 
-def first_of(names: Sequence[str], limit: int = 10) -> str:
+def first_names_in_words(names: Sequence[str], limit: int = 10) -> str:
     """Return the first names of a list, and how many more there are, such as "A, B and 3 more"."""
     unnamed = len(names) - limit
     return ", ".join(names[:limit]) + (f" and {unnamed:,} more" if unnamed > 0 else "")
 
 
 @contextmanager
-def requires(needing: str, packages: str, install: str, file: object = None) -> Iterator[None]:
+def require_import(needing: str, packages: str, install: str,
+                   file: object = None) -> Iterator[None]:
     """Run imports; raise TermselError if one fails.
 
     It begins with `needing`, which has its verb, as in "charts require", and `packages`; `install`
@@ -221,12 +223,12 @@ _TENTHS, _HUNDREDTHS, _DIGITS = 99.95, 9.995, 0.0995
 """From these sizes on a figure has no decimals, one, and two; a smaller one has two digits."""
 
 
-def rounded(value: float) -> str:
+def rounded_size_text(value: float) -> str:
     """Return a size in px or metres with the same number of decimals on every screen and page.
 
     Examples
     --------
-    >>> [rounded(size) for size in (0.0123, 0.2483, 8.149, 14.31, 1041.2)]
+    >>> [rounded_size_text(size) for size in (0.0123, 0.2483, 8.149, 14.31, 1041.2)]
     ['0.012', '0.25', '8.15', '14.3', '1,041']
     """
     size = abs(value)
@@ -237,6 +239,6 @@ def rounded(value: float) -> str:
     return f"{value:.2f}" if size >= _DIGITS else f"{value:.2g}"
 
 
-def interval(low: float, high: float, percent: float = 90.0) -> str:
+def interval_text(low: float, high: float, percent: float = 90.0) -> str:
     """Return an interval as the screens show it, such as ``[90 %: 0.22-0.29 px]``."""
-    return f"[{percent:.0f} %: {rounded(low)}-{rounded(high)} px]"
+    return f"[{percent:.0f} %: {rounded_size_text(low)}-{rounded_size_text(high)} px]"

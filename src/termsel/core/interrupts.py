@@ -24,7 +24,7 @@ def end_at_once() -> None:
     For programs, while they have nothing to finish: at their start and at their end. Nothing is
     changed where Ctrl-C is ignored, as by nohup.
     """
-    if signal.getsignal(signal.SIGINT) in (signal.default_int_handler, _interrupt):
+    if signal.getsignal(signal.SIGINT) in (signal.default_int_handler, _note_interrupt):
         signal.signal(signal.SIGINT, leave)
     take_pending_interrupt()
 
@@ -39,7 +39,7 @@ def leave(_number: int = signal.SIGINT, _frame: FrameType | None = None) -> NoRe
         os._exit(INTERRUPTED)  # not even Python may do more: this may be in the middle of anything
 
 
-def end() -> NoReturn:
+def end_program() -> NoReturn:
     """End the program with the exit code `INTERRUPTED`; its output so far is written first."""
     from contextlib import suppress
 
@@ -59,13 +59,13 @@ def watch() -> None:
     """
     if signal.getsignal(signal.SIGINT) not in (signal.default_int_handler, leave):
         return
-    signal.signal(signal.SIGINT, _interrupt)
+    signal.signal(signal.SIGINT, _note_interrupt)
     if sys.platform != "win32":
-        signal.signal(signal.SIGALRM, _interrupt)
+        signal.signal(signal.SIGALRM, _note_interrupt)
     sys.unraisablehook = _print_unraisable
 
 
-def _interrupt(_number: int, _frame: FrameType | None) -> None:
+def _note_interrupt(_number: int, _frame: FrameType | None) -> None:
     if sys.platform != "win32":
         signal.setitimer(signal.ITIMER_REAL, _AGAIN)
     raise KeyboardInterrupt
@@ -79,6 +79,6 @@ def _print_unraisable(unraisable: sys.UnraisableHookArgs) -> None:
 
 def take_pending_interrupt() -> bool:
     """Return whether Ctrl-C came and nothing has handled it yet; asking handles it."""
-    if sys.platform == "win32" or signal.getsignal(signal.SIGALRM) is not _interrupt:
+    if sys.platform == "win32" or signal.getsignal(signal.SIGALRM) is not _note_interrupt:
         return False
     return signal.setitimer(signal.ITIMER_REAL, 0)[0] > 0

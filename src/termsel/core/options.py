@@ -10,7 +10,7 @@ from operator import index
 from typing import Any, ClassVar
 
 from termsel.core.display import Glance
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name_error
 from termsel.core.isolation.calls import Check, Guarded
 from termsel.core.isolation.parts import package_of_option
 
@@ -99,11 +99,11 @@ class Option:
         kind = _TYPE_WORDS[self.type]
         # Both, one, or no limit.
         if self.minimum is not None and self.maximum is not None:
-            return f"{kind} from {_plain(self.minimum)} to {_plain(self.maximum)}"
+            return f"{kind} from {_plain_number(self.minimum)} to {_plain_number(self.maximum)}"
         if self.minimum is not None:
-            return f"{kind} of at least {_plain(self.minimum)}"
+            return f"{kind} of at least {_plain_number(self.minimum)}"
         if self.maximum is not None:
-            return f"{kind} of at most {_plain(self.maximum)}"
+            return f"{kind} of at most {_plain_number(self.maximum)}"
         return kind
 
     @property
@@ -188,13 +188,13 @@ class Option:
             return int(number)
 
 
-def _plain(bound: float) -> str:
+def _plain_number(bound: float) -> str:
     """Return a bound as people write it: 1,000,000 and not 1e+06."""
     return f"{bound:,.0f}" if 1e5 <= abs(bound) < 1e13 and bound == int(bound) else f"{bound:g}"
 
 
-def by_part(values: Mapping[str, Any],
-            declared: Mapping[str, Iterable[Option]]) -> dict[str, dict[str, Any]]:
+def options_by_part(values: Mapping[str, Any],
+                    declared: Mapping[str, Iterable[Option]]) -> dict[str, dict[str, Any]]:
     """Return the options by part of a run, all parts among them; each has its declared options.
 
     They are given by name, or by ``part.name`` where several parts have an option of that name.
@@ -213,7 +213,7 @@ def by_part(values: Mapping[str, Any],
         if not matching:
             if of_package := package_of_option(name):
                 raise TermselError(f"unknown option {key!r}", hint=of_package, name=key)
-            raise unknown_name("option", key, owners)
+            raise unknown_name_error("option", key, owners)
         if len(matching) > 1:
             full_names = " or ".join(f"{owner}.{name}" for owner in matching)
             raise TermselError(f"{' and '.join(matching)} each have an option {name!r}",
@@ -234,7 +234,7 @@ def resolve(declared: Iterable[Option], values: Mapping[str, Any]) -> dict[str, 
     options = {option.name: option for option in declared}
     for key in values:
         if key not in options:
-            raise unknown_name("option", key, options)
+            raise unknown_name_error("option", key, options)
     return {name: option.parse(values.get(name, option.default))
             for name, option in options.items()}
 

@@ -25,7 +25,7 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
         """Call the function with one thread for linear algebra."""
         if not _memory_is_kept:
             _keep_freed_memory()
-        with _libraries(len(sys.modules)).limit(limits=1, user_api="blas"):
+        with _find_libraries(len(sys.modules)).limit(limits=1, user_api="blas"):
             return function(*args, **kwargs)
     return alone
 
@@ -48,6 +48,6 @@ _memory_is_kept: list[bool] = []
 
 
 @lru_cache(1)
-def _libraries(_modules: int) -> ThreadpoolController:
+def _find_libraries(_modules: int) -> ThreadpoolController:
     """Return the libraries of this process, found again once modules were imported."""
     return ThreadpoolController()

@@ -40,16 +40,16 @@ def raster_in(path: Path) -> Path:
     """
     # These of os.path take a name that the system refuses for one that is not there.
     if os.path.isdir(path):
-        return _only(path, _tiffs_in_folder(path))
+        return _only_raster(path, _tiffs_in_folder(path))
     if os.path.isfile(path):
-        return path if not zipfile.is_zipfile(path) else _only(path, _tiffs_in_zip(path))
+        return path if not zipfile.is_zipfile(path) else _only_raster(path, _tiffs_in_zip(path))
     archive = next((parent for parent in path.parents if os.path.isfile(parent)), None)
     if archive is None or not zipfile.is_zipfile(archive):
         return path
     return _name_for_gdal(path, archive)
 
 
-def _only(path: Path, rasters: list[Path]) -> Path:
+def _only_raster(path: Path, rasters: list[Path]) -> Path:
     """Return the only raster of a zip or folder, by its name for GDAL."""
     if not rasters:
         raise TermselError("there is no TIFF in it", file=path,

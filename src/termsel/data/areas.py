@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from termsel.core.errors import TermselError, counted
+from termsel.core.errors import TermselError, count_in_words
 from termsel.data.features import FloatArray, Lines, Points
 from termsel.data.tables.tabular import FARTHEST, columns_of
 
@@ -70,7 +70,7 @@ class Area:
         _refuse_bad(self.id, ground[:, :2], "ground")
 
 
-def boundary(areas: Sequence[Area]) -> Lines:
+def boundary_lines(areas: Sequence[Area]) -> Lines:
     """Return the edges of areas as lines, those of one area under its id; "off" ones stay out.
 
     Those of one area are pieces of one feature. An edge that neighbours share, with the same X and
@@ -93,30 +93,30 @@ def boundary(areas: Sequence[Area]) -> Lines:
     # The empty arrays are for no areas at all.
     image = [np.empty((0, 2, 2))]
     ground = [np.empty((0, 2, 3))]
-    for area, edges in zip(on, _own_edges(on), strict=True):
+    for area, edges in zip(on, _unshared_edges(on), strict=True):
         if not edges:
             raise TermselError(f"all edges of area {area.id!r} belong to other areas on the same "
                                "side", ids=[area.id], hint="Remove one of these areas.")
         ids += [area.id] * len(edges)
         attributes += [area.attributes] * len(edges)
-        image.append(_edges(area.image)[edges])
-        ground.append(_edges(area.ground)[edges])
+        image.append(_edges_of_ring(area.image)[edges])
+        ground.append(_edges_of_ring(area.ground)[edges])
     return Lines(tuple(ids), np.concatenate(image), np.concatenate(ground),
                  attributes=columns_of(attributes))
 
 
-def centroids(areas: Sequence[Area]) -> Points:
+def centroid_points(areas: Sequence[Area]) -> Points:
     """Return the centroids of areas as points; without a role they become control."""
     # That in the image is the image of that on the ground where the area is plane, and so small
     # that the projection is affine across it.
     return Points(tuple(area.id for area in areas),
-                  np.reshape([centroid(area.image) for area in areas], (-1, 2)),
-                  np.reshape([centroid(area.ground) for area in areas], (-1, 3)),
+                  np.reshape([centroid_of_ring(area.image) for area in areas], (-1, 2)),
+                  np.reshape([centroid_of_ring(area.ground) for area in areas], (-1, 3)),
                   roles=tuple(area.role or "control" for area in areas),
                   attributes=columns_of([area.attributes for area in areas]))
 
 
-def centroid(ring: ArrayLike) -> FloatArray:
+def centroid_of_ring(ring: ArrayLike) -> FloatArray:
     """Return the centroid of the area that a ring of corners, (n, 2) or (n, 3), bounds.
 
     Corners are in order, either way, without the first repeated; an unknown height gives NaN.
@@ -126,19 +126,19 @@ def centroid(ring: ArrayLike) -> FloatArray:
     middle = corners.mean(axis=0)
     # From the triangles between the mean corner and each edge, in the plane of the first two
     # coordinates; the third is the mean over that area.
-    edges = _edges(corners - middle)
-    twice = _cross(edges[:, 0], edges[:, 1])
+    edges = _edges_of_ring(corners - middle)
+    twice = _do_edges_cross(edges[:, 0], edges[:, 1])
     return np.asarray(middle + twice @ edges.sum(axis=1) / (3 * twice.sum()))
 
 
-def _own_edges(areas: Sequence[Area]) -> list[list[int]]:
+def _unshared_edges(areas: Sequence[Area]) -> list[list[int]]:
     """Return the numbers of each area's edges, without those that another area uses."""
     # By its ends: the first area on either side of an edge, and the number it has there.
     by_ends: dict[frozenset[tuple[float, ...]], dict[bool, tuple[int, int]]] = {}
     for i, area in enumerate(areas):
         # Edges of the ground ring (n, 2, 2), and whether it runs against the clock.
-        ring = _edges(area.ground[:, :2])
-        around = _cross(*np.moveaxis(ring - ring.mean(axis=(0, 1)), 1, 0)).sum() > 0
+        ring = _edges_of_ring(area.ground[:, :2])
+        around = _do_edges_cross(*np.moveaxis(ring - ring.mean(axis=(0, 1)), 1, 0)).sum() > 0
         for j, (start, end) in enumerate(ring.tolist()):
             # Both neighbours find an edge under the same key, whichever end comes first; the area
             # is on its left where direction and sense agree.
@@ -154,11 +154,11 @@ def _own_edges(areas: Sequence[Area]) -> list[list[int]]:
     return [sorted(edges) for edges in edges_of]
 
 
-def _edges(ring: FloatArray) -> FloatArray:
+def _edges_of_ring(ring: FloatArray) -> FloatArray:
     return np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
 
 
-def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
+def _do_edges_cross(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
 
 
@@ -167,7 +167,7 @@ def _refuse_bad(name: str, ring: FloatArray, space: str) -> None:
     n = len(ring)
     in_words = "in the image" if space == "image" else "on the ground"
     if n < 3:
-        raise CornerError(f"area {name!r} has {counted(n, 'corner')}", max(n - 1, 0), space,
+        raise CornerError(f"area {name!r} has {count_in_words(n, 'corner')}", max(n - 1, 0), space,
                           "An area requires at least three.")
     # For each corner the first one with the same coordinates: itself, unless it is a repetition.
     _, first, inverse = np.unique(ring, axis=0, return_index=True, return_inverse=True)
@@ -179,11 +179,12 @@ def _refuse_bad(name: str, ring: FloatArray, space: str) -> None:
                           "Give every corner once; only the first may be repeated at the end, in "
                           "the image and on the ground.")
     # Twice the area by the shoelace formula, about the mean corner so that nothing cancels.
-    edges = _edges(ring - ring.mean(axis=0))
-    if abs(_cross(edges[:, 0], edges[:, 1]).sum()) <= _FLAT * float(np.ptp(ring, axis=0).max())**2:
+    edges = _edges_of_ring(ring - ring.mean(axis=0))
+    if abs(_do_edges_cross(edges[:, 0], edges[:, 1]).sum()) <= _FLAT * float(
+            np.ptp(ring, axis=0).max())**2:
         raise CornerError(f"area {name!r} has no extent {in_words}", 0, space,
                           "Its corners lie on one straight line, or its edges cross.")
-    crossed = _crossing(edges) if n <= _MANY else None
+    crossed = _find_crossing_edges(edges) if n <= _MANY else None
     if crossed is not None:
         first_edge, second_edge = crossed
         raise CornerError(f"the edges from corners {first_edge + 1} and {second_edge + 1} of area "
@@ -191,12 +192,12 @@ def _refuse_bad(name: str, ring: FloatArray, space: str) -> None:
                           "Give the corners in order around the area.")
 
 
-def _crossing(edges: FloatArray) -> tuple[int, int] | None:
+def _find_crossing_edges(edges: FloatArray) -> tuple[int, int] | None:
     """Return the first two edges, shape (n, 2, 2), that cross, or None."""
     directions = edges[:, 1] - edges[:, 0]
     # On which side of edge i the ends of edge j are; zero for an end the two share.
-    first_ends = _cross(directions[:, None], edges[None, :, 0] - edges[:, None, 0])
-    second_ends = _cross(directions[:, None], edges[None, :, 1] - edges[:, None, 0])
+    first_ends = _do_edges_cross(directions[:, None], edges[None, :, 0] - edges[:, None, 0])
+    second_ends = _do_edges_cross(directions[:, None], edges[None, :, 1] - edges[:, None, 0])
     # Two edges cross where each parts the ends of the other.
     is_parted = first_ends * second_ends < 0
     pairs = np.argwhere(np.triu(is_parted & is_parted.T))

@@ -39,7 +39,7 @@ def require_tiff_name(path: Path) -> None:
                                 "converts it to other formats.")
 
 
-def _tile(pixels: Any) -> tuple[Any, Any]:
+def _arrange_tile(pixels: Any) -> tuple[Any, Any]:
     """Return pixels in the order of memory, and where they show something, if that is said."""
     values, valid = pixels if isinstance(pixels, tuple) else (pixels, None)
     return np.ascontiguousarray(values), valid
@@ -125,7 +125,7 @@ def write_cog(
                                zlevel=1, bigtiff="if_safer", **profile) as raster:
                 describe(raster)
                 for done, window in enumerate(tiles):
-                    values, valid = _tile(pixels(window, raster.window_transform(window)))
+                    values, valid = _arrange_tile(pixels(window, raster.window_transform(window)))
                     raster.write(values, window=window)
                     written = crc32(values.data)
                     if masked:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.core.errors import counted
+from termsel.core.errors import count_in_words
 from termsel.data.coordinates.height_units import FOOT, UNITS
 from termsel.data.coordinates.wgs84 import FloatArray
 
@@ -83,20 +83,22 @@ class DemDifference:
 
     def sentence(self, pixels: float | None = None) -> str:
         """Return the difference as one sentence, with its effect on a map [px] if that is known."""
-        effect = "" if pixels is None else f": {_rounded_in_words(pixels)} px on a map" \
+        effect = "" if pixels is None else f": {_rounded_metres_in_words(pixels)} px on a map" \
             if pixels >= _VISIBLE else ", of which this model makes no use"
-        evidence = (f"median of {counted(self.count, 'height')}, standard deviation "
-                    f"{_rounded_in_words(self.sigma)} m")
+        evidence = (f"median of {count_in_words(self.count, 'height')}, standard deviation "
+                    f"{_rounded_metres_in_words(self.sigma)} m")
         cause = ""
         if self.in_feet:
             cause = "is one of them in feet? --set z_unit=ft says so of the points"
         elif self.in_kilometres:
             cause = "is one of them in kilometres?"
-        return off_as_a_whole(self.above, "the control", evidence, effect, self.dem, cause)
+        return sentence_on_common_offset(
+            self.above, "the control", evidence, effect, self.dem, cause)
 
 
-def off_as_a_whole(above: float, reference: str, evidence: str, effect: str = "", dem: str = "",
-                   cause: str = "") -> str:
+def sentence_on_common_offset(above: float, reference: str, evidence: str, effect: str = "",
+                              dem: str = "",
+                              cause: str = "") -> str:
     """Return a sentence on a DEM that lies `above` a reference [m], and why it may.
 
     Without a `cause` it names the usual one of such a difference.
@@ -104,7 +106,7 @@ def off_as_a_whole(above: float, reference: str, evidence: str, effect: str = ""
     cause = cause or (GEOID if abs(above) <= _MAX_GEOID_HEIGHT else NO_DEM)
     direction = "above" if above > 0 else "below"
     name = f" {dem}" if dem else ""
-    return (f"The DEM{name} is {_rounded_in_words(abs(above))} m {direction} {reference} "
+    return (f"The DEM{name} is {_rounded_metres_in_words(abs(above))} m {direction} {reference} "
             f"({evidence}){effect}; {cause}")
 
 
@@ -136,14 +138,14 @@ def _is_in_unit(unit: float, control: FloatArray, dem: FloatArray, scatter: floa
     """Return whether heights agree better where one side is in a unit [m] than by any shift."""
     # What is left in the unit must be a third of what is left in metres at most, and within what
     # shifts leave: two sets of heights that agree by nothing are in no unit.
-    remaining = min(_away(control * unit, dem), _away(control, dem * unit))
-    return remaining < min(_A_THIRD * _away(control, dem), max(scatter, _EXACT))
+    remaining = min(_median_distance(control * unit, dem), _median_distance(control, dem * unit))
+    return remaining < min(_A_THIRD * _median_distance(control, dem), max(scatter, _EXACT))
 
 
-def _away(control: FloatArray, dem: FloatArray) -> float:
+def _median_distance(control: FloatArray, dem: FloatArray) -> float:
     """Return the median distance of heights [m]."""
     return float(np.median(np.abs(dem - control)))
 
 
-def _rounded_in_words(size: float) -> str:
+def _rounded_metres_in_words(size: float) -> str:
     return f"{size:.3g}" if size < 999.5 else f"{size:,.0f}"

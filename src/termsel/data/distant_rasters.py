@@ -68,7 +68,7 @@ class DistantRaster:
         self._path = path
         self._helper = helper
         # The folder and the options go with each question: both may differ in the other process.
-        self._question = partial(Question, next(_numbers), os.getcwd(), _settings())
+        self._question = partial(Question, next(_numbers), os.getcwd(), _request_settings())
 
     def __getattr__(self, name: str) -> Any:
         # Copying and pickling ask for such names before there is a helper.
@@ -120,7 +120,7 @@ def with_dataset(raster: Any, work: Callable[..., Answer], *values: Any) -> Answ
 @contextmanager
 def open_distant(path: Path | str) -> Iterator[DistantRaster]:
     """Open a raster in another process; it raises the errors of `termsel.open_raster`."""
-    raster = DistantRaster(path, _helper(allowed_drivers(), remote_allowed()))
+    raster = DistantRaster(path, _raster_helper(allowed_drivers(), remote_allowed()))
     # Errors of opening are raised before the body runs.
     raster._ask(OPEN_RASTER, path)
     try:
@@ -129,7 +129,7 @@ def open_distant(path: Path | str) -> Iterator[DistantRaster]:
         raster._ask(CLOSE_RASTER)
 
 
-def _settings() -> dict[str, Any]:
+def _request_settings() -> dict[str, Any]:
     """Return the options of the surrounding `rasterio.Env`, such as who asks a server."""
     from rasterio.env import getenv, hasenv
 
@@ -139,7 +139,7 @@ def _settings() -> dict[str, Any]:
 
 
 @cache
-def _helper(drivers: tuple[str, ...], remote: bool) -> Helper:
+def _raster_helper(drivers: tuple[str, ...], remote: bool) -> Helper:
     """Return the process that reads rasters with such drivers, started once."""
     with ExitStack() as stack:
         # The helper inherits the permission, which is a state of this process.

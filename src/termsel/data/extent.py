@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.data.coordinates.crs import transformation
+from termsel.data.coordinates.crs import transformation_between
 from termsel.data.features import FeatureSet, FloatArray
 from termsel.data.rpc import Rpc
 
@@ -71,5 +71,5 @@ def reach(features: FeatureSet, options: Container[str], known: KnownImage | Non
     else:
         return np.zeros(3)
     # Two opposite corners of the box, in the CRS of the features.
-    corners = transformation("EPSG:4979", features.crs, strict=False)(box)
+    corners = transformation_between("EPSG:4979", features.crs, strict=False)(box)
     return np.asarray(np.abs(corners[1] - corners[0]) / 2)

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from termsel.core.display import Glance
-from termsel.core.errors import TermselError, counted
+from termsel.core.errors import TermselError, count_in_words
 from termsel.data.arrays import BoolArray as BoolArray
 from termsel.data.arrays import FloatArray as FloatArray
 from termsel.data.arrays import IntArray as IntArray
@@ -20,11 +20,11 @@ from termsel.data.tables.tabular import (
     Attributes,
     Tabular,
     TextArray,
-    all_rows,
     as_numbers,
     check_places,
     check_segments,
     rows_at,
+    stack_columns,
 )
 
 ROLES = ("control", "check", "independent", "off")
@@ -208,12 +208,12 @@ _POINTS = Points((), np.empty((0, 2)), np.empty((0, 3)))
 _LINES = Lines((), np.empty((0, 2, 2)), np.empty((0, 2, 3)))
 
 
-def no_points() -> Points:
+def empty_points() -> Points:
     """Return an empty set of points."""
     return _POINTS
 
 
-def no_lines() -> Lines:
+def empty_lines() -> Lines:
     """Return an empty set of lines."""
     return _LINES
 
@@ -264,8 +264,8 @@ class FeatureSet(Glance):
     (74, 120, 'EPSG:4979')
     """
 
-    points: Points = field(default_factory=no_points)
-    lines: Lines = field(default_factory=no_lines)
+    points: Points = field(default_factory=empty_points)
+    lines: Lines = field(default_factory=empty_lines)
     crs: str = "local"
     image_size: tuple[int, int] | None = None
     noise: float | None = None
@@ -296,8 +296,8 @@ class FeatureSet(Glance):
     def _glance(self) -> tuple[str, Mapping[str, str]]:
         roles = Counter(role or "no role" for role in self.points.roles)
         size = self.image_size
-        return (f"FeatureSet: {counted(len(self.points), 'point')}, "
-                f"{counted(len(self.lines.features), 'line')}"), {
+        return (f"FeatureSet: {count_in_words(len(self.points), 'point')}, "
+                f"{count_in_words(len(self.lines.features), 'line')}"), {
             "CRS": self.crs,
             "image": "size not known" if size is None else f"{size[0]} lines, {size[1]} samples",
             "roles of points": ", ".join(f"{n} {role}" for role, n in roles.items()) or "-",
@@ -359,7 +359,7 @@ class FeatureSet(Glance):
         # All pieces of a line have its attributes, so the first one's are enough.
         _, first = np.unique(self.lines.feature, return_index=True)
         tables = (self.points.attributes, rows_at(self.lines.attributes, first))
-        return all_rows(tables, (len(self.points), len(first)), name)
+        return stack_columns(tables, (len(self.points), len(first)), name)
 
     def numbers(self, name: str) -> FloatArray:
         """Return a column of attributes of all features as numbers.

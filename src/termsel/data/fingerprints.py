@@ -90,12 +90,12 @@ def _vertex_digests(features: FeatureSet) -> list[tuple[str, str]]:
     ground = features.ground_vertices()[:, :2]
     is_degrees = np.abs(ground).max(initial=0.0) <= _LARGEST_DEGREES
     return list(zip(
-        _digests("image", features.image_vertices(), _IMAGE_DECIMALS),
-        _digests("ground", ground, _DEGREE_DECIMALS if is_degrees else _METRE_DECIMALS),
+        _control_digests("image", features.image_vertices(), _IMAGE_DECIMALS),
+        _control_digests("ground", ground, _DEGREE_DECIMALS if is_degrees else _METRE_DECIMALS),
         strict=True))
 
 
-def _digests(kind: str, positions: FloatArray, decimals: int) -> list[str]:
+def _control_digests(kind: str, positions: FloatArray, decimals: int) -> list[str]:
     rounded = np.round(positions, decimals) + 0.0  # no -0
     return [blake2b(f"{kind} {first:.{decimals}f} {second:.{decimals}f}".encode(),
                     digest_size=_DIGEST_BYTES).hexdigest() for first, second in rounded.tolist()]

@@ -18,7 +18,7 @@ import numpy as np
 from termsel.data.coordinates.metres import height_unit, plan_of
 from termsel.data.coordinates.places import Lattice, lattice_of
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
-from termsel.data.scaling import Scaling, in_fit_crs, metres_of, scaling_of
+from termsel.data.scaling import Scaling, make_scaling, metres_of, to_fit_crs
 from termsel.data.view import view_of
 
 FLAT = 1e-8
@@ -72,7 +72,7 @@ class FitData:
     @classmethod
     def of(cls, features: FeatureSet, heights: bool | None = None) -> Self:
         """Return features with their scaling; by default with heights where these differ."""
-        control = cls(features, scaling_of(features), bool(heights))
+        control = cls(features, make_scaling(features), bool(heights))
         return control if heights is not None else replace(
             control, heights=heights_differ(control))
 
@@ -99,24 +99,25 @@ def heights_differ(control: FitData) -> bool:
     """Return whether all features have heights that differ enough to show their effect."""
     if control.features.without_height():
         return False
-    plane, z, _ = _vertices(control)
-    off_plane_heights = _about_plane(plane, z)[0]
-    return _differ(off_plane_heights) and _tell(off_plane_heights, *_effects_and_noise(control))
+    plane, z, _ = _plane_columns(control)
+    off_plane_heights = _distances_about_plane(plane, z)[0]
+    return _do_heights_differ(
+        off_plane_heights) and _tell(off_plane_heights, *_effects_and_noise(control))
 
 
-def carriers(control: FitData, limit: int = 2) -> tuple[str, ...]:
+def relief_carriers(control: FitData, limit: int = 2) -> tuple[str, ...]:
     """Return the ids of the one or two features that make all relief; () if more do.
 
     All ids where they show nothing already. Heights are known. `limit`, 1 or 2, is how many are
     looked for; of fewer than `RELIEF_FEATURES` one.
     """
     limit = limit if len(control) >= RELIEF_FEATURES else 1
-    plane, z, owner = _vertices(control)
+    plane, z, owner = _plane_columns(control)
     keep = np.ones(len(z), dtype=bool)
     # One feature after another is removed, that which the plane of heights gains most from.
     carrying = list[int]()
-    off_plane_heights, free = _about_plane(plane, z)
-    if not _differ(off_plane_heights):
+    off_plane_heights, free = _distances_about_plane(plane, z)
+    if not _do_heights_differ(off_plane_heights):
         return control.features.ids
     effects, noise = _effects_and_noise(control)
     if not _tell(off_plane_heights, effects, noise):
@@ -126,8 +127,9 @@ def carriers(control: FitData, limit: int = 2) -> tuple[str, ...]:
         gain = np.bincount(owner[keep], off_plane_heights**2 / free, minlength=len(control))
         carrying.append(int(np.argmax(gain)))
         keep &= owner != carrying[-1]
-        off_plane_heights, free = _about_plane(plane[keep], z[keep])
-        if not (_differ(off_plane_heights) and _tell(off_plane_heights, effects[keep], noise)):
+        off_plane_heights, free = _distances_about_plane(plane[keep], z[keep])
+        if not (_do_heights_differ(off_plane_heights)
+                and _tell(off_plane_heights, effects[keep], noise)):
             if len(carrying) == 2 and _view_confirms_heights(control, noise):
                 return ()
             return tuple(control.features.ids[i] for i in carrying)
@@ -149,7 +151,7 @@ def _view_confirms_heights(control: FitData, noise: float) -> bool:
         and view.has_square_pixels(metres)
 
 
-def off_plane(control: FitData, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
+def distance_off_plane(control: FitData, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return how far places (m, 3) are off the plane of the control's heights, and the effect.
 
     In units of height, and the standard deviation of what it does to the image [px], each (m,). 0
@@ -157,10 +159,10 @@ def off_plane(control: FitData, ground: FloatArray) -> tuple[FloatArray, FloatAr
     height does. Carriers have no influence on the plane.
     """
     none = np.zeros(len(ground))
-    carrying = () if control.features.without_height() else carriers(control)
+    carrying = () if control.features.without_height() else relief_carriers(control)
     if not carrying or not np.isfinite(_effect_of_height(control)):
         return none, none
-    (plane, z, owner) = _vertices(control)
+    (plane, z, owner) = _plane_columns(control)
     scaled = control.scaling.ground(ground)
     keep = ~np.isin(np.array(control.features.ids)[owner], carrying) | (
         len(carrying) == len(control))
@@ -177,7 +179,7 @@ def with_usual_heights(control: FitData, ground: FloatArray) -> FloatArray:
     """
     if control.features.without_height() or not np.isfinite(_effect_of_height(control)):
         return ground
-    (plane, z, _) = _vertices(control)
+    (plane, z, _) = _plane_columns(control)
     scaled = control.scaling.ground(ground)
     fitted = np.linalg.lstsq(plane, z)[0]
     off = np.nan_to_num(scaled[:, 2] - _plane_at(scaled) @ fitted)
@@ -192,11 +194,11 @@ def with_usual_heights(control: FitData, ground: FloatArray) -> FloatArray:
 
 def is_off_plane(points: Points) -> bool:
     """Return whether scaled points with heights lie on no plane, but for rounding."""
-    rest, _ = _about_plane(_plane_at(points.ground), points.ground[:, 2])
+    rest, _ = _distances_about_plane(_plane_at(points.ground), points.ground[:, 2])
     return bool(np.abs(rest).max(initial=0.0) > FLAT)
 
 
-def _differ(off_plane_heights: FloatArray) -> bool:
+def _do_heights_differ(off_plane_heights: FloatArray) -> bool:
     """Return whether scaled heights are off a plane, but for rounding."""
     return bool(np.abs(off_plane_heights).max(initial=0.0) > FLAT)
 
@@ -268,7 +270,7 @@ def _effect_of_height(control: FitData) -> float:
     Infinite for geocentric coordinates, whose Z is no height.
     """
     features = control.features
-    plan = plan_of(features.fit_crs or features.crs, in_fit_crs(
+    plan = plan_of(features.fit_crs or features.crs, to_fit_crs(
         features.ground_vertices(), features.crs, features.fit_crs))
     if plan is None:
         return np.inf
@@ -279,7 +281,7 @@ def _effect_of_height(control: FitData) -> float:
     return float(PARALLAX * metres * image / across) if across else np.inf
 
 
-def _vertices(control: FitData) -> tuple[FloatArray, FloatArray, IntArray]:
+def _plane_columns(control: FitData) -> tuple[FloatArray, FloatArray, IntArray]:
     """Return, of the v vertices, columns of a plane (v, 3), scaled heights (v,) and feature (v,).
     """
     scaled = control.scaling.ground(control.features.ground_vertices())
@@ -290,7 +292,7 @@ def _plane_at(scaled: FloatArray) -> FloatArray:
     return np.column_stack([np.ones(len(scaled)), scaled[:, :2]])
 
 
-def _about_plane(plane: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _distances_about_plane(plane: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return how far heights (v,) are off the closest plane, (v,), and 1 - leverage of each, (v,).
     """
     q = np.linalg.qr(plane)[0]

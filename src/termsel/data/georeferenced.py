@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from termsel.core.errors import TermselError
-from termsel.data.coordinates.crs import LOCAL, normalise, transformation
+from termsel.data.coordinates.crs import LOCAL, normalise, transformation_between
 from termsel.data.features import FeatureSet
-from termsel.data.rasters import open_raster, positions
+from termsel.data.rasters import open_raster, pixel_positions
 
 log = logging.getLogger(__name__)
 
@@ -62,7 +62,7 @@ def warn_of_map(features: FeatureSet, image: Path | str) -> None:
         expected = np.full_like(measured, np.nan)
         # A CRS without a way to the other says nothing of the image.
         with suppress(TermselError):
-            expected = positions(raster, *transformation(
+            expected = pixel_positions(raster, *transformation_between(
                 features.crs, raster.crs.to_wkt(), for_fit=True)(np.nan_to_num(ground))[:, :2].T)
         distances = np.linalg.norm(expected - measured, axis=1)
         distances = distances[np.isfinite(distances)]

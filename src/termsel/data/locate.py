@@ -55,17 +55,17 @@ def locate(
                                "one number for all image points")
         ground[:, 2] = heights
     # Newton's method at fixed heights, then the secant method for that of the surface.
-    inverse = _inverse(project, ground, unit)
-    ground = _newton(project, image, ground, unit, inverse)
+    inverse = _inverse_derivatives(project, ground, unit)
+    ground = _iterate_newton(project, image, ground, unit, inverse)
     if callable(height):
-        ground = _meet(project, image, height, ground, unit, inverse)
+        ground = _intersect_surface(project, image, height, ground, unit, inverse)
     # Higher polynomials map places far away to the same image point.
     ground[(np.abs(ground[:, :2] - middle[:2]) > _FAR_RANGES * unit[:2]).any(axis=1)] = np.nan
     return ground
 
 
-def _newton(project: Projection, image: FloatArray, ground: FloatArray, unit: FloatArray,
-            inverse: FloatArray) -> FloatArray:
+def _iterate_newton(project: Projection, image: FloatArray, ground: FloatArray, unit: FloatArray,
+                    inverse: FloatArray) -> FloatArray:
     """Return ground points (n, 3) at their heights, moved until they project to the image points.
 
     `inverse`, the moves on the ground for 1 px, hardly changes over an image. It is renewed only
@@ -82,7 +82,7 @@ def _newton(project: Projection, image: FloatArray, ground: FloatArray, unit: Fl
                 break
             before = error[going]
             at = ground[going]
-            moves = (_inverse(project, at, unit) if step and not step % _STARTS_KEPT
+            moves = (_inverse_derivatives(project, at, unit) if step and not step % _STARTS_KEPT
                      else inverse[going])
             ground[going, :2] += np.einsum("nij,nj->ni", moves, before)
             error[going] = image[going] - project(ground[going])
@@ -91,20 +91,20 @@ def _newton(project: Projection, image: FloatArray, ground: FloatArray, unit: Fl
             wrong = oblique[going]
             if wrong.any():
                 again = going[wrong]
-                ground[again] = _after_shortened_steps(
+                ground[again] = _take_shortened_steps(
                     project, image[again], at[wrong], before[wrong], unit)
                 error[again] = image[again] - project(ground[again])
     ground[~(np.abs(error).max(axis=1) <= LOCATE_TOLERANCE)] = np.nan
     return ground
 
 
-def _after_shortened_steps(project: Projection, image: FloatArray, ground: FloatArray,
-                           error: FloatArray, unit: FloatArray) -> FloatArray:
+def _take_shortened_steps(project: Projection, image: FloatArray, ground: FloatArray,
+                          error: FloatArray, unit: FloatArray) -> FloatArray:
     """Return ground points (n, 3) moved by their own Newton steps, or by shares that help.
 
     A step is halved until it makes the error smaller; a point that no share helps stays.
     """
-    full = np.einsum("nij,nj->ni", _inverse(project, ground, unit), error)
+    full = np.einsum("nij,nj->ni", _inverse_derivatives(project, ground, unit), error)
     moved = ground.copy()
     todo = np.arange(len(ground))
     for halving in range(_SHORTER):
@@ -119,7 +119,7 @@ def _after_shortened_steps(project: Projection, image: FloatArray, ground: Float
     return moved
 
 
-def _inverse(project: Projection, ground: FloatArray, unit: FloatArray) -> FloatArray:
+def _inverse_derivatives(project: Projection, ground: FloatArray, unit: FloatArray) -> FloatArray:
     """Return the moves in x and y for 1 px of line and of sample, shape (n, 2, 2)."""
     with np.errstate(all="ignore"):
         steps = np.diag(_DIFFERENCE * unit)[:2]
@@ -130,15 +130,15 @@ def _inverse(project: Projection, ground: FloatArray, unit: FloatArray) -> Float
     return np.asarray(moves * (_DIFFERENCE * unit[:2])[:, None])
 
 
-def _meet(project: Projection, image: FloatArray, surface: Surface, ground: FloatArray,
-          unit: FloatArray, inverse: FloatArray) -> FloatArray:
+def _intersect_surface(project: Projection, image: FloatArray, surface: Surface, ground: FloatArray,
+                       unit: FloatArray, inverse: FloatArray) -> FloatArray:
     """Return ground points (n, 3) moved along their rays onto the surface."""
     def moved(rays: IntArray, height: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return places of rays at heights, (r, 3), and how far the surface lies above them, (r,).
         """
         places = ground[rays]
         places[:, 2] = height
-        places = _newton(project, image[rays], places, unit, inverse[rays])
+        places = _iterate_newton(project, image[rays], places, unit, inverse[rays])
         return places, surface(places[:, :2]) - places[:, 2]
 
     above = surface(ground[:, :2]) - ground[:, 2]

@@ -64,7 +64,7 @@ def monomial_name(exponent: Exponent) -> str:
     return name or "1"
 
 
-def monomials(ground: FloatArray, exponents: Exponents) -> FloatArray:
+def evaluate_monomials(ground: FloatArray, exponents: Exponents) -> FloatArray:
     """Return k monomials, by their exponents of X, Y, Z, at ground points (n, 3), shape (n, k).
 
     They are not to be written into: many models are fitted to the same few places.

@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from termsel.core.files.apart import answering
+from termsel.core.files.apart import answer_channel
 from termsel.core.files.drivers import claim_process
 from termsel.data.distant_rasters import CLOSE_RASTER, OPEN_RASTER, Question
 from termsel.data.rasters import open_raster, require_rasterio
@@ -25,7 +25,7 @@ _open_here: dict[int, tuple[Any, ExitStack]] = {}
 def serve(drivers: tuple[str, ...], remote: bool) -> None:
     """Answer the questions that come on stdin, in a new process."""
     claim_process()
-    with answering(drivers, remote) as answers, require_rasterio().Env():
+    with answer_channel(drivers, remote) as answers, require_rasterio().Env():
         while True:
             try:
                 question = pickle.load(sys.stdin.buffer)
@@ -69,10 +69,10 @@ def _answer_of_dataset(question: Question) -> Any:
     if question.work == CLOSE_RASTER:
         return _close(question.number)
     assert not isinstance(question.work, str)
-    return question.work(_dataset(question.number), *question.values, **question.named)
+    return question.work(_open_dataset_of(question.number), *question.values, **question.named)
 
 
-def _dataset(number: int) -> Any:
+def _open_dataset_of(number: int) -> Any:
     """Return the open dataset of a number; raises RasterioIOError if it is closed."""
     from rasterio.errors import RasterioIOError
 

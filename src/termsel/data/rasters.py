@@ -15,18 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from termsel.core.errors import GIS, TermselError, requires
+from termsel.core.errors import GIS, TermselError, require_import
 from termsel.core.files.drivers import (
     NO_PROXY_EXISTS,
     drivers_are_off,
     gdal_options,
-    own_drivers,
+    keep_own_drivers_only,
     raster_drivers,
     without_exceptions,
 )
 from termsel.core.files.names import (
     is_there,
-    no_such_file,
+    no_such_file_error,
     refuse_grids,
     refuse_pipe,
     utf8_name,
@@ -37,7 +37,7 @@ from termsel.core.files.sources import (
     may_name_more,
     refuse_foreign,
     refuse_named,
-    refused_format,
+    refused_format_error,
 )
 from termsel.data.distant_rasters import open_distant
 from termsel.data.features import FloatArray
@@ -64,7 +64,7 @@ def require_rasterio() -> Any:
     if "rasterio" not in sys.modules:
         # GDAL's errors come as exceptions, which termsel explains; the log would repeat them.
         logging.getLogger("rasterio").addHandler(logging.NullHandler())
-    with own_drivers(), requires("this requires", "rasterio", GIS):
+    with keep_own_drivers_only(), require_import("this requires", "rasterio", GIS):
         import rasterio
 
         with rasterio.Env():  # GDAL looks for its drivers now
@@ -161,8 +161,8 @@ def open_raster(path: Path | str) -> Iterator[Any]:
     apart = not drivers_are_off() and not is_single_file(path)
     try:
         with ExitStack() as stack:
-            raster = None if apart else stack.enter_context(_opened_here(path, sources))
-            if raster is None or (not drivers_are_off() and any(_named_by(raster))):
+            raster = None if apart else stack.enter_context(_open_here(path, sources))
+            if raster is None or (not drivers_are_off() and any(_rasters_named_by(raster))):
                 stack.close()
                 raster = stack.enter_context(open_distant(path))
             _refuse_large_blocks(path, raster)
@@ -171,7 +171,7 @@ def open_raster(path: Path | str) -> Iterator[Any]:
             yield raster
     except (rasterio.errors.RasterioError, CPLE_BaseError) as error:
         # rasterio's own message only points to the cause.
-        raise _unreadable(path, str(error.__cause__ or error).rstrip(".")) from error
+        raise _unreadable_error(path, str(error.__cause__ or error).rstrip(".")) from error
     except UnicodeDecodeError as error:  # names, or what GDAL quotes of the file
         raise TermselError("this raster has text that is not UTF-8", file=path,
                            hint="Save the file, or the file beside it, with the encoding UTF-8."
@@ -179,7 +179,7 @@ def open_raster(path: Path | str) -> Iterator[Any]:
 
 
 @contextmanager
-def _opened_here(path: Path | str, sources: list[str]) -> Iterator[Any]:
+def _open_here(path: Path | str, sources: list[str]) -> Iterator[Any]:
     """Open a raster in this process: with a driver of the list, and without requests."""
     import rasterio
 
@@ -193,7 +193,7 @@ def _opened_here(path: Path | str, sources: list[str]) -> Iterator[Any]:
             # rasterio.open itself takes no list of drivers.
             raster = rasterio.io.DatasetReader(str(name), driver=drivers)
         with raster:
-            refuse_named(path, _named_by(raster))
+            refuse_named(path, _rasters_named_by(raster))
             for name in sources:
                 if name != str(path) and may_name_more(name):
                     _refuse_named_by(name)
@@ -236,10 +236,10 @@ def _refuse_named_by(name: str) -> None:
     except rasterio.errors.RasterioIOError:  # who reads its pixels gets to know why
         return
     with source:
-        refuse_named(name, _named_by(source))
+        refuse_named(name, _rasters_named_by(source))
 
 
-def _named_by(raster: Any) -> Iterator[str]:
+def _rasters_named_by(raster: Any) -> Iterator[str]:
     """Yield the rasters that the metadata of an open one name, wherever GDAL found them."""
     for domain in ("OVERVIEWS", "GEOLOCATION"):
         tags = raster.tags(ns=domain)
@@ -279,16 +279,16 @@ def refuse_empty_giant(raster: Any) -> None:
             hint="Give a raster that has pixels, or a smaller one.")
 
 
-def _unreadable(path: Path | str, reason: str) -> TermselError:
+def _unreadable_error(path: Path | str, reason: str) -> TermselError:
     """Return the error for a raster that GDAL cannot read."""
     if not is_there(Path(path)) and not str(path).startswith("/vsi"):
-        return no_such_file(path)
+        return no_such_file_error(path)
     if "not recognized as being in a supported file format" in reason:
         try:
             head = Path(path).read_bytes() if Path(path).stat().st_size < 4096 else b""
         except OSError:
             head = b""
-        return refused_format(path, head)
+        return refused_format_error(path, head)
     if _UNREADABLE_PIXELS.search(reason):
         return TermselError("the pixels of this raster cannot be read: it is incomplete or damaged",
                             file=path, hint="Copy or download it again.")
@@ -297,7 +297,7 @@ def _unreadable(path: Path | str, reason: str) -> TermselError:
     return TermselError(f"GDAL cannot read this raster: {reason}", file=path, hint=hint)
 
 
-def positions(raster: Any, x: FloatArray, y: FloatArray) -> FloatArray:
+def pixel_positions(raster: Any, x: FloatArray, y: FloatArray) -> FloatArray:
     """Return line and sample (n, 2) of coordinates in the CRS of a raster with a geotransform.
 
     The centre of the upper-left pixel is (0, 0). Raises TermselError if the pixels have no size.

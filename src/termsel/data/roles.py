@@ -10,10 +10,10 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from termsel.core.errors import TermselError, first_of, unknown_name
+from termsel.core.errors import TermselError, first_names_in_words, unknown_name_error
 from termsel.core.isolation.faults import attribute_errors_to, fault_of_method
 from termsel.data.coordinates.crs import LOCAL
-from termsel.data.coordinates.longitudes import on_globe, without_jump
+from termsel.data.coordinates.longitudes import to_globe, without_jump
 from termsel.data.coordinates.places import Lattice, lattice_of, spatial_order
 from termsel.data.features import (
     ROLES,
@@ -22,12 +22,12 @@ from termsel.data.features import (
     IntArray,
     Lines,
     Points,
-    no_lines,
-    no_points,
+    empty_lines,
+    empty_points,
 )
-from termsel.data.fit_data import FitData, carriers
-from termsel.data.record.chances import quantile
-from termsel.data.tables.tabular import rows_at, unchecked
+from termsel.data.fit_data import FitData, relief_carriers
+from termsel.data.record.chances import quantile_of
+from termsel.data.tables.tabular import replace_unchecked, rows_at
 
 RANGE = re.compile(r"\.\.|[*:]")
 """What people write for a range of ids, or for a pattern of them."""
@@ -45,7 +45,7 @@ MAX_PAIRWISE_PLACES = 300
 """Most places that are compared each with each: a tree takes longer to import than to search."""
 
 
-def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
+def find_twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
     """Return which points (n, 3) are twins, by their place on the ground alone, shape (n,).
 
     A number for each group, counted from 0 in the order of their first points. Points `typical` (m,
@@ -59,7 +59,7 @@ def twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
     positions = np.nan_to_num(ground)
     typical = np.nan_to_num(typical)
     # Half of the points span half of an even spread, wherever a few wild ones are.
-    low, high = (quantile(typical.T, share) for share in (0.25, 0.75))
+    low, high = (quantile_of(typical.T, share) for share in (0.25, 0.75))
     # Distances of twins in X, Y and Z are 1 in these units.
     unit = TWIN_DISTANCE * 2 * (high - low) * np.array([len(typical) ** -0.5] * 2 + [1.0])
     rounding = np.finfo(float).eps * np.abs(positions).max(axis=0)
@@ -92,7 +92,7 @@ def with_merged_twins(features: FeatureSet) -> FeatureSet:
     not less: twins repeat one measurement. Without twins the same object is returned.
     """
     points = features.points
-    labels = twins(points.ground)
+    labels = find_twins(points.ground)
     first_of_group = np.unique(labels, return_index=True)[1]
     if len(first_of_group) == len(points):
         return features
@@ -111,14 +111,14 @@ def with_merged_twins(features: FeatureSet) -> FeatureSet:
 
 def with_twins(points: Points, ids: Iterable[str]) -> frozenset[str]:
     """Return ids of points together with those of their twins."""
-    labels = twins(points.ground)
+    labels = find_twins(points.ground)
     named = frozenset(ids)
     twin_labels = {label for name, label in zip(points.ids, labels, strict=True) if name in named}
     return frozenset(name for name, label in zip(points.ids, labels, strict=True)
                      if label in twin_labels)
 
 
-def groups(ids: Sequence[str], labels: IntArray) -> list[tuple[str, ...]]:
+def twin_groups(ids: Sequence[str], labels: IntArray) -> list[tuple[str, ...]]:
     """Return the ids of each group of two and more."""
     by_label: dict[int, list[str]] = {}
     for name, label in zip(ids, labels.tolist(), strict=True):
@@ -182,14 +182,14 @@ class Split:
         return tuple(map(str, assigned))
 
 
-def stratified(_ids: tuple[str, ...], ground: FloatArray, shares: FloatArray,
-               rng: np.random.Generator) -> list[str]:
+def stratified_roles(_ids: tuple[str, ...], ground: FloatArray, shares: FloatArray,
+                     rng: np.random.Generator) -> list[str]:
     """Give neighbouring points different roles, so that each role covers the scene."""
     return _roles_in_turn(spatial_order(ground[:, :2]), shares, rng)
 
 
-def at_random(ids: tuple[str, ...], _ground: FloatArray, shares: FloatArray,
-              rng: np.random.Generator) -> list[str]:
+def random_roles(ids: tuple[str, ...], _ground: FloatArray, shares: FloatArray,
+                 rng: np.random.Generator) -> list[str]:
     """Draw roles without regard to place."""
     return _roles_in_turn(rng.permutation(len(ids)), shares, rng)
 
@@ -217,8 +217,8 @@ def _roles_in_turn(order: Sequence[int] | np.ndarray, shares: FloatArray,
 
 STRATIFIED = Split("stratified", "Neighbouring points get different roles, so that each role "
                                  "covers"
-                   " the scene.", stratified, on_globe=True)
-SPLITS = (STRATIFIED, Split("random", "Roles are drawn at random, not by position.", at_random))
+                   " the scene.", stratified_roles, on_globe=True)
+SPLITS = (STRATIFIED, Split("random", "Roles are drawn at random, not by position.", random_roles))
 """Built-in splits."""
 
 
@@ -255,7 +255,7 @@ class Observations:
     @cached_property
     def carriers(self) -> tuple[str, ...]:
         """One or two features of `together` without which all heights lie on a plane; else ()."""
-        return carriers(self.joint) if self.joint.heights else ()
+        return relief_carriers(self.joint) if self.joint.heights else ()
 
     @cached_property
     def heights(self) -> bool:
@@ -318,7 +318,7 @@ def assign_roles(
                            hint="Give three numbers: control (above 0), check, independent.")
     shares = shares / shares.max()  # the sum of huge ones is infinite
     # By the ground, so that what an independent point's image coordinates are changes no role.
-    ground = on_globe(points.ground, crs) if split.on_globe else points.ground
+    ground = to_globe(points.ground, crs) if split.on_globe else points.ground
     return split.roles(points.ids, ground, shares / shares.sum(), rng)
 
 
@@ -337,7 +337,8 @@ def asked_roles(off: str | None, role: str | None) -> dict[str, str]:
             raise TermselError(f"--role {pair.strip()!r} is not of the form ID=ROLE",
                                hint=f"For example P07=check. Roles are {', '.join(ROLES)}.")
         if equals and value.strip() not in ROLES:
-            raise unknown_name("role", value.strip(), ROLES, f"It stands in --role {pair.strip()}.")
+            raise unknown_name_error("role", value.strip(), ROLES,
+                                     f"It stands in --role {pair.strip()}.")
         pairs.append((name, value.strip()))
     for name, value in ((name.strip(), value) for name, value in pairs if name.strip()):
         if named.setdefault(name, value) != value:
@@ -360,7 +361,7 @@ def with_roles(features: FeatureSet, named: Mapping[str, str]) -> FeatureSet:
                 "files do not have",
                 hint="Write each id, with commas between: ranges and patterns are not read."
                 if RANGE.search(name) else f"Did you mean {' or '.join(map(repr, near))}?" if near
-                else f"Their ids are {first_of(features.ids)}.", name=name)
+                else f"Their ids are {first_names_in_words(features.ids)}.", name=name)
         if name in lines.features and role not in ("control", "off"):
             raise TermselError(f"{name!r} is a line and cannot have the role {role}",
                                hint="Lines are control, or off.", ids=[name])
@@ -419,8 +420,9 @@ def observe(
     if control == "lines":
         # With lines as the control, control points would be neither fitted nor judged.
         roles[roles == "control"] = "off"
-    return by_roles(features.with_(points=unchecked(points, roles=tuple(roles)),
-                                   lines=no_lines() if control == "points" else features.lines))
+    return observations_by_role(features.with_(
+        points=replace_unchecked(points, roles=tuple(roles)),
+        lines=empty_lines() if control == "points" else features.lines))
 
 
 @lru_cache(maxsize=2)
@@ -429,12 +431,12 @@ def _order_and_labels(features: FeatureSet) -> tuple[FeatureSet, IntArray]:
 
     Points of one label share a role: twins, or a line of a lattice. Cells of a study share theirs.
     """
-    features = without_jump(in_order(features))
+    features = without_jump(sorted_by_id(features))
     lattice = None if len(features.lines) else lattice_of(features.points)
-    return features, twins(features.points.ground) if lattice is None else lattice.line
+    return features, find_twins(features.points.ground) if lattice is None else lattice.line
 
 
-def in_order(features: FeatureSet) -> FeatureSet:
+def sorted_by_id(features: FeatureSet) -> FeatureSet:
     """Return features in the order of their ids, in which P2 comes before P10."""
     # What chance or ties decide is then the same, however the rows of a file are ordered.
     points = features.points
@@ -455,24 +457,24 @@ def _order(names: Sequence[str]) -> list[int]:
     return sorted(range(len(keys)), key=keys.__getitem__)
 
 
-def by_roles(features: FeatureSet) -> Observations:
+def observations_by_role(features: FeatureSet) -> Observations:
     """Return the observations of features whose points all have a role; lines are control."""
     points = features.points
     roles = np.array(points.roles, dtype=object)
     control, check, independent = (points.take(roles == role) if (roles == role).any()
-                                   else no_points() for role in ASSIGNABLE)
+                                   else empty_points() for role in ASSIGNABLE)
     return Observations(features, features.with_(points=control), check, independent)
 
 
 def leave_out(observations: Observations, ids: Iterable[str]) -> Observations:
     """Return the observations with some points in the role off, and without some lines."""
     off = dict.fromkeys(ids, "off")
-    return by_roles(with_roles(observations.features, off)) if off else observations
+    return observations_by_role(with_roles(observations.features, off)) if off else observations
 
 
 def with_lines(observations: Observations, lines: Lines) -> Observations:
     """Return the observations with other control lines."""
-    return by_roles(observations.features.with_(lines=lines))
+    return observations_by_role(observations.features.with_(lines=lines))
 
 
 def check_as_control(observations: Observations) -> Observations:
@@ -480,10 +482,10 @@ def check_as_control(observations: Observations) -> Observations:
     points = observations.features.points
     roles = tuple("control" if role == "check" else role for role in points.roles)
     return Observations(observations.features.with_(points=replace(points, roles=roles)),
-                        observations.together, no_points(), observations.independent)
+                        observations.together, empty_points(), observations.independent)
 
 
-def parsed_shares(text: str, needs_check: bool) -> tuple[float, ...]:
+def parse_shares(text: str, needs_check: bool) -> tuple[float, ...]:
     """Return the shares of control, check and independent points, from an option like "1:1:1"."""
     try:
         shares = tuple(float(number) for number in text.replace(",", ":").split(":"))

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from termsel.core.errors import TermselError
 from termsel.data.arrays import FloatArray
 from termsel.data.locate import Surface, locate
-from termsel.data.monomials import RPC00B, monomials
+from termsel.data.monomials import RPC00B, evaluate_monomials
 from termsel.data.record.record import RpcNumbers
 
 Coefficients = tuple[float, ...]
@@ -133,7 +133,7 @@ class Rpc:
         away = np.asarray(ground, dtype=np.float64) - self.ground_offset
         # Longitudes may go on beyond 180 degrees, as GDAL evaluates an RPC, too.
         away[:, 0] -= 360.0 * ((away[:, 0] > 270).astype(float) - (away[:, 0] < -270))
-        columns = monomials(away / self.ground_scale, RPC00B)
+        columns = evaluate_monomials(away / self.ground_scale, RPC00B)
         # Scaled line and sample are quotients of cubic polynomials in scaled P, L, H.
         line = (columns @ self.line_numerator) / (columns @ self.line_denominator)
         sample = (columns @ self.sample_numerator) / (columns @ self.sample_denominator)
@@ -144,7 +144,7 @@ class Rpc:
         """Return the denominators of line and sample at ground points, (n, 2)."""
         away = (ground - self.ground_offset) / self.ground_scale
         below = np.array([self.line_denominator, self.sample_denominator])
-        return np.asarray(monomials(away, RPC00B) @ below.T)
+        return np.asarray(evaluate_monomials(away, RPC00B) @ below.T)
 
     def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
         """Return where the rays of image points reach heights or a surface.

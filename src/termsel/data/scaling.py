@@ -9,12 +9,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from termsel.data.coordinates.crs import transformation
-from termsel.data.coordinates.longitudes import TURN, continuous
+from termsel.data.coordinates.crs import transformation_between
+from termsel.data.coordinates.longitudes import TURN, unwrap_longitudes
 from termsel.data.coordinates.metres import height_unit, is_in_degrees, plan_of
 from termsel.data.features import FeatureSet, FloatArray, Lines, Points
 from termsel.data.record.record import ScalingNumbers
-from termsel.data.tables.tabular import unchecked
+from termsel.data.tables.tabular import replace_unchecked
 
 _Table = TypeVar("_Table", Points, Lines)
 
@@ -65,7 +65,7 @@ class Scaling:
 
     def ground(self, ground: ArrayLike) -> FloatArray:
         """Return scaled ground coordinates, (..., 3); unknown heights become 0."""
-        fitted = in_fit_crs(np.asarray(ground, dtype=np.float64), self.crs, self.fit_crs)
+        fitted = to_fit_crs(np.asarray(ground, dtype=np.float64), self.crs, self.fit_crs)
         # Scaled coordinate = (coordinate - offset) / scale.
         away = fitted - self.ground_offset
         if self.x_turn:
@@ -80,7 +80,7 @@ class Scaling:
     def unscaled(self, ground: ArrayLike) -> FloatArray:
         """Return ground coordinates from scaled ones, (..., 3)."""
         fitted = np.asarray(ground) * self.ground_scale + self.ground_offset
-        return in_fit_crs(fitted, self.fit_crs, self.crs)
+        return to_fit_crs(fitted, self.fit_crs, self.crs)
 
     def image(self, image: ArrayLike) -> FloatArray:
         """Return scaled image coordinates, (..., 2)."""
@@ -92,8 +92,9 @@ class Scaling:
 
     def points(self, points: _Table) -> _Table:
         """Return points, or lines, in scaled coordinates."""
-        return unchecked(points, image=self.image(points.image), ground=self.ground(points.ground),
-                         sigma=None if points.sigma is None else points.sigma / self.image_scale)
+        sigma = None if points.sigma is None else points.sigma / self.image_scale
+        return replace_unchecked(points, image=self.image(points.image),
+                                 ground=self.ground(points.ground), sigma=sigma)
 
     @lru_cache(maxsize=8)  # noqa: B019 - a scaling is a value: many models are fitted to one control
     def features(self, features: FeatureSet) -> FeatureSet:
@@ -122,25 +123,25 @@ class Scaling:
                    x_turn=numbers.x_turn)
 
 
-def in_fit_crs(ground: FloatArray, crs: str, fit_crs: str) -> FloatArray:
+def to_fit_crs(ground: FloatArray, crs: str, fit_crs: str) -> FloatArray:
     """Return ground coordinates (..., 3) in the CRS a model is fitted in, if any; NaN stays NaN."""
     if not (crs and fit_crs):
         return ground
     flat = ground.reshape(-1, 3)
     # Places outside the CRS of the fit become infinite, not an error: maps have corners there.
-    fitted = np.array(transformation(crs, fit_crs, strict=False, for_fit=True)(flat))
+    fitted = np.array(transformation_between(crs, fit_crs, strict=False, for_fit=True)(flat))
     fitted[np.isnan(flat)] = np.nan
     return fitted.reshape(ground.shape)
 
 
-def scaling_of(features: FeatureSet) -> Scaling:
+def make_scaling(features: FeatureSet) -> Scaling:
     """Return the scaling that brings these control features to [-1, 1]."""
     crs_pair = (features.crs, features.fit_crs) if features.fit_crs else ("", "")
-    ground = in_fit_crs(features.ground_vertices(), *crs_pair)
+    ground = to_fit_crs(features.ground_vertices(), *crs_pair)
     image = features.image_vertices()
     turns = is_in_degrees(features.fit_crs or features.crs)
     if turns:
-        ground = np.column_stack([continuous(ground[:, 0]), ground[:, 1:]])
+        ground = np.column_stack([unwrap_longitudes(ground[:, 0]), ground[:, 1:]])
     # Blank heights take any finite number here; the height axis is then 0 throughout.
     finite = np.where(np.isnan(ground), np.nanmin(ground[:, :2]), ground)
     blank = bool(np.isnan(ground[:, 2]).any())

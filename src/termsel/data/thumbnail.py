@@ -20,8 +20,8 @@ THUMBNAIL_SIDE = 1000
 """Pixels of the longer side."""
 
 
-def thumbnail(path: Path | str, expected: tuple[int, int] | None = None,
-              ) -> tuple[str, tuple[int, int]]:
+def make_thumbnail(path: Path | str, expected: tuple[int, int] | None = None,
+                   ) -> tuple[str, tuple[int, int]]:
     """Return an image as a small grey JPEG in a data URL, and its lines and samples.
 
     Raises TermselError if it has another size than `expected`.
@@ -43,7 +43,8 @@ def thumbnail(path: Path | str, expected: tuple[int, int] | None = None,
         band = raster.read(1, out_shape=shape, masked=True, resampling=(
             rasterio.enums.Resampling.nearest if indices else rasterio.enums.Resampling.average))
         if indices:
-            band = np.ma.array(_brightness(raster.colormap(1), int(band.data.max()))[band.data],
+            band = np.ma.array(_palette_brightness(raster.colormap(1),
+                                                   int(band.data.max()))[band.data],
                                mask=band.mask)
     values = np.ma.filled(band.astype(np.float64), np.nan)
     finite = values[np.isfinite(values)]
@@ -56,7 +57,7 @@ def thumbnail(path: Path | str, expected: tuple[int, int] | None = None,
     return f"data:image/jpeg;base64,{base64.b64encode(content).decode()}", size
 
 
-def _brightness(table: dict[int, tuple[int, int, int, int]], largest: int) -> FloatArray:
+def _palette_brightness(table: dict[int, tuple[int, int, int, int]], largest: int) -> FloatArray:
     """Return the brightness of the colour of each index, 0 to 255, (colours,)."""
     colours = np.zeros((max(largest, *table) + 1, 3))
     for index, colour in table.items():

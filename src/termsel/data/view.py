@@ -13,8 +13,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from termsel.data.coordinates.places import spatial_order
-from termsel.data.features import BoolArray, FloatArray, Points, no_points
-from termsel.data.tables.tabular import unchecked
+from termsel.data.features import BoolArray, FloatArray, Points, empty_points
+from termsel.data.tables.tabular import replace_unchecked
 
 # Points as the key of what is kept of them: equal measurements are one, whatever their names.
 
@@ -36,9 +36,11 @@ class Measurements:
     def points(self) -> Points:
         """The points, numbered and without roles; they were checked when they were made first."""
         image = _measured_rows(self.image, 2)
-        return unchecked(no_points(), ids=tuple(map(str, range(len(image)))), image=image,
-                         ground=_measured_rows(self.ground, 3), roles=("",) * len(image),
-                         sigma=None if self.sigma is None else _measured_rows(self.sigma, 2))
+        return replace_unchecked(empty_points(), ids=tuple(map(str, range(len(image)))),
+                                 image=image,
+                                 ground=_measured_rows(self.ground, 3), roles=("",) * len(image),
+                                 sigma=None if self.sigma is None else _measured_rows(self.sigma,
+                                                                                      2))
 
 
 def _measured_rows(numbers: bytes, columns: int) -> FloatArray:
@@ -183,9 +185,9 @@ def _view_of(measurements: Measurements) -> CentralView | None:
         # A plane projective transformation has 8 parameters, the DLT 11: the view with the smaller
         # sigma is taken, if it is clearly better than an affine one.
         columns = _columns(points.ground, size)
-        affine_sigma = _affine(columns, points.image)
+        affine_sigma = _affine_deviation(columns, points.image)
         if affine_sigma is not None:
-            view = _fitted_projection(columns, points, affine_sigma)
+            view = _fit_projection(columns, points, affine_sigma)
             if view is not None:
                 views.append(view)
     return min(views, key=lambda view: view.sigma, default=None)
@@ -195,7 +197,7 @@ def _columns(ground: FloatArray, size: int) -> FloatArray:
     return np.column_stack([np.ones(len(ground)), ground[:, :size - 1]])
 
 
-def _affine(columns: FloatArray, image: FloatArray) -> float | None:
+def _affine_deviation(columns: FloatArray, image: FloatArray) -> float | None:
     """Return the standard deviation about an affine transformation; None without redundancy."""
     # Observations less parameters.
     freedom = image.size - 2 * columns.shape[1]
@@ -205,13 +207,13 @@ def _affine(columns: FloatArray, image: FloatArray) -> float | None:
     return float(np.sqrt((residuals**2).sum() / freedom))
 
 
-def _fitted_projection(columns: FloatArray, points: Points,
-                       affine_sigma: float) -> CentralView | None:
+def _fit_projection(columns: FloatArray, points: Points,
+                    affine_sigma: float) -> CentralView | None:
     """Return the projection of least distances, if it is clearly better than an affine one.
 
     None if not determined, or with points behind, too.
     """
-    matrix = _least_distances(columns, points.image)
+    matrix = _least_distance_matrix(columns, points.image)
     if matrix is None:
         return None
     distances = np.linalg.norm(points.image - _image_seen(matrix, columns), axis=1)
@@ -223,14 +225,14 @@ def _fitted_projection(columns: FloatArray, points: Points,
     # The noise of the points that fit best, which blunders do not reach; never more than that of
     # all.
     best = np.argsort(distances)[:round(BEST * len(distances))]
-    best_matrix = _least_distances(columns[best], points.image[best])
+    best_matrix = _least_distance_matrix(columns[best], points.image[best])
     if best_matrix is not None:
         closest = points.image[best] - _image_seen(best_matrix, columns[best])
         noise = float(np.sqrt((closest**2).sum() / (closest.size - unknown)))
     return CentralView(matrix, points.ground, sigma, min(noise, sigma), sigma / affine_sigma)
 
 
-def _least_distances(columns: FloatArray, image: FloatArray) -> FloatArray | None:
+def _least_distance_matrix(columns: FloatArray, image: FloatArray) -> FloatArray | None:
     """Return the matrix of least distances in the image, (3, k), by Gauss-Newton.
 
     None without redundancy, where it is not determined, and where no start has all points in front.

@@ -16,11 +16,11 @@ from typing import TypeVar
 import numpy as np
 
 from termsel.adjustment.equations import weights_of
-from termsel.core.errors import TermselError, counted
-from termsel.data.coordinates.metres import in_metres
+from termsel.core.errors import TermselError, count_in_words
+from termsel.data.coordinates.metres import offsets_in_metres
 from termsel.data.features import FeatureSet, FloatArray, IntArray, Points
-from termsel.data.fit_data import FitData, off_plane, with_usual_heights
-from termsel.data.record.chances import quantile, t_quantile
+from termsel.data.fit_data import FitData, distance_off_plane, with_usual_heights
+from termsel.data.record.chances import quantile_of, t_quantile
 from termsel.data.record.figures import (
     CONFIDENCE,
     Accuracy,
@@ -121,12 +121,12 @@ def ce90(errors: FloatArray) -> FloatArray:
     >>> round(float(termsel.ce90([[0.0, 0.1 * i] for i in range(11)])), 3)
     0.9
     """
-    return quantile(np.linalg.norm(errors, axis=-1), 0.9)
+    return quantile_of(np.linalg.norm(errors, axis=-1), 0.9)
 
 
-def predicted_rmse(errors: FloatArray, effective: float, points: int,
-                   shared: float | None = None,
-                   experience: Experience = NO_EXPERIENCE) -> Predicted:
+def predict_rmse(errors: FloatArray, effective: float, points: int,
+                 shared: float | None = None,
+                 experience: Experience = NO_EXPERIENCE) -> Predicted:
     """Return the RMSE that held-out errors predict, with an interval.
 
     Errors [px] (n, 2) are of points under choices made without them, `effective` the parameters of
@@ -157,9 +157,9 @@ def predicted_rmse(errors: FloatArray, effective: float, points: int,
                      points=points or None)
 
 
-def predicted_by(fitted: Fit, errors: FloatArray, points: int,
-                 ground: FloatArray | None = None) -> Predicted:
-    """Return the RMSE that held-out errors predict for a fit (see `predicted_rmse`).
+def predict_rmse_of_fit(fitted: Fit, errors: FloatArray, points: int,
+                        ground: FloatArray | None = None) -> Predicted:
+    """Return the RMSE that held-out errors predict for a fit (see `predict_rmse`).
 
     With the ground (m, 3) of the points, it is that at their heights, unlike the control's or not.
     """
@@ -167,10 +167,10 @@ def predicted_by(fitted: Fit, errors: FloatArray, points: int,
     experience = fitted.estimator.experience(fitted)
     if experience is None or not errors.any():
         shared = shared_variance(fitted.model, fitted.scaling.features(in_use))
-        at_control = predicted_rmse(_errors_with_all_points(fitted, errors), fitted.effective,
-                                    points, shared)
+        at_control = predict_rmse(
+            _errors_with_all_points(fitted, errors), fitted.effective, points, shared)
     else:
-        at_control = _predicted_with_experience(fitted, errors, points, experience)
+        at_control = _predict_with_experience(fitted, errors, points, experience)
     height_square = 0.0
     if ground is not None:
         height_square = _square_of_unlike_heights(fitted, in_use, ground)
@@ -183,7 +183,7 @@ def predicted_by(fitted: Fit, errors: FloatArray, points: int,
     return Predicted(rmse, low, high, points=points or None)
 
 
-def predicted_between(errors: FloatArray, lines: IntArray) -> Predicted:
+def predict_rmse_between_lines(errors: FloatArray, lines: IntArray) -> Predicted:
     """Return the RMSE between the lines of a lattice that errors without whole lines predict.
 
     Parameters
@@ -231,8 +231,8 @@ def _errors_with_all_points(fitted: Fit, errors: FloatArray) -> FloatArray:
     return np.asarray(errors * np.sqrt(1.0 - np.minimum(leverage, MAX_LEVERAGE)**2))
 
 
-def _predicted_with_experience(fitted: Fit, errors: FloatArray, points: int,
-                               experience: Experience) -> Predicted:
+def _predict_with_experience(fitted: Fit, errors: FloatArray, points: int,
+                             experience: Experience) -> Predicted:
     """Return the RMSE that held-out errors and what was known before them predict.
 
     Its logarithm is that of both, each by its degrees of freedom. Those of held-out errors are of
@@ -264,8 +264,8 @@ def _predicted_with_experience(fitted: Fit, errors: FloatArray, points: int,
     factors = spread.factors.reshape(-1, spread.factors.shape[2])
     alike = float(((factors.T @ factors)**2).sum()) / (n * inside)**2
     shared = 2.0 * alike * ((total - noise) / total)**2
-    return predicted_rmse(errors * np.sqrt(square / held_out_square),
-                          min(fitted.effective, experience.unknowns), points, shared, experience)
+    return predict_rmse(errors * np.sqrt(square / held_out_square),
+                        min(fitted.effective, experience.unknowns), points, shared, experience)
 
 
 def _squares_of_places(factors: FloatArray, noise: float) -> tuple[float, float]:
@@ -281,7 +281,7 @@ def _squares_of_places(factors: FloatArray, noise: float) -> tuple[float, float]
     return float(inside), float(outside)
 
 
-def predicted_of_all(fitted: Fit, expected: Predicted, ground: FloatArray) -> Predicted:
+def predict_rmse_of_all(fitted: Fit, expected: Predicted, ground: FloatArray) -> Predicted:
     """Return the RMSE predicted for the same structure once places (m, 3) are control, too.
 
     `expected` is that of the fit without them. By what the error falls follows from the places
@@ -309,7 +309,7 @@ def pixel_on_ground(fitted: Fit) -> float | None:
         here = fitted.locate(image, heights)
         for step in np.eye(2):
             offsets = (fitted.locate(image + step, heights) - here)[:, :2]
-            metres = in_metres(fitted.control.crs, points.ground, offsets)
+            metres = offsets_in_metres(fitted.control.crs, points.ground, offsets)
             if metres is None:
                 return None
             squares.append((metres**2).sum(axis=1))
@@ -328,19 +328,20 @@ def _square_of_unlike_heights(fitted: Fit, control: FeatureSet, ground: FloatArr
     if usual is ground:
         return 0.0
     excess = (fitted.sigma(ground)**2 - fitted.sigma(usual)**2).sum(axis=1)
-    excess = np.where(np.isfinite(excess), excess, off_plane(flat, ground)[1]**2)
+    excess = np.where(np.isfinite(excess), excess, distance_off_plane(flat, ground)[1]**2)
     return float(max(excess.mean(), 0.0))
 
 
 _Distances = TypeVar("_Distances", InImage, OnGround)
 
 
-def distances(kind: Callable[..., _Distances], errors: FloatArray) -> _Distances:
+def distance_figures(kind: Callable[..., _Distances], errors: FloatArray) -> _Distances:
     """Return the figures of errors (n, 2), of line and sample [px], or of x and y [m]."""
     axes = dict(zip(("line", "sample") if kind is InImage else ("x", "y"),
                     np.sqrt((errors**2).mean(axis=0)).tolist(), strict=True))
     return kind(**axes, n=len(errors), total=float(np.hypot(*axes.values())),
-                maximum=float(np.linalg.norm(errors, axis=1).max()), ce90=float(ce90(errors)),
+                maximum=float(np.linalg.norm(errors,
+                                             axis=1).max()), ce90=float(ce90(errors)),
                 mean=tuple(errors.mean(axis=0).tolist()), normal=chances_if_normal(errors),
                 freedom=freedom_of(errors))
 
@@ -357,14 +358,15 @@ def accuracy_of(fitted: Fit, independent: Points) -> Accuracy | None:
     if not fitted.model.uses_height:
         heights = np.nan_to_num(heights)
     offsets = (fitted.locate(independent.image, heights) - independent.ground)[:, :2]
-    metres = in_metres(fitted.control.crs, independent.ground, offsets)
+    metres = offsets_in_metres(fitted.control.crs, independent.ground, offsets)
     ground = None if metres is None or not np.isfinite(metres).all() \
-        else distances(OnGround, metres)
-    return Accuracy(distances(InImage, errors), ground, nssda(len(independent), ground),
-                    asprs(len(independent), ground))
+        else distance_figures(OnGround, metres)
+    return Accuracy(distance_figures(InImage, errors), ground,
+                    nssda_accuracy(len(independent), ground),
+                    asprs_rmse(len(independent), ground))
 
 
-def nssda(points: int, ground: OnGround | None) -> StandardFigure:
+def nssda_accuracy(points: int, ground: OnGround | None) -> StandardFigure:
     """Return the horizontal accuracy at 95 % confidence by NSSDA (appendix 3-A)."""
     missing = _why_missing(points, ground, NSSDA_POINTS)
     if ground is None or missing:
@@ -376,7 +378,7 @@ def nssda(points: int, ground: OnGround | None) -> StandardFigure:
     return StandardFigure(2.4477 * (low + high) / 2)
 
 
-def asprs(points: int, ground: OnGround | None) -> StandardFigure:
+def asprs_rmse(points: int, ground: OnGround | None) -> StandardFigure:
     """Return the horizontal RMSE by ASPRS 2024 [m], or why there is none, as with too few points.
     """
     missing = _why_missing(points, ground, ASPRS_POINTS, "; for fewer run termsel accuracy")
@@ -386,7 +388,8 @@ def asprs(points: int, ground: OnGround | None) -> StandardFigure:
 def _why_missing(points: int, ground: OnGround | None, fewest: int, remedy: str = "") -> str | None:
     """Return why a figure of a standard is missing; None if it is not."""
     if points < fewest:
-        return f"{counted(points, 'independent check point')}, at least {fewest} needed{remedy}"
+        return f"{count_in_words(points, 'independent check point')}, at least {fewest} " \
+            f"needed{remedy}"
     if ground is None:
         return "the errors on the ground are not known in metres"
     return None

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from termsel.core.errors import counted
-from termsel.data.coordinates.places import beyond, centres
+from termsel.core.errors import count_in_words
+from termsel.data.coordinates.places import distance_beyond_hull, feature_centres
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
-from termsel.data.fit_data import FitData, off_plane
+from termsel.data.fit_data import FitData, distance_off_plane
 from termsel.data.scaling import Scaling
 from termsel.fitting.uncertainty import sees_heights
 
@@ -18,13 +18,13 @@ FAR_OUTSIDE = 0.5
 as far outside: a quadratic term is then 4 times what it is at the hull's edge."""
 
 
-def outside(control: FloatArray, ground: FloatArray) -> FloatArray:
+def distance_outside_control(control: FloatArray, ground: FloatArray) -> FloatArray:
     """Return how far places on the ground (m, 3) are outside the control (n, 3), shape (m,).
 
     Distance from the hull by its longer side, or above or below its heights by their range,
     whichever is larger; 0 inside. Infinite if the control has no hull, NaN for no place.
     """
-    distances = beyond(control[:, :2], ground[:, :2])
+    distances = distance_beyond_hull(control[:, :2], ground[:, :2])
     low = control[:, 2].min()
     high = control[:, 2].max()
     if high > low:
@@ -33,13 +33,14 @@ def outside(control: FloatArray, ground: FloatArray) -> FloatArray:
     return np.asarray(np.where(np.isnan(ground[:, :2]).any(axis=1), np.nan, distances))
 
 
-def by_heights(used: FeatureSet, scaling: Scaling, project: Callable[[FloatArray], FloatArray],
-               ground: FloatArray) -> FloatArray:
+def variance_by_heights(used: FeatureSet, scaling: Scaling,
+                        project: Callable[[FloatArray], FloatArray],
+                        ground: FloatArray) -> FloatArray:
     """Return the variance of unknown effects of heights at places (m, 3), (m, 1) [px].
 
     0 where the control in use shows it, and where the model, which projects places, knows it.
     """
-    effect = off_plane(FitData(used, scaling, False), ground)[1]
+    effect = distance_off_plane(FitData(used, scaling, False), ground)[1]
     if effect.any() and sees_heights(project, ground):
         effect *= 0.0
     return effect[:, None]**2 / 2  # the direction is not known
@@ -50,21 +51,22 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
 
     Of the control, features in the adjustment count: `used`, shape (len(control),).
     """
-    control_centres = centres(control)[used]
+    control_centres = feature_centres(control)[used]
     groups = []
     n_outside = 0
     if len(check):
-        far = beyond(control_centres, check.image) > FAR_OUTSIDE
+        far = distance_beyond_hull(control_centres, check.image) > FAR_OUTSIDE
         if far.any():
             n_outside += int(far.sum())
-            groups.append(f"{far.sum()} of {counted(len(far), 'selection point')}")
+            groups.append(f"{far.sum()} of {count_in_words(len(far), 'selection point')}")
     if control.image_size is not None:
-        far = beyond(control_centres, corners_of(control.image_size)) > FAR_OUTSIDE
+        far = distance_beyond_hull(control_centres, corners_of(control.image_size)) > FAR_OUTSIDE
         if far.any():
             n_outside += int(far.sum())
             groups.append(f"{far.sum()} of 4 corners of the image")
     if groups:
-        yield (f"Extrapolation: {' and '.join(groups)} {_lie(n_outside)} far outside the control "
+        yield (f"Extrapolation: {' and '.join(groups)} {_do_lie_outside(n_outside)} far outside "
+               "the control "
                "in use. The RMSE does not apply there.")
     # Heights by themselves: a point within the hull may be on a summit far above all control.
     heights = control.ground_vertices()[:, 2]
@@ -74,7 +76,8 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
         above = np.maximum(check_heights - heights.max(), heights.min() - check_heights)
         n_above = int((above > FAR_OUTSIDE * span).sum())
         if n_above:
-            yield (f"Extrapolation: {counted(n_above, 'selection point')} {_lie(n_above)} far "
+            yield (f"Extrapolation: {count_in_words(n_above, 'selection point')} "
+                   f"{_do_lie_outside(n_above)} far "
                    "above or below the control.")
 
 
@@ -84,5 +87,5 @@ def corners_of(image_size: tuple[int, int]) -> FloatArray:
     return np.array([(0.0, 0.0), (0.0, last_sample), (last_line, 0.0), (last_line, last_sample)])
 
 
-def _lie(count: int) -> str:
+def _do_lie_outside(count: int) -> str:
     return "lies" if count == 1 else "lie"

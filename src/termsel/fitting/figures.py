@@ -86,19 +86,19 @@ def finite_or_none(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def baseline(name: str, fitted: Fit, predicted: float | None, observations: Observations,
-             roles: tuple[Role, ...] = BOTH, refused: str = "") -> Baseline:
+def baseline_figures(name: str, fitted: Fit, predicted: float | None, observations: Observations,
+                     roles: tuple[Role, ...] = BOTH, refused: str = "") -> Baseline:
     """Return the figures of a fit to some roles, whose RMSE by leave-one-out [px] is `predicted`.
 
     `refused` is as for `Baseline`.
     """
     return Baseline(name=name, n_terms=int(fitted.terms.sum()), fitted_to=roles,
                     determined=fitted.determined,
-                    rmse=figures(in_role(fitted, observations), observations),
+                    rmse=rmse_by_role(restrict_to_control(fitted, observations), observations),
                     predicted=predicted, converged=fitted.adjustment.converged, refused=refused)
 
 
-def in_role(fitted: Fit, observations: Observations) -> Fit:
+def restrict_to_control(fitted: Fit, observations: Observations) -> Fit:
     """Return a fit whose control figures are of the control alone, not of check points too.
 
     It cannot be repeated without a feature, as it does not know all that it was fitted to. Lines
@@ -114,7 +114,7 @@ def in_role(fitted: Fit, observations: Observations) -> Fit:
                    estimator=FIXED_COEFFICIENTS, stored_held_out=None, original=fitted)
 
 
-def figures(fitted: Fit, observations: Observations) -> dict[str, Rmse | None]:
+def rmse_by_role(fitted: Fit, observations: Observations) -> dict[str, Rmse | None]:
     """Return the RMSE by role, None for roles without features.
 
     Where control corrects the model itself, it also has that by leave-one-out.
@@ -166,7 +166,7 @@ PARALLEL = 0.05
 """Orientation spread from which on lines fix both image axes; that of lines within 13 degrees."""
 
 
-def significance(fit: Fit) -> dict[str, Significance]:
+def term_significance(fit: Fit) -> dict[str, Significance]:
     """Return the significance of each term in use; empty without redundancy.
 
     It is that of the adjustment as if the terms had been given. After a search among many it
@@ -181,7 +181,7 @@ def significance(fit: Fit) -> dict[str, Significance]:
             for i, name in enumerate(fit.model.terms) if fit.terms[i] and np.isfinite(t[i])}
 
 
-def correlations(fit: Fit) -> Iterator[tuple[str, str, float]]:
+def correlated_terms(fit: Fit) -> Iterator[tuple[str, str, float]]:
     """Yield pairs of terms whose coefficients correlate by CORRELATED or more, highest first."""
     matrix = fit.adjustment.correlations
     if matrix is None:

@@ -21,9 +21,9 @@ from termsel.data.extent import image_extent, reach
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Lines, Points
 from termsel.data.locate import Surface, locate
 from termsel.data.record.figures import Rmse, Settings
-from termsel.data.scaling import Scaling, scaling_of
+from termsel.data.scaling import Scaling, make_scaling
 from termsel.data.view import CentralView, view_of
-from termsel.fitting.extrapolation import by_heights
+from termsel.fitting.extrapolation import variance_by_heights
 from termsel.fitting.local_courses import LocalCourses, local_courses
 from termsel.fitting.misfit import MISFIT_BATCH, Misfit, NoisePrior, misfit_of, mixed_misfit
 from termsel.fitting.residuals import Residuals, control_residuals, rmse_of
@@ -475,8 +475,8 @@ class Fit(Glance):
         squares, noise = original._mean_squares(points)
         variance = (squares + noise * measured) * self.scaling.image_scale ** 2
         # Errors of the heights of the control are errors of the model, too.
-        variance += by_heights(original.control.take(original.used), original.scaling,
-                               original.project, points)
+        variance += variance_by_heights(
+            original.control.take(original.used), original.scaling, original.project, points)
         sigma = self._nan_where_unknown(np.sqrt(variance), points)
         sigma[self.unseen(points)] = np.nan
         return sigma
@@ -589,7 +589,7 @@ class Fit(Glance):
         """Return middle and half-range of the control, shapes (3,), in its own CRS."""
         scaling = self.scaling
         # In the CRS of the coordinates, not in the one that the fit works in.
-        box = scaling_of(replace(self.control, fit_crs="")) if scaling.fit_crs else scaling
+        box = make_scaling(replace(self.control, fit_crs="")) if scaling.fit_crs else scaling
         return np.array(box.ground_offset), np.array(box.ground_scale)
 
     def image_box(self) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -11,11 +11,11 @@ from termsel.adjustment.equations import Equations
 from termsel.adjustment.iterated import HALVINGS, ITERATIONS
 from termsel.adjustment.leave_out import IndependentPart, independent_parts, leave_one_out
 from termsel.adjustment.solve import Adjustment, solve
-from termsel.core.errors import TermselError, counted
+from termsel.core.errors import TermselError, count_in_words
 from termsel.core.isolation.faults import fault_of_method
 from termsel.core.threads import one_blas_thread
-from termsel.data.features import BoolArray, FeatureSet, FloatArray, no_points
-from termsel.data.scaling import Scaling, scaling_of
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, empty_points
+from termsel.data.scaling import Scaling, make_scaling
 from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
 from termsel.fitting.population import Fits
 from termsel.models.base import SensorModel
@@ -65,7 +65,7 @@ class LeastSquares(Estimator):
         model = model.prepared(scaling, control.crs)
         features = scaling.features(control)
         adjustment = (adjust(model, features, terms, used) if self.iterated
-                      else solve(first_order(model, features), terms, used))
+                      else solve(first_order_equations(model, features), terms, used))
         return Fit(model=model, scaling=scaling, control=control, terms=terms, used=used,
                    adjustment=adjustment, estimator=self)
 
@@ -97,7 +97,7 @@ class LeastSquares(Estimator):
         model = fitted.model
         features = fitted.scaled_control
         equations = (model.linearised(features, fitted.adjustment.coefficients)
-                     if self.iterated else None) or first_order(model, features)
+                     if self.iterated else None) or first_order_equations(model, features)
         solutions = None if model.corrects else solutions_without_each(
             independent_parts(equations, model.axis), fitted.terms, fitted.used)
         if solutions is None:
@@ -191,7 +191,7 @@ def _linearised_equations(model: SensorModel, features: FeatureSet,
     return equations
 
 
-def first_order(model: SensorModel, features: FeatureSet) -> Equations:
+def first_order_equations(model: SensorModel, features: FeatureSet) -> Equations:
     """Return the equations by which a search judges selections, of scaled features.
 
     Of a model with a start they are those about the least squares of all terms.
@@ -244,13 +244,13 @@ def left_out_squares(fitted: Fit) -> FloatArray:
     control = fitted.scaled_control
     weighted = isinstance(model, RationalModel) and model.weighted
     equations = model.linearised(control, fitted.adjustment.coefficients) if weighted else None
-    systems = independent_parts(equations or first_order(model, control), model.axis)
+    systems = independent_parts(equations or first_order_equations(model, control), model.axis)
     solutions = solutions_without_each(systems, fitted.terms, fitted.used)
     if solutions is None:
         return np.full(len(control), np.inf)
     if weighted and len(control) <= MAX_REFITTED_POINTS and not len(control.lines):
         solutions = _refitted_without_each(fitted)
-    fits = Fits(model=model, control=control.points, check=no_points(),
+    fits = Fits(model=model, control=control.points, check=empty_points(),
                 pixels=fitted.scaling.image_scale, terms=fitted.terms[None],
                 coefficients=fitted.adjustment.coefficients[None], lines=control.lines,
                 parts=systems)
@@ -302,7 +302,7 @@ def fit_all_terms(model: SensorModel, control: FeatureSet) -> Fit:
     """
     terms, used = (np.ones(n, dtype=bool) for n in (len(model.terms), len(control)))
     return require_determined(
-        LEAST_SQUARES.fit(model, control, scaling_of(control), terms, used))
+        LEAST_SQUARES.fit(model, control, make_scaling(control), terms, used))
 
 
 def require_determined(fitted: Fit) -> Fit:
@@ -313,7 +313,7 @@ def require_determined(fitted: Fit) -> Fit:
     name = fitted.model.name
     if not adjustment.converged:
         raise Undetermined(f"the fit of model {name!r} did not converge (it ended after "
-                           f"{counted(adjustment.steps or 0, 'step')})",
+                           f"{count_in_words(adjustment.steps or 0, 'step')})",
                            hint="Give more control, or choose a plainer model.")
     if adjustment.n_equations < adjustment.n_terms:
         raise Undetermined(

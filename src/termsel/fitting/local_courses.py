@@ -53,7 +53,7 @@ from termsel.fitting.misfit import (
     Course,
     NoisePrior,
     System,
-    matern,
+    matern_correlations,
     rows_of_field,
 )
 
@@ -132,7 +132,8 @@ class Solutions:
         likely = self.shares.sum(axis=3).max(axis=1) > NEGLIGIBLE_SHARE                # (t, r)
         shares = self.shares * likely[:, None, :, None]
         noise = shares @ system.noises**2                                              # (t, 2, r)
-        correlation = matern(system.positions, system.positions, self.lengths, self.smoothness)
+        correlation = matern_correlations(
+            system.positions, system.positions, self.lengths, self.smoothness)
         correlation[np.diag_indices_from(correlation)] += discrepancies
         variances = np.diag(system.relative_variances)
         n, f = system.trend.shape
@@ -182,19 +183,21 @@ class Groups:
 
     def correlations(self, lengths: tuple[float, float], smoothness: float) -> FloatArray:
         """Return the mean correlation of two points of each group, (g,); 1 in those of one."""
-        return self._means(self.apart, self.group_of_pair, lengths, smoothness)
+        return self._mean_correlations(self.apart, self.group_of_pair, lengths, smoothness)
 
     def discrepancies(self, lengths: tuple[float, float], smoothness: float) -> FloatArray:
         """Return the variance of a field's mean less the field in the middle, by its own, (g,)."""
         of_mean = 1.0 / self.counts \
             + (1.0 - 1.0 / self.counts) * self.correlations(lengths, smoothness)
-        to_middle = self._means(self.from_middle, self.group_of_member, lengths, smoothness)
+        to_middle = self._mean_correlations(
+            self.from_middle, self.group_of_member, lengths, smoothness)
         return np.maximum(1.0 - 2.0 * to_middle + of_mean, 0.0)
 
-    def _means(self, distances: FloatArray, group_of: IntArray, lengths: tuple[float, float],
-               smoothness: float) -> FloatArray:
+    def _mean_correlations(self, distances: FloatArray, group_of: IntArray,
+                           lengths: tuple[float, float],
+                           smoothness: float) -> FloatArray:
         """Return the mean correlation over such distances in each group, (g,); 1 without any."""
-        correlations = matern(distances, np.zeros((1, 2)), lengths, smoothness)[:, 0]
+        correlations = matern_correlations(distances, np.zeros((1, 2)), lengths, smoothness)[:, 0]
         counts = np.bincount(group_of, minlength=len(self.sizes))
         sums = np.bincount(group_of, correlations, len(self.sizes))
         return np.where(counts > 0, sums / np.maximum(counts, 1), 1.0)
@@ -263,8 +266,8 @@ class LocalCourses:
         system = _means_of(self.control, groups)
         if np.linalg.matrix_rank(system.trend) < system.trend.shape[1]:
             return self._spread_cell
-        within = _within(self.control.positions, self.control.residuals,
-                         self.control.relative_variances, groups)
+        within = _variation_within_groups(self.control.positions, self.control.residuals,
+                                          self.control.relative_variances, groups)
         return Cell(system.positions, tuple(
             solutions.course(system, within.discrepancies(solutions.lengths, solutions.smoothness))
             for solutions in self.solutions))
@@ -276,7 +279,7 @@ class LocalCourses:
         Of many points only the last cells are kept, as they would fill the memory: many places
         should be in one call.
         """
-        positions = _affine(ground) @ self.to_image
+        positions = _affine_columns(ground) @ self.to_image
         from scipy.spatial import cKDTree  # only now, as it takes long to import
 
         total = np.full((len(ground), 2), np.nan)
@@ -296,7 +299,7 @@ class LocalCourses:
 
         Of many points they are by those that are spread over them.
         """
-        positions = _affine(ground) @ self.to_image
+        positions = _affine_columns(ground) @ self.to_image
         cell = self._spread_cell
         total = np.zeros((len(ground), len(ground)))
         for course in cell.courses:
@@ -321,7 +324,7 @@ def local_courses(points: Points, pixel: float) -> LocalCourses | None:
     n = len(spread)
     if n < LOCAL_MIN_POINTS:
         return None
-    affine = _affine(points.ground)
+    affine = _affine_columns(points.ground)
     to_image = np.asarray(np.linalg.lstsq(affine[spread], points.image[spread])[0],
                           dtype=np.float64)
     positions = affine @ to_image
@@ -333,7 +336,7 @@ def local_courses(points: Points, pixel: float) -> LocalCourses | None:
     groups = _groups_around(positions, positions.mean(axis=0), np.inf)
     prior = NoisePrior.of(pixel, points.sigma, with_heights=False)
     relative_variances = prior.relative_variances(len(points))
-    within = _within(positions, from_trend, relative_variances, groups)
+    within = _variation_within_groups(positions, from_trend, relative_variances, groups)
     is_fine = within.freedom >= FINE_FREEDOM
     noises = (FINE_NOISE_BY_TREND if is_fine else NOISE_BY_TREND) \
         * np.sqrt((from_trend[spread]**2).mean())
@@ -342,7 +345,8 @@ def local_courses(points: Points, pixel: float) -> LocalCourses | None:
     system = _means_of(control, groups)
     logs = []
     grids = []
-    for probability, lengths, smoothness, ratios in _priors(FINE_RATIOS if is_fine else RATIOS):
+    for probability, lengths, smoothness, ratios in _prior_covariances(
+            FINE_RATIOS if is_fine else RATIOS):
         by_ratio = _log_likelihoods(system, within, lengths, smoothness, ratios)     # (t, 2, r, s)
         by_noise = np.logaddexp.reduce(by_ratio, axis=2)                               # (t, 2, s)
         logs.append(np.log(probability / len(by_ratio)) + log_prior + by_noise.sum(axis=1))
@@ -366,7 +370,7 @@ def _log_likelihoods(system: System, within: Groups, lengths: tuple[float, float
     and what the columns explain beyond it.
     """
     in_groups = within.correlations(lengths, smoothness)
-    correlation = matern(system.positions, system.positions, lengths, smoothness)
+    correlation = matern_correlations(system.positions, system.positions, lengths, smoothness)
     np.fill_diagonal(correlation, 1.0 / within.sizes + (1.0 - 1.0 / within.sizes) * in_groups)
     # What two points of a group do not have in common, by the degrees of freedom of the groups.
     share_apart = float((within.sizes - 1.0) @ (1.0 - in_groups)) / max(within.freedom, 1.0)
@@ -427,8 +431,9 @@ def _groups_around(positions: FloatArray, centre: FloatArray, reach: float) -> l
     return [rows for _, _, rows in groups]
 
 
-def _within(positions: FloatArray, deviations: FloatArray, relative_variances: FloatArray,
-            groups: list[IntArray]) -> Groups:
+def _variation_within_groups(positions: FloatArray, deviations: FloatArray,
+                             relative_variances: FloatArray,
+                             groups: list[IntArray]) -> Groups:
     """Return how the points of groups vary about their means."""
     squares = np.zeros(2)
     from_middle = [np.empty((0, 2))]
@@ -470,8 +475,8 @@ def _means_of(control: System, groups: list[IntArray]) -> System:
                    trend=mean(control.trend), residuals=mean(control.residuals))
 
 
-def _priors(field_ratios: tuple[float, ...],
-            ) -> Iterator[tuple[float, tuple[float, float], float, tuple[float, ...]]]:
+def _prior_covariances(field_ratios: tuple[float, ...],
+                       ) -> Iterator[tuple[float, tuple[float, float], float, tuple[float, ...]]]:
     """Return probability, lengths, smoothness and ratios of all covariances, at first of none."""
     yield 1.0 - FIELD_PROBABILITY, LENGTHS[0], SMOOTHNESSES[0], (0.0,)
     equal = FIELD_PROBABILITY * (1.0 - UNEQUAL_PROBABILITY) / len(LENGTHS) / len(SMOOTHNESSES)
@@ -505,5 +510,5 @@ def _trend_of(positions: FloatArray, columns: int) -> FloatArray:
     return cubic[:, :columns]
 
 
-def _affine(ground: FloatArray) -> FloatArray:
+def _affine_columns(ground: FloatArray) -> FloatArray:
     return np.column_stack([np.ones(len(ground)), ground[:, :2]])

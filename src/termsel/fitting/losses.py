@@ -23,8 +23,8 @@ RMSE_BY_MEDIAN = float(1.0 / np.sqrt(np.log(2.0)))
 sqrt(2 ln 2)."""
 
 
-def figure(distances: FloatArray, weights: FloatArray, loss: str = SQUARES,
-           threshold: float = 2.0) -> FloatArray:
+def rmse_like_figure(distances: FloatArray, weights: FloatArray, loss: str = SQUARES,
+                     threshold: float = 2.0) -> FloatArray:
     """Return the RMSE of errors, or a figure close to it for normal errors without blunders; (p,).
 
     Of distances [px] (p, n), with the number of errors that each represents, 0 for a feature that
@@ -41,7 +41,7 @@ def figure(distances: FloatArray, weights: FloatArray, loss: str = SQUARES,
         if loss == SQUARES:
             losses = d**2
         else:
-            middle = _medians(d, used)
+            middle = _row_medians(d, used)
             if loss == MEDIAN:
                 return np.where(counted, RMSE_BY_MEDIAN * middle, np.inf)
             c = threshold * middle[:, None]
@@ -51,7 +51,7 @@ def figure(distances: FloatArray, weights: FloatArray, loss: str = SQUARES,
         return np.where(counted, np.sqrt(mean), np.inf)
 
 
-def _medians(values: FloatArray, used: BoolArray) -> FloatArray:
+def _row_medians(values: FloatArray, used: BoolArray) -> FloatArray:
     """Return the median of those in use of each row, shape (p,)."""
     rows = np.sort(np.where(used, values, np.inf), axis=1)
     count = np.maximum(used.sum(axis=1), 1)

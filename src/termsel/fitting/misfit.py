@@ -156,7 +156,8 @@ class Course:
 
     def columns(self, places: FloatArray, positions: FloatArray, trend: FloatArray) -> FloatArray:
         """Return the covariances of places (m, 2) to those of the control, and their trend."""
-        return np.column_stack([matern(places, positions, self.lengths, self.smoothness), trend])
+        return np.column_stack(
+            [matern_correlations(places, positions, self.lengths, self.smoothness), trend])
 
     def squares(self, columns: FloatArray, deviations: FloatArray | float) -> FloatArray:
         """Return the mean squares of field and trend less deviations, times the share, (m, 2).
@@ -184,7 +185,7 @@ class Course:
         distances = means - np.broadcast_to(deviations, len(columns))[:, None]
         # Prior less explained covariance, and the sum over ratios of w (mean - d) (mean - d)'.
         return np.asarray(
-            self.variance[axis] * matern(places, places, self.lengths, self.smoothness)
+            self.variance[axis] * matern_correlations(places, places, self.lengths, self.smoothness)
             - columns @ self.explained[axis] @ columns.T
             + (distances * self.weights[axis]) @ distances.T)
 
@@ -208,7 +209,7 @@ class System:
     def log_likelihoods(self, lengths: tuple[float, float], smoothness: float,
                         ratios: tuple[float, ...]) -> FloatArray:
         """Return logarithms of p(r, ratio | length, s) for each axis, (2, r, s)."""
-        correlation = matern(self.positions, self.positions, lengths, smoothness)
+        correlation = matern_correlations(self.positions, self.positions, lengths, smoothness)
         variances = np.diag(self.relative_variances)
         by_ratio = [restricted_likelihood(variances + ratio**2 * correlation,
                                           self.trend, self.residuals, self.noises)
@@ -218,7 +219,7 @@ class System:
     def course(self, lengths: tuple[float, float], smoothness: float, ratios: tuple[float, ...],
                shares: FloatArray) -> Course:
         """Return the solutions of one covariance; `shares` (2, r, s) are of ratios and noises."""
-        correlation = matern(self.positions, self.positions, lengths, smoothness)
+        correlation = matern_correlations(self.positions, self.positions, lengths, smoothness)
         noise = shares @ self.noises**2                                             # (2, r)
         n, f = self.trend.shape
         explained = np.zeros((2, n + f, n + f))
@@ -262,7 +263,7 @@ class Misfit:
     def squares(self, image: FloatArray) -> FloatArray:
         """Return the mean square of the model's own error at places in the image, (m, 2)."""
         total = np.zeros((len(image), 2))
-        trend = self._trend(image)
+        trend = self._trend_columns(image)
         for course in self.courses:
             total += course.squares(course.columns(image, self.positions, trend), 0.0)
         return total
@@ -270,13 +271,13 @@ class Misfit:
     def covariance(self, image: FloatArray, axis: int) -> FloatArray:
         """Return the mean products of the model's own error among places in the image, (m, m)."""
         total = np.zeros((len(image), len(image)))
-        trend = self._trend(image)
+        trend = self._trend_columns(image)
         for course in self.courses:
             columns = course.columns(image, self.positions, trend)
             total += course.second_moments(image, columns, axis, 0.0)
         return total
 
-    def _trend(self, image: FloatArray) -> FloatArray:
+    def _trend_columns(self, image: FloatArray) -> FloatArray:
         """Return the trend's columns at places, (m, t); beyond the control those of its edge."""
         nearest = np.clip(image, self.positions.min(axis=0), self.positions.max(axis=0))
         return trend_of(nearest, len(self.positions))
@@ -365,8 +366,8 @@ def trend_of(image: FloatArray, n_points: int) -> FloatArray:
     return np.column_stack(columns)
 
 
-def matern(a: FloatArray, b: FloatArray, lengths: tuple[float, float],
-           smoothness: float = 1.5) -> FloatArray:
+def matern_correlations(a: FloatArray, b: FloatArray, lengths: tuple[float, float],
+                        smoothness: float = 1.5) -> FloatArray:
     """Return the correlations between places, shape (len(a), len(b)).
 
     The smoothness is 1/2, 3/2 or infinite.

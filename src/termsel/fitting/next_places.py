@@ -63,7 +63,7 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
     original = fitted.original or fitted
     # Where the candidates are the scene, its places count once: work grows with their square.
     everywhere = scene if candidates is scene else np.concatenate([candidates, scene])
-    spread = covariances(original, everywhere)
+    spread = error_covariances(original, everywhere)
     if spread is None or spread.factors is None:
         raise TermselError("the uncertainty of this model is not known",
                            hint="Plan with 4 or more control points alone; with lines, by a model "
@@ -83,7 +83,7 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
     order: list[int] = []
     mean_variances: list[float] = []
     for _ in range(min(count, len(candidates))):
-        gains = _gains(candidate_factors, remaining, scene_products, spread.noise)
+        gains = _variance_gains(candidate_factors, remaining, scene_products, spread.noise)
         gains[~free] = -np.inf
         if (free & ~too_near).any():
             gains[too_near] = -np.inf
@@ -100,7 +100,7 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
                    float(np.sqrt(np.trace(scene_products))) * scale)
 
 
-def covariances(original: Fit, ground: FloatArray) -> Spread | None:
+def error_covariances(original: Fit, ground: FloatArray) -> Spread | None:
     """Return the mean square errors of a fit at places (m, 3), with factors; None if not known.
 
     They are those of `Fit.sigma`, without the noise of heights. In a plane with more than 200
@@ -112,8 +112,9 @@ def covariances(original: Fit, ground: FloatArray) -> Spread | None:
     visible = np.asarray(np.isfinite(image).all(axis=1))
     courses = original.local_courses
     if courses is not None:
-        spans = [_span(courses.covariance(scaled_ground[visible], image[visible], axis), visible,
-                       axis) for axis in (0, 1)]
+        spans = [_covariance_factors(courses.covariance(scaled_ground[visible], image[visible],
+                                                        axis), visible,
+                                     axis) for axis in (0, 1)]
         spread_courses = _spread_of_spans(spans, np.full(2, courses.noise))
         variance = np.zeros(image.shape)
         variance[visible] = courses.squares(scaled_ground[visible], image[visible])
@@ -128,7 +129,8 @@ def covariances(original: Fit, ground: FloatArray) -> Spread | None:
         # That the fit is off, or not, is one doubt on each axis: E[e e'] = C + d d'.
         spans.append(spread.offsets[:, :, None] * np.eye(2))
     if original.misfit is not None:
-        spans += [_span(original.misfit.covariance(image[visible], axis), visible, axis)
+        spans += [_covariance_factors(original.misfit.covariance(image[visible], axis), visible,
+                                      axis)
                   for axis in (0, 1)]
     return _spread_of_spans(spans, spread.noise)
 
@@ -160,7 +162,7 @@ def _spread_of_spans(spans: Sequence[FloatArray], noise: FloatArray) -> Spread:
     return Spread((factors**2).sum(axis=2), noise, factors)
 
 
-def _span(covariance: FloatArray, visible: BoolArray, axis: int) -> FloatArray:
+def _covariance_factors(covariance: FloatArray, visible: BoolArray, axis: int) -> FloatArray:
     """Return factors (m, 2, d) of a covariance of one axis among the places that are visible."""
     values, vectors = np.linalg.eigh(covariance)
     strong = values > MIN_VARIANCE_SHARE * max(float(values[-1]), np.finfo(float).tiny)
@@ -177,7 +179,7 @@ def share_left(fitted: Fit, ground: FloatArray) -> float:
     1 / (C^-1)_ii, and C_ii without them. The measurements themselves are not looked at. 1 where the
     covariances are not known.
     """
-    spread = covariances(fitted.original or fitted, ground)
+    spread = error_covariances(fitted.original or fitted, ground)
     if spread is None or spread.factors is None or not (spread.noise > 0).all():
         return 1.0
     variance_alone = np.zeros(2)
@@ -192,8 +194,8 @@ def share_left(fitted: Fit, ground: FloatArray) -> float:
     return float(np.sqrt(min(variance_among.sum() / variance_alone.sum(), 1.0)))
 
 
-def _gains(factors: FloatArray, remaining: FloatArray, scene_products: FloatArray,
-           noise: FloatArray) -> FloatArray:
+def _variance_gains(factors: FloatArray, remaining: FloatArray, scene_products: FloatArray,
+                    noise: FloatArray) -> FloatArray:
     """Return by how much a measurement at each candidate lessens the mean variance, shape (c,)."""
     # With the covariance M = F R F' + s of a measurement, the mean variance falls by
     # tr(M^-1 F R G R F').

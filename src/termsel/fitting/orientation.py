@@ -37,7 +37,7 @@ def exterior_orientation(rotation: FloatArray, centre: FloatArray,
     unit : str
         Of x and y, "deg" or "m".
     """
-    jacobian = _jacobian(local)
+    jacobian = _local_jacobian(local)
     ground = np.zeros(3)
     # Newton steps: local coordinates bend with the Earth, by little over one image.
     for _ in range(_STEPS):
@@ -87,7 +87,7 @@ def angles_of(matrix: FloatArray) -> FloatArray:
     return np.asarray(np.degrees(np.array([omega, phi, kappa])))
 
 
-def _jacobian(local: Callable[[FloatArray], FloatArray]) -> FloatArray:
+def _local_jacobian(local: Callable[[FloatArray], FloatArray]) -> FloatArray:
     """Return the derivatives (3, 3) of local coordinates at the middle by the scaled ones."""
     steps = _STEP * np.eye(3)
     return np.asarray((local(steps) - local(-steps)).T / (2.0 * _STEP))

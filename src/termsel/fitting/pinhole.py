@@ -142,7 +142,7 @@ class Cameras:
         """Return the cameras moved by steps of the unknowns (s, 9)."""
         # Turns are small rotations in front of R, and the step of log f is limited: a quadratic
         # model holds no further.
-        return Cameras(rotations(step[:, :3]) @ self.rotation, self.shift + step[:, 3:6],
+        return Cameras(rotation_matrices(step[:, :3]) @ self.rotation, self.shift + step[:, 3:6],
                        self.focal * np.exp(np.clip(step[:, 6], -1.0, 1.0)),
                        self.middle + step[:, 7:])
 
@@ -526,7 +526,7 @@ def _grid_of_rotations(*, mirrored: bool) -> FloatArray:
     return grid
 
 
-def rotations(turn: FloatArray) -> FloatArray:
+def rotation_matrices(turn: FloatArray) -> FloatArray:
     """Return the rotations by vectors (s, 3), shape (s, 3, 3) (Rodrigues)."""
     angle = np.linalg.norm(turn, axis=1)[:, None, None]
     x, y, z = (turn / np.maximum(angle[:, 0], np.finfo(float).tiny)).T

@@ -16,9 +16,9 @@ from termsel.data.features import (
     IntArray,
     Lines,
     Points,
-    no_lines,
+    empty_lines,
 )
-from termsel.fitting.losses import SQUARES, figure
+from termsel.fitting.losses import SQUARES, rmse_like_figure
 from termsel.models.base import SensorModel
 from termsel.models.quotient import RationalModel, pole_margin
 
@@ -69,7 +69,7 @@ class Fits:
     pixels: float
     terms: BoolArray
     coefficients: FloatArray
-    lines: Lines = field(default_factory=no_lines)
+    lines: Lines = field(default_factory=empty_lines)
     parts: tuple[IndependentPart, ...] = ()
     used: BoolArray | None = None
     gene_of_term: IntArray | None = None
@@ -120,8 +120,9 @@ class Fits:
             control = control.take(~np.isin(np.arange(len(control)), features))
         with np.errstate(over="ignore", invalid="ignore"):
             image = self.model.predict(coefficients, control, ground[of_features])
-            return self._squares(image, self.model.denominators(coefficients, ground[of_features]),
-                                 features)
+            return self._squared_errors(image,
+                                        self.model.denominators(coefficients, ground[of_features]),
+                                        features)
 
     def held_out_each(self, coefficients: FloatArray) -> FloatArray:
         """Return squared errors of all control features, each held out from its solution.
@@ -156,7 +157,7 @@ class Fits:
                 linear = solutions @ (denominators - 1.0).transpose(1, 0, 2)
                 denominators = 1.0 + linear.transpose(1, 0, 2)
                 image = image / denominators
-            return self._squares(image, denominators, features)
+            return self._squared_errors(image, denominators, features)
 
     @cached_property
     def _vertices(self) -> tuple[IntArray, FloatArray]:
@@ -169,8 +170,8 @@ class Fits:
     def _image_lines(self) -> tuple[FloatArray, FloatArray]:
         return line_normals(self.lines)
 
-    def _squares(self, image: FloatArray, denominators: FloatArray | None,
-                 features: IntArray) -> FloatArray:
+    def _squared_errors(self, image: FloatArray, denominators: FloatArray | None,
+                        features: IntArray) -> FloatArray:
         """Return squared errors [px^2], (p, f), from image positions and denominators of vertices.
         """
         n = len(self.control)
@@ -207,8 +208,8 @@ class Fits:
         squares : ndarray, shape (p, n)
             As from `held_out`, of all control features.
         loss, threshold : str and float
-            As for `termsel.fitting.losses.figure`.
+            As for `termsel.fitting.losses.rmse_like_figure`.
         """
         # A point counts once, a line as often as it has vertices.
         errors = np.bincount(self._vertices[0]).astype(np.float64)
-        return figure(np.sqrt(squares / errors), self.in_use * errors, loss, threshold)
+        return rmse_like_figure(np.sqrt(squares / errors), self.in_use * errors, loss, threshold)

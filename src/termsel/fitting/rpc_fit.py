@@ -10,12 +10,12 @@ import numpy as np
 
 from termsel.core.errors import TermselError
 from termsel.data.coordinates.crs import WGS84, normalise, to_wgs84
-from termsel.data.coordinates.longitudes import nearest
+from termsel.data.coordinates.longitudes import nearest_longitudes
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, select
 from termsel.data.fingerprints import with_control_record
 from termsel.data.monomials import RPC00B
 from termsel.data.rpc import N_COEFFICIENTS, Rpc
-from termsel.data.scaling import scaling_of
+from termsel.data.scaling import make_scaling
 from termsel.fitting.fit import Fit
 from termsel.fitting.least_squares import fit
 from termsel.fitting.sky import part_said, refuse_sky
@@ -127,13 +127,13 @@ def closest_rpc(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcF
     rpc = declared = (model.as_rpc(fitted.adjustment.coefficients)
                       if isinstance(model, SensorModel) else None)
     if rpc is None and normalise(fitted.control.fit_crs or fitted.control.crs) in WGS84:
-        rpc = taken_over(fitted)
+        rpc = with_coefficients(fitted)
     if rpc is not None:
         control_ground, expected = _places_in_image(fitted, heights)
         if declared is not None and not len(control_ground):
             control_ground = fitted.control.ground_vertices()
             expected = fitted.project(control_ground)
-        worst, rms = _loss(rpc, convert(control_ground), expected)
+        worst, rms = _distance_from_model(rpc, convert(control_ground), expected)
         if worst <= (EXACT_PX if declared is None else GOOD):
             kind = "exact" if worst <= EXACT_PX else "its own"
             return RpcFit(rpc, kind, worst, rms, excluded_part)
@@ -145,7 +145,9 @@ def closest_rpc(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcF
     candidates = []
     for how, terms, ridge in _term_sets(fitted):
         rpc = _refit_rpc(image, ground, terms, ridge)
-        loss = (np.inf, np.inf) if _has_pole(rpc, ground) else _loss(rpc, ground_between, between)
+        loss = (np.inf, np.inf) if _has_pole(rpc, ground) else _distance_from_model(rpc,
+                                                                                    ground_between,
+                                                                                    between)
         candidates.append(RpcFit(rpc, how, *loss, excluded_part))
         if candidates[-1].worst <= GOOD:
             break
@@ -156,7 +158,7 @@ def closest_rpc(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcF
     return replace(best, heights=(low, high))
 
 
-def taken_over(fitted: Fit) -> Rpc | None:
+def with_coefficients(fitted: Fit) -> Rpc | None:
     """Return the RPC with the coefficients of a fit in longitude, latitude and height.
 
     None if its terms are not those of an RPC.
@@ -169,7 +171,7 @@ def taken_over(fitted: Fit) -> Rpc | None:
             continue
         # Each coefficient goes to its place in RPC00B order; one of both axes to both.
         term = Term.parse(name)
-        column = _column(term)
+        column = _column_of_term(term)
         if column is None:
             return None
         axis = slice(None) if term.axis == "both" else AXES.index(term.axis)
@@ -178,13 +180,13 @@ def taken_over(fitted: Fit) -> Rpc | None:
     lon, lat, height = scaling.ground_offset
     # Longitudes may go on beyond 180 degrees; an RPC's offset does not.
     return Rpc(image_offset=scaling.image_offset, image_scale=(scaling.image_scale,) * 2,
-               ground_offset=(float(nearest(np.array(lon), 0.0)), lat, height),
+               ground_offset=(float(nearest_longitudes(np.array(lon), 0.0)), lat, height),
                ground_scale=scaling.ground_scale,
                line_numerator=tuple(above[0]), line_denominator=tuple(below[0]),
                sample_numerator=tuple(above[1]), sample_denominator=tuple(below[1]))
 
 
-def _column(term: Term) -> int | None:
+def _column_of_term(term: Term) -> int | None:
     """Return the place of a term's coefficient in RPC00B order; None if an RPC has none."""
     if term.part not in ("numerator", "denominator") or isinstance(term.exponents, str):
         return None
@@ -196,7 +198,7 @@ def _term_sets(fitted: Fit) -> Iterator[tuple[str, BoolArray, float]]:
     """
     terms = [Term.parse(name) for name in RationalFunctions().terms]
     selected = [Term.parse(name) for name in select(fitted.model.terms, fitted.terms)]
-    if all(_column(term) is not None for term in selected):
+    if all(_column_of_term(term) is not None for term in selected):
         # A shared denominator becomes one each, as it is in an RPC.
         yield "the selected", np.array([term in selected or term.shared in selected
                                         for term in terms]), 0.0
@@ -263,7 +265,7 @@ def _refit_rpc(image: FloatArray, ground: FloatArray, terms: BoolArray, ridge: f
         terms = terms & np.array(["Z" not in Term.parse(name).column for name in model.terms])
     points = Points(tuple(map(str, range(len(image)))), image, ground)
     control = FeatureSet(points, crs="EPSG:4979")
-    rpc = taken_over(fit(model, control, scaling_of(control), terms))
+    rpc = with_coefficients(fit(model, control, make_scaling(control), terms))
     assert rpc is not None  # the terms are those of an RPC
     return rpc
 
@@ -277,7 +279,7 @@ def _has_pole(rpc: Rpc, ground: FloatArray) -> bool:
     return bool((below < _MIN_DENOMINATOR).any())
 
 
-def _loss(rpc: Rpc, ground: FloatArray, image: FloatArray) -> tuple[float, float]:
+def _distance_from_model(rpc: Rpc, ground: FloatArray, image: FloatArray) -> tuple[float, float]:
     """Return the largest distance [px] between RPC and model, and its root mean square."""
     if not len(ground):
         return float("inf"), float("inf")

@@ -29,7 +29,7 @@ def sensor_of(fitted: Fit) -> tuple[SensorFigure, ...]:
     figures = model.sensor_figures(coefficients)
     if not figures or not fitted.terms.all():
         return figures
-    ground = _box()
+    ground = _box_places()
     # A fit in roles has the coefficients of the one that it was made of, which knows their spread.
     original = fitted.original or fitted
     try:
@@ -38,7 +38,8 @@ def sensor_of(fitted: Fit) -> tuple[SensorFigure, ...]:
         return figures
     if factors is None:
         return figures
-    slopes = _differences(lambda values: model.project(values, ground).ravel(), coefficients)
+    slopes = _central_differences(
+        lambda values: model.project(values, ground).ravel(), coefficients)
     errors_at_places = factors.reshape(len(slopes), -1)
     is_seen = np.isfinite(slopes).all(axis=1) & np.isfinite(errors_at_places).all(axis=1)
     # Coefficients differ by magnitudes in how far they move the image.
@@ -48,7 +49,7 @@ def sensor_of(fitted: Fit) -> tuple[SensorFigure, ...]:
     errors = np.linalg.lstsq(slopes[is_seen] / lengths, errors_at_places[is_seen],
                              rcond=None)[0] / lengths[:, None]
     is_angle = np.array([figure.unit == "deg" for figure in figures])
-    derivatives = _differences(
+    derivatives = _central_differences(
         lambda values: np.array([figure.value for figure in model.sensor_figures(values)]),
         coefficients, np.where(is_angle, _TURN, np.inf))
     deviations = np.linalg.norm(derivatives @ errors, axis=1).tolist()
@@ -56,14 +57,14 @@ def sensor_of(fitted: Fit) -> tuple[SensorFigure, ...]:
                  for figure, deviation in zip(figures, deviations, strict=True))
 
 
-def _box() -> FloatArray:
+def _box_places() -> FloatArray:
     """Return places all over the box of the control, scaled, (m, 3)."""
     steps = np.linspace(-1.0, 1.0, _PLACES)
     return np.stack([axis.ravel() for axis in np.meshgrid(steps, steps, steps)], axis=1)
 
 
-def _differences(function: Callable[[FloatArray], FloatArray], values: FloatArray,
-                 period: FloatArray | float = np.inf) -> FloatArray:
+def _central_differences(function: Callable[[FloatArray], FloatArray], values: FloatArray,
+                         period: FloatArray | float = np.inf) -> FloatArray:
     """Return central differences (m, k) of a function of k values; angles may pass a full turn."""
     columns = []
     for step in _STEP * np.eye(len(values)):

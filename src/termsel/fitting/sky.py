@@ -79,7 +79,7 @@ def why_not_shown(fitted: Fit) -> str:
 def sky_said(fitted: Fit) -> str:
     """Return how much of the image is above the horizon; "" if nothing is."""
     share = float(sky_of(fitted, image_places(fitted)).mean())
-    return f"{_percent(share)} of the image is {SKY}" if share else ""
+    return f"{_percent_text(share)} of the image is {SKY}" if share else ""
 
 
 def part_said(fitted: Fit) -> str:
@@ -88,8 +88,8 @@ def part_said(fitted: Fit) -> str:
         return ""
     ground = ground_where_held(fitted, image_places(fitted), middle_height(fitted))
     share = float(np.isnan(ground[:, :2]).any(axis=1).mean())
-    return f"{_percent(share)} of the image is {why_not_shown(fitted)}" if share else ""
+    return f"{_percent_text(share)} of the image is {why_not_shown(fitted)}" if share else ""
 
 
-def _percent(share: float) -> str:
+def _percent_text(share: float) -> str:
     return f"about {max(100 * share, 1):.0f} %"

@@ -12,7 +12,8 @@ distribution with f degrees of freedom, whose variance is f / (f - 2). A spline 
 has a variance of its own, which is that of its own smoothness. From 20 points of a plane on they
 and polynomials are judged by fields of all (`termsel.fitting.local_courses`). To all others comes
 what the model does not fit (`termsel.fitting.misfit`). Where the control does not show what a
-height does, the effect of views in general is added (`termsel.fitting.extrapolation.by_heights`).
+height does, the effect of views in general is added
+(`termsel.fitting.extrapolation.variance_by_heights`).
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from termsel.adjustment.bayesian.posterior import Posterior, polynomial_posterio
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.solve import Adjustment
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
-from termsel.data.monomials import graded_exponents, monomials
+from termsel.data.monomials import evaluate_monomials, graded_exponents
 from termsel.models.base import SensorModel
 
 BELIEF_DEGREE = 3
@@ -122,7 +123,7 @@ def spread_of(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustm
         return _propagated_noise(model, control, terms, adjustment, ground)[0]
     if believed is None:
         believed = _belief_of_points(model, control, heights=with_heights)
-        return _unknown(len(ground)) if believed is None else believed.spread(ground, image)
+        return _is_unknown(len(ground)) if believed is None else believed.spread(ground, image)
     if not least_squares or model.polynomial_degree is not None:
         return believed.spread(ground, image)
     propagated, squares = _propagated_noise(model, control, terms, adjustment, ground)
@@ -302,7 +303,7 @@ class _Belief:
 
     def spread(self, ground: FloatArray, image: FloatArray) -> Spread:
         """Return the mean square errors of predictions at places."""
-        columns = _columns(ground, self.degree, self.variables)
+        columns = _column_names(ground, self.degree, self.variables)
         predicted = predict_positions(self.posterior, columns[:, :self.variables + 1],
                                       columns[:, self.variables + 1:])
         offsets = image - predicted.image
@@ -325,7 +326,7 @@ class _Belief:
 
     def residuals(self, points: Points) -> FloatArray:
         """Return measured minus believed of the control points, (n, 2)."""
-        columns = _columns(points.ground, self.degree, self.variables)
+        columns = _column_names(points.ground, self.degree, self.variables)
         free = self.variables + 1
         return points.image - predict_positions(self.posterior, columns[:, :free],
                                                 columns[:, free:]).image
@@ -339,11 +340,11 @@ class _Belief:
         return np.asarray((self.posterior.held_out.errors**2).sum(axis=1))
 
 
-def _columns(ground: FloatArray, degree: int, variables: int) -> FloatArray:
-    return monomials(ground, graded_exponents(degree, variables))
+def _column_names(ground: FloatArray, degree: int, variables: int) -> FloatArray:
+    return evaluate_monomials(ground, graded_exponents(degree, variables))
 
 
-def _unknown(count: int) -> Spread:
+def _is_unknown(count: int) -> Spread:
     return Spread(np.full((count, 2), np.nan), np.full(2, np.nan))
 
 
@@ -356,7 +357,7 @@ def _propagated_noise(model: SensorModel, control: FeatureSet, terms: BoolArray,
     are worse. Without redundancy both are unknown: NaN, and infinite.
     """
     if not adjustment.feasible or not adjustment.redundancy > 0:
-        return _unknown(len(ground)), np.full(len(control), np.inf)
+        return _is_unknown(len(ground)), np.full(len(control), np.inf)
     x = adjustment.coefficients
     equations = model.linearised(control, x) or model.equations(control)
     columns, right = equations.take(np.ones(len(equations.b), dtype=bool), terms).with_prior()

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
-from termsel.core.errors import TermselError, first_of
+from termsel.core.errors import TermselError, first_names_in_words
 from termsel.core.files.atomic import private_folder
-from termsel.core.files.names import is_open_pipe, is_there, no_such_file, refuse_pipe
-from termsel.core.isolation.arrays import returns
+from termsel.core.files.names import is_open_pipe, is_there, no_such_file_error, refuse_pipe
+from termsel.core.isolation.arrays import returns_type
 from termsel.core.isolation.calls import Check
 from termsel.core.options import Configurable, Option
 from termsel.data.features import FeatureSet
@@ -115,8 +115,9 @@ class Reader(Configurable, ABC):
 
     kind = "reader"
     guards: ClassVar[Mapping[str, Check | None]] = {
-        "sniff": _answer_fault, "read": returns(FeatureSet), "placed": returns(TermselError),
-        "parts": returns(dict)}
+        "sniff": _answer_fault, "read": returns_type(FeatureSet),
+        "placed": returns_type(TermselError),
+        "parts": returns_type(dict)}
 
     name: ClassVar[str]
     summary: ClassVar[str]
@@ -279,7 +280,8 @@ def image_of(path: Path, images: Iterable[_Image], asked_for: _Image | None, opt
         each = "" if any(isinstance(image, float) for image in names_in_file) else \
             ", or fit each with termsel compare --points FILE --out DIR"
         note = ", with their numbers of points" if has_counts else ""
-        raise TermselError(f"the file has points of the images {first_of(names)}{note}", file=path,
+        raise TermselError(f"the file has points of the images {first_names_in_words(names)}{note}",
+                           file=path,
                            hint=f"Choose one with --set {option}{each}.")
     return name
 
@@ -316,7 +318,7 @@ def read_data(path: Path) -> bytes:
                                hint="Split it. An image is given with --image, a DEM with --dem.")
         return path.read_bytes()
     except OSError as error:
-        raise _unreadable(path, error) from error
+        raise _unreadable_error(path, error) from error
 
 
 def parse_json(text: str, hint: str) -> Any:
@@ -356,7 +358,7 @@ def read_head(path: Path, expected: str) -> bytes:
         with path.open("rb") as file:
             head = file.read(_HEAD)
     except OSError as error:
-        raise _unreadable(path, error) from error
+        raise _unreadable_error(path, error) from error
     if not head.strip():
         raise TermselError("the file is empty", file=path, hint=expected)
     return head
@@ -385,7 +387,7 @@ def read_once(path: Path) -> Iterator[Path]:
                                    hint="Save its content to a file, and give that file.")
             copy.write_bytes(content)
         except OSError as error:
-            raise _unreadable(path, error) from error
+            raise _unreadable_error(path, error) from error
         try:
             yield copy
         except TermselError as error:
@@ -394,10 +396,10 @@ def read_once(path: Path) -> Iterator[Path]:
                                 Path(str(error.file).replace(str(copy), str(path)))) from error
 
 
-def _unreadable(path: Path, error: OSError) -> TermselError:
+def _unreadable_error(path: Path, error: OSError) -> TermselError:
     """Return the error for a file that does not exist or cannot be read."""
     if isinstance(error, FileNotFoundError):
-        return no_such_file(path)
+        return no_such_file_error(path)
     if is_there(path) and path.is_dir():
         return TermselError("this is a folder, expected a file", file=path,
                             hint="Give a file in it.")

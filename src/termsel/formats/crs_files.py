@@ -7,7 +7,7 @@ from pathlib import Path
 
 from termsel.core.errors import TermselError
 from termsel.core.files.names import is_there
-from termsel.data.coordinates.crs import normalise, short
+from termsel.data.coordinates.crs import normalise, short_crs_name
 from termsel.data.rasters import open_raster
 from termsel.formats.base import error_in_file, read_head, read_text
 from termsel.formats.readers.vector import is_vector, open_layer
@@ -55,8 +55,9 @@ def say_other_crs(path: Path, stated: str) -> None:
     except TermselError:
         return  # the user's word holds, whatever that file is
     if crs != stated:
-        log.warning("Warning: %s has the CRS %s, but --crs %s is used.", prj.name, short(crs),
-                    short(stated))
+        log.warning("Warning: %s has the CRS %s, but --crs %s is used.", prj.name,
+                    short_crs_name(crs),
+                    short_crs_name(stated))
 
 
 def _prj_next_to(path: Path) -> Path | None:
@@ -82,7 +83,7 @@ def _crs_of_file(path: Path) -> str:
             text = "" if crs is None else crs.to_wkt()
     if not text:
         raise TermselError("this file has no CRS", file=path, hint=_NO_CRS)
-    return _normalised_crs(path, text)
+    return _normalise_crs(path, text)
 
 
 def _crs_of_text(path: Path) -> str:
@@ -91,10 +92,10 @@ def _crs_of_text(path: Path) -> str:
     text = " ".join(read_text(path).split())
     if not text:
         raise TermselError("this file is empty, expected a CRS", file=path, hint=_NO_CRS)
-    return _normalised_crs(path, text)
+    return _normalise_crs(path, text)
 
 
-def _normalised_crs(path: Path, text: str) -> str:
+def _normalise_crs(path: Path, text: str) -> str:
     try:
         return normalise(text)
     except TermselError as error:

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from termsel.data.coordinates.metres import in_metres
+from termsel.data.coordinates.metres import offsets_in_metres
 from termsel.data.features import FeatureSet, FloatArray, Points
-from termsel.data.scaling import scaling_of
+from termsel.data.scaling import make_scaling
 from termsel.fitting.fit import Fit
 from termsel.fitting.least_squares import fit
 from termsel.fitting.sky import ground_where_held, image_places, middle_height, sky_said
@@ -53,7 +53,7 @@ def places_of(fitted: Fit, heights: tuple[float, float] | None = None) -> FloatA
     return np.asarray(ground[np.isfinite(ground[:, :2]).all(axis=1)])
 
 
-def by_splines(xy: FloatArray, image: FloatArray) -> Transformation:
+def fit_splines(xy: FloatArray, image: FloatArray) -> Transformation:
     """Return the thin plate spline from ground to image through GCPs (n, 2), as GDAL does."""
     from scipy.interpolate import RBFInterpolator
 
@@ -84,7 +84,7 @@ def say_deviation(name: str, fitted: Fit, ground: FloatArray, image: FloatArray,
     worst_ground = ground[finite][worst:worst + 1]
     # Where the model sees the pixel at which the file puts the worst position, at its height.
     moved = fitted.locate(image[finite][worst:worst + 1], worst_ground[:, 2])
-    metres = in_metres(fitted.control.crs, worst_ground, (moved - worst_ground)[:, :2])
+    metres = offsets_in_metres(fitted.control.crs, worst_ground, (moved - worst_ground)[:, :2])
     length = "" if metres is None or not np.isfinite(metres).all() \
         else f" ({_length_in_words(float(np.hypot(*metres[0])))} m on the ground)"
     is_close = distance[worst] <= MAX_SILENT_DEVIATION
@@ -159,19 +159,19 @@ def _transformation_of_gcps(key: str, xy: FloatArray, image: FloatArray,
     if not n or min(np.linalg.matrix_rank(at - at.mean(axis=0)) for at in (xy, image)) < 2:
         return None  # all on a line
     if key == "spline":
-        return by_splines(xy, image) if len(np.unique(xy, axis=0)) == n <= _SPLINED else None
+        return fit_splines(xy, image) if len(np.unique(xy, axis=0)) == n <= _SPLINED else None
     if key == "similarity":
-        return _similarity(xy, image)
+        return _fit_similarity(xy, image)
     if key == "projective":
-        return _projective(xy, image) if n >= 4 else None
+        return _fit_projective(xy, image) if n >= 4 else None
     # Heights of no meaning: GCPs above each other are not the same place.
     points = Points(tuple(map(str, range(n))), image, np.column_stack([xy, np.arange(float(n))]))
     gcps = FeatureSet(points, crs=crs)
-    fitted = fit(Polynomial2D(degree=int(key[-1])), gcps, scaling_of(gcps))
+    fitted = fit(Polynomial2D(degree=int(key[-1])), gcps, make_scaling(gcps))
     return fitted.project if fitted.determined else None
 
 
-def _similarity(xy: FloatArray, image: FloatArray) -> Transformation:
+def _fit_similarity(xy: FloatArray, image: FloatArray) -> Transformation:
     """Return the similarity that fits the ground to the image best on the ground, as in QGIS."""
     # A similarity is z -> a z + b of complex numbers: a and b that fit the ground best are those of
     # a straight line through both.
@@ -188,7 +188,7 @@ def _similarity(xy: FloatArray, image: FloatArray) -> Transformation:
     return project
 
 
-def _projective(xy: FloatArray, image: FloatArray) -> Transformation:
+def _fit_projective(xy: FloatArray, image: FloatArray) -> Transformation:
     """Return the projective transformation by the direct linear transformation of QGIS."""
     def normalised(points: FloatArray) -> tuple[FloatArray, FloatArray]:
         # Hartley (1997): the centre at 0 and the mean distance sqrt(2), else the system is

@@ -11,20 +11,27 @@ from typing import Any
 
 import numpy as np
 
-from termsel.core.errors import GIS, TermselError, first_of, printable, requires, rounded
-from termsel.data.coordinates.crs import LOCAL, UTM, horizontal, to_wgs84
-from termsel.data.coordinates.earth import degrees_of, in_words, place_of
-from termsel.data.coordinates.longitudes import nearest
+from termsel.core.errors import (
+    GIS,
+    TermselError,
+    first_names_in_words,
+    make_printable,
+    require_import,
+    rounded_size_text,
+)
+from termsel.data.coordinates.crs import LOCAL, UTM, horizontal_crs, to_wgs84
+from termsel.data.coordinates.earth import degrees_of, place_of, position_in_words
+from termsel.data.coordinates.longitudes import nearest_longitudes
 from termsel.data.coordinates.metres import height_unit
 from termsel.data.dem_difference import DemDifference, dem_difference
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
-from termsel.data.rasters import open_raster, positions, refuse_empty_giant
+from termsel.data.rasters import open_raster, pixel_positions, refuse_empty_giant
 from termsel.formats.readers.tables import VOID_HEIGHTS
 from termsel.formats.vertical import (
     Heights,
+    datum_in_words,
     metres_of_band,
     require_grid,
-    said,
     to_datum_of,
     with_declared_datum,
 )
@@ -99,7 +106,7 @@ class Dem:
     def covers(self, xy: FloatArray) -> BoolArray:
         """Return which of x and y, shape (n, 2), lie on the raster, with or without data."""
         x, y = self._raster_xy(xy)
-        position = positions(self.raster, x, y)
+        position = pixel_positions(self.raster, x, y)
         inside = (position >= -0.5) & (position <= np.array(self.raster.shape) - 0.5)
         return np.asarray(inside.all(axis=1))
 
@@ -121,12 +128,13 @@ class Dem:
         if self.turns:
             # Longitudes may count from -180 or from 0, so that the one nearest to the raster is
             # meant.
-            x = nearest(np.asarray(x), (self.raster.bounds.left + self.raster.bounds.right) / 2)
+            x = nearest_longitudes(np.asarray(x),
+                                   (self.raster.bounds.left + self.raster.bounds.right) / 2)
         return np.asarray(x), np.asarray(y)
 
     def _interpolate_heights(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return the raster's own heights at its x and y, (n,); NaN outside of it."""
-        position = positions(self.raster, x, y)
+        position = pixel_positions(self.raster, x, y)
         size = np.array(self.raster.shape)
         heights = np.full(len(position), np.nan)
         inside = np.flatnonzero(((position >= -0.5) & (position <= size - 0.5)).all(axis=1))
@@ -140,8 +148,8 @@ class Dem:
         for i in range(len(tiles)):
             members = order[bounds[i]:bounds[i + 1]]
             start = first[members].min(axis=0)
-            pixels = self._pixels(start, first[members].max(axis=0))
-            heights[inside[members]] = _bilinear(pixels, first[members] - start,
+            pixels = self._read_window(start, first[members].max(axis=0))
+            heights[inside[members]] = _interpolate_bilinear(pixels, first[members] - start,
                                               position[members] - first[members])
         return heights
 
@@ -158,7 +166,7 @@ class Dem:
         heights[~finite] = np.nan
         return heights.reshape(window.height, window.width)
 
-    def _pixels(self, first: Any, last: Any) -> FloatArray:
+    def _read_window(self, first: Any, last: Any) -> FloatArray:
         """Return the heights from one pixel to another, with one more row and column; NaN for none.
         """
         from rasterio.windows import Window
@@ -177,7 +185,7 @@ class Dem:
         return np.asarray(heights)
 
 
-def _bilinear(pixels: FloatArray, first: Any, share: FloatArray) -> FloatArray:
+def _interpolate_bilinear(pixels: FloatArray, first: Any, share: FloatArray) -> FloatArray:
     """Return heights (n,) at shares of a pixel, (n, 2), from the pixels `first`, (n, 2).
 
     Pixels without any weight may be NaN.
@@ -250,7 +258,7 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
                            hint="State the CRS of the ground coordinates instead of local.")
     with open_raster(path) as raster:
         refuse_empty_giant(raster)
-        with requires("heights require", "pyproj", GIS):
+        with require_import("heights require", "pyproj", GIS):
             from pyproj import CRS, Transformer
             from pyproj.exceptions import CRSError, ProjError
         # A raster without georeferencing has the identity, which would put pixels at degrees.
@@ -277,7 +285,7 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
             bounds = raster.bounds
             require_grid(to_datum, ((bounds.left + bounds.right) / 2,
                                     (bounds.bottom + bounds.top) / 2), path)
-        datum = said(raster_crs, to_datum is not None, crs)
+        datum = datum_in_words(raster_crs, to_datum is not None, crs)
         yield Dem(path, raster, to_raster, datum, turns=raster_crs.is_geographic, crs=crs,
                   unit=unit, to_datum=to_datum)
 
@@ -358,7 +366,7 @@ def difference_of(features: FeatureSet, surface: Dem) -> DemDifference | None:
     has_height = np.isfinite(ground[:, 2]) & ~np.isin(owners, list(off))
     unit = height_unit(features.crs)
     return dem_difference(ground[has_height, 2] * unit, surface(ground[has_height, :2]) * unit,
-                          printable(surface.path.name))
+                          make_printable(surface.path.name))
 
 
 def pixels_of(difference: DemDifference, features: FeatureSet, project: Projection) -> float:
@@ -383,7 +391,7 @@ def say_difference(features: FeatureSet, project: Projection, surface: Dem | flo
     Returns what was said, None where nothing contradicts them.
     """
     if not isinstance(surface, Dem):
-        caution = _far_height(features, project, surface)
+        caution = _far_height_note(features, project, surface)
     else:
         caution = None
         difference = difference_of(features, surface)
@@ -395,7 +403,8 @@ def say_difference(features: FeatureSet, project: Projection, surface: Dem | flo
     return caution
 
 
-def _far_height(features: FeatureSet, project: Projection, height: float) -> HeightCaution | None:
+def _far_height_note(features: FeatureSet, project: Projection,
+                     height: float) -> HeightCaution | None:
     """Return that a height is farther from the control's than these are from each other."""
     heights = features.ground_vertices()[:, 2]
     heights = heights[np.isfinite(heights)]
@@ -413,8 +422,10 @@ def _far_height(features: FeatureSet, project: Projection, height: float) -> Hei
         return None
     side = "above" if above > 0 else "below"
     return HeightCaution(
-        f"the height {height * unit:,.0f} m is {rounded(beyond * unit)} m {side} the control "
-        f"({lowest * unit:,.0f} to {highest * unit:,.0f} m): {rounded(pixels)} px in the image, "
+        f"the height {height * unit:,.0f} m is {rounded_size_text(beyond * unit)} m {side} the "
+        "control "
+        f"({lowest * unit:,.0f} to {highest * unit:,.0f} m): {rounded_size_text(pixels)} px in "
+        "the image, "
         "where the model was not tested. Give the height of the ground, in the unit of the "
         "control.", pixels)
 
@@ -431,10 +442,10 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
         is_outside = ~surface.covers(ground[still_unknown, :2])
         surface_extent = surface.extent()
         covers_some = surface.covers(ground[:, :2]).any()
-        elsewhere = "" if covers_some or not len(ground) else other_place(surface, features)
+        elsewhere = "" if covers_some or not len(ground) else where_raster_is(surface, features)
     if len(ground) and not unknown.any() and not covers_some:
         log.warning("Warning: the raster %s covers none of the features, which are around %s. %s",
-                    printable(dem.name), place_of(features), elsewhere)
+                    make_printable(dem.name), place_of(features), elsewhere)
     if still_unknown.any():
         n = len(features.points)
         owner = features.points.ids + tuple(np.repeat(features.lines.ids, 2))
@@ -445,7 +456,8 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
             error.hint = f"{elsewhere} {error.hint}"
         raise error
     n = len(features.points)
-    statement = (f"{unknown.sum()} of {len(ground)} heights from {printable(dem.name)}, bilinear; "
+    statement = (f"{unknown.sum()} of {len(ground)} heights from {make_printable(dem.name)}, "
+                 "bilinear; "
                  f"vertical datum: {datum}")
     # Where all heights are known there is nothing to say, image after image of a batch.
     if unknown.any():
@@ -457,15 +469,15 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
         lines=replace(features.lines, ground=ground[n:].reshape(-1, 2, 3)))
 
 
-def other_place(surface: Dem, features: FeatureSet) -> str:
+def where_raster_is(surface: Dem, features: FeatureSet) -> str:
     """Return where a raster is that covers no feature, and the zone of UTM in which it would."""
     from pyproj import CRS, Transformer
 
     middle = degrees_of(surface.crs, np.column_stack([surface.extent(), np.zeros(2)]))
     if middle is None:
         return "Is it of another place, or have x or y the wrong sign or CRS?"
-    place = f"The raster is around {in_words(middle)}"
-    stated = UTM.match(horizontal(features.crs))
+    place = f"The raster is around {position_in_words(middle)}"
+    stated = UTM.match(horizontal_crs(features.crs))
     if stated is None:
         return f"{place}: is it of another place, or have x or y the wrong sign or CRS?"
     xy = features.ground_vertices()[:, :2]
@@ -494,14 +506,15 @@ def _without_heights(names: Sequence[str], total: int, xy: FloatArray, extent: F
     """
     count = f"{len(names)} of {total} features"
     if not outside.any():
-        return TermselError(f"{count} are in areas without data: {first_of(names)}", file=dem,
+        return TermselError(f"{count} are in areas without data: {first_names_in_words(names)}",
+                            file=dem,
                             ids=names, hint="Fill the holes of the raster, or leave these "
                                             "features out: --off.")
     reason = "outside the raster" if outside.all() else \
         "outside the raster or in areas without data"
     vertices = np.array([xy.min(axis=0), xy.max(axis=0)])
     return TermselError(
-        f"{count} are {reason}: {first_of(names)}", file=dem, ids=names,
+        f"{count} are {reason}: {first_names_in_words(names)}", file=dem, ids=names,
         hint=f"The raster covers {_range_in_words(extent)}; these features are at "
              f"{_range_in_words(vertices)}. Give a raster of their area, or leave them out: --off.")
 
@@ -509,10 +522,10 @@ def _without_heights(names: Sequence[str], total: int, xy: FloatArray, extent: F
 def _range_in_words(corners: FloatArray) -> str:
     """Return the ranges of x and y between two corners, to four digits of the larger range."""
     return ", ".join(f"{axis} {low:.10g} to {high:.10g}" for axis, (low, high) in zip(
-        "xy", np.round(corners.T, _decimals(corners)).tolist(), strict=True))
+        "xy", np.round(corners.T, _decimals_of_side(corners)).tolist(), strict=True))
 
 
-def _decimals(corners: FloatArray) -> int:
+def _decimals_of_side(corners: FloatArray) -> int:
     """Return as many decimals as four digits of the smaller side need, and none for metres."""
     side = float(np.ptp(corners, axis=0).min())
     return max(0, 3 - int(np.floor(np.log10(side)))) if 0.0 < side < 1e3 else 0

@@ -157,28 +157,30 @@ def require_inside(features: FeatureSet, size: tuple[int, int] | None,
                 f"{last[1]:g}, and the image has {size[0]} lines and {size[1]} samples",
                 file=image, hint="Exchange them: --set swapped=line-sample. Or give the image in "
                                  "which the features were measured.")
-        raise other_image(size, f"but features extend to line {last[0]:g} and sample {last[1]:g}"
-                          f"{_few_outside(features, beyond)}", image, _off_of(features, beyond))
+        raise other_image_error(size,
+                                f"but features extend to line {last[0]:g} and sample {last[1]:g}"
+                                f"{_ids_if_few(features, beyond)}", image, _off_option(features,
+                                                                                       beyond))
     if before.any():
         remedy = "or take the image in which the features were measured."
         if before[:, 0].any():
             remedy = f"run again with --set image_origin=y-up or bottom-left, {remedy}"
         raise TermselError(
             f"features extend to line {first[0]:g} and sample {first[1]:g}, before the first "
-            f"pixel of the image{_few_outside(features, before)}", file=image,
+            f"pixel of the image{_ids_if_few(features, before)}", file=image,
             hint="Lines are counted downwards and samples to the right from the upper-left pixel: "
-                 f"correct them, {remedy}{_off_of(features, before)}")
+                 f"correct them, {remedy}{_off_option(features, before)}")
 
 
-def _off_of(features: FeatureSet, outside: BoolArray) -> str:
+def _off_option(features: FeatureSet, outside: BoolArray) -> str:
     """Return how the features outside are left out, if only a few are; else ""."""
-    ids = _few_outside(features, outside).removeprefix(": ")
+    ids = _ids_if_few(features, outside).removeprefix(": ")
     if not ids:
         return ""
     return f" Or leave {'them' if ',' in ids else 'it'} out: --off {ids.replace(', ', ',')}."
 
 
-def _few_outside(features: FeatureSet, outside: BoolArray) -> str:
+def _ids_if_few(features: FeatureSet, outside: BoolArray) -> str:
     """Return the ids of the features outside, if only a few are, a slip of the pen; else ""."""
     n = len(features.points)
     feature_of_vertex = np.concatenate([np.arange(n), n + np.repeat(features.lines.feature, 2)])
@@ -186,8 +188,8 @@ def _few_outside(features: FeatureSet, outside: BoolArray) -> str:
     return f": {', '.join(ids)}" if len(ids) <= min(MAX_NAMED, len(features) // 3) else ""
 
 
-def other_image(size: tuple[int, int], reason: str, image: Path | str | None,
-                hint: str = "") -> TermselError:
+def other_image_error(size: tuple[
+        int, int], reason: str, image: Path | str | None, hint: str = "") -> TermselError:
     """Return the error for an image that is not the one in which features were measured."""
     return TermselError(f"the image has {size[0]} lines and {size[1]} samples, {reason}",
                         file=image,

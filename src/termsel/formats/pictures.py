@@ -108,7 +108,7 @@ def picture_of(image: Path) -> Picture:
         thematic = _has_classes(image)
         # rasterio has no names of categories and no lookup tables.
         described = _band_descriptions(raster)
-        bands = tuple(_band(raster, number, element, thematic)
+        bands = tuple(_band_element(raster, number, element, thematic)
                       for number, element in zip(raster.indexes, described, strict=True))
         return Picture(raster.shape, image, bands, _has_own_mask(raster, image))
 
@@ -131,7 +131,7 @@ def _text_of_vrt(raster: Any) -> str:
         return str(memory.read().decode("utf-8", errors="replace"))
 
 
-def _band(raster: Any, number: int, element: ElementTree.Element, thematic: bool) -> Band:
+def _band_element(raster: Any, number: int, element: ElementTree.Element, thematic: bool) -> Band:
     """Return the description of one band for a VRT."""
     def text_of(name: str, default: str) -> str:
         return element.findtext(name) or default
@@ -153,12 +153,13 @@ def _used_colours(entries: Sequence[ElementTree.Element]) -> tuple[Colour, ...]:
     """Return the colours up to the last one in use: of black entries at the end, one remains."""
     # GDAL fills a table up to 256 entries, mostly with black. The first of these may be meant.
     used = len(entries)
-    while used > 1 and _colour(entries[used - 2]) == _colour(entries[used - 1]) == _BLACK:
+    while used > 1 and _colour_entry(
+            entries[used - 2]) == _colour_entry(entries[used - 1]) == _BLACK:
         used -= 1
-    return tuple(_colour(entry) for entry in entries[:used])
+    return tuple(_colour_entry(entry) for entry in entries[:used])
 
 
-def _colour(entry: ElementTree.Element) -> Colour:
+def _colour_entry(entry: ElementTree.Element) -> Colour:
     red, green, blue, alpha = (int(entry.get(f"c{component}", "255")) for component in (1, 2, 3, 4))
     return red, green, blue, alpha
 
@@ -189,7 +190,7 @@ def _has_own_mask(raster: Any, image: Path) -> bool:
                                 for kinds in flags)
 
 
-def expanded(picture: Picture) -> Picture:
+def expand_colours(picture: Picture) -> Picture:
     """Return a picture with the colours of tables instead of indices: grey, or red, green, blue.
 
     Colours that are not opaque become alpha, and so does an index for no data.

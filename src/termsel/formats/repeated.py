@@ -9,7 +9,7 @@ from contextvars import ContextVar
 
 import numpy as np
 
-from termsel.core.errors import TermselError, counted
+from termsel.core.errors import TermselError, count_in_words
 from termsel.core.options import Option
 from termsel.data.features import FloatArray, IntArray
 from termsel.data.tables.tabular import places_in_words, repeated_places
@@ -27,7 +27,7 @@ _averaging: ContextVar[bool] = ContextVar("averaging", default=False)
 
 
 @contextmanager
-def averaging(choice: str | None) -> Iterator[None]:
+def average_while_reading(choice: str | None) -> Iterator[None]:
     """Average the repeated points of tables read during the block, if that is the choice."""
     before = _averaging.set(REPEATED.parse(choice) == AVERAGE if choice else False)
     try:
@@ -41,8 +41,9 @@ def is_averaging() -> bool:
     return _averaging.get()
 
 
-def averaged(ids: Sequence[str], image: FloatArray, ground: FloatArray, sigma: FloatArray | None,
-             roles: Sequence[str]) -> tuple[IntArray, FloatArray, FloatArray | None]:
+def average_repeated(ids: Sequence[str], image: FloatArray, ground: FloatArray,
+                     sigma: FloatArray | None,
+                     roles: Sequence[str]) -> tuple[IntArray, FloatArray, FloatArray | None]:
     """Return the first row of each place (m,), its mean image position and standard deviations.
 
     The means are (n, 2), and so are the deviations, which are None without `sigma`. Rows with the
@@ -84,5 +85,6 @@ def _log_averaged_rows(ids: Sequence[str], image: FloatArray, means: FloatArray,
     remainder = f" and {len(repeated) - 5} more" if len(repeated) > 5 else ""
     verb = "is" if len(repeated) == 1 else "are"
     log.warning("Note: %s measured more than once %s averaged: %s%s. They are up to %.3g px "
-                "from their means.", counted(len(repeated), "point"), verb, "; ".join(groups),
+                "from their means.", count_in_words(
+                    len(repeated), "point"), verb, "; ".join(groups),
                 remainder, max(distances))

@@ -57,7 +57,7 @@ def control_lines(rpc: Rpc) -> list[str]:
     return lines
 
 
-def marked_error(error: float, count: int) -> float:
+def mark_error(error: float, count: int) -> float:
     """Return a stated error with digits that say how many control features an RPC was fitted to.
 
     As it is for a vendor's RPC, whose count is 0.
@@ -71,7 +71,7 @@ def marked_error(error: float, count: int) -> float:
 
 def read_errors(bias: float | None, random: float | None,
                 ) -> tuple[float | None, float | None, int]:
-    """Return stated errors without the mark of `marked_error`, and the count that it had.
+    """Return stated errors without the mark of `mark_error`, and the count that it had.
 
     The count is 0, and the errors are as they are, where not both have the mark and one count.
     """

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from termsel.core.errors import TermselError, counted
+from termsel.core.errors import TermselError, count_in_words
 from termsel.core.files.atomic import write_text
 from termsel.core.files.names import is_there
 from termsel.data.features import FeatureSet
@@ -22,7 +22,7 @@ from termsel.formats.base import error_in_file, is_utf16, read_data, read_head, 
 from termsel.formats.rpc_control import (
     control_group,
     control_lines,
-    marked_error,
+    mark_error,
     read_errors,
     with_control,
 )
@@ -126,7 +126,7 @@ def has_rpc(image: Path | str) -> bool:
         return bool(raster.tags(ns="RPC"))
 
 
-def delivered_rpc(image: Path | str) -> Rpc | None:
+def read_delivered_rpc(image: Path | str) -> Rpc | None:
     """Return the RPC that an image came with, inside it or next to it; None without one.
 
     One that termsel fitted to control points, and that was exported next to the image, is none: its
@@ -146,7 +146,8 @@ def delivered_rpc(image: Path | str) -> Rpc | None:
     delivered = next((other for other in beside.values() if not other.control_count), None)
     instead = "" if delivered is None else f" That of {delivered.source} is used."
     log.warning("Note: the RPC of %s was fitted by termsel to %s, and is not used as the "
-                "vendor's.%s", exported, counted(rpc.control_count, "control feature"), instead
+                "vendor's.%s", exported, count_in_words(
+                    rpc.control_count, "control feature"), instead
                 or f" To use it with other points: --rpc {path.with_name(exported)}")
     return delivered
 
@@ -201,7 +202,8 @@ def with_rpc(features: FeatureSet, rpc: Rpc | Path | str,
 def note_use(rpc: Rpc) -> None:
     """Say that an RPC which termsel fitted is used as a vendor's."""
     log.warning("Note: the RPC of %s was fitted by termsel to %s, and is used as a vendor's, "
-                "as it is named.%s", rpc.source, counted(rpc.control_count, "control feature"),
+                "as it is named.%s", rpc.source, count_in_words(
+                    rpc.control_count, "control feature"),
                 " Only some of them are recognised: none of them may be given with it."
                 if is_cut(rpc) else "")
 
@@ -219,7 +221,7 @@ def _rpc_of_head(path: Path, head: bytes, rpc_name: str) -> Rpc:
     if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
         return _rpc_from_xml(path, rpc_name)
     text = read_text(path)
-    entries = {name: (value, line) for name, value, line in _entries(text)}
+    entries = {name: (value, line) for name, value, line in _parse_entries(text)}
     gdal_names = {rpb: name for name, rpb in (RPB_NAMES | ERROR_NAMES).items()}
     items = {}
     for name, (value, line) in entries.items():
@@ -308,7 +310,7 @@ _TRACES = re.compile(
 """What little else than an RPC has."""
 
 
-def _entries(text: str) -> Iterator[tuple[str, str, int]]:
+def _parse_entries(text: str) -> Iterator[tuple[str, str, int]]:
     """Yield name, value and line of the entries of an RPB or a _RPC.TXT."""
     closed = text.rfind(")")  # looked for once, as many may be open
     line, counted, at = 1, 0, 0
@@ -362,10 +364,10 @@ def from_items(items: Mapping[str, str]) -> Rpc:
         line_denominator=coefficients_of("LINE_DEN_COEFF"),
         sample_numerator=coefficients_of("SAMP_NUM_COEFF"),
         sample_denominator=coefficients_of("SAMP_DEN_COEFF"),
-        error_bias=_known_error(bias), error_random=_known_error(random), control_count=count)
+        error_bias=_error_or_none(bias), error_random=_error_or_none(random), control_count=count)
 
 
-def _known_error(error: float | None) -> float | None:
+def _error_or_none(error: float | None) -> float | None:
     """Return a stated error; None for a negative one, which stands for one that is not known."""
     return None if error is None or error < 0.0 else error
 
@@ -410,7 +412,8 @@ def _rpc_from_xml(path: Path, name: str) -> Rpc:
             further |= entries
     if not items:
         digital_globe = {rpb.upper(): name for name, rpb in (RPB_NAMES | ERROR_NAMES).items()}
-        items = {digital_globe[name]: text for name, text in _texts(root) if name in digital_globe}
+        items = {digital_globe[name]: text for name, text in _entry_texts(root)
+                 if name in digital_globe}
     if not items:
         raise _error_for_unknown_form(path, content.decode("utf-8", errors="replace"), root.tag)
     return with_control(from_items(items), further)
@@ -452,7 +455,7 @@ def _rpc_from_dimap(root: ElementTree.Element) -> Rpc:
         raise TermselError("this DIMAP file does not state the first column of its image",
                            hint="Expected FIRST_COL in ImagetoGround_Validity_Domain, as in the "
                                 "RPC_*.XML that came with the image.")
-    items = dict(_texts(domain)) | dict(_texts(values))
+    items = dict(_entry_texts(domain)) | dict(_entry_texts(values))
     origin = _number_of_item(first, "FIRST_COL")
     for name in ("LINE_OFF", "SAMP_OFF"):
         if name in items:
@@ -461,7 +464,7 @@ def _rpc_from_dimap(root: ElementTree.Element) -> Rpc:
     return from_items({name: text for name, text in items.items() if name not in ERROR_NAMES})
 
 
-def _texts(element: ElementTree.Element) -> Iterator[tuple[str, str]]:
+def _entry_texts(element: ElementTree.Element) -> Iterator[tuple[str, str]]:
     for descendant in element.iter():
         if descendant.text and descendant.text.strip():
             yield descendant.tag, descendant.text
@@ -541,6 +544,6 @@ def _values_by_gdal_name(rpc: Rpc) -> dict[str, float | tuple[float, ...]]:
     values = (line, sample, lat, lon, height, line_scale, sample_scale, lat_scale, lon_scale,
               height_scale, rpc.line_numerator, rpc.line_denominator, rpc.sample_numerator,
               rpc.sample_denominator)
-    errors = (marked_error(_UNKNOWN if error is None else error, rpc.control_count)
+    errors = (mark_error(_UNKNOWN if error is None else error, rpc.control_count)
               for error in (rpc.error_bias, rpc.error_random))
     return dict(zip((*ERROR_NAMES, *RPB_NAMES), (*errors, *values), strict=True))

@@ -48,7 +48,7 @@ _UNKNOWN_VALUES = ("none", "null", "~", "")
 def rpcs_of_tree(tree: object) -> dict[str, Items]:
     """Return the RPCs in nested dictionaries, each by the name that they have there."""
     rpcs: dict[str, Items] = {}
-    for path, values in _dictionaries(tree, ()):
+    for path, values in _find_dictionaries(tree, ()):
         items = _items_by_gdal_name(values)
         if items.keys() >= _IS_RPC:
             # The nearest key above that says more than "rpc" names the image or band.
@@ -170,8 +170,8 @@ def _whole_lines(text: str) -> Iterator[str]:
         yield " ".join(joined)
 
 
-def _dictionaries(tree: object, path: tuple[str, ...],
-                  ) -> Iterator[tuple[tuple[str, ...], dict[str, Any]]]:
+def _find_dictionaries(tree: object, path: tuple[str, ...],
+                       ) -> Iterator[tuple[tuple[str, ...], dict[str, Any]]]:
     """Yield the dictionaries of a tree, with the keys that lead to them."""
     # A file can nest without end and still be small.
     if len(path) > DEEPEST:
@@ -180,11 +180,11 @@ def _dictionaries(tree: object, path: tuple[str, ...],
     if isinstance(tree, dict):
         yield path, tree
         for key, value in tree.items():
-            yield from _dictionaries(value, (*path, str(key)))
+            yield from _find_dictionaries(value, (*path, str(key)))
     elif isinstance(tree, list):
         for number, value in enumerate(tree):
             if isinstance(value, dict | list):
-                yield from _dictionaries(value, (*path, str(number)))
+                yield from _find_dictionaries(value, (*path, str(number)))
 
 
 def _items_by_gdal_name(values: Mapping[str, Any]) -> Items:

@@ -17,7 +17,7 @@ _GROUND = [1, 0, 2]  # y, x, z
 _IMAGE = [1, 0]  # sample, line
 
 
-def exchanged_back(features: FeatureSet, choice: str | None) -> FeatureSet:
+def exchange_back(features: FeatureSet, choice: str | None) -> FeatureSet:
     """Return features with the coordinates exchanged that their file has the other way round.
 
     Parameters
@@ -33,7 +33,7 @@ def exchanged_back(features: FeatureSet, choice: str | None) -> FeatureSet:
     >>> import termsel
     >>> points = termsel.Points(["A"], image=[[10.0, 20.0]], ground=[[5.8e6, 4.4e5, 0.0]])
     >>> features = termsel.FeatureSet(points=points, crs="EPSG:32633")
-    >>> exchanged_back(features, "xy").points.ground.tolist()
+    >>> exchange_back(features, "xy").points.ground.tolist()
     [[440000.0, 5800000.0, 0.0]]
     """
     if choice is None:

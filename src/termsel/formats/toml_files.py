@@ -66,7 +66,7 @@ def read_toml(file: Path, kind: str, hint: str) -> tuple[dict[str, Any], str]:
         line, column = numbers if len(numbers) == 2 else (text.count("\n") + 1, None)
         # A list that never ends is said where it begins, not where the file ends.
         if reason == "Unclosed array":
-            line, column = _opening(text), None
+            line, column = _opening_line(text), None
             reason = "the list that begins here has no closing bracket"
         reason = _IN_WORDS.get(reason, reason)
         twice = _TWICE.match(reason)
@@ -77,7 +77,7 @@ def read_toml(file: Path, kind: str, hint: str) -> tuple[dict[str, Any], str]:
                            column=column, hint=hint) from error
     except (RecursionError, ValueError) as error:  # lists in lists, numbers of 20,000 digits
         raise endless from error
-    for key, value in _values(table, endless):
+    for key, value in _values_of_table(table, endless):
         if isinstance(value, str) and "\0" in value:
             raise TermselError(f"this is not {kind}: the text of {key!r:.60} has a NUL character",
                                file=file, hint=hint)
@@ -87,7 +87,7 @@ def read_toml(file: Path, kind: str, hint: str) -> tuple[dict[str, Any], str]:
     return table, text
 
 
-def _opening(text: str) -> int:
+def _opening_line(text: str) -> int:
     """Return the last line, from 1, that opens more brackets than it closes."""
     lines = text.splitlines()
     unclosed = [number for number, line in enumerate(lines, 1)
@@ -95,7 +95,7 @@ def _opening(text: str) -> int:
     return unclosed[-1] if unclosed else len(lines)
 
 
-def _values(table: Mapping[str, Any], endless: TermselError) -> Iterator[tuple[str, Any]]:
+def _values_of_table(table: Mapping[str, Any], endless: TermselError) -> Iterator[tuple[str, Any]]:
     """Yield keys and all else within a table, each with the key that it is under."""
     pending: list[tuple[str, Any, int]] = [("", table, 0)]
     # A stack, not recursion, which a file could exhaust.

@@ -14,8 +14,8 @@ import numpy as np
 from termsel.core.errors import TermselError
 from termsel.data.coordinates.crs import (
     height_reference,
-    short,
-    transformation,
+    short_crs_name,
+    transformation_between,
     vertical_datum,
 )
 from termsel.data.coordinates.height_units import (
@@ -139,8 +139,8 @@ def to_datum_of(crs: str, raster_crs: CRS, path: Path) -> Heights | None:
     if not datum or _surface_of_heights(raster_crs) == _surface_of_heights(control):
         return None
     try:
-        convert = transformation(with_height_unit(raster_crs.to_wkt(), METRE),
-                                 with_height_unit(crs, METRE), strict=False)
+        convert = transformation_between(with_height_unit(raster_crs.to_wkt(), METRE),
+                                         with_height_unit(crs, METRE), strict=False)
     except TermselError as error:
         reason = error.what.partition(": ")[2] or error.what
         raise TermselError(
@@ -277,9 +277,9 @@ def _vertical_names() -> dict[str, str]:
     return codes
 
 
-def said(raster_crs: CRS, converted: bool, crs: str) -> str:
+def datum_in_words(raster_crs: CRS, converted: bool, crs: str) -> str:
     """Return the vertical datum of a raster in words, and the one it was converted to."""
     datum = vertical_datum(raster_crs)
     if not datum:
         return UNDECLARED
-    return f"{datum}, converted to that of {short(crs)}" if converted else datum
+    return f"{datum}, converted to that of {short_crs_name(crs)}" if converted else datum

@@ -15,7 +15,7 @@ from termsel.core.options import Option
 from termsel.data.features import Points
 from termsel.data.georeferenced import warn_of_map
 from termsel.data.rasters import gdal_name
-from termsel.formats.image_origin import other_image, require_inside
+from termsel.formats.image_origin import other_image_error, require_inside
 from termsel.formats.pictures import Band, Picture, picture_of
 from termsel.results.result import Result
 
@@ -47,7 +47,8 @@ def picture_for(result: Result, image: Path | str | None) -> Picture:
     # Lines and samples of another size are of another image, or of a resampled one.
     if size_of_features is not None and picture.size != size_of_features:
         lines, samples = size_of_features
-        raise other_image(picture.size, f"the image of the result {lines} and {samples}", image)
+        raise other_image_error(
+            picture.size, f"the image of the result {lines} and {samples}", image)
     require_inside(result.features, picture.size, image)
     warn_of_map(result.features, image)
     return picture
@@ -101,7 +102,7 @@ def vrt_text(
 def _name_in_vrt(image: Path, folder: Path) -> str:
     """Return the name of an image as seen from the folder of a VRT, if that can hold it."""
     # What is in an archive has no way from a folder.
-    name = str(gdal_name(image)) if str(image).startswith("/vsi") else relative(image, folder)
+    name = str(gdal_name(image)) if str(image).startswith("/vsi") else relative_name(image, folder)
     if not is_xml_text(name):
         raise TermselError("the name of this image has control characters, or is not UTF-8, which "
                            "no virtual raster can represent", file=image, hint="Rename it.")
@@ -147,7 +148,7 @@ def _pixels_of(name: str, number: str, size: tuple[int, int], lookup: Sequence[i
         f"    </{kind}>"]
 
 
-def relative(path: Path, folder: Path) -> str:
+def relative_name(path: Path, folder: Path) -> str:
     """Return the name of a file as seen from a folder; absolute if it is on another drive."""
     # A file that is a link is named itself: the other's name may be one that GDAL does not take.
     file = path.parent.resolve() / path.name

@@ -14,7 +14,7 @@ from termsel.data.coordinates.crs import (
     LOCAL,
     height_axis_unit,
     metres_per_unit,
-    short,
+    short_crs_name,
     to_wgs84,
 )
 from termsel.data.coordinates.height_units import (
@@ -68,15 +68,16 @@ def with_z_unit(features: FeatureSet, stated: str | None, dem: Path | None = Non
     if not is_unit_open(features.crs) or not np.nan_to_num(heights).any():
         return features
     if "z" in features.kilometres:
-        return _in_unit(features, METRE, "as its column is in kilometres by its name")
+        return _heights_in_unit(features, METRE, "as its column is in kilometres by its name")
     in_feet = str(unit_of_plane(features.crs))
     units = (in_feet, METRE)
     if dem is not None and (unit := _unit_by_dem(features, units, dem)):
-        return _in_unit(features, unit, "as the DEM says")
+        return _heights_in_unit(features, unit, "as the DEM says")
     if features.rpc is not None and (unit := _unit_by_rpc(features, units, features.rpc)):
-        return _in_unit(features, unit, "as the RPC says")
+        return _heights_in_unit(features, unit, "as the RPC says")
     raise TermselError(
-        f"z may be in {WORDS[in_feet]}, as x and y in {short(features.crs)} are, or in metres",
+        f"z may be in {WORDS[in_feet]}, as x and y in {short_crs_name(features.crs)} are, or in "
+        "metres",
         hint=f"State it: --set z_unit={in_feet} or --set z_unit={METRE}.")
 
 
@@ -93,7 +94,8 @@ def refuse_kilometres(axes: str, crs: str) -> None:
         if size not in (None, 1.0):
             unit = unit_of_size(float(size))
             raise TermselError(
-                f"{axis} is in kilometres by the name of its column, and {short(crs)} is in "
+                f"{axis} is in kilometres by the name of its column, and {short_crs_name(crs)} is "
+                "in "
                 f"{WORDS.get(str(unit), 'another unit')}", hint="Give the coordinates in the unit "
                 "of the CRS, or transform them to a CRS in metres.")
 
@@ -110,15 +112,15 @@ def _convert_to_asked_unit(features: FeatureSet, stated: str) -> FeatureSet:
     if "z" in features.kilometres and unit != METRE:
         raise TermselError("z is in kilometres by the name of its column, and z_unit says "
                            f"{WORDS[unit]}", hint="Leave z_unit out, or correct the name.")
-    return _in_unit(features, unit, "as stated")
+    return _heights_in_unit(features, unit, "as stated")
 
 
-def _in_unit(features: FeatureSet, unit: str, why: str) -> FeatureSet:
+def _heights_in_unit(features: FeatureSet, unit: str, why: str) -> FeatureSet:
     return replace(features, crs=with_height_unit(features.crs, unit),
                    z_unit=f"{WORDS[unit]}, {why}")
 
 
-def _telling(features: FeatureSet) -> FeatureSet:
+def _points_that_tell(features: FeatureSet) -> FeatureSet:
     """Return the points with a height, but those that are off or independent."""
     points = features.points
     # Of lines all vertices count; roles are of points alone.
@@ -132,7 +134,7 @@ def _unit_by_dem(features: FeatureSet, units: tuple[str, ...], dem: Path) -> str
 
     None if the DEM does not decide between them.
     """
-    ground = _telling(features).ground_vertices()
+    ground = _points_that_tell(features).ground_vertices()
     ground = ground[np.isfinite(ground[:, 2])]
     with open_dem(dem, with_height_unit(features.crs, METRE)) as surface:
         surface_heights = surface(ground[:, :2])
@@ -142,7 +144,8 @@ def _unit_by_dem(features: FeatureSet, units: tuple[str, ...], dem: Path) -> str
     if not on_dem.any():
         return None
     if on_dem.sum() >= _TELLING:
-        return _clearly_smallest({unit: _scatter(over) for unit, over in differences.items()})
+        return _clearly_smallest(
+            {unit: _median_scatter(over) for unit, over in differences.items()})
     # Of few points only distances beyond that of any geoid show a unit.
     distance = {unit: float(np.median(np.abs(over))) for unit, over in differences.items()}
     return _clearly_smallest(distance) if max(distance.values()) > _MAX_GEOID_HEIGHT else None
@@ -150,7 +153,7 @@ def _unit_by_dem(features: FeatureSet, units: tuple[str, ...], dem: Path) -> str
 
 def _unit_by_rpc(features: FeatureSet, units: tuple[str, ...], rpc: Rpc) -> str | None:
     """Return the unit in which an RPC sees or covers the points, but for a shift; None if open."""
-    points = _telling(features).points
+    points = _points_that_tell(features).points
     if not len(points):
         return None
     scatter: dict[str, float] = {}
@@ -158,7 +161,7 @@ def _unit_by_rpc(features: FeatureSet, units: tuple[str, ...], rpc: Rpc) -> str 
     for unit in units:
         ground = to_wgs84(with_height_unit(features.crs, unit))(points.ground)
         with np.errstate(all="ignore"):
-            scatter[unit] = _scatter(rpc.project(ground) - points.image)
+            scatter[unit] = _median_scatter(rpc.project(ground) - points.image)
         # In wrong units most heights are outside of the range that the RPC was made for.
         above = np.abs(ground[:, 2] - rpc.ground_offset[2])
         covered[unit] = float((above <= _WITHIN * abs(rpc.ground_scale[2])).mean())
@@ -169,7 +172,7 @@ def _unit_by_rpc(features: FeatureSet, units: tuple[str, ...], rpc: Rpc) -> str 
     return best if covered[best] >= _MOST_HEIGHTS and covered[second] <= _FEW_HEIGHTS else None
 
 
-def _scatter(values: FloatArray) -> float:
+def _median_scatter(values: FloatArray) -> float:
     """Return the median distance from the median of values (n,) or of vectors (n, 2)."""
     away = values - np.median(values, axis=0)
     return float(np.median(np.abs(away) if away.ndim == 1 else np.linalg.norm(away, axis=1)))

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
-from termsel.core.errors import counted
+from termsel.core.errors import count_in_words
 from termsel.core.version import __version__
 from termsel.fitting.accuracy import pixel_on_ground
 from termsel.formats.heights import HeightCaution
-from termsel.results.accuracy import are_computed, expected_of, lattice_of, predicted_first
+from termsel.results.accuracy import are_computed, expected_rmse, is_prediction_surer, lattice_of
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
@@ -66,7 +66,7 @@ def prediction_of(result: Result) -> Prediction | None:
     Of points that were computed, or are a lattice, none is known: nothing shows how well the image
     was measured.
     """
-    expected = expected_of(result)
+    expected = expected_rmse(result)
     if expected is None or are_computed(result) or lattice_of(result) is not None:
         return None
     points = len(result.fit.control.points)
@@ -76,10 +76,10 @@ def prediction_of(result: Result) -> Prediction | None:
                  "its control and ties"
     elif result.strategy is not None:
         method = (f"by cross-validation: the whole choice of the model was repeated "
-                  f"{counted(result.strategy.folds, 'time')} without some of the "
-                  f"{counted(points, 'control point')}, and predicted those")
+                  f"{count_in_words(result.strategy.folds, 'time')} without some of the "
+                  f"{count_in_words(points, 'control point')}, and predicted those")
     else:
-        method = f"by cross-validation of {counted(points, 'control point')}"
+        method = f"by cross-validation of {count_in_words(points, 'control point')}"
     return Prediction(expected.rmse, expected.low, expected.high, expected.level,
                       pixel=pixel_on_ground(result.fit), method=method, points=points)
 
@@ -100,7 +100,7 @@ def accuracy_tags(result: Result, heights: HeightCaution | None = None) -> dict[
     tags = {"TIFFTAG_SOFTWARE": f"termsel {__version__}", "ACCURACY_DATE": f"{written_at:%Y-%m-%d}",
             "TIFFTAG_DATETIME": f"{written_at:%Y:%m:%d %H:%M:%S}"}
     accuracy = result.accuracy
-    expected = expected_of(result)
+    expected = expected_rmse(result)
     if far := next((note for note in result.notes if note.startswith("Extrapolation: ")), ""):
         tags["ACCURACY_CAUTION"] = far
     if heights is not None:
@@ -117,12 +117,13 @@ def accuracy_tags(result: Result, heights: HeightCaution | None = None) -> dict[
     if accuracy is None:
         tags["ACCURACY_STATED"] = "no: the result has no independent check points" + (
             f"; {predicted}" if predicted else "")
-        return tags | _predicted_tags(prediction_of(result))
+        return tags | _tags_of_prediction(prediction_of(result))
     stated = "by independent check points, used in no choice" + (
         f" of this run; an earlier result showed {accuracy.spent_count} of them"
         if accuracy.spent_count else "")
     # As in the summary, the surer of both figures is said first.
-    tags["ACCURACY_STATED"] = f"{predicted}; below {stated}" if predicted_first(result) else stated
+    tags["ACCURACY_STATED"] = \
+        f"{predicted}; below {stated}" if is_prediction_surer(result) else stated
     tags["ACCURACY_POINTS"] = str(accuracy.image.n)
     low, high = accuracy.image.interval
     tags["ACCURACY_RMSE_PX_INTERVAL"] = f"{low:.4g} to {high:.4g} (90 %)"
@@ -134,7 +135,7 @@ def accuracy_tags(result: Result, heights: HeightCaution | None = None) -> dict[
     return tags
 
 
-def _predicted_tags(prediction: Prediction | None) -> dict[str, str]:
+def _tags_of_prediction(prediction: Prediction | None) -> dict[str, str]:
     """Return tags of a predicted accuracy, with the way in which it was found."""
     if prediction is None:
         return {}

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from termsel.core.files.atomic import new_folder, write_text
-from termsel.data.coordinates.crs import transformation
+from termsel.data.coordinates.crs import transformation_between
 from termsel.data.features import FloatArray, Lines, Points
 from termsel.data.rasters import require_rasterio, tiff_bytes
 from termsel.formats.readers.csv_tables import table_text, write_lines_csv, write_points_csv
@@ -23,9 +23,9 @@ from termsel.simulate.example import (
     MAP_CRS,
     SENSOR,
     SIZE,
-    corners,
+    example_terrain,
+    ground_of_corners,
     picture_and_points,
-    terrain,
 )
 from termsel.simulate.kept import kept_features, kept_text
 from termsel.simulate.scenes import scene_truth
@@ -74,23 +74,23 @@ def write_example(folder: Path) -> None:
     Raises TermselError if the folder exists or cannot be written; without the extra ``gis``.
     """
     require_rasterio()
-    to_map = transformation(CRS, MAP_CRS)
+    to_map = transformation_between(CRS, MAP_CRS)
     # A new folder as a whole: half an example would fail in the middle of a tutorial.
     with new_folder(folder) as new:
-        points = _scene(new)
-        _other_forms(new, points, to_map(points.ground))
-        _matches(new, to_map)
-        _places(new)
+        points = _write_scene(new)
+        _write_other_forms(new, points, to_map(points.ground))
+        _write_matches(new, to_map)
+        _write_places(new)
         _control_features(new)
-        _batch(new / "images")
-        _sheets(new / "maps")
+        _write_batch(new / "images")
+        _write_sheets(new / "maps")
         (new / "study.toml").write_text(_STUDY, encoding="utf-8")
         width = max(map(len, EXAMPLE_FILES))
         lines = [f"{name:{width}}  {description}\n" for name, description in EXAMPLE_FILES.items()]
         (new / README).write_text("Simulated data.\n\n" + "".join(lines), encoding="utf-8")
 
 
-def _scene(folder: Path) -> Points:
+def _write_scene(folder: Path) -> Points:
     """Write the image, its heights, control and vendor's RPC; return the control points."""
     pixels, points = picture_and_points()
     (folder / "scene.tif").write_bytes(tiff_bytes(pixels[None]))
@@ -98,15 +98,15 @@ def _scene(folder: Path) -> Points:
     step, n = 0.0002, 520
     west = LON - n / 2 * step
     north = LAT + n / 2 * step
-    middles = _middles(west, north, step, (n, n))
-    heights = terrain()(middles).reshape(n, n).astype(np.float32)
+    middles = _pixel_middles(west, north, step, (n, n))
+    heights = example_terrain()(middles).reshape(n, n).astype(np.float32)
     _write_map(folder / "dem.tif", heights, west, north, step, "EPSG:4326")
     write_points_csv(points, folder / "gcps.csv", CRS)
     write_text(folder / "vendor.RPB", kept_text("vendor.RPB"))
     return points
 
 
-def _other_forms(folder: Path, points: Points, on_map: FloatArray) -> None:
+def _write_other_forms(folder: Path, points: Points, on_map: FloatArray) -> None:
     """Write the control without a header, and as QGIS saves it."""
     rows = zip(points.ids, points.ground.tolist(), points.image.tolist(), strict=True)
     _write_rows(folder / "noheader.txt", [
@@ -127,20 +127,21 @@ def _write_qgis_points(path: Path, ground: FloatArray, image: FloatArray, crs: s
         "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual")
 
 
-def _matches(folder: Path, to_map: Callable[[FloatArray], FloatArray]) -> None:
+def _write_matches(folder: Path, to_map: Callable[[FloatArray], FloatArray]) -> None:
     """Write a map of the board, and matches of the image with it; every 7th is wrong."""
-    to_ground = transformation(MAP_CRS, CRS)
-    east, north, _ = np.array(to_map(corners())).T
+    to_ground = transformation_between(MAP_CRS, CRS)
+    east, north, _ = np.array(to_map(ground_of_corners())).T
     west = np.floor(east.min() / GSD) * GSD - 200.0
     top = np.ceil(north.max() / GSD) * GSD + 200.0
     shape = (int((top - north.min()) / GSD) + 20, int((east.max() - west) / GSD) + 20)
-    middles = np.column_stack([_middles(west, top, GSD, shape), np.zeros(shape[0] * shape[1])])
+    middles = np.column_stack(
+        [_pixel_middles(west, top, GSD, shape), np.zeros(shape[0] * shape[1])])
     board = BOARD(np.asarray(to_ground(middles))[:, :2]).reshape(shape).astype(np.uint8)
     _write_map(folder / "ortho.tif", board, west, top, GSD, MAP_CRS)
 
     # A seed, so that the pages can quote what comes out.
     rng = np.random.default_rng(5)
-    ground = corners()[rng.permutation(len(corners()))[:120]]
+    ground = ground_of_corners()[rng.permutation(len(ground_of_corners()))[:120]]
     image = SENSOR.project(ground) + rng.normal(0.0, 0.3, (len(ground), 2))
     # Blunders of 8 to 40 px in either direction, which matching has to find.
     image[::7] += rng.choice([-1, 1], image[::7].shape) * rng.uniform(8, 40, image[::7].shape)
@@ -163,13 +164,13 @@ def _matches(folder: Path, to_map: Callable[[FloatArray], FloatArray]) -> None:
         "POINT_ID,X_IM,Y_IM,X_MAP,Y_MAP,X_SHIFT_M,Y_SHIFT_M")
 
 
-def _places(folder: Path) -> None:
+def _write_places(folder: Path) -> None:
     """Write ground places and image positions, to be projected and located."""
     rng = np.random.default_rng(6)
     # Within the image, not at its edge, where no control is near.
     image = rng.uniform(0.05, 0.95, (17, 2)) * SIZE
     positions = SENSOR.locate(image, 1800.0).round(6)
-    ground = np.column_stack([positions, terrain()(positions).round(2)]).tolist()
+    ground = np.column_stack([positions, example_terrain()(positions).round(2)]).tolist()
     for file, name, rows in (("places.csv", "place", ground[:5]),
                              ("crossroads.csv", "crossroad", ground[5:])):
         _write_rows(folder / file, [(f"{name} {i}", *row) for i, row in enumerate(rows, 1)],
@@ -184,7 +185,7 @@ def _control_features(folder: Path) -> None:
     truth = scene_truth("ikonos-hamedan")
     write_points_csv(scene.points, folder / "points.csv", CRS)
     write_lines_csv(scene.lines, folder / "lines.csv", CRS)
-    _roads(folder, scene.lines)
+    _write_roads(folder, scene.lines)
     # Squares about six of the points, corners in order.
     half = 0.0006 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     positions = (half + scene.points.ground[5:11, None, :2]).reshape(-1, 2)
@@ -196,7 +197,7 @@ def _control_features(folder: Path) -> None:
         np.column_stack([image, positions.round(7), ground[:, 2].round(2)])), encoding="utf-8")
 
 
-def _roads(folder: Path, lines: Lines) -> None:
+def _write_roads(folder: Path, lines: Lines) -> None:
     """Write lines of a map, and the same lines measured in the image."""
     features = [{"type": "Feature", "properties": {"name": name}, "geometry": {
         "type": "LineString", "coordinates": ground}} for name, ground in zip(
@@ -209,7 +210,7 @@ def _roads(folder: Path, lines: Lines) -> None:
         "id,line1,sample1,line2,sample2")
 
 
-def _batch(folder: Path) -> None:
+def _write_batch(folder: Path) -> None:
     """Write the control of five images, one of them with a blunder."""
     folder.mkdir()
     for i in range(1, 6):
@@ -221,7 +222,7 @@ def _batch(folder: Path) -> None:
         write_points_csv(Points(points.ids, image, points.ground), folder / f"image-{i}.csv", CRS)
 
 
-def _sheets(folder: Path) -> None:
+def _write_sheets(folder: Path) -> None:
     """Write the scans and points of four sheets, two of them with an error of the typist."""
     folder.mkdir()
     for sheet in range(SHEETS):
@@ -235,7 +236,7 @@ def _sheets(folder: Path) -> None:
         _write_qgis_points(folder / f"sheet-{sheet + 1}.points", ground, image, SHEET_CRS)
 
 
-def _middles(west: float, north: float, step: float, shape: tuple[int, int]) -> FloatArray:
+def _pixel_middles(west: float, north: float, step: float, shape: tuple[int, int]) -> FloatArray:
     """Return x and y of the middles of the pixels of a map, row by row, shape (n, 2)."""
     x, y = np.meshgrid(west + (np.arange(shape[1]) + 0.5) * step,
                        north - (np.arange(shape[0]) + 0.5) * step)

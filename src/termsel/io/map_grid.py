@@ -13,18 +13,18 @@ from termsel.core.errors import TermselError
 from termsel.data.coordinates.crs import (
     LOCAL,
     geodetic_of,
-    horizontal,
+    horizontal_crs,
     is_geocentric,
     is_geographic,
     metres_per_unit,
     normalise,
-    transformation,
+    transformation_between,
 )
 from termsel.data.coordinates.earth import place_of, zone_of_utm_instead
-from termsel.data.coordinates.longitudes import continuous
+from termsel.data.coordinates.longitudes import unwrap_longitudes
 from termsel.data.coordinates.metres import is_polar, metric_crs, polar_crs
 from termsel.data.features import FloatArray
-from termsel.formats.heights import Dem, open_dem, other_place, surface_of
+from termsel.formats.heights import Dem, open_dem, surface_of, where_raster_is
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
@@ -63,14 +63,14 @@ class MapGrid:
     @property
     def unit(self) -> str:
         """Unit of x and y."""
-        return _unit(self.crs)
+        return _unit_of_crs(self.crs)
 
 
-def within(grid: MapGrid, bounds: tuple[float, float, float, float], crs: str) -> MapGrid:
+def clip_grid(grid: MapGrid, bounds: tuple[float, float, float, float], crs: str) -> MapGrid:
     """Return the part of a grid within least and largest x and y in a CRS, at whole pixels."""
     from rasterio.warp import transform_bounds
 
-    west, south, east, north = transform_bounds(horizontal(crs), grid.crs, *bounds)
+    west, south, east, north = transform_bounds(horizontal_crs(crs), grid.crs, *bounds)
     # Of the inverse of the grid's affine map: columns and rows of two opposite corners.
     first_column, first_row = ~grid.transform @ (west, north)
     last_column, last_row = ~grid.transform @ (east, south)
@@ -94,7 +94,7 @@ def map_crs(result: Result, crs: str | None) -> str:
         raise TermselError("a map requires a CRS, but the result has plane coordinates without "
                            "one",
                            hint="State the CRS of the ground coordinates when you run termsel.")
-    target = _metric_crs(result) if crs is None else horizontal(crs)
+    target = _metric_crs(result) if crs is None else horizontal_crs(crs)
     if not target:
         raise TermselError("a map needs a CRS", hint="Give --crs, such as EPSG:32631.")
     if is_geocentric(target):
@@ -111,11 +111,11 @@ def _metric_crs(result: Result) -> str:
     control_crs = result.features.crs
     if not is_geographic(control_crs) \
             and metres_per_unit(control_crs) in (1.0, None):  # None: nobody knows it
-        return horizontal(control_crs)
-    geodetic = transformation(control_crs, geodetic_of(control_crs))
+        return horizontal_crs(control_crs)
+    geodetic = transformation_between(control_crs, geodetic_of(control_crs))
     geodetic_positions = geodetic(result.fit.control.ground_vertices())
     # Across the date line, longitudes go on beyond 180.
-    geodetic_positions[:, 0] = continuous(geodetic_positions[:, 0])
+    geodetic_positions[:, 0] = unwrap_longitudes(geodetic_positions[:, 0])
     if is_polar(geodetic_positions):
         return polar_crs(control_crs, float(np.median(geodetic_positions[:, 1])))
     _say_wide(geodetic_positions)
@@ -136,7 +136,7 @@ def _say_wide(positions: FloatArray) -> None:
                     "area, such as that of an atlas.", float(np.ptp(positions[:, 0])), 100 * scale)
 
 
-def _unit(crs: str) -> str:
+def _unit_of_crs(crs: str) -> str:
     from pyproj import CRS
 
     return str(CRS.from_user_input(crs).axis_info[0].unit_name)
@@ -153,8 +153,8 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
     """
     from affine import Affine
 
-    outline = _ground(result, dem, height, crs)
-    unit = _unit(crs)
+    outline = _outline_on_map(result, dem, height, crs)
+    unit = _unit_of_crs(crs)
     placed = outline[np.isfinite(outline).all(axis=-1)]
     # Distances on the ground between neighbours of the grid, along lines and along samples.
     line_spacing = np.linalg.norm(np.diff(outline, axis=0), axis=-1)
@@ -165,7 +165,7 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
                                hint="Do not use it: choose another model, or measure more.")
         control = result.fit.control
         with open_dem(Path(dem), control.crs) as surface:
-            where = other_place(surface, control)
+            where = where_raster_is(surface, control)
         raise TermselError(f"this raster of heights does not cover the image, which is around "
                            f"{place_of(control)}", file=dem,
                            hint=f"{where} Give a raster of that area.")
@@ -179,7 +179,8 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
     sizes = line_spacing[np.isfinite(line_spacing)]
     if sizes.max() > _UNEVEN * sizes.min():
         # An oblique view: as many pixels as the image has on the ground that the map shows.
-        of_image = _even_pixel(outline, (last_line - first_line) * (last_sample - first_sample))
+        of_image = _pixel_of_equal_count(outline,
+                                         (last_line - first_line) * (last_sample - first_sample))
     # Two digits, as a resolution is a choice and no measurement.
     of_image = float(f"{of_image:.2g}")
     if resolution is None:
@@ -216,7 +217,7 @@ def sees_all(result: Result, grid: MapGrid, height: float) -> bool:
     samples, lines = np.meshgrid(np.linspace(0.0, grid.samples, _OUTLINE),
                                  np.linspace(0.0, grid.lines, _OUTLINE))
     x, y = grid.transform @ (samples.ravel(), lines.ravel())
-    turn = Transformer.from_crs(grid.crs, horizontal(result.features.crs), always_xy=True)
+    turn = Transformer.from_crs(grid.crs, horizontal_crs(result.features.crs), always_xy=True)
     ground = np.column_stack([*turn.transform(x, y), np.full(len(x), height)])
     is_known = np.isfinite(ground).all(axis=1)
     return not result.fit.unseen(ground[is_known]).any()
@@ -236,7 +237,7 @@ def footprint_of(result: Result, surface: Dem | float) -> FloatArray:
     return ground
 
 
-def _even_pixel(outline: FloatArray, pixels: float) -> float:
+def _pixel_of_equal_count(outline: FloatArray, pixels: float) -> float:
     """Return the side of a square on the ground of as many as an image has pixels.
 
     `outline` are ground places (n, n, 2) of a grid over the image.
@@ -250,8 +251,8 @@ def _even_pixel(outline: FloatArray, pixels: float) -> float:
     return float(np.sqrt(np.nansum(areas) / (np.isfinite(areas).mean() * pixels)))
 
 
-def _ground(result: Result, dem: Path | str | None, height: float, target: str,
-            ) -> FloatArray:
+def _outline_on_map(
+        result: Result, dem: Path | str | None, height: float, target: str, ) -> FloatArray:
     """Return where on the map a grid of image places is, shape (_OUTLINE, _OUTLINE, 2)."""
     from pyproj import Transformer
     from pyproj.exceptions import ProjError
@@ -260,7 +261,7 @@ def _ground(result: Result, dem: Path | str | None, height: float, target: str,
     with surface_of(dem, control_crs, height) as surface:
         ground = footprint_of(result, surface)
     try:
-        turn = Transformer.from_crs(horizontal(control_crs), target, always_xy=True)
+        turn = Transformer.from_crs(horizontal_crs(control_crs), target, always_xy=True)
     except ProjError as error:
         raise TermselError(
             f"coordinates in {control_crs} cannot be transformed to the map's CRS: {error}",
@@ -270,5 +271,5 @@ def _ground(result: Result, dem: Path | str | None, height: float, target: str,
     is_placed = np.isfinite(positions).all(axis=1)
     positions[~is_placed] = np.nan
     if is_placed.any() and is_geographic(target):
-        positions[is_placed, 0] = continuous(positions[is_placed, 0])
+        positions[is_placed, 0] = unwrap_longitudes(positions[is_placed, 0])
     return np.asarray(positions.reshape(_OUTLINE, _OUTLINE, 2))

@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name_error
 from termsel.core.files.reasons import reason_of
 from termsel.data.cog import write_cog
 from termsel.data.distant_rasters import with_dataset
 from termsel.data.features import FloatArray
 from termsel.data.rasters import open_raster
-from termsel.formats.pictures import Band, Colour, Picture, expanded
+from termsel.formats.pictures import Band, Colour, Picture, expand_colours
 from termsel.io.map_grid import MapGrid
 from termsel.io.map_positions import MapPositions
-from termsel.io.resampling import ImageWindow, extent, reach, resampled
+from termsel.io.resampling import ImageWindow, extent_of_positions, reach, resample_pixels
 
 log = logging.getLogger(__name__)
 
@@ -121,7 +121,7 @@ def map_pixels(picture: Picture, resampling: str | None, nodata: float | None) -
     TermselError
         If the resampling is not known or would mix classes, or if pixels cannot hold the value.
     """
-    picture, resampling = _prepared_for_resampling(picture, resampling)
+    picture, resampling = _prepare_for_resampling(picture, resampling)
     # Of several bands of transparency the last is used, and drawn last; the others are left out.
     alpha = [index for index, band in enumerate(picture.bands) if band.alpha][-1:]
     colours = [index for index in range(len(picture.bands)) if index not in alpha]
@@ -185,14 +185,14 @@ def _common_nodata(values: tuple[float | None, ...]) -> tuple[float | None, bool
     return first, True
 
 
-def _prepared_for_resampling(picture: Picture, resampling: str | None) -> tuple[Picture, str]:
+def _prepare_for_resampling(picture: Picture, resampling: str | None) -> tuple[Picture, str]:
     """Return a picture whose values may be resampled as is asked for, and the resampling.
 
     Colours are resampled instead of the indices of a table, and grey instead of bits; so are
     tables with colours that are partly transparent, which a GeoTIFF does not hold.
     """
     if resampling is not None and resampling not in RESAMPLING:
-        raise unknown_name("resampling", resampling, RESAMPLING)
+        raise unknown_name_error("resampling", resampling, RESAMPLING)
     if not picture.category:
         return picture, resampling or "bilinear"
     mixed = (resampling or "nearest") != "nearest"
@@ -204,12 +204,12 @@ def _prepared_for_resampling(picture: Picture, resampling: str | None) -> tuple[
         log.warning("Note: the map has the colours of the image's table instead of its indices, "
                     "as "
                     "%s mixes pixels; without --resampling it keeps them.", resampling)
-        return expanded(picture), str(resampling)
+        return expand_colours(picture), str(resampling)
     alphas = {colour[3] for band in bands for colour in band.table}
     if any(0 < alpha < 255 for alpha in alphas):
         log.warning("Note: the map has red, green, blue and alpha instead of the image's table, "
                     "as colours of that are partly transparent.")
-        return expanded(picture), "nearest"
+        return expand_colours(picture), "nearest"
     if resampling is None:
         log.info("Resampling: nearest, as the pixels are %s.",
                  "bits" if any(band.bits == 1 for band in bands) else "indices or classes")
@@ -256,10 +256,10 @@ def warp(raster: Any, output: Path, grid: MapGrid, spec: MapPixels, *, tags: Map
         shape = window.height, window.width
         try:
             if positions is not None:
-                tile, visible = _interpolated_tile(raster, spec,
-                                                   positions.of_tile(shape, transform))
+                tile, visible = _interpolate_tile(raster, spec,
+                                                  positions.of_tile(shape, transform))
             else:
-                tile, visible = with_dataset(raster, _warped_tile, spec, shape, grid.crs, transform,
+                tile, visible = with_dataset(raster, _warp_tile, spec, shape, grid.crs, transform,
                                              options)
         except (RasterioError, CPLE_BaseError) as error:
             raise _unreadable_source(spec.picture.path, error) from error
@@ -296,7 +296,7 @@ def _unreadable_source(image: Path | None, error: Exception) -> TermselError:
                         hint="Check the raster of heights: is it complete?")
 
 
-def _interpolated_tile(raster: Any, spec: MapPixels, positions: FloatArray) -> tuple[Values, Mask]:
+def _interpolate_tile(raster: Any, spec: MapPixels, positions: FloatArray) -> tuple[Values, Mask]:
     """Return a tile of the map, alpha last, and where it shows the image, from its positions."""
     colours = len(spec.empty)
     bands = colours + spec.alpha
@@ -311,13 +311,13 @@ def _interpolated_tile(raster: Any, spec: MapPixels, positions: FloatArray) -> t
     if size > _LARGEST_PART and max(shape) > 1:
         # Of a map that is much coarser than the image, a tile is made in two halves.
         axis = int(np.argmax(shape))
-        halves = [_interpolated_tile(raster, spec, half)
+        halves = [_interpolate_tile(raster, spec, half)
                   for half in np.array_split(positions, 2, axis)]
         return (np.concatenate([tile for tile, _ in halves], axis + 1),
                 np.concatenate([visible for _, visible in halves], axis))
     values, has_data = _pixels_and_mask(raster, spec, window)
     image_window = ImageWindow(values, has_data, window.row_off, window.col_off)
-    tile, has_value = resampled(image_window, positions, spec.resampling, raster.shape, empty)
+    tile, has_value = resample_pixels(image_window, positions, spec.resampling, raster.shape, empty)
     # As gdalwarp has it: what is no data in some bands counts in the others.
     visible = np.asarray(has_value[:colours].any(axis=0))
     if spec.alpha:
@@ -330,7 +330,7 @@ def _window_of(raster: Any, spec: MapPixels, positions: FloatArray) -> Any:
     from rasterio.windows import Window
 
     lines, samples = raster.shape
-    low, high = extent(positions, lines, samples)
+    low, high = extent_of_positions(positions, lines, samples)
     if not (low <= high).all():
         return None
     around = np.ceil(reach(spec.resampling, positions)).astype(int)
@@ -357,8 +357,8 @@ def _pixels_and_mask(raster: Any, spec: MapPixels, window: Any) -> tuple[Values,
     return values, has_data
 
 
-def _warped_tile(raster: Any, spec: MapPixels, shape: tuple[int, int], crs: str, transform: Any,
-                 options: Mapping[str, Any]) -> tuple[Values, Mask]:
+def _warp_tile(raster: Any, spec: MapPixels, shape: tuple[int, int], crs: str, transform: Any,
+               options: Mapping[str, Any]) -> tuple[Values, Mask]:
     """Return a tile of the map (bands, lines, samples), alpha last, and where it shows the image.
     """
     import rasterio

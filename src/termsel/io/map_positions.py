@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.adjustment.compiled import compiled
-from termsel.data.coordinates.crs import horizontal, is_geographic
-from termsel.data.coordinates.longitudes import nearest
+from termsel.adjustment.compiled import compile_lazily
+from termsel.data.coordinates.crs import horizontal_crs, is_geographic
+from termsel.data.coordinates.longitudes import nearest_longitudes
 from termsel.data.features import FloatArray
 from termsel.fitting.fit import Fit
 from termsel.formats.heights import Dem
@@ -81,20 +81,21 @@ class MapPositions:
         transform : affine.Affine
             From samples and lines, counted from the outer corner of its first pixel, to x and y.
         """
-        heights = self._heights(shape, transform)
+        heights = self._heights_of_tile(shape, transform)
         has_height = np.isfinite(heights)
         if not has_height.any():
             return np.full((*shape, 2), np.nan)
-        levels = self._levels(float(heights[has_height].min()), float(heights[has_height].max()))
+        levels = self._height_levels(
+            float(heights[has_height].min()), float(heights[has_height].max()))
         sampled = self._try_positions(has_height)
-        plan = self._ground(sampled.astype(np.float64) + 0.5, transform)
-        exact = self._positions(np.column_stack([plan, heights[tuple(sampled.T)]]))
+        plan = self._ground_of_pixels(sampled.astype(np.float64) + 0.5, transform)
+        exact = self._image_positions(np.column_stack([plan, heights[tuple(sampled.T)]]))
         # The step is halved until the largest error at the sampled pixels is below `CLOSE_PX`; it
         # begins with the one that the last tile needed, as neighbours are alike.
         step = self._step
         while True:
             positions = self._interpolate_positions(shape, transform, heights, levels, step)
-            error = _largest_error(positions[tuple(sampled.T)], exact)
+            error = _largest_distance(positions[tuple(sampled.T)], exact)
             if error <= CLOSE_PX or step <= FINEST:
                 break
             step //= 2
@@ -116,9 +117,10 @@ class MapPositions:
     def _interpolate_positions(self, shape: tuple[int, int], transform: Any, heights: FloatArray,
                                levels: FloatArray, step: int) -> FloatArray:
         """Return positions between nodes, (lines, samples, 2), at the heights of the pixels."""
-        nodes, size = _nodes(shape, step)
-        plan = self._ground(nodes, transform)
-        at_levels = np.stack([self._positions(np.column_stack([plan, np.full(len(plan), level)]))
+        nodes, size = _node_positions(shape, step)
+        plan = self._ground_of_pixels(nodes, transform)
+        at_levels = np.stack([self._image_positions(np.column_stack([plan,
+                                                                     np.full(len(plan), level)]))
                               for level in levels])
         positions = np.empty((*shape, 2))
         _between(at_levels.reshape(len(levels), *size, 2), levels, heights, step, positions)
@@ -133,11 +135,11 @@ class MapPositions:
         flat = heights.ravel()
         for start in range(0, len(pixels), AT_ONCE):
             batch = slice(start, start + AT_ONCE)
-            plan = self._ground(pixels[batch], transform)
-            positions[batch] = self._positions(np.column_stack([plan, flat[batch]]))
+            plan = self._ground_of_pixels(pixels[batch], transform)
+            positions[batch] = self._image_positions(np.column_stack([plan, flat[batch]]))
         return positions.reshape(*shape, 2)
 
-    def _positions(self, ground: FloatArray) -> FloatArray:
+    def _image_positions(self, ground: FloatArray) -> FloatArray:
         """Return line and sample (n, 2) of places on the ground; NaN where a map shows none."""
         positions = np.full((len(ground), 2), np.nan)
         # Places behind a pole of the model, or far outside the image, would be given positions that
@@ -165,13 +167,13 @@ class MapPositions:
         margin = _NODE_MARGIN * float(np.ptp(corners, axis=0).max())
         return equations[:, :2], margin - equations[:, 2]
 
-    def _levels(self, low: float, high: float) -> FloatArray:
+    def _height_levels(self, low: float, high: float) -> FloatArray:
         """Return the heights (l,) at which the model is evaluated; one if it uses none."""
         if not self.fitted.model.uses_height or low == high:
             return np.array([low])
         return np.linspace(low - HEIGHT_MARGIN, high + HEIGHT_MARGIN, LEVELS)
 
-    def _ground(self, pixels: FloatArray, transform: Any) -> FloatArray:
+    def _ground_of_pixels(self, pixels: FloatArray, transform: Any) -> FloatArray:
         """Return x and y (n, 2), in the CRS of the control, of lines and samples (n, 2) of a tile.
         """
         x, y = transform @ (pixels[:, 1], pixels[:, 0])
@@ -179,26 +181,28 @@ class MapPositions:
         if is_geographic(self.fitted.control.crs):
             # By whole turns next to the image, which may lie across 180 degrees.
             lon = self.footprint[:, 0]
-            ground[:, 0] = nearest(ground[:, 0], float(np.nanmin(lon) + np.nanmax(lon)) / 2)
+            ground[:, 0] = nearest_longitudes(ground[:, 0],
+                                              float(np.nanmin(lon) + np.nanmax(lon)) / 2)
         return ground
 
     @cached_property
     def _to_ground(self) -> Any:
         from pyproj import Transformer
 
-        return Transformer.from_crs(self.crs, horizontal(self.fitted.control.crs), always_xy=True)
+        return Transformer.from_crs(
+            self.crs, horizontal_crs(self.fitted.control.crs), always_xy=True)
 
-    def _heights(self, shape: tuple[int, int], transform: Any) -> FloatArray:
+    def _heights_of_tile(self, shape: tuple[int, int], transform: Any) -> FloatArray:
         """Return the heights of the ground at the pixels of a tile, (lines, samples)."""
         surface = self.surface
         if not isinstance(surface, Dem):
             return np.full(shape, float(surface))
-        nodes, size = _nodes(shape, COARSEST)
-        ground = self._ground(nodes, transform)
+        nodes, size = _node_positions(shape, COARSEST)
+        ground = self._ground_of_pixels(nodes, transform)
         x, y = surface.to_raster.transform(*ground.T)
         if surface.turns:
             middle = (surface.raster.bounds.left + surface.raster.bounds.right) / 2
-            x = nearest(np.asarray(x), middle)
+            x = nearest_longitudes(np.asarray(x), middle)
         to_pixel = ~surface.raster.transform
         sample, line = to_pixel @ (np.asarray(x), np.asarray(y))
         raster_positions = np.stack([line, sample], axis=1) - 0.5
@@ -225,10 +229,10 @@ class MapPositions:
         assert isinstance(surface, Dem)
         lines, samples = np.indices(shape)
         pixels: FloatArray = np.column_stack([lines.ravel(), samples.ravel()]) + np.float64(0.5)
-        return surface(self._ground(pixels, transform)).reshape(shape)
+        return surface(self._ground_of_pixels(pixels, transform)).reshape(shape)
 
 
-def _nodes(shape: tuple[int, int], step: int) -> tuple[FloatArray, tuple[int, int]]:
+def _node_positions(shape: tuple[int, int], step: int) -> tuple[FloatArray, tuple[int, int]]:
     """Return nodes (n, 2) that cover the centres of the pixels of a tile, and how many there are.
 
     They are in lines and samples counted from its outer corner.
@@ -256,7 +260,7 @@ def _part_of(surface: Dem, positions: FloatArray) -> tuple[FloatArray, FloatArra
     return pixels, first.astype(np.float64)
 
 
-def _largest_error(positions: FloatArray, exact: FloatArray) -> float:
+def _largest_distance(positions: FloatArray, exact: FloatArray) -> float:
     """Return the largest distance of positions (n, 2) from exact ones [px].
 
     Infinite where an exact position has no counterpart.
@@ -312,7 +316,7 @@ def _positions_between(nodes: Any, levels: Any, heights: Any, step: int, positio
             positions[i, j, 1] = sample
 
 
-_between = compiled(_positions_between)
+_between = compile_lazily(_positions_between)
 
 
 def _bilinear_heights(pixels: Any, nodes: Any, step: int, size: Any, first: Any, slope: float,
@@ -362,4 +366,4 @@ def _bilinear_heights(pixels: Any, nodes: Any, step: int, size: Any, first: Any,
             heights[i, j] = height * slope + added
 
 
-_heights_between = compiled(_bilinear_heights)
+_heights_between = compile_lazily(_bilinear_heights)

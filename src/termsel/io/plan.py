@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from termsel.core.errors import TermselError, counted, first_of
+from termsel.core.errors import TermselError, count_in_words, first_names_in_words
 from termsel.data.features import FloatArray
 from termsel.fitting.fit import Fit
 from termsel.fitting.next_places import rank_places
@@ -112,5 +112,5 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
 def _say_unseen(unseen: list[str]) -> None:
     """Say which candidates the image does not show."""
     log.warning("Note: %s left out, as the image does not show %s: %s.",
-                counted(len(unseen), "candidate"), "it" if len(unseen) == 1 else "them",
-                first_of(unseen))
+                count_in_words(len(unseen), "candidate"), "it" if len(unseen) == 1 else "them",
+                first_names_in_words(unseen))

@@ -10,22 +10,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from termsel.core.errors import TermselError, counted, first_of
-from termsel.core.files.names import is_there, no_such_file
+from termsel.core.errors import TermselError, count_in_words, first_names_in_words
+from termsel.core.files.names import is_there, no_such_file_error
 from termsel.data.coordinates.crs import (
     WGS84,
-    horizontal,
+    horizontal_crs,
     is_geographic,
     normalise,
-    short,
+    short_crs_name,
     with_stated_heights,
 )
 from termsel.data.coordinates.earth import place_of
-from termsel.data.coordinates.longitudes import nearest
+from termsel.data.coordinates.longitudes import nearest_longitudes
 from termsel.data.coordinates.plausible import check_ground
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, select
 from termsel.data.tables.columns import COORDINATES, parse_columns
-from termsel.fitting.extrapolation import FAR_OUTSIDE, outside
+from termsel.fitting.extrapolation import FAR_OUTSIDE, distance_outside_control
 from termsel.formats.base import error_in_file, read_once
 from termsel.formats.heights import Dem, refuse_void, say_difference, surface_of, with_heights
 from termsel.formats.readers.csv_tables import table_text
@@ -62,8 +62,8 @@ def project_table(
 
     The CSV is headed id,line,sample,x,y,z,uncertainty_line,uncertainty_sample,outside: standard
     deviations of what the model predicts (`termsel.Fit.sigma`), and how far a place is outside the
-    control that the model was fitted to (`termsel.fitting.extrapolation.outside`). Warned is of
-    points
+    control that the model was fitted to (`termsel.fitting.extrapolation.distance_outside_control`).
+    Warned is of points
     without a place, by name and with the reason where it is known, and of those outside. Raises
     TermselError for tables that cannot be read, a CRS other than that of the control, and heights
     that are missing.
@@ -76,7 +76,7 @@ def project_table(
         raise TermselError(f"the height of the ground cannot be {height}",
                            hint="Give a finite number.")
     if inverse:
-        table = _table(path, columns, "line", "sample")
+        table = _read_table(path, columns, "line", "sample")
         ids = table.ids()
         image = table.stack("line", "sample")
         if dem is None and height is None and model.uses_height:
@@ -106,14 +106,14 @@ def project_table(
     with np.errstate(all="ignore"):
         sigma = result.sigma(ground)
     sigma[~np.isfinite(sigma)] = np.nan
-    control = _control(result)
+    control = _control_ground(result)
     # Longitudes by whole turns next to the control, so that distances are those on the ground.
     near = ground.copy()
     if is_geographic(crs):
         lon = control[:, 0]
-        near[:, 0] = nearest(ground[:, 0], float(lon.min() + lon.max()) / 2)
-    distances = outside(control, near)
-    encloses = bool(np.isfinite(outside(control, control[:1])[0]))
+        near[:, 0] = nearest_longitudes(ground[:, 0], float(lon.min() + lon.max()) / 2)
+    distances = distance_outside_control(control, near)
+    encloses = bool(np.isfinite(distance_outside_control(control, control[:1])[0]))
     if not encloses:  # two points, or points in a line
         distances[:] = np.nan
     values = np.column_stack([image, ground, sigma, distances])
@@ -125,8 +125,8 @@ def project_table(
     # Places that no image of such a view shows, which is no fault of the model.
     hidden = missed & (result.exported.above_horizon(image) if inverse else
                        np.isfinite(ground[:, :2]).all(axis=1) & result.exported.unseen(ground))
-    off_image = _off_image(result, image) & missed & ~hidden if inverse else missed & False
-    return text, list(_warnings(
+    off_image = _are_off_image(result, image) & missed & ~hidden if inverse else missed & False
+    return text, list(_projection_warnings(
         select(ids, missed & ~hidden & ~off_image), select(ids, hidden), select(ids, off_image),
         select(ids, ~missed & (distances > FAR_OUTSIDE)), encloses=encloses, inverse=inverse))
 
@@ -138,35 +138,38 @@ def _is_elsewhere(surface: Dem, control: FloatArray) -> bool:
     return bool(((corners.max(axis=0) < low) | (corners.min(axis=0) > high)).any())
 
 
-def _off_image(result: Result, image: FloatArray) -> BoolArray:
+def _are_off_image(result: Result, image: FloatArray) -> BoolArray:
     """Return which image positions (n, 2) are outside the image, (n,)."""
     first, last = np.array(result.fit.image_box())
     return np.asarray(((image < first - 1.0) | (image > last + 1.0)).any(axis=1))
 
 
-def _warnings(missed: Sequence[str], hidden: Sequence[str], off_image: Sequence[str],
-              far: Sequence[str], *, encloses: bool, inverse: bool) -> Iterator[str]:
+def _projection_warnings(missed: Sequence[str], hidden: Sequence[str], off_image: Sequence[str],
+                         far: Sequence[str], *, encloses: bool, inverse: bool) -> Iterator[str]:
     """Yield clauses on points that were not projected or located, or only far outside."""
     if not encloses:
         yield "the control encloses no area, so `outside` cannot be computed"
     if hidden:
         verb = "shows" if len(hidden) == 1 else "show"
         lie = "lies" if len(hidden) == 1 else "lie"
-        yield f"{counted(len(hidden), 'point')} " + (
+        yield f"{count_in_words(len(hidden), 'point')} " + (
             f"{verb} no ground, as above the horizon" if inverse else
             f"{lie} behind the camera or beyond the horizon, and no image shows "
-            f"{'it' if len(hidden) == 1 else 'them'}") + f": {first_of(hidden)}"
+            f"{'it' if len(hidden) == 1 else 'them'}") + f": {first_names_in_words(hidden)}"
     if missed:
-        yield f"no position was found for {counted(len(missed), 'point')}: {first_of(missed)}"
+        yield (f"no position was found for {count_in_words(len(missed), 'point')}: "
+               f"{first_names_in_words(missed)}")
     if off_image:
-        yield (f"no position was found for {counted(len(off_image), 'point')} outside the image: "
-               f"{first_of(off_image)}. Check the lines and samples")
+        yield (f"no position was found for {count_in_words(len(off_image), 'point')} outside the "
+               "image: "
+               f"{first_names_in_words(off_image)}. Check the lines and samples")
     if far:
-        yield (f"{counted(len(far), 'point')} {'is' if len(far) == 1 else 'are'} far outside the "
-               f"control, and the model is not valid there: {first_of(far)}")
+        yield (f"{count_in_words(len(far), 'point')} {'is' if len(far) == 1 else 'are'} far "
+               "outside the "
+               f"control, and the model is not valid there: {first_names_in_words(far)}")
 
 
-def _control(result: Result) -> FloatArray:
+def _control_ground(result: Result) -> FloatArray:
     """Return the ground coordinates (v, 3) of the control that a result was fitted to."""
     original = result.exported.original or result.exported
     return original.control.take(original.used).ground_vertices()
@@ -182,9 +185,9 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
     if height is not None:
         refuse_void(height)
     if dem is not None and not is_there(dem):  # also where no height is blank
-        raise no_such_file(dem)
+        raise no_such_file_error(dem)
     try:
-        table = _table(path, columns, *names, flat=fills)
+        table = _read_table(path, columns, *names, flat=fills)
     except TermselError as error:
         if _lacks_a_column(error) and _has_image_positions(path, columns):
             error.hint = f"These are image positions; ground positions {','.join(names)} are " \
@@ -224,7 +227,7 @@ def _is_crs_of_control(crs: str, control: str, uses_height: bool) -> bool:
     """Return whether a CRS is that of the control, but for what either does not say of heights."""
     if control in (crs, with_stated_heights(crs, control)) or WGS84.issuperset((crs, control)):
         return True
-    return not uses_height and horizontal(crs) == horizontal(control)
+    return not uses_height and horizontal_crs(crs) == horizontal_crs(control)
 
 
 def _require_crs_of_control(ids: Sequence[str], ground: FloatArray, crs: str, path: Path) -> None:
@@ -238,8 +241,8 @@ def _require_crs_of_control(ids: Sequence[str], ground: FloatArray, crs: str, pa
     except TermselError as error:
         error.file = path
         swapped = "The columns look swapped. " if "swapped" in (error.hint or "") else ""
-        error.hint = f"{swapped}The points must be in the CRS of the control, {short(crs)}: " \
-            "transform them to it."
+        error.hint = f"{swapped}The points must be in the CRS of the control, " \
+            f"{short_crs_name(crs)}: transform them to it."
         raise
 
 
@@ -250,13 +253,13 @@ def _lacks_a_column(error: TermselError) -> bool:
 def _has_image_positions(path: Path, columns: str) -> bool:
     """Return whether a table has line and sample."""
     try:
-        _table(path, columns, "line", "sample")
+        _read_table(path, columns, "line", "sample")
     except TermselError:
         return False
     return True
 
 
-def _table(path: Path, columns: str, *meanings: str, flat: bool = False) -> Table:
+def _read_table(path: Path, columns: str, *meanings: str, flat: bool = False) -> Table:
     """Return the table of a file, also of the points of a vector file."""
     aliases = _ID | {meaning: COORDINATES[meaning] for meaning in meanings}
     places = table_of_places(path, aliases, parse_columns(columns), flat=flat)

@@ -15,16 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from termsel.core.errors import TermselError, counted, unknown_name
+from termsel.core.errors import TermselError, count_in_words, unknown_name_error
 from termsel.core.files.atomic import private_folder
 from termsel.core.files.names import JOURNAL, is_there
 from termsel.core.isolation.faults import PluginFault, is_own, name_of
-from termsel.core.isolation.parts import missing, parts
+from termsel.core.isolation.parts import missing_package_error, values_of_slot
 from termsel.core.options import Option
-from termsel.data.coordinates.crs import LOCAL, WGS84, normalise, short
-from termsel.data.coordinates.earth import say_turned, unknown_crs
+from termsel.data.coordinates.crs import LOCAL, WGS84, normalise, short_crs_name
+from termsel.data.coordinates.earth import say_turned, unknown_crs_error
 from termsel.data.coordinates.plausible import check_ground, note_on_mixed
-from termsel.data.features import FeatureSet, no_lines, no_points
+from termsel.data.features import FeatureSet, empty_lines, empty_points
 from termsel.data.georeferenced import warn_of_incomplete, warn_of_map
 from termsel.data.roles import asked_roles, with_roles
 from termsel.data.rpc import Rpc
@@ -50,12 +50,12 @@ from termsel.formats.image_origin import (
 )
 from termsel.formats.readers.advice import (
     EXPECTED,
-    only_those_that_can_be_read,
-    unknown_table,
+    keep_readable_guesses,
+    unknown_table_error,
 )
-from termsel.formats.repeated import REPEATED, averaging
-from termsel.formats.rpc_files import delivered_rpc, size_with_rpc, with_rpc
-from termsel.formats.swapped import SWAPPED, exchanged_back
+from termsel.formats.repeated import REPEATED, average_while_reading
+from termsel.formats.rpc_files import read_delivered_rpc, size_with_rpc, with_rpc
+from termsel.formats.swapped import SWAPPED, exchange_back
 from termsel.formats.z_unit import Z_UNIT, refuse_kilometres, with_z_unit
 from termsel.models.image_part import RPC_OFFSET, RPC_SCALE, ImagePart, part_of
 from termsel.plugins.registry import built_in, registry
@@ -173,7 +173,7 @@ def read(
                    if option.name in given_options} if given_options else {}
     if crs is not None and crs.strip().lower() == CHOSEN:
         if not any(option.name == PROJECTION for option in read_options()):
-            raise missing(PROJECTION, f"--crs {CHOSEN} requires")
+            raise missing_package_error(PROJECTION, f"--crs {CHOSEN} requires")
         of_packages.setdefault(PROJECTION, CHOSEN)
         crs = "EPSG:4326"
     of_readers = given_options
@@ -182,7 +182,7 @@ def read(
     formats = [format] if isinstance(format, str) else format
     size = None if image is None else image_size_of(image)
     if rpc is None and image is not None:
-        rpc = delivered_rpc(image)
+        rpc = read_delivered_rpc(image)
     image_part = part_of(rpc_offset, rpc_scale)
     size_for_origin = size_with_rpc(rpc) if size is None and image_part is None else size
     origin = partial(with_image_origin, choice=image_origin, size=size_for_origin)
@@ -194,13 +194,13 @@ def read(
             raise TermselError("a table in Python is read alone",
                                hint="Read files by themselves and join them with "
                                     "FeatureSet.with_.")
-        with averaging(repeated):
+        with average_while_reading(repeated):
             features = _with_image_size(_read_frame(points, crs, of_readers, origin, swapped),
                                         image, size, off)
             features = _with_rpc_and_heights(features, dem, rpc, z_unit, image_part)
             return _with_packages(features, of_packages, image)
     with ExitStack() as stack:
-        stack.enter_context(averaging(repeated))
+        stack.enter_context(average_while_reading(repeated))
         image_lines = of_readers.get("image_lines")
         once = {Path(path): stack.enter_context(read_once(Path(path)))
                 for path in dict.fromkeys((points, lines, areas, image_lines)) if path is not None}
@@ -242,7 +242,7 @@ def _options_of_image(path: Path, image: Path, readers: Sequence[type[Reader]],
 def read_options() -> tuple[Option, ...]:
     """Return the options of reading, those of installed packages among them."""
     of_packages: list[Option] = []
-    for package in parts(OF_PACKAGES):
+    for package in values_of_slot(OF_PACKAGES):
         of_packages += package.options
     return (*READ_OPTIONS, *of_packages)
 
@@ -253,14 +253,15 @@ def refuse_misspelt(options: Iterable[str]) -> None:
     for key in options:
         group, _, further = key.partition("_")
         if further and group in names and key not in names:
-            raise unknown_name("option", key, [name for name in names if name.startswith(group)])
+            raise unknown_name_error("option", key,
+                                     [name for name in names if name.startswith(group)])
 
 
 def _with_packages(features: FeatureSet, values: Mapping[str, Any],
                    image: Path | str | None) -> FeatureSet:
     """Return features with the additions of packages, by their options or by the image."""
     if values or image is not None:
-        for package in parts(OF_PACKAGES):
+        for package in values_of_slot(OF_PACKAGES):
             features = package.read(features, values, image)
     return features
 
@@ -344,7 +345,7 @@ def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any],
 
     for name in options.keys() - {"columns", "decimal"}:
         raise TermselError(f"a table in Python has no option {name!r}", hint="Leave it out.")
-    features = exchanged_back(read_frame(frame, **options), swapped)
+    features = exchange_back(read_frame(frame, **options), swapped)
     if origin is not None:
         features = origin(features, states_own=False)
     table_path = Path("the table")
@@ -373,7 +374,7 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
                                       if name in declared}))
     named = [reader for reader in usable if reader.name == format]
     if format is not None and not named:
-        raise unknown_name("file format", format, [reader.name for reader in usable])
+        raise unknown_name_error("file format", format, [reader.name for reader in usable])
     if is_there(path) and path.is_dir():
         for_folders = [reader for reader in named or usable if reader.folders]
         of_folder = _reader_that_recognises(path, b"", for_folders)
@@ -394,7 +395,7 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
             path, head.decode("utf-16", errors="ignore").encode(), usable) is not None:
         raise utf16_error(path)
     _refuse_other_content(path, head)
-    error = unknown_table(path, EXPECTED, str((options or {}).get("columns", "")))
+    error = unknown_table_error(path, EXPECTED, str((options or {}).get("columns", "")))
     if error is not None:
         raise error
     binary = b"\0" in head
@@ -473,7 +474,7 @@ def _reader_that_recognises(path: Path, head: bytes, readers: Sequence[Reader]) 
             log.warning("Note: %s recognises %s too; --format %s reads it so.", name_of(reader),
                         path.name, reader.name)
         return built_in_reader or next(iter(claims), None)
-    choosy = [reader for reader in claims if not _greedy(reader, path)]
+    choosy = [reader for reader in claims if not _recognises_noise(reader, path)]
     if len(choosy) == 1:
         return choosy[0]
     raise TermselError(
@@ -481,7 +482,7 @@ def _reader_that_recognises(path: Path, head: bytes, readers: Sequence[Reader]) 
         hint="Choose one: " + " or ".join(f"--format {reader.name}" for reader in claims) + ".")
 
 
-def _greedy(reader: Reader, path: Path) -> bool:
+def _recognises_noise(reader: Reader, path: Path) -> bool:
     """Return whether a reader recognises noise as well, and say so."""
     with private_folder() as folder:
         noise = folder / path.name
@@ -517,21 +518,22 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
         if error.guesses:
             turned = partial(read_with, origin=partial(with_image_origin, choice=UP, size=None)) \
                 if "--set" in error.options else read_with
-            error = only_those_that_can_be_read(error, partial(
+            error = keep_readable_guesses(error, partial(
                 _can_be_read, turned, crs, options or {}))
         columns = error.options.get("--columns", "?")
         # A message proposes all that is still missing. Where the same columns were given already,
         # or some are not known, nothing else would be asked next.
         if crs is None and "?" not in columns and columns != (options or {}).get("columns"):
-            next_options = _asked_next(read_with, {**(options or {}), "columns": columns})
+            next_options = _options_asked_next(read_with, {**(options or {}), "columns": columns})
             error.options = {**next_options, **error.options}
         raise
 
 
-def _asked_next(read_with: Callable[..., FeatureSet], options: Mapping[str, Any]) -> dict[str, str]:
+def _options_asked_next(read_with: Callable[..., FeatureSet],
+                        options: Mapping[str, Any]) -> dict[str, str]:
     """Return the options that would be asked for next, given some."""
     try:
-        with _silence():
+        with _silence_log():
             read_with(crs=None, options=options)
     except TermselError as error:
         return error.options
@@ -543,7 +545,7 @@ def _can_be_read(read_with: Callable[..., FeatureSet], crs: str | None,
     """Return whether files can be read with columns; without a CRS, in some plane."""
     for stated in (crs,) if crs is not None else (None, LOCAL):
         try:
-            with _silence():
+            with _silence_log():
                 read_with(crs=stated, options={**options, "columns": columns})
         except TermselError:
             continue
@@ -552,7 +554,7 @@ def _can_be_read(read_with: Callable[..., FeatureSet], crs: str | None,
 
 
 @contextmanager
-def _silence() -> Iterator[None]:
+def _silence_log() -> Iterator[None]:
     """Log nothing during the block, in which readings are only tried."""
     logger = logging.getLogger("termsel")
     level = logger.level
@@ -576,7 +578,7 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
     paths = list(dict.fromkeys(path for path in (points, lines, areas) if path is not None))
     if len(formats) > len(paths):
         raise TermselError(f"there are {len(formats)} --format for "
-                           f"{counted(len(paths), 'file')}",
+                           f"{count_in_words(len(paths), 'file')}",
                            hint="Give --format once per file, that of the points first.")
     # Without a format for a file, None lets its content show.
     reader_of = {path: find_reader(path, readers, name, options)
@@ -585,7 +587,7 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
     sets: dict[Path, FeatureSet] = {}
     for path, reader in reader_of.items():
         try:
-            sets[path] = exchanged_back(reader.read(path), swapped)
+            sets[path] = exchange_back(reader.read(path), swapped)
         except TermselError as error:
             if formats and error.what.startswith(("there is no column", "there are no columns")):
                 error.hint = f"{error.hint} Without --format the content tells the format."
@@ -610,8 +612,8 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
             continue
         _check_kinds(path, counts, {"points": path == points, "lines": path == lines})
     measured = FeatureSet(
-        no_points() if points is None else sets[points].points,
-        no_lines() if lines is None else sets[lines].lines,
+        empty_points() if points is None else sets[points].points,
+        empty_lines() if lines is None else sets[lines].lines,
         _agreed_crs(sets, stated),
         next((features.image_size for features in sets.values() if features.image_size), None),
         image_origin=next((features.image_origin for features in sets.values()
@@ -737,7 +739,8 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
             agreed = "EPSG:4979"
         elif declared != agreed:
             raise TermselError(
-                f"the file declares the CRS {short(declared)}, but {source} says {short(agreed)}",
+                f"the file declares the CRS {short_crs_name(declared)}, but {source} says "
+                f"{short_crs_name(agreed)}",
                 file=path,
                 hint=f"{'Leave --crs out' if stated else 'Transform one of the files'}, or correct "
                      f"{'the file' if stated else 'what they declare'}; termsel does not transform "
@@ -758,6 +761,6 @@ def _may_add_heights(sets: Iterable[FeatureSet], stated: str | None) -> bool:
 
 def _require_crs(features: FeatureSet, files: Iterable[Path], may_turn: bool) -> None:
     if not features.crs:
-        error = unknown_crs(features, may_turn)
+        error = unknown_crs_error(features, may_turn)
         error.file = " and ".join(map(str, files))
         raise error

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from termsel.core.errors import TermselError, rounded
+from termsel.core.errors import TermselError, rounded_size_text
 from termsel.core.files.atomic import private_folder, write_text
 from termsel.core.files.names import utf8_name
 from termsel.data.archives import raster_in
@@ -19,8 +19,8 @@ from termsel.data.cog import require_tiff_name
 from termsel.data.coordinates.crs import (
     UTM,
     has_ellipsoidal_metres,
-    horizontal,
-    short,
+    horizontal_crs,
+    short_crs_name,
     to_wgs84,
 )
 from termsel.data.rasters import gdal_name, open_raster, refuse_empty_giant, require_rasterio
@@ -41,11 +41,11 @@ from termsel.io.accuracy_tags import accuracy_tags
 from termsel.io.export import as_exported
 from termsel.io.map_grid import (
     MapGrid,
+    clip_grid,
     footprint_of,
     grid_of_image,
     map_crs,
     sees_all,
-    within,
 )
 from termsel.io.map_pixels import map_pixels, warp
 from termsel.io.map_positions import MapPositions
@@ -163,11 +163,11 @@ def rectify(
         folder = stack.enter_context(private_folder())
         grid, share = grid_of_image(result, target, resolution, dem=dem, height=level)
         if bounds is not None:
-            grid = within(grid, bounds, result.features.crs)
+            grid = clip_grid(grid, bounds, result.features.crs)
         surface = stack.enter_context(surface_of(dem, result.features.crs, level))
         caution = _say_heights(result, surface)
         warped = replace(pixels.plain, path=Path(stack.enter_context(utf8_name(image))))
-        source, options = _source(result, warped, folder / "scene.vrt", surface, grid)
+        source, options = _write_source(result, warped, folder / "scene.vrt", surface, grid)
         # Positions are computed here where GDAL's warper cannot: by any model but an RPC.
         positions = None if options is not None else MapPositions(
             result.fit, grid.crs, surface, footprint_of(result, level))
@@ -176,22 +176,22 @@ def rectify(
             options["RPC_DEM"] = str(stack.enter_context(utf8_name(options["RPC_DEM"])))
         with open_raster(source) as raster:
             zone = "the zone of UTM, " if UTM.fullmatch(target) else ""
-            crs_note = "" if crs is not None or target == horizontal(result.features.crs) else \
+            crs_note = "" if crs is not None or target == horizontal_crs(result.features.crs) else \
                 f" ({zone}as the control is not in metres; --crs names another)"
             _say(result, grid, crs_note, share, dem)
             warp(raster, output, grid, pixels, tags=accuracy_tags(result, caution),
                  progress=progress, positions=positions, **options)
 
 
-def _source(result: Result, picture: Picture, vrt: Path, surface: Dem | float, grid: MapGrid,
-            ) -> tuple[Path, dict[str, Any] | None]:
+def _write_source(result: Result, picture: Picture, vrt: Path, surface: Dem | float, grid: MapGrid,
+                  ) -> tuple[Path, dict[str, Any] | None]:
     """Write the virtual raster that is warped; return it and the options of GDAL's warper.
 
     None for these where no RPC comes near the model.
     """
     # By an RPC the warper would put the sky, mirrored, on places behind the camera.
     level = float(result.fit.ground_box()[0][2]) if isinstance(surface, Dem) else surface
-    rpc_fit = _rpc(result) if sees_all(result, grid, level) else None
+    rpc_fit = _usable_rpc(result) if sees_all(result, grid, level) else None
     if rpc_fit is None:
         log.info("Positions in the image are computed on a grid of the map, and interpolated.")
         write_text(vrt, vrt_text(picture, vrt.parent))
@@ -237,11 +237,12 @@ def _say_level(result: Result, surface: Dem | float) -> HeightCaution | None:
                            ", at the heights of the control")
     return HeightCaution(
         f"Without a raster of heights the ground is taken as level, at the height {surface:.6g}: "
-        f"at the heights of the control the map is up to {rounded(pixels)} px from the model",
+        f"at the heights of the control the map is up to {rounded_size_text(pixels)} px from the "
+        "model",
         pixels)
 
 
-def _rpc(result: Result) -> RpcFit | None:
+def _usable_rpc(result: Result) -> RpcFit | None:
     """Return the RPC of a result, or None if it is too far from the model."""
     try:
         # Why there is no RPC matters only to those who look for it.
@@ -257,7 +258,7 @@ def _say(result: Result, grid: MapGrid, crs_note: str, share: float,
          dem: Path | str | None) -> None:
     """Log size and CRS of the map, and which share of the image it shows."""
     log.info("Map: %d x %d px of %g %s in %s%s, with %s of the image.", grid.samples,
-             grid.lines, grid.transform.a, grid.unit, short(grid.crs), crs_note,
+             grid.lines, grid.transform.a, grid.unit, short_crs_name(grid.crs), crs_note,
              "all" if share == 1 else f"about {100 * share:.0f} %")
     if share < 1:
         log.warning("Warning: about %.0f %% of the image is not on the map, as %s.",

@@ -61,7 +61,7 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
         _require_writable(file, makes_folder)
     if not existing:
         return
-    read = list(_sources(reads))
+    read = list(_files_in_use(reads))
     for file in existing:
         # The same file under another name is found by its device and number.
         for source in read:
@@ -98,7 +98,7 @@ def _require_writable(file: Path, makes_folder: bool) -> None:
                        if not os.path.lexists(folder) else "Give another name.")
 
 
-def _sources(reads: Iterable[object]) -> Iterator[Path]:
+def _files_in_use(reads: Iterable[object]) -> Iterator[Path]:
     """Yield the files that are there, with those of results and the sources of VRTs."""
     # To the end of the chain: a VRT of a VRT, a folder of results.
     waiting = [Path(read) for read in reads if isinstance(read, str | Path)]

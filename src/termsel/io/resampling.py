@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 from termsel.data.features import BoolArray, FloatArray
 
 Values = NDArray[Any]
@@ -44,8 +44,9 @@ class ImageWindow:
     sample: int
 
 
-def resampled(window: ImageWindow, positions: FloatArray, resampling: str, size: tuple[int, int],
-              empty: Values) -> tuple[Values, BoolArray]:
+def resample_pixels(window: ImageWindow, positions: FloatArray, resampling: str,
+                    size: tuple[int, int],
+                    empty: Values) -> tuple[Values, BoolArray]:
     """Return pixels of a map at positions in an image, and where they show something.
 
     Parameters
@@ -98,7 +99,8 @@ def reach(resampling: str, positions: FloatArray) -> FloatArray:
     return RADII[KERNELS[resampling]] * np.maximum(_stretch(positions), 1.0) + 1.0
 
 
-def extent(positions: FloatArray, lines: int, samples: int) -> tuple[FloatArray, FloatArray]:
+def extent_of_positions(
+        positions: FloatArray, lines: int, samples: int) -> tuple[FloatArray, FloatArray]:
     """Return the least and the largest line and sample of positions inside an image, (2,) each.
 
     The largest are below the least where there are none.
@@ -122,7 +124,7 @@ def _bounds_inside(positions: Any, lines: int, samples: int, bounds: Any) -> Non
                 bounds[3] = max(bounds[3], sample)
 
 
-_bounds = compiled(_bounds_inside)
+_bounds = compile_lazily(_bounds_inside)
 
 
 def _stretch(positions: FloatArray) -> FloatArray:
@@ -165,7 +167,7 @@ def _kernel_weight(distance: float, kernel: int, stretch: float) -> float:
     return float(3.0 * np.sin(turn) * np.sin(turn / 3.0) / (turn * turn))
 
 
-_kernel_weight = compiled(_kernel_weight)
+_kernel_weight = compile_lazily(_kernel_weight)
 
 
 def _fill_pixels(pixels: Any, has_data: Any, first_line: int, first_sample: int, positions: Any,
@@ -230,7 +232,7 @@ def _fill_pixels(pixels: Any, has_data: Any, first_line: int, first_sample: int,
                     visible[band, i, j] = True
 
 
-_fill = compiled(_fill_pixels)
+_fill = compile_lazily(_fill_pixels)
 
 
 def _filled_complex(pixels: Any, has_data: Any, first_line: int, first_sample: int, positions: Any,

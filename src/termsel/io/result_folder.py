@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
 
-from termsel.core.errors import TermselError, first_of
+from termsel.core.errors import TermselError, first_names_in_words
 from termsel.core.files.atomic import make_folder, private_folder, put_in_place, sync, utf8_bytes
 from termsel.core.files.lock import lock_folder
 from termsel.core.files.names import (
@@ -23,14 +23,19 @@ from termsel.core.files.names import (
 from termsel.core.files.texts import csv_table
 from termsel.core.options import options_of_file
 from termsel.data.coordinates.crs import normalise
-from termsel.data.features import FeatureSet, no_lines, no_points
+from termsel.data.features import FeatureSet, empty_lines, empty_points
 from termsel.data.record.record import Record
-from termsel.data.roles import by_roles
+from termsel.data.roles import observations_by_role
 from termsel.data.rpc import Rpc
 from termsel.formats.base import error_in_file, parse_json, read_text
 from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv, lines_text, points_text
 from termsel.io.result_of_record import AGAIN, record_from, result_from
-from termsel.results.result import Result, of_attributes, of_features, of_record
+from termsel.results.result import (
+    Result,
+    checksum_of_attributes,
+    checksum_of_features,
+    checksum_of_record,
+)
 
 RECORD, POINTS, LINES = "result.json", "points.csv", "lines.csv"
 RESIDUALS, SUMMARY = "residuals.csv", "summary.txt"
@@ -120,7 +125,7 @@ def write_result(result: Result, folder: Path | str) -> None:
     True
     """
     folder = Path(folder)
-    files = {name: utf8_bytes(text) for name, text in _files(result).items()}
+    files = {name: utf8_bytes(text) for name, text in _contents_by_file(result).items()}
     _put_in_place(folder)  # an earlier result, if that was interrupted
     try:
         # Wherever this is interrupted, `read_result` finds the earlier result or the new one: the
@@ -140,7 +145,7 @@ def write_result(result: Result, folder: Path | str) -> None:
     _put_in_place(folder)
 
 
-def _files(result: Result) -> dict[str, str]:
+def _contents_by_file(result: Result) -> dict[str, str]:
     """Return the content of each file of a result."""
     points = result.features.points
     lines = result.features.lines
@@ -154,7 +159,7 @@ def _files(result: Result) -> dict[str, str]:
 
 def _put_in_place(folder: Path) -> None:
     """Replace the files of a folder by the pending ones; nothing without these."""
-    pending = _pending(folder)
+    pending = _pending_folder(folder)
     if not pending.is_dir():
         return
     try:
@@ -179,11 +184,11 @@ def _cannot_write(folder: Path, error: OSError) -> TermselError:
 def _path_of_file(folder: Path, name: str) -> Path:
     """Return the path of a file of the result: the pending one, if it is not yet in place."""
     # A result that was interrupted while it was put in place is read from where it is complete.
-    pending = path_inside(_pending(folder), name)
+    pending = path_inside(_pending_folder(folder), name)
     return pending if is_there(pending) else path_inside(folder, name)
 
 
-def _pending(folder: Path) -> Path:
+def _pending_folder(folder: Path) -> Path:
     """Return the folder of files that are pending, which is no link."""
     refuse_link(folder / _PENDING)
     return folder / _PENDING
@@ -219,11 +224,12 @@ def read_result(folder: Path | str) -> Result:
     """
     path = _path_of_file(Path(folder), RECORD)
     if not is_there(path):
-        raise _no_result(Path(folder), path)
+        raise _no_result_error(Path(folder), path)
     try:
         content = parse_json(read_text(path), AGAIN)
         record = record_from(content)
-        _refuse_changed(record.checksums is None or record.checksums.record != of_record(content),
+        _refuse_changed(record.checksums is None
+                        or record.checksums.record != checksum_of_record(content),
                         path)
         features = _read_features(Path(folder), record)
         # A record that was edited, and features that do not go with it, are refused alike.
@@ -231,8 +237,8 @@ def read_result(folder: Path | str) -> Result:
         files = [
             name for name, table in ((POINTS, features.points), (LINES, features.lines))
             if len(table)]
-        _refuse_changed(seals is None or seals.features != of_features(features)
-                        or seals.attributes != of_attributes(features),
+        _refuse_changed(seals is None or seals.features != checksum_of_features(features)
+                        or seals.attributes != checksum_of_attributes(features),
                         path.with_name(" or ".join(files)))
         with options_of_file(Path(folder) / RECORD):
             return result_from(record, features)
@@ -247,7 +253,7 @@ def results_within(folder: Path) -> list[str]:
     return sorted(str(result.parent) for result in found)
 
 
-def _no_result(folder: Path, path: Path) -> TermselError:
+def _no_result_error(folder: Path, path: Path) -> TermselError:
     """Return the error for a folder without a result; of a block or a study it names some inside.
     """
     if not folder.exists():
@@ -260,7 +266,7 @@ def _no_result(folder: Path, path: Path) -> TermselError:
     names = results_within(folder)
     if names:
         return TermselError("there is no result here, but in folders within it", file=folder,
-                            hint=f"Give one of them: {first_of(names, 3)}.")
+                            hint=f"Give one of them: {first_names_in_words(names, 3)}.")
     return TermselError("there is no result here", file=path,
                         hint="Give the folder of a run, as in termsel run --out DIR.")
 
@@ -277,15 +283,15 @@ def _read_features(folder: Path, record: Record) -> FeatureSet:
         if count and not path.exists():
             raise TermselError(f"the folder of this result lacks its file {path.name}",
                                file=folder, hint=AGAIN)
-    lines = LinesCsv().read(at_lines).lines if counts.lines else no_lines()
+    lines = LinesCsv().read(at_lines).lines if counts.lines else empty_lines()
     points = PointsCsv().read(at_points).points if (
-        counts.control or counts.check or counts.independent or counts.off) else no_points()
+        counts.control or counts.check or counts.independent or counts.off) else empty_points()
     features = FeatureSet(points, lines, crs=data.crs, image_size=data.image_size,
                           noise=data.noise, heights=data.heights or "",
                           fit_crs=record.scaling.fit_crs,
                           rpc=None if data.rpc is None else Rpc.from_numbers(data.rpc))
     # Roles are in both the table and the record: a changed table is noticed.
-    observations = by_roles(features)
+    observations = observations_by_role(features)
     roles = {"control": observations.control.ids, "check": observations.check.ids,
              "independent": observations.independent.ids, "off": observations.off}
     for role, ids in roles.items():

@@ -9,15 +9,15 @@ import numpy as np
 from msgspec import ValidationError, convert
 
 from termsel.auto.function import OfFunction, OfPlaneFunction
-from termsel.core.errors import TermselError, printable
+from termsel.core.errors import TermselError, make_printable
 from termsel.core.files.mismatches import KINDS_OF_JSON, mismatch_in_words
 from termsel.core.version import __version__
 from termsel.data.features import FeatureSet
 from termsel.data.record.figures import as_plain_data
 from termsel.data.record.record import SCHEMA, PluginRecord, Record
-from termsel.data.roles import ASSIGNABLE, Observations, by_roles, with_merged_twins
+from termsel.data.roles import ASSIGNABLE, Observations, observations_by_role, with_merged_twins
 from termsel.data.scaling import Scaling
-from termsel.fitting.figures import figures, in_role, number, residuals_of
+from termsel.fitting.figures import number, residuals_of, restrict_to_control, rmse_by_role
 from termsel.fitting.fit import Estimator, Fit
 from termsel.fitting.method import Method
 from termsel.models.base import SensorModel
@@ -47,23 +47,23 @@ def record_from(content: Any) -> Record:
         raise TermselError("this result is damaged: it is nested too deeply", hint=AGAIN) from None
     except (ValidationError, UnicodeEncodeError) as error:  # keys may be no text at all
         mismatch = mismatch_in_words(str(error), KINDS_OF_JSON, lambda key: key or "the file")
-        raise TermselError(f"this result is damaged{_or_of_another(content)}: {mismatch}",
+        raise TermselError(f"this result is damaged{_clause_on_other_version(content)}: {mismatch}",
                            hint=AGAIN) from error
 
 
-def _or_of_another(content: dict[str, Any]) -> str:
+def _clause_on_other_version(content: dict[str, Any]) -> str:
     """Return a clause that a record may be of development code, whose keys changed; else ""."""
     versions = content.get("versions")
     written = str(versions.get("termsel")) if isinstance(versions, dict) else ""
-    return f", or of development code ({printable(written[:40])})" if (
+    return f", or of development code ({make_printable(written[:40])})" if (
         "dev" in written and written != __version__) else ""
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of coefficients or places such as 1e300
 def result_from(record: Record, features: FeatureSet) -> Result:
     """Return the result of a record and its features, each point with its role."""
-    observations = by_roles(features)
-    model = _model(record)
+    observations = observations_by_role(features)
+    model = _model_of_selection(record)
     fitted = _fit_of_selection(record, model, observations)
     _refuse_other_model(record, fitted, observations)
     residuals = residuals_of(fitted, observations, record.outliers,
@@ -72,7 +72,7 @@ def result_from(record: Record, features: FeatureSet) -> Result:
                      features=features, residuals=residuals)
 
 
-def _model(record: Record) -> SensorModel:
+def _model_of_selection(record: Record) -> SensorModel:
     """Return the model of the selection."""
     model_type = _model_type(record.plugins.get("model"), record.model)
     # A plugin may have changed its options since: that is said by its own error.
@@ -80,7 +80,8 @@ def _model(record: Record) -> SensorModel:
     model = declared.with_parameters(record.selection.parameters)
     if unknown := [name for name in record.coefficients if name not in model.terms]:
         raise TermselError(f"the installed model has no term {unknown[0]!r}, which is in the "
-                           "record: the model is not the one of the run", hint=_made_by(record))
+                           "record: the model is not the one of the run",
+                           hint=_sentence_on_model_class(record))
     return model
 
 
@@ -94,18 +95,19 @@ def _fit_of_selection(record: Record, model: SensorModel, observations: Observat
         used = np.isin(control.ids, record.selection.features)
     else:
         joint = observations.together
-        control = _made_of(joint, set(joint.ids), how.features)
+        control = _merge_listed_points(joint, set(joint.ids), how.features)
         used = np.ones(len(control), dtype=bool)
     scaling = Scaling.from_numbers(record.scaling)
     # Coefficients are taken as they are, so that nothing is fitted again.
     fitted = fit_of_record(
         model, control, scaling, used, coefficients=record.coefficients,
         deviations=record.standard_deviations, figures=record.adjustment, how=how,
-        by_plugin=_estimator(record))
-    return in_role(fitted, observations)
+        by_plugin=_estimator_of_method(record))
+    return restrict_to_control(fitted, observations)
 
 
-def _made_of(features: FeatureSet, points: set[str], ids: tuple[str, ...]) -> FeatureSet:
+def _merge_listed_points(features: FeatureSet, points: set[str],
+                         ids: tuple[str, ...]) -> FeatureSet:
     """Return some points with twins as one, and the lines among some ids."""
     lines = features.lines
     chosen_features = with_merged_twins(features.with_(
@@ -129,17 +131,18 @@ def _final_fit(record: Record, model: SensorModel, observations: Observations) -
     # In the final fit every point in use is control.
     roles = tuple("control" if name in in_use else role
                   for name, role in zip(points.ids, points.roles, strict=True))
-    control = _made_of(observations.features.with_(points=replace(points, roles=roles)), in_use,
-                       final.features)
+    control = _merge_listed_points(observations.features.with_(points=replace(points, roles=roles)),
+                                   in_use,
+                                   final.features)
     scaling = Scaling.from_numbers(final.scaling)
     used = np.ones(len(control), dtype=bool)
     return fit_of_record(
         model, control, scaling, used, coefficients=final.coefficients,
         deviations=final.standard_deviations, figures=final.adjustment, how=final.fit,
-        by_plugin=_estimator(record))
+        by_plugin=_estimator_of_method(record))
 
 
-def _estimator(record: Record) -> Estimator | None:
+def _estimator_of_method(record: Record) -> Estimator | None:
     """Return the estimator of the method that auto chose, None unless a plugin provides it."""
     plugin = record.plugins.get("method")
     if plugin is None:
@@ -167,7 +170,7 @@ def _model_type(plugin: PluginRecord | None, name: str) -> type[SensorModel]:
 
 def _refuse_other_model(record: Record, fitted: Fit, observations: Observations) -> None:
     """Refuse a model that has changed since the run, as another version of a plugin may have."""
-    current_rmse = figures(fitted, observations)
+    current_rmse = rmse_by_role(fitted, observations)
     # Leave-one-out of what auto chose is told by what it predicts, not here.
     for role, rmse in record.rmse.by_role.items():
         current = current_rmse.get(role)
@@ -178,10 +181,10 @@ def _refuse_other_model(record: Record, fitted: Fit, observations: Observations)
             raise TermselError(
                 f"the {role} RMSE is {current.total:.4g} px by the installed model and "
                 f"{total:.4g} px in the record: the model is not the one of the run",
-                hint=_made_by(record))
+                hint=_sentence_on_model_class(record))
 
 
-def _made_by(record: Record) -> str:
+def _sentence_on_model_class(record: Record) -> str:
     """Return a sentence on the class or version of the model that a run used."""
     plugin = record.plugins.get("model")
     if plugin is not None and plugin.class_:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from msgspec import structs
 
-from termsel.core.errors import TermselError, first_of
+from termsel.core.errors import TermselError, first_names_in_words
 from termsel.data.features import Points
 from termsel.data.record.figures import as_plain_data
 from termsel.data.record.record import Record
@@ -30,7 +30,7 @@ def with_spent(result: Result, folder: Path) -> Result:
     if result.accuracy is None:
         return result
     # What makes a fit: the same one over again does not spend its points twice.
-    independent = _independent(result.features.points)
+    independent = _independent_points(result.features.points)
     this_fit = _fit_of(result)
     shown_points = set[str]()
     names = set[str]()
@@ -43,7 +43,8 @@ def with_spent(result: Result, folder: Path) -> Result:
             if not another_fit and not earlier:
                 continue
             # By id and coordinates, as other points may have the same id.
-            shared = independent & _independent(PointsCsv().read(file.with_name(POINTS)).points)
+            points = PointsCsv().read(file.with_name(POINTS)).points
+            shared = independent & _independent_points(points)
             ids = {name for name, *_ in shared}
             # What an earlier result knew of its points holds for these, even if that one is gone.
             if before := ids & earlier.keys():
@@ -61,7 +62,8 @@ def with_spent(result: Result, folder: Path) -> Result:
     note = (f"{len(shown_points)}{of_all} independent check point{plural} "
             f"{'is' if single else 'are'} no longer independent: {'it' if single else 'they'} "
             "already assessed another fit, in "
-            f"{first_of(named)}. A fit that is chosen by them looks better than it is. Compare "
+            f"{first_names_in_words(named)}. A fit that is chosen by them looks better than it "
+            "is. Compare "
             "fits by selection points or by the predicted RMSE, or measure new selection points.")
     spent = tuple(name for name in result.features.points.ids if name in shown_points)
     accuracy = structs.replace(result.accuracy, spent_by=named, spent=spent)
@@ -77,7 +79,7 @@ def _spent_before(record: Record) -> dict[str, tuple[str, ...]]:
     return dict.fromkeys(accuracy.spent, accuracy.spent_by)
 
 
-def _independent(points: Points) -> set[tuple[Any, ...]]:
+def _independent_points(points: Points) -> set[tuple[Any, ...]]:
     """Return id, image and ground coordinates of the independent points, as a set."""
     ground = np.nan_to_num(points.ground)
     return {(name, *image, *position) for name, role, image, position in zip(

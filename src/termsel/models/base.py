@@ -11,8 +11,8 @@ import numpy as np
 
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.interpolation import Interpolation
-from termsel.core.errors import TermselError, first_of
-from termsel.core.isolation.arrays import of_shape, of_type, returns
+from termsel.core.errors import TermselError, first_names_in_words
+from termsel.core.isolation.arrays import difference_from_shape, difference_from_type, returns_type
 from termsel.core.isolation.calls import Check
 from termsel.core.options import Configurable
 from termsel.data.coordinates.crs import to_wgs84
@@ -44,14 +44,15 @@ def _equations_fault(model: SensorModel, value: Any, *_args: Any) -> str | None:
 def _linearised_fault(model: SensorModel, value: Any, *_args: Any, finite: bool = False,
                       ) -> str | None:
     """Return how equations about a solution are at fault; None if they are not."""
-    return (of_type(value, Equations)
-            or of_shape(value.A, (-1, len(model.terms)), finite=finite, verb="returned as A")
-            or of_shape(value.b, (len(value.A),), finite=finite, verb="returned as b")
-            or of_shape(value.feature, (len(value.A),), verb="returned as feature"))
+    return (difference_from_type(value, Equations)
+            or difference_from_shape(
+                value.A, (-1, len(model.terms)), finite=finite, verb="returned as A")
+            or difference_from_shape(value.b, (len(value.A),), finite=finite, verb="returned as b")
+            or difference_from_shape(value.feature, (len(value.A),), verb="returned as feature"))
 
 
 def _start_fault(model: SensorModel, value: Any, *_args: Any) -> str | None:
-    return of_shape(value, (len(model.terms),))
+    return difference_from_shape(value, (len(model.terms),))
 
 
 def _image_fault(_model: SensorModel, value: Any, coefficients: FloatArray, *args: Any,
@@ -59,16 +60,17 @@ def _image_fault(_model: SensorModel, value: Any, coefficients: FloatArray, *arg
     """Return how image positions are at fault; None if they are not, as if infinite at a pole."""
     # `project` is called with coefficients and ground, `predict` with the control in between.
     ground = args[-1]
-    return of_shape(value, (*np.shape(coefficients)[:-1], len(ground), 2), finite=False)
+    return difference_from_shape(
+        value, (*np.shape(coefficients)[:-1], len(ground), 2), finite=False)
 
 
 def _weights_fault(_model: SensorModel, value: Any, control: FloatArray, ground: FloatArray,
                    ) -> str | None:
-    return of_shape(value, (len(ground), len(control)))
+    return difference_from_shape(value, (len(ground), len(control)))
 
 
 def _axis_fault(model: SensorModel, value: Any) -> str | None:
-    fault = of_shape(value, (len(model.terms),))
+    fault = difference_from_shape(value, (len(model.terms),))
     if fault is None and not np.isin(value, (LINE, SAMPLE, BOTH)).all():
         return "returned an array with other numbers than 0, 1 and 2"
     return fault
@@ -77,14 +79,14 @@ def _axis_fault(model: SensorModel, value: Any) -> str | None:
 def _rpc_fault(_model: SensorModel, value: Any, *_args: Any) -> str | None:
     from termsel.data.rpc import Rpc
 
-    return of_type(value, Rpc)
+    return difference_from_type(value, Rpc)
 
 
 def _model_fault(_model: SensorModel, value: Any, *_args: Any) -> str | None:
-    return of_type(value, SensorModel)
+    return difference_from_type(value, SensorModel)
 
 
-def _or_none(check: Check) -> Check:
+def _allow_none(check: Check) -> Check:
     """Return a check that also takes None."""
     return lambda model, value, *args: None if value is None else check(model, value, *args)
 
@@ -108,13 +110,13 @@ class SensorModel(Configurable, ABC):
     kind = "model"
     guards: ClassVar[Mapping[str, Check | None]] = {
         "terms": _terms_fault, "axis": _axis_fault, "prepared": _model_fault,
-        "equations": _equations_fault, "linearised": _or_none(_linearised_fault),
-        "start": _or_none(_start_fault),
-        "project": _image_fault, "predict": _image_fault, "denominators": _or_none(_image_fault),
-        "residual_weights": _or_none(_weights_fault), "as_rpc": _or_none(_rpc_fault),
-        "interpolation": _or_none(returns(Interpolation)),
-        "known_image": _or_none(returns(KnownImage)),
-        "polynomial_degree": _or_none(returns(int))}
+        "equations": _equations_fault, "linearised": _allow_none(_linearised_fault),
+        "start": _allow_none(_start_fault),
+        "project": _image_fault, "predict": _image_fault, "denominators": _allow_none(_image_fault),
+        "residual_weights": _allow_none(_weights_fault), "as_rpc": _allow_none(_rpc_fault),
+        "interpolation": _allow_none(returns_type(Interpolation)),
+        "known_image": _allow_none(returns_type(KnownImage)),
+        "polynomial_degree": _allow_none(returns_type(int))}
 
     uses_height: ClassVar[bool] = True
     """Whether it requires the heights of the features."""
@@ -403,6 +405,6 @@ def require_heights(model: SensorModel, features: FeatureSet) -> None:
     if model.uses_height and missing:
         raise TermselError(
             f"model {model.name!r} needs heights; they are unknown for {len(missing)} of the "
-            f"features: {first_of(missing, 5)}",
+            f"features: {first_names_in_words(missing, 5)}",
             hint="Add heights, as by --dem FILE, or choose a plane model: --model poly2d.",
             ids=missing[:1])

@@ -125,7 +125,7 @@ def part_of(offset: str | None, scale: float | str | None) -> ImagePart | None:
     return ImagePart(start, factor)
 
 
-def recognised(predicted: FloatArray, measured: FloatArray) -> ImagePart | None:
+def recognise_part(predicted: FloatArray, measured: FloatArray) -> ImagePart | None:
     """Return the part that explains where an RPC sees points, and where they were measured.
 
     Shapes (n, 2) [px]. None where the RPC is near, where the points are too few, or where no part

@@ -10,7 +10,7 @@ import numpy as np
 from termsel.adjustment.bayesian.field import fit_gaussian_process
 from termsel.adjustment.bayesian.thin_plate import thin_plates
 from termsel.adjustment.interpolation import Interpolation
-from termsel.core.errors import TermselError, amount
+from termsel.core.errors import TermselError, amount_in_words
 from termsel.core.options import Option
 from termsel.data.features import FeatureSet, FloatArray
 from termsel.data.monomials import Exponents, graded_exponents
@@ -83,7 +83,8 @@ class ThinPlate(Interpolating):
         """Return the spline (see `SensorModel.interpolation`)."""
         if self.options["smoothing"] == 0 and len(control.points) > MAX_EXACT_SPLINE:
             raise TermselError(
-                f"a spline that meets {amount(len(control.points), 'point')} exactly takes too "
+                f"a spline that meets {amount_in_words(len(control.points), 'point')} exactly "
+                "takes too "
                 "long", hint="Leave smoothing out, or give one above 0.")
         return thin_plates(control.points, plane_units(self), self.options["smoothing"],
                            self.options["chosen_by"])

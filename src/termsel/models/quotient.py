@@ -18,16 +18,16 @@ from termsel.adjustment.equations import (
     line_normals,
     weights_of,
 )
-from termsel.adjustment.iterated import Quotients, least_distances
+from termsel.adjustment.iterated import Quotients, solve_least_distances
 from termsel.adjustment.leave_out import IndependentPart, solve_parts
-from termsel.core.isolation.arrays import of_shape, of_type
+from termsel.core.isolation.arrays import difference_from_shape, difference_from_type
 from termsel.core.isolation.calls import Check
 from termsel.core.isolation.faults import fault_of_method
 from termsel.core.options import Option
 from termsel.data.coordinates.crs import is_geocentric
 from termsel.data.coordinates.places import spatial_order
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
-from termsel.data.monomials import RPC00B, Exponents, monomial_name, monomials
+from termsel.data.monomials import RPC00B, Exponents, evaluate_monomials, monomial_name
 from termsel.data.view import view_of
 from termsel.models.base import BOTH, LINE, SAMPLE, SensorModel
 from termsel.models.terms import AXES, Term
@@ -77,8 +77,8 @@ _LAYOUT = (
 
 def _blocks_fault(_model: RationalModel, value: Any, ground: FloatArray) -> str | None:
     """Return how the columns of a model are at fault; None if they are not."""
-    return of_type(value, Blocks) or next(filter(None, (
-        of_shape(columns, (len(ground), -1), verb=f"returned as {name}")
+    return difference_from_type(value, Blocks) or next(filter(None, (
+        difference_from_shape(columns, (len(ground), -1), verb=f"returned as {name}")
         for name, columns in vars(value).items() if columns is not None
         or name in ("line", "sample"))), None)
 
@@ -277,7 +277,7 @@ class RationalModel(SensorModel):
         first = self.first_terms
         start, _ = solve_parts(systems, terms if first is None else terms & first, used)
         quotients = Quotients(above, all_columns - above, points.image.ravel(), weights)
-        return least_distances(quotients, systems, terms, start)
+        return solve_least_distances(quotients, systems, terms, start)
 
     @property
     def exact_for_lines(self) -> bool:
@@ -340,7 +340,7 @@ class MonomialModel(RationalModel):
     def blocks(self, ground: FloatArray) -> Blocks:
         """Return the monomials as numerators, and without the constant as denominators."""
         # The constant of a denominator is fixed to 1, so its column is left out.
-        above = monomials(ground, self.exponents)
+        above = evaluate_monomials(ground, self.exponents)
         separate, shared = (above[:, 1:] if self.divides == kind else None
                             for kind in ("separate", "shared"))
         return Blocks(above, above, separate, separate, shared)
@@ -494,14 +494,14 @@ class RationalFunctions(MonomialModel):
 
     def equations(self, features: FeatureSet) -> Equations:
         """Return the equations of points and lines (see `RationalModel.equations`)."""
-        return replace(super().equations(features), prior=self._prior(features))
+        return replace(super().equations(features), prior=self._prior_weights(features))
 
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
         """Return them about a solution (see `RationalModel.linearised`)."""
         equations = super().linearised(features, coefficients)
-        return equations and replace(equations, prior=self._prior(features))
+        return equations and replace(equations, prior=self._prior_weights(features))
 
-    def _prior(self, features: FeatureSet) -> FloatArray | None:
+    def _prior_weights(self, features: FeatureSet) -> FloatArray | None:
         """Return the weights (k,) that hold the terms of denominators near 0; None without any."""
         ridge = self.options["ridge"]
         if ridge is None:

@@ -124,7 +124,7 @@ KINDS = {
 """By the plural, which is also the last part of the hook's name."""
 
 
-def summary(item: Any) -> str:
+def summary_line(item: Any) -> str:
     """Return one line on a thing: its summary, or the first line of its docstring."""
     declared = getattr(item, "summary", None)
     if isinstance(declared, str):

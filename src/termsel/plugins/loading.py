@@ -19,21 +19,21 @@ from typing import Any, TypeVar
 
 import pluggy
 
-from termsel.core.errors import exception_in_words, unknown_name
+from termsel.core.errors import exception_in_words, unknown_name_error
 from termsel.core.isolation.faults import (
     OWN,
     TooSlow,
+    call_within,
     code_of,
     distribution_of,
     remember,
     surroundings_kept,
-    within,
 )
-from termsel.core.isolation.parts import PLUGINS_VARIABLE, canonical, chosen_packages
+from termsel.core.isolation.parts import PLUGINS_VARIABLE, canonical_name, chosen_packages
 from termsel.core.version import PLUGIN_API, __version__
 from termsel.plugins import builtin, hookspecs
 from termsel.plugins.hookspecs import PROJECT
-from termsel.plugins.requirements import fits
+from termsel.plugins.requirements import version_fits
 
 log = logging.getLogger(__name__)
 
@@ -86,8 +86,8 @@ class Remark:
         return f"{plugin}{package}: {self.what}"
 
 
-def attempt(call: Callable[[], T], package: str = OWN, seconds: float | None = None,
-            ) -> tuple[T, None] | tuple[None, str]:
+def run_plugin_code(call: Callable[[], T], package: str = OWN, seconds: float | None = None,
+                    ) -> tuple[T, None] | tuple[None, str]:
     """Run code of a plugin, in a thread of its own with a limit of time, by default `LIMIT` [s].
 
     Working folder and filters of warnings are put back. ``TERMSEL_DEBUG=1`` shows the traceback of
@@ -111,7 +111,7 @@ def attempt(call: Callable[[], T], package: str = OWN, seconds: float | None = N
     limit = LIMIT if seconds is None else seconds
     try:
         with surroundings_kept(), code_of(package):
-            return contained() if package == OWN else within(
+            return contained() if package == OWN else call_within(
                 limit, contained, soon=SOON, tell=partial(_tell, package))
     except TooSlow:
         return None, f"it takes more than {limit:g} s"
@@ -143,7 +143,7 @@ class Slot:
 
     def attempt(self, call: Callable[[], T], seconds: float | None = None,
                 ) -> tuple[T, None] | tuple[None, str]:
-        """Run code of the plugin as `attempt` does, and note how long it takes.
+        """Run code of the plugin as `run_plugin_code` does, and note how long it takes.
 
         Returned are its value and None, or None and the reason why it failed or was not called.
         """
@@ -151,7 +151,7 @@ class Slot:
             return None, self.left_out
         # Import and hooks of a plugin count together, for `termsel plugins`.
         start = time.perf_counter()
-        value, reason = attempt(call, self.package, seconds)
+        value, reason = run_plugin_code(call, self.package, seconds)
         seconds_taken = time.perf_counter() - start
         self.seconds += seconds_taken
         if reason is not None and seconds_taken > (seconds or LIMIT):
@@ -227,7 +227,7 @@ class Loader:
         plugin = slot.plugin
         manager = new_manager()
         remember(slot.package, f"{plugin.distribution} {plugin.version}".strip())
-        if not fits(plugin.requires, __version__):
+        if not version_fits(plugin.requires, __version__):
             self.failures.append(plugin.remark(
                 f"not loaded: it is for termsel{plugin.requires}, and this is {__version__}; "
                 f"install a version of it for termsel {PLUGIN_API}"))
@@ -236,7 +236,7 @@ class Loader:
         if reason is not None:
             self.failures.append(plugin.remark(f"cannot be imported: {reason}"))
             return
-        _, reason = slot.attempt(lambda: manager.register(module, _key(plugin)))
+        _, reason = slot.attempt(lambda: manager.register(module, _cache_key(plugin)))
         if reason is not None:
             self.failures.append(plugin.remark(f"does not fit the hooks: {reason}"))
             return
@@ -249,7 +249,7 @@ class Loader:
                 "no hooks; its functions need the decorator termsel.hookimpl"))
         # Its other hooks count: it may be written for a later termsel that has more of them.
         for hook in sorted(hooks.keys() - set(HOOKS)):
-            self.failures.append(plugin.remark(str(unknown_name("hook", hook, HOOKS))))
+            self.failures.append(plugin.remark(str(unknown_name_error("hook", hook, HOOKS))))
         slot.hooks = {hook: hooks[hook] for hook in sorted(hooks.keys() & set(HOOKS))}
         slot.plugin = replace(plugin, hooks=tuple(slot.hooks))
 
@@ -265,7 +265,7 @@ def hooks_in_source(point: EntryPoint) -> Callable[[str], bool]:
     """Return a function that shows whether a plugin may implement a hook, without importing it."""
     @cache
     def source() -> str:
-        return "" if point.attr else _source(point.module)
+        return "" if point.attr else _module_source(point.module)
 
     def may_have(hook: str) -> bool:
         """Return whether a module may implement a hook, judged by its source without an import."""
@@ -279,7 +279,7 @@ def hooks_in_source(point: EntryPoint) -> Callable[[str], bool]:
     return may_have
 
 
-def _source(module: str) -> str:
+def _module_source(module: str) -> str:
     """Return the text of a module, found without an import; "" if it cannot be found."""
     # Package by package, as an import would go, but without running any code.
     spec = None
@@ -298,18 +298,18 @@ def _source(module: str) -> str:
         return ""
 
 
-def _key(plugin: Plugin) -> str:
+def _cache_key(plugin: Plugin) -> str:
     return f"{plugin.distribution}:{plugin.name}"
 
 
 def _points_of(distribution: Distribution) -> tuple[list[EntryPoint], str]:
     """Return the entry points of a distribution's plugins, and a fault of its metadata, or ""."""
-    points, reason = attempt(lambda: [
+    points, reason = run_plugin_code(lambda: [
         point for point in distribution.entry_points.select(group=PROJECT) if point.module])
     if points is None:
         _spare_numba()
         return [], f"its entry_points.txt cannot be read: {reason}"
-    if points and attempt(lambda: _distribution_names(distribution))[1]:
+    if points and run_plugin_code(lambda: _distribution_names(distribution))[1]:
         return [], "its METADATA is missing or cannot be read; install it again"
     # Reversed, so that of two with a name the first is kept.
     first = {point.name: point for point in reversed(points)}
@@ -328,20 +328,20 @@ def _spare_numba() -> None:
     import_numba()
     from numba.core.entrypoints import init_all
 
-    attempt(init_all)
+    run_plugin_code(init_all)
 
 
 def _name_of(distribution: Distribution) -> str:
     """Return the name of a distribution: by its folder where it has no readable metadata."""
-    name, _ = attempt(lambda: _distribution_names(distribution)[0])
+    name, _ = run_plugin_code(lambda: _distribution_names(distribution)[0])
     folder = Path(str(getattr(distribution, "_path", "unknown"))).name
-    return name or canonical(folder.partition("-")[0])
+    return name or canonical_name(folder.partition("-")[0])
 
 
 def _plugin_of(point: EntryPoint) -> Plugin:
     """Return the plugin of an entry point, with its distribution and version if it has one."""
     if point.dist is None:  # made by hand, not found in a distribution
-        return Plugin(point.name, canonical(point.module), "")
+        return Plugin(point.name, canonical_name(point.module), "")
     name, version, requires = _distribution_names(point.dist)
     return Plugin(point.name, name, version, requires=requires)
 
@@ -355,7 +355,7 @@ def _distribution_names(distribution: Distribution) -> tuple[str, str, str]:
     stated = (re.match(r"termsel\s*(?:\[[^]]*])?\s*\(?([<>=!~][^;)]*)", requirement, re.IGNORECASE)
               for requirement in metadata.get_all("Requires-Dist") or ())
     requires = next((match[1].replace(" ", "") for match in stated if match), "")
-    return canonical(metadata["Name"]), metadata["Version"] or "", requires
+    return canonical_name(metadata["Name"]), metadata["Version"] or "", requires
 
 
 # Call a hook by pluggy, wrappers and order included, so that a broken plugin harms no other.
@@ -396,7 +396,8 @@ def call(hook: str, slots: Iterable[Slot], accept: Taken, arguments: Arguments |
     manager = new_manager()
     # pluggy calls first what is registered last.
     for slot in reversed(list(slots)):
-        guard = _wrapper if slot.hooks[hook].wrapper or slot.hooks[hook].hookwrapper else _plain
+        is_wrapper = slot.hooks[hook].wrapper or slot.hooks[hook].hookwrapper
+        guard = _guard_wrapper if is_wrapper else _guard_implementation
         function = guard(slot, slot.hooks[hook], arguments, accept, answers=answers,
                          givers=givers, seconds=seconds)
         manager.register(SimpleNamespace(**{hook: function}), _slot_key(slot))
@@ -421,7 +422,7 @@ class _Givers:
         return self._plugins[id(item)][0]
 
 
-def listed(value: Any) -> list[Any]:
+def list_hook_values(value: Any) -> list[Any]:
     """Return the value of a hook as a list.
 
     Raises TypeError if it is no iterable, or has more than MAX_RETURNED items.
@@ -436,8 +437,10 @@ def listed(value: Any) -> list[Any]:
     return items
 
 
-def _plain(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, accept: Taken,
-           answers: Answers, givers: _Givers, seconds: float | None) -> Callable[..., Any]:
+def _guard_implementation(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments,
+                          accept: Taken,
+                          answers: Answers, givers: _Givers, seconds: float | None) -> Callable[...,
+                                                                                                Any]:
     """Return an implementation that never raises; what it returns is a list of things."""
     @wraps(implementation.function)
     def answer(*_args: Any, **_keywords: Any) -> list[Any] | None:
@@ -452,8 +455,9 @@ def _plain(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, ac
     return answer
 
 
-def _wrapper(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments, _accept: Taken,
-             answers: Answers, givers: _Givers, seconds: float | None) -> Callable[..., Any]:
+def _guard_wrapper(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments,
+                   _accept: Taken,
+                   answers: Answers, givers: _Givers, seconds: float | None) -> Callable[..., Any]:
     """Return a wrapper that never raises; if it fails, the inner answers stand."""
     @wraps(implementation.function)
     def wrap(*_args: Any, **_keywords: Any) -> Generator[None, Any, Any]:
@@ -494,7 +498,8 @@ def _finish_wrapper(running: Generator[None, Any, Any], inner: Any) -> list[list
         outcome = inner.get_result() if old else end.value
         if outcome is None and inner:
             raise TypeError("returned nothing; a wrapper returns the lists that it gets") from None
-        return None if outcome is None else [listed(items) for items in listed(outcome)]
+        return None if outcome is None else [list_hook_values(items)
+                                             for items in list_hook_values(outcome)]
     # A wrapper yields once: what it does after that is not defined.
     running.close()
     raise RuntimeError("it yields twice")

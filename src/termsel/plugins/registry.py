@@ -11,14 +11,14 @@ from importlib.metadata import EntryPoint
 from itertools import chain, product
 from typing import TYPE_CHECKING, Any
 
-from termsel.core.errors import TermselError, printable, unknown_name
+from termsel.core.errors import TermselError, make_printable, unknown_name_error
 from termsel.core.isolation import parts
 from termsel.core.isolation.faults import package_of
-from termsel.core.isolation.parts import canonical
+from termsel.core.isolation.parts import canonical_name
 from termsel.core.options import Configurable
 from termsel.plugins.commands import COMMANDS
 from termsel.plugins.hookspecs import PROJECT
-from termsel.plugins.kinds import KINDS, summary
+from termsel.plugins.kinds import KINDS, summary_line
 from termsel.plugins.loading import (
     LISTENER,
     Loader,
@@ -26,9 +26,9 @@ from termsel.plugins.loading import (
     Remark,
     Slot,
     Taken,
-    attempt,
     call,
-    listed,
+    list_hook_values,
+    run_plugin_code,
 )
 from termsel.results.extras import sources
 
@@ -63,7 +63,7 @@ class Entry:
         """Return True for the entry's name, bare or with its distribution before it."""
         distribution, _, bare = name.rpartition(":")
         # Distributions are named without regard to case, hyphens and underscores.
-        return name == self.name or (canonical(distribution) == self.provided_by
+        return name == self.name or (canonical_name(distribution) == self.provided_by
                                      and bare == self.name.rpartition(":")[2])
 
 
@@ -115,7 +115,7 @@ class Registry:
         """Return the thing of a kind of `KINDS` that has a name, or ``distribution:name``."""
         if (item := self.known(kind, name)) is not None:
             return item
-        raise unknown_name(KINDS[kind].word, name, self.names(kind), self.hint(name, kind))
+        raise unknown_name_error(KINDS[kind].word, name, self.names(kind), self.hint(name, kind))
 
     def known(self, kind: str, name: str) -> Any:
         """Return the thing of a kind by its name, as for `get`; None if nothing has the name."""
@@ -153,7 +153,7 @@ class Registry:
                 continue
             item = self.taken(kind, item)
             provided = self._collect(kind)
-            entry = _entry(kind, Plugin(SESSION, SESSION, ""), item)
+            entry = _entry_of(kind, Plugin(SESSION, SESSION, ""), item)
             # A thing registered again replaces the earlier one, as cells of a notebook are run
             # again.
             provided.entries[:] = [other_entry for other_entry in provided.entries
@@ -211,7 +211,7 @@ class Registry:
         # listed; any other that fails may be the one, hence the default [name].
         listed = parts.own_packages()
         broken = sorted({failure.distribution for failure in self.failures(*kinds)
-                         if name in listed.get(canonical(failure.distribution), [name])})
+                         if name in listed.get(canonical_name(failure.distribution), [name])})
         if not broken:
             return ""
         return (f"It may come from a plugin that does not work ({', '.join(broken)}): "
@@ -223,7 +223,7 @@ class Registry:
         It is "" if the package is installed, or no package of termsel has the name.
         """
         # "distribution:name" says the package; else the list of the packages' names.
-        package = canonical(name.rpartition(":")[0])
+        package = canonical_name(name.rpartition(":")[0])
         if not package:
             package = parts.package_of_name(name)
         if package in ("", *(plugin.distribution for plugin in self._loader.plugins)):
@@ -239,7 +239,7 @@ class Registry:
         One that fails is left out, with a warning.
         """
         return [_failsafe_observer(plugin, observe) for plugin,
-                observe in self._provided_without_names("observers", listed)]
+                observe in self._provided_without_names("observers", list_hook_values)]
 
     def parts(self) -> list[parts.Part]:
         """Return the parts that plugins have; a plugin that fails is told."""
@@ -272,7 +272,8 @@ class Registry:
         """Return the entries and failures of a kind; plugins are asked once."""
         if kind not in self._provided:
             hook = f"{PROJECT}_{kind}"
-            entries, faults = self._things(kind) if kind in KINDS else self._commands()
+            entries, faults = \
+            self._entries_of_kind(kind) if kind in KINDS else self._plugin_commands()
             owners = dict.fromkeys(COMMANDS, PROJECT) if kind == "commands" else {}
             # Whoever is called first, a built-in thing keeps its name.
             owners |= {entry.name: PROJECT for _, entry in entries if entry.provided_by == PROJECT}
@@ -285,21 +286,21 @@ class Registry:
             self._provided[kind] = provided
         return self._provided[kind]
 
-    def _things(self, kind: str) -> Offered:
+    def _entries_of_kind(self, kind: str) -> Offered:
         """Return the entries of a kind, each with its plugin, and the faults of all other things.
         """
         hook = f"{PROJECT}_{kind}"
-        answers = call(hook, self._loader.slots_of(hook), listed)
+        answers = call(hook, self._loader.slots_of(hook), list_hook_values)
         entries = []
         for plugin, item in answers.items:
-            entry, reason = attempt(partial(_entry, kind, plugin, item))
+            entry, reason = run_plugin_code(partial(_entry_of, kind, plugin, item))
             if entry is not None:
                 entries.append((plugin, entry))
             if reason is not None:
                 answers.faults.append((plugin, reason))
         return entries, answers.faults
 
-    def _commands(self) -> Offered:
+    def _plugin_commands(self) -> Offered:
         """Return the commands that plugins add, each with its plugin, and the faults of the others.
         """
         import click
@@ -339,7 +340,7 @@ parts.sources.append(lambda: registry().parts())
 
 
 def _warn(plugin: Plugin, text: str) -> None:
-    print(printable(f"Warning: {plugin.remark(text)}"), file=sys.stderr)
+    print(make_printable(f"Warning: {plugin.remark(text)}"), file=sys.stderr)
 
 
 def _failsafe_observer(plugin: Plugin, observe: Callable[[Progress], None]) -> Callable[[Progress],
@@ -351,7 +352,8 @@ def _failsafe_observer(plugin: Plugin, observe: Callable[[Progress], None]) -> C
         """Tell the plugin's observer, until it fails for the first time."""
         nonlocal failed
         # After its first failure it is not called again: it would fail every generation.
-        reason = None if failed else attempt(lambda: observe(progress), package_of(observe))[1]
+        reason = None if failed else run_plugin_code(
+            lambda: observe(progress), package_of(observe))[1]
         if reason is not None:
             failed = True
             _warn(plugin, f"an observer failed: {reason}")
@@ -366,15 +368,15 @@ def _accept_nothing(_value: Any) -> list[Any]:
 
 def _require_parts(value: Any) -> list[Any]:
     """Return a list of parts; TypeError for anything else."""
-    extensions = listed(value)
+    extensions = list_hook_values(value)
     if wrong := [extension for extension in extensions if not isinstance(extension, parts.Part)]:
         raise TypeError(f"returned an object of type {type(wrong[0]).__name__}, not a Part")
     return extensions
 
 
-def _entry(kind: str, plugin: Plugin, item: Any) -> Entry:
+def _entry_of(kind: str, plugin: Plugin, item: Any) -> Entry:
     KINDS[kind].require_returned(item)
-    return Entry(item.name, summary(item), plugin.distribution, item)
+    return Entry(item.name, summary_line(item), plugin.distribution, item)
 
 
 def _add(entries: list[Entry], entry: Entry, kind: str, owners: dict[str, str]) -> str | None:

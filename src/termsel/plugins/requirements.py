@@ -6,7 +6,7 @@ import operator
 import re
 
 
-def fits(requirement: str, version: str) -> bool:
+def version_fits(requirement: str, version: str) -> bool:
     """Return whether a version satisfies a requirement, such as ``>=0.3,<0.4``.
 
     By the numbers alone: a development version counts as its release. What is no requirement of
@@ -27,8 +27,8 @@ def _is_satisfied(clause: str, version: str) -> bool:
     if found is None:
         return True
     sign, text, any_later = found.groups()
-    required = _numbers(text)
-    present = _numbers(version)
+    required = _version_numbers(text)
+    present = _version_numbers(version)
     if sign == "~=":
         return present >= required and present[:len(required) - 1] == required[:-1]
     if any_later:
@@ -39,6 +39,6 @@ def _is_satisfied(clause: str, version: str) -> bool:
     return bool(_COMPARED[sign](*padded))
 
 
-def _numbers(version: str) -> tuple[int, ...]:
+def _version_numbers(version: str) -> tuple[int, ...]:
     release = re.match(r"\d+(?:\.\d+)*", version)
     return tuple(map(int, release[0].split("."))) if release else ()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TypeVar
 
-from termsel.core.errors import unknown_name
+from termsel.core.errors import unknown_name_error
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import registry
 
@@ -77,5 +77,5 @@ def get(kind: str, name: Any) -> Any:
     plurals = {each.word: plural for plural, each in KINDS.items()}
     plural = plurals.get(kind, kind)
     if plural not in KINDS:
-        raise unknown_name("kind", kind, KINDS)
+        raise unknown_name_error("kind", kind, KINDS)
     return registry().taken(plural, name)

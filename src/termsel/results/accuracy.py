@@ -5,15 +5,15 @@ from __future__ import annotations
 from math import log
 from statistics import NormalDist
 
-from termsel.core.errors import counted, interval, rounded
+from termsel.core.errors import count_in_words, interval_text, rounded_size_text
 from termsel.data.record.figures import (
     MANY_INDEPENDENT,
     Accuracy,
     Predicted,
-    determined_exactly,
+    is_determined_exactly,
 )
 from termsel.data.record.record import Record
-from termsel.results.verdict import contradicting
+from termsel.results.verdict import outliers_in_words
 
 _ROUNDING_PX = 1e-9
 """Predicted RMSE [px] below which points without errors leave only rounding."""
@@ -26,14 +26,14 @@ _RARE = 0.01
 PREDICTED_BY = "predicted by cross-validation"
 
 
-def expected_of(record: Record) -> Predicted | None:
+def expected_rmse(record: Record) -> Predicted | None:
     """Return the RMSE predicted for the fit that is exported; None if none is predicted."""
     return (record.final_fit and record.final_fit.predicted) or record.predicted
 
 
-def predicted_first(record: Record) -> bool:
+def is_prediction_surer(record: Record) -> bool:
     """Return whether the predicted RMSE is surer than that of the independent check points."""
-    return expected_of(record) is not None and (
+    return expected_rmse(record) is not None and (
         record.accuracy is None or record.accuracy.image.n < MANY_INDEPENDENT)
 
 
@@ -46,31 +46,32 @@ def accuracy_lines(record: Record) -> list[str]:
     """Return the accuracy in one to four short lines: the surer figure first."""
     accuracy = record.accuracy
     if lattice_of(record) is not None and accuracy is None:
-        return _between_points(record)
+        return _interpolation_sentence(record)
     if are_computed(record):
         return [agreement_of_computed(record)]
     # The prediction must be of the fit that the points measured; that of the exported one has seen
     # them.
-    predicted = record.predicted if accuracy and not predicted_first(record) else \
-        expected_of(record)
+    predicted = record.predicted if accuracy and not is_prediction_surer(record) else \
+        expected_rmse(record)
     if accuracy is None:
         return _accuracy_without_check_points(record, predicted)
     if predicted is None:
-        return [_rmse_at_check_points(accuracy), *_doubts(record, accuracy)]
-    if predicted_first(record):
+        return [_rmse_at_check_points(accuracy), *_doubt_clauses(record, accuracy)]
+    if is_prediction_surer(record):
         # Points without errors leave a prediction of rounding, whose ratio to anything means
         # nothing.
         if predicted.high < _ROUNDING_PX:
             return ["the points fit exactly", _rmse_at_check_points(accuracy),
-                    *_doubts(record, accuracy)]
+                    *_doubt_clauses(record, accuracy)]
         # The line above says that this is an RMSE, and the level of the interval.
         measured = _rmse_at_check_points(accuracy).replace("RMSE at", "at")
         level = f"[{100 * predicted.level:.0f} %: "
-        return [_prediction(predicted),
+        return [_prediction_sentence(predicted),
                 f"{measured.replace(level, '[')}{_agreement_text(accuracy, predicted)}",
-                *_doubts(record, accuracy)]
-    return [_rmse_at_check_points(accuracy), f"{PREDICTED_BY} {rounded(predicted.rmse)} px"
-            f"{_agreement_text(accuracy, predicted)}", *_doubts(record, accuracy)]
+                *_doubt_clauses(record, accuracy)]
+    return [_rmse_at_check_points(accuracy),
+            f"{PREDICTED_BY} {rounded_size_text(predicted.rmse)} px"
+            f"{_agreement_text(accuracy, predicted)}", *_doubt_clauses(record, accuracy)]
 
 
 def lattice_of(record: Record) -> tuple[int, int] | None:
@@ -83,7 +84,7 @@ def are_computed(record: Record) -> bool:
     # Of simulated data the noise is known, and may be none.
     if record.data.noise is not None or lattice_of(record) is not None:
         return False
-    expected = expected_of(record)
+    expected = expected_rmse(record)
     if record.accuracy is not None:
         # Both figures must be too small to be measured: one of them may be small by luck.
         return max(record.accuracy.image.total, expected.high if expected else 0.0) < _MEASURABLE
@@ -92,59 +93,64 @@ def are_computed(record: Record) -> bool:
 
 def agreement_of_computed(record: Record) -> str:
     """Return that a model meets points that were computed, and that this is no accuracy."""
-    expected = expected_of(record)
+    expected = expected_rmse(record)
     size = record.accuracy.image.total if record.accuracy else expected.rmse if expected else 0.0
-    agreement = f"within {rounded(size)} px" if size >= _ROUNDING_PX else "to rounding"
+    agreement = f"within {rounded_size_text(size)} px" if size >= _ROUNDING_PX else "to rounding"
     return (f"the model predicts held-out points {agreement}, closer than anyone "
             "measures. They were computed, or one column is a copy of another: the accuracy "
             "cannot be estimated")
 
 
-def _between_points(record: Record) -> list[str]:
+def _interpolation_sentence(record: Record) -> list[str]:
     """Return how well a model interpolates between the points of a lattice, or meets them."""
-    expected = expected_of(record)
+    expected = expected_rmse(record)
     # A lattice says how its own geometry is, not where the ground is.
     unknown = "the points were computed, so the accuracy of the product is not known"
     if expected is not None:
-        return [f"{rounded(expected.rmse)} px   RMSE {PREDICTED_BY} between the points of the "
-                f"lattice {interval(expected.low, expected.high, 100 * expected.level)}", unknown]
+        return [f"{rounded_size_text(expected.rmse)} px   RMSE {PREDICTED_BY} between the points "
+                "of the "
+                f"lattice {interval_text(expected.low, expected.high, 100 * expected.level)}",
+                unknown]
     control = record.rmse.control
     return [unknown] if control.total is None else [
-        f"the model meets the points of the lattice to {rounded(control.total)} px", unknown]
+        f"the model meets the points of the lattice to {rounded_size_text(control.total)} px",
+        unknown]
 
 
 def _accuracy_without_check_points(record: Record, predicted: Predicted | None) -> list[str]:
     """Return the clauses on accuracy for a record without independent check points."""
     counts = record.data.counts
     if is_exact(record):
-        exactly = determined_exactly(counts.control + counts.check, "point")
+        exactly = is_determined_exactly(counts.control + counts.check, "point")
         return [f"not known: {exactly}; measure at least one more"]
     if predicted is None:
         return ["not known: no independent check points"]
     if predicted.high < _ROUNDING_PX:
         return ["the points fit exactly; not verified: no independent check points"]
-    return [_prediction(predicted), "not verified: no independent check points"]
+    return [_prediction_sentence(predicted), "not verified: no independent check points"]
 
 
 def is_exact(record: Record) -> bool:
     """Return whether the accuracy is not known since points determine the model exactly."""
-    return (record.accuracy is None and expected_of(record) is None
+    return (record.accuracy is None and expected_rmse(record) is None
             and lattice_of(record) is None and bool(record.strategy)
             and record.adjustment.redundancy == 0 and record.data.counts.word == "points")
 
 
-def _prediction(predicted: Predicted) -> str:
-    ground = f" / {rounded(predicted.rmse * predicted.pixel)} m" if predicted.pixel else ""
-    return (f"{rounded(predicted.rmse)} px{ground}   RMSE {PREDICTED_BY} "
-            f"{interval(predicted.low, predicted.high, 100 * predicted.level)}")
+def _prediction_sentence(predicted: Predicted) -> str:
+    ground = \
+        f" / {rounded_size_text(predicted.rmse * predicted.pixel)} m" if predicted.pixel else ""
+    return (f"{rounded_size_text(predicted.rmse)} px{ground}   RMSE {PREDICTED_BY} "
+            f"{interval_text(predicted.low, predicted.high, 100 * predicted.level)}")
 
 
 def _rmse_at_check_points(accuracy: Accuracy) -> str:
     """Return the RMSE at the independent check points, with its interval."""
     image = accuracy.image
-    ground = f" / {rounded(accuracy.ground.total)} m" if accuracy.ground else ""
-    return (f"{rounded(image.total)} px{ground}   RMSE at "
-            f"{counted(image.n, 'independent check point')} {interval(*image.interval)}")
+    ground = f" / {rounded_size_text(accuracy.ground.total)} m" if accuracy.ground else ""
+    return (f"{rounded_size_text(image.total)} px{ground}   RMSE at "
+            f"{count_in_words(image.n, 'independent check point')} "
+            f"{interval_text(*image.interval)}")
 
 
 def _agreement_text(accuracy: Accuracy, predicted: Predicted) -> str:
@@ -177,18 +183,19 @@ def _chance_beyond(measured: float, predicted: Predicted) -> float:
     return 1.0 - NormalDist().cdf(abs(log(measured) - middle) / spread)
 
 
-def _doubts(record: Record, accuracy: Accuracy) -> list[str]:
+def _doubt_clauses(record: Record, accuracy: Accuracy) -> list[str]:
     """Return clauses on blunders among the points and on earlier use, if any: both weaken the RMSE.
     """
     lines = []
     if without := record.accuracy_without:
-        lines.append(f"{rounded(without.image.total)} px without {contradicting(record)}")
-    if reused := reused_points(accuracy):
+        lines.append(f"{rounded_size_text(without.image.total)} px without "
+                     f"{outliers_in_words(record)}")
+    if reused := reused_points_in_words(accuracy):
         lines.append(f"{reused} already assessed another fit: perhaps optimistic")
     return lines
 
 
-def reused_points(accuracy: Accuracy) -> str:
+def reused_points_in_words(accuracy: Accuracy) -> str:
     """Return which of the independent check points have assessed an earlier fit; "" for none.
 
     An RMSE that somebody has seen and then acted on is no longer independent. Where fewer than half

@@ -10,7 +10,7 @@ import platform
 from collections.abc import Iterator
 
 from termsel.auto.auto import MAX_EXACT_POINTS
-from termsel.core.errors import counted, first_of, rounded
+from termsel.core.errors import count_in_words, first_names_in_words, rounded_size_text
 from termsel.data.record.figures import (
     Accuracy,
     InImage,
@@ -24,9 +24,9 @@ from termsel.fitting.figures import LEAVE_ONE_OUT
 from termsel.results.accuracy import (
     agreement_of_computed,
     are_computed,
-    expected_of,
+    expected_rmse,
+    is_prediction_surer,
     lattice_of,
-    predicted_first,
 )
 from termsel.results.blocks import (
     Block,
@@ -41,10 +41,10 @@ from termsel.results.blocks import (
 )
 from termsel.results.charts import bars, maps
 from termsel.results.first_screen import are_all_named, first_screen
-from termsel.results.plots import figure, missing
-from termsel.results.selected import selected
+from termsel.results.plots import chart_block, why_chart_missing
+from termsel.results.selected import blocks_on_selection
 from termsel.results.tables import sigma_table
-from termsel.results.verdict import ROLE_WORDS, contradicting, fits_of, label_of, verdict_table
+from termsel.results.verdict import ROLE_WORDS, fits_of, label_of, outliers_in_words, verdict_table
 from termsel.results.view import View
 
 EXACT_BELOW = 1e-9
@@ -54,8 +54,8 @@ _UNLIKELY, _FAR_DEVIATIONS = 0.01, 2.576
 """Chance below which a mean error or a shape is no accident, and how many standard deviations."""
 
 
-def document(record: Record, view: View | None = None, picture: str = "",
-             further: tuple[Section, ...] = ()) -> Document:
+def result_document(record: Record, view: View | None = None, picture: str = "",
+                    further: tuple[Section, ...] = ()) -> Document:
     """Return the document that shows a result.
 
     Parameters
@@ -71,15 +71,17 @@ def document(record: Record, view: View | None = None, picture: str = "",
     # The strategy auto answers, whatever the problem; without one asked for there is none.
     title = record.data.source if record.strategy else f"{record.data.source}: {record.problem}"
     return Document(
-        title, _made_by(record),
-        (*_first_lines(record, view), *_fitted_in(record), *_first_picture(view, picture)),
+        title, _origin_line(record),
+        (*_first_screen_lines(record, view), *_detail_on_fit_crs(record),
+         *_residuals_picture(view, picture)),
         # A section without an answer has no heading either.
         (*(Section(title, blocks) for title, answer in (
             ("How accurate is it?", _answer_on_accuracy(record)),
             ("Is it better than conventional models?", _answer_on_conventional(record, view)),
             ("Which points or lines are outliers?", _answer_on_bad_points(record, view)),
             ("In which areas is the model uncertain?", _answer_on_weak_places(view)),
-            ("Which terms and features were selected, and why?", selected(record, view, picture)),
+            ("Which terms and features were selected, and why?",
+             blocks_on_selection(record, view, picture)),
             ("How can it be repeated?",
              _answer_on_repeating(record, view))) if (blocks := tuple(answer))),
          *further))
@@ -90,7 +92,7 @@ _ON_A_PAGE = {": --verbose": " below", "; --verbose lists them": ", listed below
 """What a page says in place of the option that shows more on a terminal."""
 
 
-def _first_lines(record: Record, view: View | None) -> Iterator[Fact]:
+def _first_screen_lines(record: Record, view: View | None) -> Iterator[Fact]:
     """Yield the first screen; a page, which shows all else below, names no option for it."""
     for fact in first_screen(record):
         text = fact.text
@@ -101,13 +103,13 @@ def _first_lines(record: Record, view: View | None) -> Iterator[Fact]:
         yield Fact(text, fact.label)
 
 
-def _first_picture(view: View | None, picture: str) -> Iterator[Block]:
+def _residuals_picture(view: View | None, picture: str) -> Iterator[Block]:
     """Yield the residuals over the image, which a page shows before its first heading."""
     if view is not None:
-        yield from figure(view, "residuals", maps.image_map(view, picture))
+        yield from chart_block(view, "residuals", maps.image_map(view, picture))
 
 
-def _fitted_in(record: Record) -> Iterator[Block]:
+def _detail_on_fit_crs(record: Record) -> Iterator[Block]:
     """Yield a detail on the CRS of the fit, if it is another than that of the data."""
     data = record.data
     if data.fit_crs != data.crs:
@@ -117,7 +119,7 @@ def _fitted_in(record: Record) -> Iterator[Block]:
 
 def _answer_on_accuracy(record: Record) -> Iterator[Block]:
     """Yield the answer to "How accurate is it?"."""
-    yield Statement(statement(record))
+    yield Statement(accuracy_statement(record))
     # Of computed points an RMSE would look like an accuracy.
     accuracy = None if are_computed(record) else record.accuracy
     predicted = record.predicted
@@ -125,15 +127,17 @@ def _answer_on_accuracy(record: Record) -> Iterator[Block]:
         yield from _errors_table(accuracy, f", which took no part in any "
                                            f"choice{_scope_of_choice(accuracy)}")
         if record.accuracy_without:
-            yield from _errors_table(record.accuracy_without, f", without {contradicting(record)}")
-        if predicted and (_predicts_fit_to_all(record) or not predicted_first(record)):
-            yield _prediction(predicted)
+            yield from _errors_table(record.accuracy_without,
+                                     f", without {outliers_in_words(record)}")
+        if predicted and (_predicts_fit_to_all(record) or not is_prediction_surer(record)):
+            yield _prediction_sentence(predicted)
     if (strategy := record.strategy) and strategy.predicted is not None:
         # Compared as they are shown: a difference that nobody sees needs no sentence.
-        if accuracy and predicted and rounded(predicted.rmse) != rounded(strategy.predicted):
+        if accuracy and predicted \
+            and rounded_size_text(predicted.rmse) != rounded_size_text(strategy.predicted):
             yield ("The independent check points have other heights than the control points. At "
                    "the heights of the control points the predicted RMSE is "
-                   f"{rounded(strategy.predicted)} px.")
+                   f"{rounded_size_text(strategy.predicted)} px.")
         # More folds than that are of repeated choices, fewer of points left out one by one.
         yield Detail(
             f"Cross-validation repeated the whole choice in {strategy.folds} folds."
@@ -156,21 +160,22 @@ def _scope_of_choice(accuracy: Accuracy) -> str:
         return ""
     reused = f"{accuracy.spent_count} of them" if accuracy.spent_count < accuracy.image.n \
         else "they"
-    return f" of this run ({reused} already assessed the fit in {first_of(accuracy.spent_by)})"
+    return f" of this run ({reused} already assessed the fit in " \
+        f"{first_names_in_words(accuracy.spent_by)})"
 
 
-def statement(record: Record) -> str:
+def accuracy_statement(record: Record) -> str:
     """Return the accuracy as a statement that can be pasted, the surer figure first."""
     accuracy = record.accuracy
-    expected = expected_of(record)
+    expected = expected_rmse(record)
     sentences = []
     if are_computed(record):
         text = agreement_of_computed(record)
         return f"{text[:1].upper()}{text[1:]}."
     # The surer figure comes first: readers quote the first one.
-    if expected and predicted_first(record):
-        sentences.append(_prediction(expected, exported=_predicts_fit_to_all(record),
-                                     lattice=lattice_of(record) is not None))
+    if expected and is_prediction_surer(record):
+        sentences.append(_prediction_sentence(expected, exported=_predicts_fit_to_all(record),
+                                              lattice=lattice_of(record) is not None))
     if accuracy:
         sentences += _independent_rmse(record, accuracy)
     elif lattice_of(record) is not None:
@@ -193,7 +198,7 @@ def _independent_rmse(record: Record, accuracy: Accuracy) -> Iterator[str]:
     """Yield the RMSE at independent check points, and whether they are still independent."""
     yield _rmse_on(accuracy)
     if record.accuracy_without is not None:
-        yield f"Without {contradicting(record)}: {_rmse_on(record.accuracy_without)}"
+        yield f"Without {outliers_in_words(record)}: {_rmse_on(record.accuracy_without)}"
     reused = accuracy.spent_count
     n = accuracy.image.n
     # Points that assessed an earlier fit helped to choose this one, if only by what was tried next.
@@ -207,22 +212,22 @@ def _rmse_on(accuracy: Accuracy) -> str:
     image = accuracy.image
     ground = accuracy.ground
     low, high = image.interval
-    metres = f", {rounded(ground.total)} m on the ground" if ground else ""
-    points = counted(image.n, "independent check point")
-    return (f"RMSE {rounded(image.total)} px{metres} at {points} "
-            f"(90 % interval {rounded(low)} to {rounded(high)} px).")
+    metres = f", {rounded_size_text(ground.total)} m on the ground" if ground else ""
+    points = count_in_words(image.n, "independent check point")
+    return (f"RMSE {rounded_size_text(image.total)} px{metres} at {points} "
+            f"(90 % interval {rounded_size_text(low)} to {rounded_size_text(high)} px).")
 
 
 def _errors_table(accuracy: Accuracy, of: str) -> Iterator[Block]:
     """Yield the errors of independent points as a table, with figures of standards."""
     image = accuracy.image
     ground = accuracy.ground
-    rows = [("in the image", *_distances(image, "px", image.line, image.sample))]
-    shapes = [*_shape(image, "px", {"line": image.line, "sample": image.sample})]
+    rows = [("in the image", *_distance_figures(image, "px", image.line, image.sample))]
+    shapes = [*_error_shape(image, "px", {"line": image.line, "sample": image.sample})]
     if ground:
-        rows.append(("on the ground", *_distances(ground, "m", ground.x, ground.y)))
-        shapes += _shape(ground, "m", {"x": ground.x, "y": ground.y})
-    yield TableBlock(f"{counted(image.n, 'independent check point')}{of}",
+        rows.append(("on the ground", *_distance_figures(ground, "m", ground.x, ground.y)))
+        shapes += _error_shape(ground, "m", {"x": ground.x, "y": ground.y})
+    yield TableBlock(f"{count_in_words(image.n, 'independent check point')}{of}",
                      ("", "RMSE", "line or x", "sample or y", "maximum", "CE90"), rows)
     yield from shapes
     # Standards set conditions, such as a number of points; where these are not met, the reason is
@@ -231,11 +236,11 @@ def _errors_table(accuracy: Accuracy, of: str) -> Iterator[Block]:
             (accuracy.nssda, "NSSDA", "horizontal accuracy at 95 % confidence"),
             (accuracy.asprs, "ASPRS 2024", "RMSE, survey error excluded")):
         value = standard.value
-        yield (f"{title}: {rounded(value)} m, {meaning}." if value is not None else
+        yield (f"{title}: {rounded_size_text(value)} m, {meaning}." if value is not None else
                Detail(f"{title}: no figure ({standard.reason})."))
 
 
-def _shape(of: InImage | OnGround, unit: str, rmse: dict[str, float]) -> Iterator[Block]:
+def _error_shape(of: InImage | OnGround, unit: str, rmse: dict[str, float]) -> Iterator[Block]:
     """Yield the mean errors, and whether the errors are normal; openly if it is unexpected."""
     if of.mean is None:
         return
@@ -257,20 +262,22 @@ def _shape(of: InImage | OnGround, unit: str, rmse: dict[str, float]) -> Iterato
             if min(of.normal) < _UNLIKELY and not ground else Detail(sentence)
 
 
-def _prediction(predicted: Predicted, *, exported: bool = False, lattice: bool = False) -> str:
+def _prediction_sentence(
+        predicted: Predicted, *, exported: bool = False, lattice: bool = False) -> str:
     """Return the predicted RMSE with its interval in a sentence."""
     # Whether the points to come are known decides what the prediction is about.
-    of = f"at {counted(predicted.points, 'independent check point')}" if predicted.points \
+    of = f"at {count_in_words(predicted.points, 'independent check point')}" if predicted.points \
         else "of new points within the control area"
     of = "between the points of the lattice" if lattice else of
     of += ", for the exported fit to all points" * exported
-    return (f"Predicted RMSE {of}: {rounded(predicted.rmse)} px "
-            f"({100 * predicted.level:.0f} % interval {rounded(predicted.low)} to "
-            f"{rounded(predicted.high)} px).")
+    return (f"Predicted RMSE {of}: {rounded_size_text(predicted.rmse)} px "
+            f"({100 * predicted.level:.0f} % interval {rounded_size_text(predicted.low)} to "
+            f"{rounded_size_text(predicted.high)} px).")
 
 
-def _distances(of: InImage | OnGround, unit: str, first: float, second: float) -> tuple[str, ...]:
-    return tuple(f"{rounded(value)} {unit}" for value in (
+def _distance_figures(
+        of: InImage | OnGround, unit: str, first: float, second: float) -> tuple[str, ...]:
+    return tuple(f"{rounded_size_text(value)} {unit}" for value in (
         of.total, first, second, of.maximum, of.ce90))
 
 
@@ -278,14 +285,14 @@ def _answer_on_conventional(record: Record, view: View | None) -> Iterator[Block
     """Yield the answer to "Is it better than a conventional model?"."""
     yield record.judgement
     yield from map(Note, record.notes)
-    yield from figure(view, "baselines")
+    yield from chart_block(view, "baselines")
     yield Detail(_table_of_fits(record))
     yield from (Detail(f"Refused: {label_of(baseline.name)}, as {baseline.refused}.")
                 for baseline in record.baselines if baseline.refused)
-    yield from map(Detail, _legend(record, view))
+    yield from map(Detail, _legend_of_fits(record, view))
 
 
-def _legend(record: Record, view: View | None) -> Iterator[str]:
+def _legend_of_fits(record: Record, view: View | None) -> Iterator[str]:
     """Yield sentences that explain the table of all fits."""
     baselines = record.baselines
     if record.rmse.leave_one_out is not None:
@@ -351,7 +358,7 @@ def _answer_on_bad_points(record: Record, view: View | None) -> Iterator[Block]:
         else verdict_table(record)
     if view is None:
         return
-    yield from figure(view, "worst", bars.worst_bars(view))
+    yield from chart_block(view, "worst", bars.bars_of_worst(view))
     on_ground: dict[str, float] = {}
     # A line has two vertices on the ground: the larger residual counts.
     for row in view.on_ground:
@@ -360,9 +367,9 @@ def _answer_on_bad_points(record: Record, view: View | None) -> Iterator[Block]:
     listed = f"{len(view.worst):,}" if view.partly else "all"
     rows = []
     for row in view.worst:
-        metres = rounded(on_ground[row["id"]]) if row["id"] in on_ground else "-"
+        metres = rounded_size_text(on_ground[row["id"]]) if row["id"] in on_ground else "-"
         rows.append((row["id"], row["kind"], str(ROLE_WORDS.get(row["role"], row["role"])),
-                     rounded(row["distance"]), metres, row["blunder"]))
+                     rounded_size_text(row["distance"]), metres, row["blunder"]))
     yield TableBlock(
         f"Residuals of {listed} features, the largest first",
         ("feature", "kind", "role", "residual [px]", "on the ground [m]", "blunder"), rows,
@@ -374,18 +381,18 @@ def _answer_on_weak_places(view: View | None) -> Iterator[Block]:
     if view is None:
         return
     # Without redundancy nothing shows how certain the model is.
-    if why := missing(view, "sigma"):
+    if why := why_chart_missing(view, "sigma"):
         yield f"The standard deviation is not known: {why}."
     elif caveat := view.fit.uncertainty_caveat:
         yield caveat
-    yield from figure(view, "sigma")
-    yield from figure(view, "ground")
+    yield from chart_block(view, "sigma")
+    yield from chart_block(view, "ground")
     if not why:
         yield sigma_table(view)
     yield "termsel plan suggests positions for further points."
 
 
-def _made_by(record: Record) -> str:
+def _origin_line(record: Record) -> str:
     """Return a line on model, method, seed and version of a result."""
     strategy = record.strategy
     by = f"strategy {strategy.name}" if strategy else \
@@ -398,7 +405,7 @@ def _answer_on_repeating(record: Record, view: View | None) -> Iterator[Block]:
     """Yield how the run is repeated."""
     if view is None:
         yield Detail(f"{'' if record.strategy else f'Problem {record.problem}. '}"
-                     f"{_made_by(record)}")
+                     f"{_origin_line(record)}")
         return
     if view.command:
         yield "Run in the folder of this result:"
@@ -409,7 +416,7 @@ def _answer_on_repeating(record: Record, view: View | None) -> Iterator[Block]:
         yield "This run was interrupted; the command repeats it to its end."
     elif record.budget.seconds:
         yield ("The run had a limit of time, so the result depends on the machine. It took "
-               f"{counted(record.evaluations, 'evaluation')}.")
+               f"{count_in_words(record.evaluations, 'evaluation')}.")
     if record.stability:
         yield ("The frequencies of terms are those of termsel stability. The command repeats the "
                "fit of the stable terms.")

@@ -7,8 +7,14 @@ from pathlib import PurePath
 from shlex import quote
 
 from termsel.auto.methods import BY_NAME
-from termsel.core.errors import amount, counted, cut, percent, rounded
-from termsel.data.coordinates.crs import LOCAL, short
+from termsel.core.errors import (
+    amount_in_words,
+    count_in_words,
+    cut,
+    percent_text,
+    rounded_size_text,
+)
+from termsel.data.coordinates.crs import LOCAL, short_crs_name
 from termsel.data.record.figures import (
     EXACTLY,
     FEW_EVALUATIONS,
@@ -19,17 +25,17 @@ from termsel.data.record.figures import (
 )
 from termsel.data.record.record import Record, WhatWasRead
 from termsel.data.record.search import RPC_UNUSED
-from termsel.results.accuracy import accuracy_lines, is_exact, lattice_of, reused_points
+from termsel.results.accuracy import accuracy_lines, is_exact, lattice_of, reused_points_in_words
 from termsel.results.blocks import Fact
 from termsel.results.verdict import (
     NOT_FEW,
     are_alike,
-    contradicting_of,
+    are_too_few_to_test,
     label_of,
     may_be_shifted,
     off_option,
+    outlier_share_in_words,
     size_of_errors,
-    too_few_to_test,
     verdict_on_choice,
 )
 
@@ -62,19 +68,20 @@ _DIMENSIONS = {"poly2d": "2-D", "poly3d": "3-D"}
 
 def first_screen(record: Record) -> list[Fact]:
     """Return the facts of the first screen; one more line is left for the command that follows."""
-    warnings = _warnings(record)
+    warnings = _urgent_warnings_and_notes(record)
     # Room for the first warning is kept before the facts are: it must be seen.
     reserved = _lines_of_first(warnings)
     room = SCREEN_LINES - 1 - reserved - (1 if len(warnings) > 1 else 0)
-    facts = _facts(record, brief=0)
+    facts = _brief_facts(record, brief=0)
     # Facts become shorter step by step, until they fit.
     for brief in (1, 2, 3):
-        if sum(map(_height, facts)) > room:
-            facts = _facts(record, brief)
-    return [*facts, *_cautions(warnings, SCREEN_LINES - 1 - sum(map(_height, facts)))]
+        if sum(map(_lines_of_fact, facts)) > room:
+            facts = _brief_facts(record, brief)
+    return [*facts,
+            *_fitting_cautions(warnings, SCREEN_LINES - 1 - sum(map(_lines_of_fact, facts)))]
 
 
-def _facts(record: Record, brief: int) -> list[Fact]:
+def _brief_facts(record: Record, brief: int) -> list[Fact]:
     """Return all facts but cautions, briefly.
 
     That is (1) without second lines, (2) counting outliers, or (3) also without comparisons and
@@ -85,16 +92,16 @@ def _facts(record: Record, brief: int) -> list[Fact]:
         # The best rival that needs no search, and the conventional fit.
         rival = next((row for row in record.baselines if row.name == record.reference), None)
         if rival is not None:
-            compared += _against(record, rival)
+            compared += _comparison_with_rival(record, rival)
         if record.strategy is None and record.baselines:
-            compared += _conventional(record, record.baselines[0])
+            compared += _conventional_rmse(record, record.baselines[0])
     search = list(_facts_on_search(record)) if brief < 3 else []
     # The first line of a topic says it, further ones explain.
     if brief:
         compared = compared[:1]
         search = search[:1]
-    outliers = _counted_outliers(record) if brief >= 2 else outlier_lines(record)
-    return [*_facts_on_data(record, brief), Fact(""), Fact(_model(record), "Model"),
+    outliers = _outlier_count_line(record) if brief >= 2 else outlier_lines(record)
+    return [*_facts_on_data(record, brief), Fact(""), Fact(_model_lines(record), "Model"),
             *_label_facts("Accuracy", accuracy_lines(record)), *_label_facts("Outliers", outliers),
             *_label_facts("Compared", compared), *_label_facts("Search", search)]
 
@@ -105,7 +112,7 @@ def _label_facts(label: str, lines: Iterable[str]) -> Iterator[Fact]:
         yield Fact(line, label if i == 0 else " ")
 
 
-def _height(fact: Fact) -> int:
+def _lines_of_fact(fact: Fact) -> int:
     """Return how many lines of text a fact takes."""
     width = _WIDTH if fact.label else _FULL_WIDTH
     return max(1, -(-len(fact.text) // width))
@@ -117,7 +124,7 @@ def _facts_on_data(record: Record, brief: int) -> Iterator[Fact]:
     names = ", ".join(PurePath(name).name for name in data.source.split(", "))
     read = data.read or _read_by_earlier_versions(record)
     # None of a kind is no word.
-    features = ", ".join(counted(number, noun) for number, noun in (
+    features = ", ".join(count_in_words(number, noun) for number, noun in (
         (read.points, "point"), (read.lines, "line")) if number)
     if read.lattice is not None:
         features += f", a lattice of {read.lattice[0]} lines and {read.lattice[1]} columns"
@@ -125,7 +132,7 @@ def _facts_on_data(record: Record, brief: int) -> Iterator[Fact]:
     if read.without_height:
         heights = " without heights" if read.without_height == read.points + read.lines else \
             f" ({read.without_height} without a height)"
-    crs = "coordinates without a CRS" if data.crs == LOCAL else short(data.crs)
+    crs = "coordinates without a CRS" if data.crs == LOCAL else short_crs_name(data.crs)
     image_in_file = f" ({read.place})" if read.place else ""
     unit = f"; z in {read.z_unit}" if read.z_unit else ""
     origin = f"; image coordinates from {read.image_origin}" if read.image_origin else ""
@@ -143,7 +150,7 @@ def _facts_on_data(record: Record, brief: int) -> Iterator[Fact]:
     # Reasons with their counts, if they fit into a line.
     unused = f"not used: {'; '.join(reasons)}"
     if len(unused) > _WIDTH:
-        unused = f"not used: {counted(sum(map(len, read.left_out.values())), 'feature')}"
+        unused = f"not used: {count_in_words(sum(map(len, read.left_out.values())), 'feature')}"
     yield Fact(unused)
 
 
@@ -152,16 +159,16 @@ def roles_of(record: Record) -> str:
     counts = record.data.counts
     independent = _number(counts.independent, "independent check point")
     if record.strategy:
-        kinds = [counted(number, noun) for number, noun in (
+        kinds = [count_in_words(number, noun) for number, noun in (
             (counts.lines, "line"), (counts.control + counts.check, "point")) if number]
         return f"{' and '.join(kinds)} to choose and fit the model, {independent}"
-    kinds = [counted(number, noun) for number, noun in (
+    kinds = [count_in_words(number, noun) for number, noun in (
         (counts.control, "control point"), (counts.lines, "control line")) if number]
     return f"{', '.join(kinds)}, {_number(counts.check, 'selection point')}, {independent}"
 
 
 def _number(number: int, noun: str) -> str:
-    return counted(number, noun) if number else f"no {noun}s"
+    return count_in_words(number, noun) if number else f"no {noun}s"
 
 
 def _read_by_earlier_versions(record: Record) -> WhatWasRead:
@@ -204,7 +211,7 @@ def _shift_of(record: Record) -> str:
     return f"shift at the control ({line:+.2f}, {sample:+.2f} px in line, sample)"
 
 
-def _model(record: Record) -> str:
+def _model_lines(record: Record) -> str:
     """Return the model, and how it was chosen or selected."""
     title = title_of(record)
     strategy = record.strategy
@@ -215,7 +222,7 @@ def _model(record: Record) -> str:
         best = min(figures, key=lambda name: figures[name], default="") == strategy.chosen
         how = f" ({'best of' if best else 'chosen among'} {len(figures)} in cross-validation)" \
             if len(figures) > 1 else ""
-        rpc = f". {strategy.rpc}" if strategy.rpc and not _unused_rpc(record) else ""
+        rpc = f". {strategy.rpc}" if strategy.rpc and not _why_rpc_unused(record) else ""
         return f"{title}{how}{rpc}"
     selection = record.selection
     offered = record.offered
@@ -223,15 +230,15 @@ def _model(record: Record) -> str:
     excluded = 0 if were_selectable(record) else sum(
         outlier.excluded and outlier.role == "control" for outlier in record.outliers)
     n_features = max(offered.n_features - excluded, selection.n_features)
-    text = (f"{title}, {share(selection.n_terms, offered.n_terms)} terms, "
-            f"{share(selection.n_features, n_features)} {record.data.counts.word}")
+    text = (f"{title}, {share_in_words(selection.n_terms, offered.n_terms)} terms, "
+            f"{share_in_words(selection.n_features, n_features)} {record.data.counts.word}")
     if record.stability:
         return f"{text}; stable over {record.stability.repeats} selections"
     everything = (selection.n_terms, selection.n_features) == (offered.n_terms, offered.n_features)
-    return text if everything else f"{text}, selected by {_solvers(record)}"
+    return text if everything else f"{text}, selected by {_solver_text(record)}"
 
 
-def _solvers(record: Record) -> str:
+def _solver_text(record: Record) -> str:
     """Return the solver, and that of the second step if it has its own."""
     options = record.options.problem
     second = options.get("then") if options.get("steps", "joint") != "joint" else None
@@ -243,7 +250,7 @@ def were_selectable(record: Record) -> bool:
     return record.options.problem.get("blunders") == "keep"
 
 
-def share(selected: int, offered: int) -> str:
+def share_in_words(selected: int, offered: int) -> str:
     """Return how many of those on offer are chosen."""
     return f"all {offered}" if selected == offered else f"{selected} of {offered}"
 
@@ -255,7 +262,7 @@ def outlier_lines(record: Record) -> list[str]:
     if lattice_of(record) is not None:
         return ["not tested: the points of a lattice were computed"]
     if not any(groups):
-        return [_no_outlier_detected(record)]
+        return [_no_outlier_clause(record)]
     noun = record.data.counts.word
     lines = []
     if rejected:
@@ -265,7 +272,7 @@ def outlier_lines(record: Record) -> list[str]:
     if used:
         lines.append(f"{_count_in_words(used, noun)} still in use: {_list_worst(used)}")
     if independent:
-        lines.append(f"{counted(len(independent), 'independent check point')} "
+        lines.append(f"{count_in_words(len(independent), 'independent check point')} "
                      f"{'contradicts' if len(independent) == 1 else 'contradict'} the model: "
                      f"{_list_worst(independent)}")
     # A longer option would not fit into the command that follows.
@@ -274,12 +281,12 @@ def outlier_lines(record: Record) -> list[str]:
     return lines
 
 
-def _counted_outliers(record: Record) -> list[str]:
+def _outlier_count_line(record: Record) -> list[str]:
     """Return how many outliers there are in one line, which takes the place of `outlier_lines`."""
     rejected, used, independent = _group_outliers(record)
     named = outlier_lines(record)
     # Where the names take one line, a count saves none.
-    height = sum(map(_height, _label_facts("Outliers", named)))
+    height = sum(map(_lines_of_fact, _label_facts("Outliers", named)))
     if height == 1 or not any((rejected, used, independent)):
         return named
     counts = []
@@ -288,15 +295,15 @@ def _counted_outliers(record: Record) -> list[str]:
     if used:
         counts.append(f"{len(used)} still in use")
     if independent:
-        counts.append(counted(len(independent), "independent check point"))
+        counts.append(count_in_words(len(independent), "independent check point"))
     return [f"{', '.join(counts)}; --verbose lists them"]
 
 
 def _count_in_words(outliers: Sequence[Outlier], noun: str) -> str:
-    return counted(len(outliers), noun.removesuffix("s"))
+    return count_in_words(len(outliers), noun.removesuffix("s"))
 
 
-def _no_outlier_detected(record: Record) -> str:
+def _no_outlier_clause(record: Record) -> str:
     """Return a clause that no outlier was detected, and why this may say little."""
     test = record.blunder_test
     accuracy = record.accuracy
@@ -306,16 +313,16 @@ def _no_outlier_detected(record: Record) -> str:
     # Independent points far outside the prediction are outliers as a whole, or the model is.
     if accuracy and predicted and accuracy.image.total > _CONTRADICTED * predicted.high:
         return (f"none among the others, but the "
-                f"{counted(accuracy.image.n, 'independent check point')} contradict"
+                f"{count_in_words(accuracy.image.n, 'independent check point')} contradict"
                 f"{'s' if accuracy.image.n == 1 else ''} the prediction: check "
                 f"{'it' if accuracy.image.n == 1 else 'them'}")
     if test is None:
         return "not tested"
-    features = counted(test.features, record.data.counts.word.removesuffix("s"))
+    features = count_in_words(test.features, record.data.counts.word.removesuffix("s"))
     errors = size_of_errors(record)
     # Where nothing fits, everything is an outlier, and the test finds none.
     nothing_fits = errors > _NO_FIT * test.extent
-    is_blind = test.limit is None or too_few_to_test(test, errors)
+    is_blind = test.limit is None or are_too_few_to_test(test, errors)
     if is_blind and test.features < NOT_FEW:
         return f"not detectable: {features} {'is' if test.features == 1 else 'are'} too few"
     if nothing_fits:
@@ -324,7 +331,8 @@ def _no_outlier_detected(record: Record) -> str:
     if is_blind or test.limit is None:
         return f"not detectable by this model among {features}"
     if test.limit > _BLUNT * test.extent:
-        return (f"none found among {features}; below {rounded(test.limit)} px most cannot be "
+        return (f"none found among {features}; below {rounded_size_text(test.limit)} px most "
+                "cannot be "
                 "detected")
     return f"none among {features}"
 
@@ -351,13 +359,14 @@ def _list_worst(outliers: Sequence[Outlier]) -> str:
     for i, outlier in enumerate(outliers[:_MAX_OUTLIERS_NAMED]):
         certainty = "" if outlier.certainty == "certain" else f" ({outlier.certainty})"
         unit = " px" if i == 0 else ""
-        texts.append(f"{cut(outlier.id, _SOURCE)} {rounded(outlier.error)}{unit}{certainty}")
+        texts.append(f"{cut(outlier.id, _SOURCE)} "
+                     f"{rounded_size_text(outlier.error)}{unit}{certainty}")
     if len(outliers) > _MAX_OUTLIERS_NAMED:
         texts.append(f"{len(outliers) - _MAX_OUTLIERS_NAMED} more")
     return ", ".join(texts)
 
 
-def _against(record: Record, rival: BaselineRow) -> Iterator[str]:
+def _comparison_with_rival(record: Record, rival: BaselineRow) -> Iterator[str]:
     """Yield how a rival compares, at the independent check points or else in cross-validation."""
     strategy = record.strategy
     by_held_out = strategy is not None and not _points_compare_better(record)
@@ -385,20 +394,20 @@ def _against(record: Record, rival: BaselineRow) -> Iterator[str]:
             else "better; leave out the search"
     if by_held_out:
         # Each figure once: that of this model may be the prediction above, and both may be alike.
-        shown = "" if record.predicted is None else rounded(record.predicted.rmse)
+        shown = "" if record.predicted is None else rounded_size_text(record.predicted.rmse)
         # Of few points the prediction weighs single errors less than leave-one-out does: two
         # figures of this model that differ much would only puzzle; the verdict has the ratio.
         if record.predicted is not None and not (
                 1 / _UNLIKE < own_rmse / max(record.predicted.rmse, 1e-300) < _UNLIKE):
             yield f"{name} in leave-one-out: {verdict}"
             return
-        own = "" if rounded(own_rmse) in (shown, rounded(rival_rmse)) else \
-            f" against {rounded(own_rmse)} px"
-        is_shown = rounded(rival_rmse) == rounded(own_rmse) == shown
-        figure = "" if is_shown else f" {rounded(rival_rmse)} px{own}"
+        own = "" if rounded_size_text(own_rmse) in (shown, rounded_size_text(rival_rmse)) else \
+            f" against {rounded_size_text(own_rmse)} px"
+        is_shown = rounded_size_text(rival_rmse) == rounded_size_text(own_rmse) == shown
+        figure = "" if is_shown else f" {rounded_size_text(rival_rmse)} px{own}"
         yield f"{name}{figure} in leave-one-out: {verdict}"
     else:
-        yield f"{name} {rounded(rival_rmse)} px: {verdict}"
+        yield f"{name} {rounded_size_text(rival_rmse)} px: {verdict}"
     if _shift_of(record) and rival.name != AS_DELIVERED:
         yield from _rmse_as_delivered(record)
 
@@ -408,7 +417,7 @@ def _rmse_as_delivered(record: Record) -> Iterator[str]:
     for row in record.baselines:
         size = row.rmse.independent.total or row.predicted
         if row.name == AS_DELIVERED and size is not None:
-            yield f"RPC as delivered: {rounded(size)} px"
+            yield f"RPC as delivered: {rounded_size_text(size)} px"
 
 
 def _points_compare_better(record: Record) -> bool:
@@ -419,7 +428,7 @@ def _points_compare_better(record: Record) -> bool:
         record.predicted is None or accuracy.image.n >= MANY_INDEPENDENT)
 
 
-def _conventional(record: Record, row: BaselineRow) -> Iterator[str]:
+def _conventional_rmse(record: Record, row: BaselineRow) -> Iterator[str]:
     """Yield the RMSE of the fit of all terms to all control features."""
     total = row.rmse.independent.total
     if total is None or not row.determined or record.solver == row.name:
@@ -428,7 +437,7 @@ def _conventional(record: Record, row: BaselineRow) -> Iterator[str]:
     lacks_features = record.selection.n_features < record.offered.n_features
     fitted = f"all {record.offered.n_features} {record.data.counts.word}" if lacks_features else \
         f"all {record.offered.n_terms} terms"
-    yield f"{fitted}{', outliers included' if excluded else ''}: {rounded(total)} px"
+    yield f"{fitted}{', outliers included' if excluded else ''}: {rounded_size_text(total)} px"
 
 
 def _facts_on_search(record: Record) -> Iterator[str]:
@@ -436,15 +445,16 @@ def _facts_on_search(record: Record) -> Iterator[str]:
     certificate = record.certificate
     if certificate is not None and not certificate.claimed_by:
         # A claim of another program is not repeated as a proof.
-        subsets = amount(certificate.subsets, "subset")
+        subsets = amount_in_words(certificate.subsets, "subset")
         if certificate.optimal:
             yield f"proven optimum: {subsets} enumerated or excluded by bounds"
         elif certificate.feasible is False:
             yield f"proven: no selection is feasible ({subsets})"
         elif isinstance(certificate.optimum, float) and isinstance(certificate.gap, float):
-            yield f"optimality gap {percent(certificate.gap)}; --solver exact finds the optimum"
+            yield f"optimality gap {percent_text(certificate.gap)}; --solver exact finds the " \
+                "optimum"
         elif isinstance(certificate.gap, float):
-            yield f"not proven: optimality gap at most {percent(certificate.gap)}"
+            yield f"not proven: optimality gap at most {percent_text(certificate.gap)}"
     if len(record.front) > 1:
         sizes = [int(next(iter(member.objectives.values())) or 0) for member in record.front]
         noun = next(iter(record.front[0].objectives)).removeprefix("n_")
@@ -452,19 +462,20 @@ def _facts_on_search(record: Record) -> Iterator[str]:
                "--verbose lists them")
 
 
-def _warnings(record: Record) -> list[str]:
+def _urgent_warnings_and_notes(record: Record) -> list[str]:
     """Return urgent warnings, then each note that the lines above do not say already."""
     accuracy = record.accuracy
-    reused = accuracy is not None and bool(reused_points(accuracy))
+    reused = accuracy is not None and bool(reused_points_in_words(accuracy))
     heights = _caution_on_heights(record)
     read = record.data.read
     doubt = read.doubt.casefold() if read else ""
     is_exact_said = is_exact(record)
-    return [*_urgent(record), *(note for note in record.notes if note and not _is_shown(note)
-                                and note not in (heights, _unused_rpc(record))
-                                and not (is_exact_said and EXACTLY in note)
-                                and not (doubt and note.casefold().startswith(doubt))
-                                and not (reused and " no longer independent: " in note))]
+    return [*_urgent_warnings(record),
+            *(note for note in record.notes if note and not _is_shown(note)
+                                         and note not in (heights, _why_rpc_unused(record))
+                                         and not (is_exact_said and EXACTLY in note)
+                                         and not (doubt and note.casefold().startswith(doubt))
+                                         and not (reused and " no longer independent: " in note))]
 
 
 def _caution_on_heights(record: Record) -> str:
@@ -477,13 +488,13 @@ def _caution_on_heights(record: Record) -> str:
     return next((note for note in record.notes if note.startswith(opening)), doubt)
 
 
-def _unused_rpc(record: Record) -> str:
+def _why_rpc_unused(record: Record) -> str:
     """Return why the RPC that was given is not used; "" if it is, or if there is none."""
     reason = record.strategy.rpc if record.strategy else ""
     return reason if reason.startswith(RPC_UNUSED) else ""
 
 
-def _cautions(warnings: Sequence[str], room: int) -> Iterator[Fact]:
+def _fitting_cautions(warnings: Sequence[str], room: int) -> Iterator[Fact]:
     """Yield the most urgent warnings that fit into `room` lines, and how many more there are.
 
     A warning that does not fit as a whole is given by its first sentence. That of the first one is
@@ -493,16 +504,16 @@ def _cautions(warnings: Sequence[str], room: int) -> Iterator[Fact]:
     for i, warning in enumerate(warnings):
         remaining = len(warnings) - i
         space = room - (1 if remaining > 1 else 0)
-        texts = [warning.removesuffix("."), _first_sentence(warning)]
+        texts = [warning.removesuffix("."), _first_sentence_of(warning)]
         facts = [Fact(text, label) for text in texts]
         # The first warning is shown whatever the room.
-        largest = max(space, _height(facts[-1]) if i == 0 else 0)
-        fitting = [fact for fact in facts if _height(fact) <= largest]
+        largest = max(space, _lines_of_fact(facts[-1]) if i == 0 else 0)
+        fitting = [fact for fact in facts if _lines_of_fact(fact) <= largest]
         if not fitting:
-            yield Fact(f"{counted(remaining, 'more note')}: --verbose", label)
+            yield Fact(f"{count_in_words(remaining, 'more note')}: --verbose", label)
             return
         yield fitting[0]
-        room -= _height(fitting[0])
+        room -= _lines_of_fact(fitting[0])
         label = " "
 
 
@@ -510,12 +521,12 @@ def _lines_of_first(warnings: Sequence[str]) -> int:
     """Return the lines that the first warning needs: its first sentence, or some more."""
     if not warnings:
         return 0
-    whole = _height(Fact(warnings[0].removesuffix("."), "Caution"))
+    whole = _lines_of_fact(Fact(warnings[0].removesuffix("."), "Caution"))
     return max(min(whole, _MOST_OF_A_WARNING),
-               _height(Fact(_first_sentence(warnings[0]), "Caution")))
+               _lines_of_fact(Fact(_first_sentence_of(warnings[0]), "Caution")))
 
 
-def _first_sentence(note: str) -> str:
+def _first_sentence_of(note: str) -> str:
     """Return the first sentence of a note, without its full stop."""
     # A full stop within a number or a name is not followed by a space.
     head, stop, _ = note.partition(". ")
@@ -527,11 +538,12 @@ def _is_shown(note: str) -> bool:
     return note.startswith(("The vendor's RPC", "The search removed", "With ", "Left out for"))
 
 
-def _urgent(record: Record) -> Iterator[str]:
+def _urgent_warnings(record: Record) -> Iterator[str]:
     """Yield warnings that come before any figure, the costliest mistake first."""
     # In the order of how much a wrong answer would cost.
     if not record.feasible and TOO_FEW in record.judgement:
-        yield (f"do not use this fit: a budget of {amount(record.evaluations, 'evaluation')} is "
+        yield ("do not use this fit: a budget of "
+               f"{amount_in_words(record.evaluations, 'evaluation')} is "
                f"too small to find a selection. Allow {FEW_EVALUATIONS:,} or more (--evaluations, "
                "--seconds)")
     elif not record.feasible:
@@ -543,24 +555,25 @@ def _urgent(record: Record) -> Iterator[str]:
         yield f"{read.doubt.partition(':')[0]}: check them before anything else"
     if read and read.mixed:
         doubt = f"{read.mixed[:1].lower()}{read.mixed[1:]}"
-        yield f"correct the coordinates first: {_first_sentence(doubt)}"
+        yield f"correct the coordinates first: {_first_sentence_of(doubt)}"
     if heights := _caution_on_heights(record):
         # Without the name of the raster and how the difference was found it fits into a line.
         difference, _, found_by = heights.rpartition(" (median of ")
         yield f"the DEM {difference[difference.rindex(' is ') + 1:]}{found_by.partition(')')[2]}"
-    if unused := _unused_rpc(record):
+    if unused := _why_rpc_unused(record):
         yield unused
     if read and read.two_groups:
         shift = read.two_groups.partition(", as if")[0]
         yield f"check the datum of the points: {shift}"
     elif may_be_shifted(record):
-        yield (f"are rows shifted, or matches wrong? {contradicting_of(record)} contradict the "
+        yield (f"are rows shifted, or matches wrong? {outlier_share_in_words(record)} contradict "
+               "the "
                "others")
     if record.interrupted:
         yield "the run was interrupted; run it again to its end"
 
 
-def next_step(record: Record, folder: str = "") -> str:
+def next_step_for_user(record: Record, folder: str = "") -> str:
     """Return the next step for the user, as a command if one can be typed.
 
     `folder` is where the result was written, "" if it was not.

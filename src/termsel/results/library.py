@@ -9,10 +9,10 @@ from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
-from termsel.core.errors import TermselError, requires
+from termsel.core.errors import TermselError, require_import
 from termsel.core.files.atomic import write_bytes
 from termsel.core.version import __version__
-from termsel.results.pictures import bundle
+from termsel.results.pictures import drawing_bundle
 
 EMBED = "termselEmbed"
 """The function of the library, by a name that no other script on a page has."""
@@ -21,7 +21,7 @@ _CACHE_FOLDER = Path(__file__).parent / "__pycache__"
 
 
 @cache
-def library() -> str:
+def read_library() -> str:
     """Return Vega, Vega-Lite and Vega-Embed with the interpreter of expressions.
 
     To put it together takes longer than all else of a page, so that it is kept next to the bytecode
@@ -34,25 +34,25 @@ def library() -> str:
     """
     for module, package in (("altair", "altair"), ("vl_convert", "vl-convert-python")):
         # A page without charts imports neither, as that takes long.
-        with requires("pages require", package, '"termsel[report]"'):
+        with require_import("pages require", package, '"termsel[report]"'):
             if find_spec(module) is None:
                 raise ImportError(name=module)
     cached = _CACHE_FOLDER / f"{EMBED}-{version('vl-convert-python')}-{__version__}.js"
     with suppress(OSError):
         # The checksum refuses what a crash, or another program, has left there.
         checksum, _, data = cached.read_bytes().partition(b"\n")
-        if checksum == _checksum(data):
+        if checksum == _checksum_of_library(data):
             return data.decode()
     # In a script of a page this would end the script.
-    text = bundle(f"window.{EMBED} = vegaEmbed;").replace(
+    text = drawing_bundle(f"window.{EMBED} = vegaEmbed;").replace(
         "</script", "<\\/script")
     # A page is written all the same where the folder of the module cannot be written to.
     with suppress(OSError, TermselError):
         _CACHE_FOLDER.mkdir(exist_ok=True)
         data = text.encode()
-        write_bytes(cached, _checksum(data) + b"\n" + data)
+        write_bytes(cached, _checksum_of_library(data) + b"\n" + data)
     return text
 
 
-def _checksum(data: bytes) -> bytes:
+def _checksum_of_library(data: bytes) -> bytes:
     return sha256(data).hexdigest().encode()

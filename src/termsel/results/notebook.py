@@ -15,14 +15,14 @@ from importlib.util import find_spec
 from typing import Any
 from uuid import uuid4
 
-from termsel.results.library import EMBED, library
-from termsel.results.pictures import drawable, picture
+from termsel.results.library import EMBED, read_library
+from termsel.results.pictures import draw_picture, make_drawable
 from termsel.results.theme import require_altair
 
 _sent = False
 
 
-def offline(chart: Any) -> Any:
+def offline_chart(chart: Any) -> Any:
     """Return a chart that shows itself in a notebook without a connection.
 
     It remains an Altair chart. So does what is made of it by its methods, such as ``properties``.
@@ -31,12 +31,12 @@ def offline(chart: Any) -> Any:
     # A shallow copy, whose class alone differs: the chart of the user stays as it is.
     copied = chart.copy(deep=False)
     kind: Any = type(chart)
-    object.__setattr__(copied, "__class__", _offline(kind))
+    object.__setattr__(copied, "__class__", _offline_class(kind))
     return copied
 
 
 @cache
-def _offline(kind: Any) -> type:
+def _offline_class(kind: Any) -> type:
     """Return the class of a chart that notebooks show without a connection."""
     def bundle(self: Any, *args: Any, **kwds: Any) -> Any:
         """Return an object's chart as HTML and text, or by the Altair renderer that the user chose.
@@ -55,14 +55,14 @@ def html_of(chart: Any) -> str:
     global _sent
     spec = chart.to_dict()
     # The picture stands for the chart where scripts do not run, as on a page of a repository.
-    encoded = base64.b64encode(picture(chart, ".svg")).decode()
+    encoded = base64.b64encode(draw_picture(chart, ".svg")).decode()
     title = spec.get("title", "")
     description = title.get("text", "") if isinstance(title, dict) else title
     element = f"termsel-{uuid4().hex}"
     # Nothing in the data may end the script.
-    content = drawable(json.dumps(spec, allow_nan=False)).replace("<", "\\u003c")
+    content = make_drawable(json.dumps(spec, allow_nan=False)).replace("<", "\\u003c")
     # The interpreter is megabytes long: a notebook needs it once.
-    scripts = "" if _sent else f"<script>{library()}</script>"
+    scripts = "" if _sent else f"<script>{read_library()}</script>"
     _sent = True
     return (f'<div id="{element}"><img alt="{escape(str(description))}" '
             f'src="data:image/svg+xml;base64,{encoded}"></div>{scripts}<script>(() => {{\n'

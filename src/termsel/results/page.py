@@ -16,7 +16,7 @@ from importlib.resources import files
 from itertools import groupby
 from typing import Any
 
-from termsel.core.errors import printable
+from termsel.core.errors import make_printable
 from termsel.results.blocks import (
     Block,
     Code,
@@ -29,15 +29,15 @@ from termsel.results.blocks import (
     Statement,
     TableBlock,
 )
-from termsel.results.library import library
-from termsel.results.pictures import drawable
+from termsel.results.library import read_library
+from termsel.results.pictures import make_drawable
 from termsel.results.theme import dark_style, with_theme
 
 MOST_COLUMNS = 7
 """Of a table on a narrow screen; one with more has its cells one below the other there."""
 
 
-def page(document: Document) -> str:
+def render_page(document: Document) -> str:
     """Return the document of a result or a study as a page of HTML.
 
     Raises
@@ -47,20 +47,21 @@ def page(document: Document) -> str:
     """
     specs: dict[str, Any] = {}
     title = document.title
-    content_blocks = list(_blocks(document.facts, specs))
+    content_blocks = list(_blocks_html(document.facts, specs))
     for number, section in enumerate(document.sections, 1):
-        content = "\n".join(_blocks(section.blocks, specs))
+        content = "\n".join(_blocks_html(section.blocks, specs))
         content_blocks.append(f'<section aria-labelledby="s{number}"><h2 id="s{number}">'
-                     f"{_html(section.title)}</h2>\n{content}\n</section>")
-    style = _resource("page.css") + dark_style()
-    script = _resource("page.js")
+                     f"{_escape_html(section.title)}</h2>\n{content}\n</section>")
+    style = _read_resource("page.css") + dark_style()
+    script = _read_resource("page.js")
     # Nothing from elsewhere is loaded, and no script runs but these two, known by their checksums.
-    drawing = library()
-    policy = (f"default-src 'none'; script-src {_checksum(drawing)} {_checksum(script)}; "
-              f"style-src {_checksum(style)}; img-src data:; base-uri 'none'; form-action 'none'")
+    drawing = read_library()
+    policy = (f"default-src 'none'; script-src {_checksum_of(drawing)} {_checksum_of(script)}; "
+              f"style-src {_checksum_of(style)}; img-src data:; base-uri 'none'; form-action "
+              "'none'")
     # Nothing in a block of data may end it.
-    charts = json.dumps(_sharing(specs), separators=(",", ":"), allow_nan=False)
-    charts = drawable(charts).replace("<", "\\u003c")
+    charts = json.dumps(_share_data(specs), separators=(",", ":"), allow_nan=False)
+    charts = make_drawable(charts).replace("<", "\\u003c")
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -68,11 +69,11 @@ def page(document: Document) -> str:
 <meta http-equiv="Content-Security-Policy" content="{policy}">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <link rel="icon" href="data:,">
-<title>{_html(title)}</title>
+<title>{_escape_html(title)}</title>
 <style>{style}</style>
 </head>
 <body>
-<header><h1>{_html(title)}</h1><p>{_html(document.subtitle)}</p></header>
+<header><h1>{_escape_html(title)}</h1><p>{_escape_html(document.subtitle)}</p></header>
 <main>
 {chr(10).join(content_blocks)}
 </main>
@@ -85,7 +86,7 @@ def page(document: Document) -> str:
 """
 
 
-def _sharing(specs: dict[str, Any]) -> dict[str, Any]:
+def _share_data(specs: dict[str, Any]) -> dict[str, Any]:
     """Return charts that name their data, and all data once: charts share many."""
     data: dict[str, Any] = {}
     charts = {}
@@ -95,7 +96,7 @@ def _sharing(specs: dict[str, Any]) -> dict[str, Any]:
     return {"data": data, "charts": charts}
 
 
-def _blocks(blocks: Iterable[Block], specs: dict[str, Any]) -> Iterator[str]:
+def _blocks_html(blocks: Iterable[Block], specs: dict[str, Any]) -> Iterator[str]:
     """Yield blocks as HTML; charts in a row share it where there is room.
 
     The specifications of charts are added to `specs`.
@@ -103,38 +104,39 @@ def _blocks(blocks: Iterable[Block], specs: dict[str, Any]) -> Iterator[str]:
     # groupby takes neighbours together, so that figures in a row share it.
     for kind, group in groupby(blocks, type):
         if kind is Fact:
-            yield _facts([block for block in group if isinstance(block, Fact)])
+            yield _facts_html([block for block in group if isinstance(block, Fact)])
             continue
-        content = "\n".join(_block(block, specs) for block in group)
+        content = "\n".join(_block_html(block, specs) for block in group)
         yield f'<div class="figures">{content}</div>' if kind is Figure else content
 
 
-def _facts(facts: Sequence[Fact]) -> str:
+def _facts_html(facts: Sequence[Fact]) -> str:
     """Return the lines of the first screen: those without a label as text, others as a list."""
-    paragraphs = [f"<p>{_html(fact.text)}</p>" for fact in facts if not fact.label and fact.text]
-    rows = [f"<dt>{_html(fact.label.strip())}</dt><dd>{_html(fact.text)}</dd>"
+    paragraphs = [f"<p>{_escape_html(fact.text)}</p>" for fact in facts if not fact.label
+                  and fact.text]
+    rows = [f"<dt>{_escape_html(fact.label.strip())}</dt><dd>{_escape_html(fact.text)}</dd>"
             for fact in facts if fact.label]
     listed = f'<dl class="facts">{"".join(rows)}</dl>' if rows else ""
     return "\n".join([*paragraphs, listed])
 
 
-def _block(block: Block, specs: dict[str, Any]) -> str:
+def _block_html(block: Block, specs: dict[str, Any]) -> str:
     """Return a block as HTML; the specification of a chart goes into `specs`."""
     if isinstance(block, Detail):
-        return _block(block.block, specs)
+        return _block_html(block.block, specs)
     if isinstance(block, str):
-        return f"<p>{_html(block)}</p>"
+        return f"<p>{_escape_html(block)}</p>"
     if isinstance(block, Note):
-        return f"<p><strong>{_html(block.label)}:</strong> {_html(block.text)}</p>"
+        return f"<p><strong>{_escape_html(block.label)}:</strong> {_escape_html(block.text)}</p>"
     if isinstance(block, Fact):
-        return _facts([block])
+        return _facts_html([block])
     if isinstance(block, Names):
-        return (f"<details><summary>{_html(block.title)}: {len(block.names)}</summary>"
-                f"<p>{_html(' '.join(block.names))}</p></details>")
+        return (f"<details><summary>{_escape_html(block.title)}: {len(block.names)}</summary>"
+                f"<p>{_escape_html(' '.join(block.names))}</p></details>")
     if isinstance(block, Statement):
-        return f'<blockquote class="statement" tabindex="0">{_html(block.text)}</blockquote>'
+        return f'<blockquote class="statement" tabindex="0">{_escape_html(block.text)}</blockquote>'
     if isinstance(block, Code):
-        return f'<pre tabindex="0"><code>{_html(block.text)}</code></pre>'
+        return f'<pre tabindex="0"><code>{_escape_html(block.text)}</code></pre>'
     return _chart_as_html(block, specs) if isinstance(block, Figure) else _table_as_html(block)
 
 
@@ -143,27 +145,27 @@ def _chart_as_html(figure: Figure, specs: dict[str, Any]) -> str:
     # Charts are drawn by the browser from their specification, which is at the end of the page.
     specs[figure.name] = with_theme(figure.chart).to_dict()
     ratio = figure.chart.width / figure.chart.height if figure.keeps_ratio else 0
-    return (f'<figure id="{_html(figure.name)}"><h3>{_html(figure.title)}</h3>'
-            f"<p class=\"look\">{_html(figure.look)}</p>"
-            f'<div class="chart" data-chart="{_html(figure.name)}" data-ratio="{ratio:.4g}" '
-            f'role="group" aria-label="{_html(figure.title)}"></div></figure>')
+    return (f'<figure id="{_escape_html(figure.name)}"><h3>{_escape_html(figure.title)}</h3>'
+            f"<p class=\"look\">{_escape_html(figure.look)}</p>"
+            f'<div class="chart" data-chart="{_escape_html(figure.name)}" data-ratio="{ratio:.4g}" '
+            f'role="group" aria-label="{_escape_html(figure.title)}"></div></figure>')
 
 
 def _table_as_html(table: TableBlock) -> str:
     """Return a table as HTML."""
     # The first column is the head of its row, which has a style of its own.
     classes = ["", *(_column_class(table, i) for i in range(1, len(table.columns)))]
-    heads = [f'<th scope="col"{column_class}>{_html(name)}</th>' if name else "<td></td>"
+    heads = [f'<th scope="col"{column_class}>{_escape_html(name)}</th>' if name else "<td></td>"
              for name, column_class in zip(table.columns, classes, strict=True)]
     if table.pictures:
         heads.insert(1, '<th scope="col" class="words">residuals</th>')
-    choice = f' data-choice="{_html(table.choice)}"' if table.choice else ""
+    choice = f' data-choice="{_escape_html(table.choice)}"' if table.choice else ""
     # On a narrow screen text beside numbers, or many columns, would leave it.
     is_listed = bool(table.pictures or ' class="words"' in classes
                      or sum(column != ' class="beyond"' for column in classes) > MOST_COLUMNS)
     listed = ' class="listed"' if is_listed else ""
-    rows = [_row(table, i, classes, is_listed) for i in range(len(table.rows))]
-    caption = _html(table.caption)
+    rows = [_row_html(table, i, classes, is_listed) for i in range(len(table.rows))]
+    caption = _escape_html(table.caption)
     table_html = (f'<div class="scroll" tabindex="0"><table{listed}{choice}><caption><span>'
                   f"{caption}</span></caption><thead><tr>{''.join(heads)}</tr></thead><tbody>\n"
                   + "\n".join(rows) + "\n</tbody></table></div>")
@@ -181,29 +183,29 @@ def _column_class(table: TableBlock, column: int) -> str:
     return ' class="range"' if table.columns[column].endswith("interval") else ""
 
 
-def _row(table: TableBlock, i: int, classes: Sequence[str], is_listed: bool) -> str:
+def _row_html(table: TableBlock, i: int, classes: Sequence[str], is_listed: bool) -> str:
     """Return a row of a table: its head, which may be a button that picks it, and its cells."""
-    name, *texts = map(_html, table.rows[i])
+    name, *texts = map(_escape_html, table.rows[i])
     attributes = ' class="marked"' if i == table.marked else ""
     if table.choice:
-        attributes += f' data-key="{_html(drawable(json.dumps(table.keys[i])))}"'
+        attributes += f' data-key="{_escape_html(make_drawable(json.dumps(table.keys[i])))}"'
         name = f'<button type="button">{name}</button>'
     picture = f'<td class="picture">{table.pictures[i]}</td>' if table.pictures else ""
-    heads = [f' data-head="{_html(head)}"' if is_listed and head else ""
+    heads = [f' data-head="{_escape_html(head)}"' if is_listed and head else ""
              for head in table.columns[1:]]
     cells = [f"<td{column_class}{head}>{text}</td>"
              for text, head, column_class in zip(texts, heads, classes[1:], strict=True)]
     return f'<tr{attributes}><th scope="row">{name}</th>{picture}{"".join(cells)}</tr>'
 
 
-def _html(text: str) -> str:
+def _escape_html(text: str) -> str:
     """Return text of names and files as HTML, in which no markup or control sign has an effect."""
-    return escape(printable(text))
+    return escape(make_printable(text))
 
 
-def _resource(name: str) -> str:
+def _read_resource(name: str) -> str:
     return (files("termsel.results") / name).read_text(encoding="utf-8")
 
 
-def _checksum(text: str) -> str:
+def _checksum_of(text: str) -> str:
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

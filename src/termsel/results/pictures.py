@@ -7,7 +7,7 @@ import re
 from functools import cache
 from typing import Any
 
-from termsel.core.errors import TermselError, requires
+from termsel.core.errors import TermselError, require_import
 from termsel.core.isolation.helper import Helper, ProcessEndedError
 
 SCALE = 2.0
@@ -46,7 +46,7 @@ _OF_OBJECTS = re.compile(
     r'toString|valueOf|__(?:proto|defineGetter|defineSetter|lookupGetter|lookupSetter)__)"(?! *:)')
 
 
-def drawable(spec: str) -> str:
+def make_drawable(spec: str) -> str:
     """Return a chart, or other data of a page, as JSON that Vega can draw whatever its names are.
 
     Vega keeps names in objects of JavaScript, in which some names have a meaning already, such as
@@ -55,7 +55,7 @@ def drawable(spec: str) -> str:
     return _OF_OBJECTS.sub(r'"\1\\u2060"', spec)
 
 
-def picture(chart: Any, suffix: str) -> bytes:
+def draw_picture(chart: Any, suffix: str) -> bytes:
     """Return a chart as a picture.
 
     Parameters
@@ -69,18 +69,19 @@ def picture(chart: Any, suffix: str) -> bytes:
     TermselError
         If vl-convert-python is not installed, or cannot draw the chart.
     """
-    with requires("pictures require", "vl-convert-python", '"termsel[report]"'):
+    with require_import("pictures require", "vl-convert-python", '"termsel[report]"'):
         import vl_convert  # noqa: F401 (what the other process imports)
     try:
         # The specification goes to the process as text, the answer comes back as bytes, or as text
         # that says what went wrong.
-        drawn = _helper().ask((suffix[1:], drawable(chart.to_json(indent=None)),
-                               {"scale": SCALE} if suffix == ".png" else {}))
+        drawn = _drawing_helper().ask((suffix[1:], make_drawable(chart.to_json(indent=None)),
+                                       {"scale": SCALE} if suffix == ".png" else {}))
     except ProcessEndedError as error:
-        raise _undrawn("a fault of compiled code, or out of memory") from error
+        raise _undrawn_error("a fault of compiled code, or out of memory") from error
     if isinstance(drawn, str):
         # The first line of what the library says; the others are a trace of its own code.
-        raise _undrawn(next((line for line in map(str.strip, drawn.splitlines()) if line), drawn))
+        raise _undrawn_error(
+            next((line for line in map(str.strip, drawn.splitlines()) if line), drawn))
     return with_margins(drawn.decode()).encode() if suffix == ".svg" else bytes(drawn)
 
 
@@ -98,7 +99,7 @@ def with_margins(svg: str) -> str:
     return _SIZE.sub(widened, svg, count=1)
 
 
-def bundle(snippet: str) -> str:
+def drawing_bundle(snippet: str) -> str:
     """Return the library that draws charts in a browser, with a line of its own at the end.
 
     Raises
@@ -107,7 +108,7 @@ def bundle(snippet: str) -> str:
         If the library vl-convert fails or ends, as for lack of memory.
     """
     try:
-        bundle = _helper().ask(("js", snippet, {}))
+        bundle = _drawing_helper().ask(("js", snippet, {}))
     except ProcessEndedError:
         bundle = "a fault of compiled code, or out of memory"
     if isinstance(bundle, str):
@@ -116,14 +117,14 @@ def bundle(snippet: str) -> str:
     return bytes(bundle).decode()
 
 
-def _undrawn(why: str) -> TermselError:
+def _undrawn_error(why: str) -> TermselError:
     return TermselError(f"the library vl-convert cannot draw this chart: {why[:200]}",
                         hint="Tables and records are complete without it. "
                              "`termsel report` draws it in a browser.")
 
 
 @cache
-def _helper() -> Helper:
+def _drawing_helper() -> Helper:
     """Return the process that draws charts, which ends with this one."""
     helper = Helper(_DRAWING)
     # The process ends with this one, whatever it is doing.

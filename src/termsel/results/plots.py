@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name_error
 from termsel.core.files.atomic import write_bytes
 from termsel.results.blocks import Figure
 from termsel.results.charts import bars, maps, search, terms
-from termsel.results.notebook import offline
-from termsel.results.pictures import picture
+from termsel.results.notebook import offline_chart
+from termsel.results.pictures import draw_picture
 from termsel.results.theme import require_altair, with_theme
 from termsel.results.view import View
 
@@ -54,12 +54,13 @@ class ChartKind:
 def _worst_next_to_map(view: View) -> Any:
     """Return the worst residuals next to the map that shows where they are."""
     # Side by side, and linked: what is clicked in one is marked in the other.
-    return _side_by_side(bars.worst_bars(view).properties(width=260), maps.image_map(view))
+    return _side_by_side(bars.bars_of_worst(view).properties(width=260), maps.image_map(view))
 
 
 def _front_and_member(view: View) -> Any:
     """Return the front next to the residuals of the member that is chosen."""
-    return _side_by_side(search.front(view).properties(width=380, height=380), search.members(view))
+    return _side_by_side(
+        search.front_chart(view).properties(width=380, height=380), search.member_residuals(view))
 
 
 def _side_by_side(first: Any, second: Any) -> Any:
@@ -83,14 +84,14 @@ KINDS = {kind.name: kind for kind in (
     ChartKind(
         "worst", "The largest residuals",
         "The list should fall off smoothly. A step after the first few bars separates blunders "
-        "from noise.", _worst_next_to_map, remark=bars.broken),
+        "from noise.", _worst_next_to_map, remark=bars.caption_on_breaks),
     ChartKind(
         "baselines", "Compared with fits without a search",
         "This result should lie left of the conventional models at independent check points. If "
         "intervals overlap, the difference may be noise.", bars.baseline_bars,
         lambda view: "" if bars.fit_rows(view) else
         "it has neither selection points nor independent check points",
-        remark=bars.unlike_others),
+        remark=bars.caption_on_others),
     ChartKind(
         "candidates", "Models that the automatic choice compared",
         "Prefer the simpler of two models that are equally good.",
@@ -107,19 +108,19 @@ KINDS = {kind.name: kind for kind in (
         "convergence", "Convergence of the search",
         "The best value should be level at the end. If it still falls, give the search more "
         "evaluations. Grey is the share of selections that break a condition.",
-        search.convergence,
+        search.convergence_chart,
         lambda view: "" if len(view.record.history) > 1 else
         "it has no history of a search", remark=search.refinement_remark),
     ChartKind(
         "empires", "Empires of the search",
         "The imperialist competitive algorithm ends when one band remains. Many bands at the end "
-        "mean that the budget stopped it.", search.empires,
+        "mean that the budget stopped it.", search.empires_chart,
         lambda view: "" if any(generation.empires for generation in view.record.history)
         else "its solver was not the ICA"),
     ChartKind(
         "frequency", "How often terms are selected",
         "Terms in nearly all selections are reliable. Terms in few selections fit noise, or "
-        "replace each other.", terms.frequency_bars, terms.no_frequencies),
+        "replace each other.", terms.frequency_bars, terms.why_no_frequencies),
     ChartKind(
         "terms", "Terms and their significance",
         "Terms in orange could be zero. Many of them mean that fewer terms would do.",
@@ -152,16 +153,16 @@ def kind_of(name: str) -> ChartKind:
         If no kind has this name.
     """
     if name not in KINDS:
-        raise unknown_name("kind of chart", name, KINDS)
+        raise unknown_name_error("kind of chart", name, KINDS)
     return KINDS[name]
 
 
-def missing(view: View, name: str) -> str:
+def why_chart_missing(view: View, name: str) -> str:
     """Return why a view has no chart of this kind; "" where it has one."""
     return KINDS[name].missing(view)
 
 
-def figure(view: View | None, name: str, drawn: Any = None) -> Iterator[Figure]:
+def chart_block(view: View | None, name: str, drawn: Any = None) -> Iterator[Figure]:
     """Yield a chart as a block; nothing if the view has none, or is None.
 
     Parameters
@@ -173,13 +174,13 @@ def figure(view: View | None, name: str, drawn: Any = None) -> Iterator[Figure]:
         The chart, where it is another than that of its kind.
     """
     # What a view lacks, such as a front, has no figure, and a report no gap.
-    if view is not None and not missing(view, name):
+    if view is not None and not why_chart_missing(view, name):
         kind = KINDS[name]
         yield Figure(name, kind.title, kind.caption(view),
                      kind.draw(view) if drawn is None else drawn, kind.keeps_ratio)
 
 
-def chart(view: View, name: str) -> Any:
+def styled_chart(view: View, name: str) -> Any:
     """Return a chart in the common style, with its title and how to read it.
 
     Parameters
@@ -203,7 +204,7 @@ def chart(view: View, name: str) -> Any:
     caption = kind.caption(view)
     if name in LINKED:
         caption = f"{caption} {maps.cut_in_image(view)}".strip()
-    return offline(with_theme(kind.draw(view), kind.title, caption))
+    return offline_chart(with_theme(kind.draw(view), kind.title, caption))
 
 
 class Plots:
@@ -222,10 +223,10 @@ class Plots:
         return f"<Plots: {', '.join(KINDS)}>"
 
 
-def _method(kind: ChartKind) -> Callable[[Plots], Any]:
+def _method_of_kind(kind: ChartKind) -> Callable[[Plots], Any]:
     """Return the method of `Plots` that draws a kind of chart."""
     def draw(plots: Plots) -> Any:
-        return chart(plots._view, kind.name)
+        return styled_chart(plots._view, kind.name)
 
     # As if it were written out, for help() and tracebacks.
     draw.__name__ = kind.name
@@ -236,7 +237,7 @@ def _method(kind: ChartKind) -> Callable[[Plots], Any]:
 
 # Methods by the names of the charts, so that a notebook completes them.
 for _kind in KINDS.values():
-    setattr(Plots, _kind.name, _method(_kind))
+    setattr(Plots, _kind.name, _method_of_kind(_kind))
 
 
 FORMATS = (".svg", ".png", ".pdf")
@@ -269,4 +270,4 @@ def save(drawn: Any, path: Path) -> None:
         If the suffix is another, the file cannot be written, or as `picture`.
     """
     require_picture(path)
-    write_bytes(path, picture(drawn, path.suffix.lower()))
+    write_bytes(path, draw_picture(drawn, path.suffix.lower()))

@@ -13,17 +13,17 @@ from termsel.selection.problems.recipes import Recipe
 from termsel.selection.solvers.base import GIVEN
 
 
-def command(record: Record) -> str:
+def repeating_command(record: Record) -> str:
     """Return the command that repeats a run in the folder of its result.
 
     The points and lines there have their roles, heights and the size of their image, and the record
     has the vendor's RPC, so that the files they came from are not needed.
-    `not_by_command` shows the runs that no command can repeat.
+    `why_not_by_command` shows the runs that no command can repeat.
     """
     return " \\\n    ".join(["termsel run", *_command_arguments(record)])
 
 
-def not_by_command(record: Record) -> str:
+def why_not_by_command(record: Record) -> str:
     """Return why no command repeats a run; "" if one does."""
     own_classes = [f"{role} {plugin.class_}" for role, plugin in record.plugins.items()
                    if plugin.class_]
@@ -55,13 +55,13 @@ def _command_arguments(record: Record) -> Iterator[str]:
         named = record.solver != Recipe.solver or None not in record.options.solver.values()
         for part_of_run in ("model", "solver", "criterion") if named else ("model", "criterion"):
             yield f"--{part_of_run} {shlex.quote(_full_name(record, part_of_run))}"
-    yield from _settings(record)
+    yield from _settings_of_run(record)
     yield f"--seed {record.seed}"
     for name, limit in as_plain_data(record.budget).items():
         yield f"--{name} {limit:.12g}"
 
 
-def _settings(record: Record) -> Iterator[str]:
+def _settings_of_run(record: Record) -> Iterator[str]:
     """Yield the options of all parts of the run but those that follow from other arguments."""
     options_by_owner = as_plain_data(record.options)
     owners = Counter(chain.from_iterable(options_by_owner.values()))
@@ -75,7 +75,7 @@ def _settings(record: Record) -> Iterator[str]:
                 continue
             # A name that two parts have must say which.
             key = f"{owner}.{name}" if owners[name] > 1 else name
-            yield f"--set {shlex.quote(f'{key}={_text(value)}')}"
+            yield f"--set {shlex.quote(f'{key}={_quoted_text(value)}')}"
 
 
 def _full_name(record: Record, part_of_run: str) -> str:
@@ -91,5 +91,5 @@ _SETTLED = ("roles", "off", "role", "fractions", "split")
 """Options of data that the roles in points.csv have settled."""
 
 
-def _text(value: Value) -> str:
+def _quoted_text(value: Value) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)

@@ -16,7 +16,7 @@ from msgspec import UNSET, convert, field, structs
 from numpy.typing import ArrayLike
 
 from termsel.core.display import Glance
-from termsel.core.errors import TermselError, counted
+from termsel.core.errors import TermselError, count_in_words
 from termsel.core.files.atomic import write_text
 from termsel.core.files.names import is_there
 from termsel.data.features import FeatureSet, FloatArray
@@ -25,18 +25,18 @@ from termsel.data.locate import Surface
 from termsel.data.record.figures import as_plain_data
 from termsel.data.record.record import Checksums, Record
 from termsel.data.record.search import Member
-from termsel.data.roles import by_roles
-from termsel.data.thumbnail import thumbnail
-from termsel.fitting.figures import in_role, residuals_of
+from termsel.data.roles import observations_by_role
+from termsel.data.thumbnail import make_thumbnail
+from termsel.fitting.figures import residuals_of, restrict_to_control
 from termsel.fitting.fit import Fit
 from termsel.fitting.residuals import Residuals
 from termsel.results.accuracy import accuracy_of
-from termsel.results.answers import document
+from termsel.results.answers import result_document
 from termsel.results.extras import further_sections
-from termsel.results.first_screen import first_screen, next_step, title_of
-from termsel.results.page import page
+from termsel.results.first_screen import first_screen, next_step_for_user, title_of
+from termsel.results.page import render_page
 from termsel.results.plots import Plots
-from termsel.results.same_fit import least_squares_of, numbers_of
+from termsel.results.same_fit import fit_of_selection, numbers_of
 from termsel.results.text import text_of, text_of_blocks
 from termsel.results.view import View
 
@@ -49,7 +49,7 @@ SEALS = "checksums"
 """Key of the checksums in result.json."""
 
 
-def of_features(features: FeatureSet) -> str:
+def checksum_of_features(features: FeatureSet) -> str:
     """Return a checksum of ids, coordinates, roles, standard deviations, CRS and RPC."""
     digest = hashlib.sha256(features.crs.encode())
     if features.rpc is not None:
@@ -65,16 +65,16 @@ def of_features(features: FeatureSet) -> str:
     return digest.hexdigest()
 
 
-def of_certificate(content: Mapping[str, Any]) -> str:
+def checksum_of_certificate(content: Mapping[str, Any]) -> str:
     """Return the checksum that a certificate without its own has (`termsel.check.checksum`)."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def of_attributes(features: FeatureSet) -> str | None:
+def checksum_of_attributes(features: FeatureSet) -> str | None:
     """Return a checksum of the columns of attributes, None where there are none.
 
-    It is not part of `of_features`: results of the same control are told by that, whatever else its
-    files say of it.
+    It is not part of `checksum_of_features`: results of the same control are told by that, whatever
+    else its files say of it.
     """
     # By name and value, points before lines, so that their order in a file does not matter.
     columns = []
@@ -83,7 +83,7 @@ def of_attributes(features: FeatureSet) -> str | None:
     return hashlib.sha256(json.dumps(columns).encode()).hexdigest() if any(columns) else None
 
 
-def of_record(record: Mapping[str, Any]) -> str:
+def checksum_of_record(record: Mapping[str, Any]) -> str:
     """Return the SHA-256 of result.json's content, without checksums, whatever its layout."""
     # Sorted keys: the layout of the file is not part of its content.
     text = json.dumps({key: value for key, value in record.items() if key != SEALS},
@@ -93,7 +93,8 @@ def of_record(record: Mapping[str, Any]) -> str:
 
 def checksums_of(content: Mapping[str, Any], features: FeatureSet) -> Checksums:
     """Return the checksums of the content of result.json and of its features."""
-    return Checksums(of_record(content), of_features(features), of_attributes(features))
+    return Checksums(checksum_of_record(
+        content), checksum_of_features(features), checksum_of_attributes(features))
 
 
 class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, weakref=True):
@@ -193,13 +194,13 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
 
     def fit_of(self, member: Member) -> Fit:
         """Return the fit of a member of the front, or of the best selection of a size."""
-        observations = by_roles(self.features)
+        observations = observations_by_role(self.features)
         selected = member.selection
         # Genes of a member may have chosen other options of the model than the selection did.
         model = self.fit.model.with_parameters(selected.parameters)
         iterated = None if member.iterated is UNSET else member.iterated
         control = observations.control
-        return least_squares_of(
+        return fit_of_selection(
             model, control, self.fit.scaling, terms=np.isin(model.terms, selected.terms),
             used=np.isin(control.ids, selected.features), check=observations.check,
             iterated=iterated)
@@ -240,10 +241,11 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         # The other fit is exported, and the final one forgotten.
         if final is False:
             return self.with_(final=None, final_fit=None, exports="selection")
-        observations = by_roles(self.features)
+        observations = observations_by_role(self.features)
         # Of independent points, the outliers stay out of the final fit; twins of others are in it.
         in_use = set(observations.independent.ids) - {outlier.id for outlier in self.outliers}
-        residuals = residuals_of(in_role(self.final, observations), observations, self.outliers,
+        residuals = residuals_of(restrict_to_control(self.final, observations), observations,
+                                 self.outliers,
                                  check_used=True, independent_used=in_use)
         return self.with_(fit=self.final, final=None, final_fit=None,
                                exports="selection", residuals=residuals,
@@ -346,11 +348,11 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         depicted = self
         picture = ""
         if image is not None:
-            picture, size = thumbnail(image, self.features.image_size)
+            picture, size = make_thumbnail(image, self.features.image_size)
             depicted = self.of_image(size)
             warn_of_map(self.features, image)
-        write_text(path, page(document(depicted.record, depicted.view, picture,
-                                       further_sections(self))))
+        write_text(path, render_page(
+            result_document(depicted.record, depicted.view, picture, further_sections(self))))
 
     def summary(self, *, verbose: bool = False) -> str:
         """Return the first screen as text: data, model, accuracy, outliers and a comparison.
@@ -363,7 +365,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         # The first screen fits into a terminal; summary.txt has every table and proof.
         if not verbose:
             return text_of_blocks(first_screen(self))
-        return text_of(document(self.record, further=further_sections(self)), titled=False)
+        return text_of(result_document(self.record, further=further_sections(self)), titled=False)
 
     def next_step(self, folder: Path | str = "") -> str:
         """Return the command that comes next, for the last line of the first screen.
@@ -373,11 +375,11 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         folder : path-like
             Where the result was written; by default nowhere.
         """
-        return next_step(self, str(folder))
+        return next_step_for_user(self, str(folder))
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
         counts = self.data.counts
-        features = [counted(n, noun) for n, noun in (
+        features = [count_in_words(n, noun) for n, noun in (
             (counts.control, "control point"), (counts.lines, "control line"),
             (counts.check, "selection point"), (counts.independent, "independent check point"))
             if n]
@@ -385,7 +387,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         used = len(self.selection.features) + counts.check * bool(self.strategy)
         left_out_ids = [outlier.id for outlier in self.outliers if outlier.excluded]
         title = f"{title_of(self)} ({self.model})" if self.strategy else title_of(self)
-        return f"Result: {title}, {counted(len(self.selection.terms), 'term')}", {
+        return f"Result: {title}, {count_in_words(len(self.selection.terms), 'term')}", {
             "data": f"{self.data.source}; {', '.join(features)}",
             "fitted to": f"{used} {counts.word}" + (
                 f"; exported: fitted to {len(self.final.control)}" if self.final else ""),

@@ -20,11 +20,11 @@ from termsel.data.record.figures import AdjustmentFigures, Correlation, Predicte
 from termsel.data.record.record import FinalFit, FitRecord, Offered
 from termsel.data.scaling import Scaling
 from termsel.fitting.figures import (
-    correlations,
+    correlated_terms,
     finite_or_none,
     number,
     orientation_spread,
-    significance,
+    term_significance,
 )
 from termsel.fitting.fit import Estimator, Fit, HeldOut
 from termsel.fitting.least_squares import LeastSquares
@@ -44,9 +44,9 @@ def numbers_of(fitted: Fit) -> dict[str, Any]:
         "adjustment": adjustment_figures(
             fitted, orientation_spread(lines) if len(lines) else None),
         "sensor": sensor_of(fitted),
-        "significance": significance(fitted),
+        "significance": term_significance(fitted),
         "correlations": tuple(Correlation((first, second), value)
-                              for first, second, value in correlations(fitted)),
+                              for first, second, value in correlated_terms(fitted)),
         "scaling": fitted.scaling.numbers()}
 
 
@@ -136,7 +136,7 @@ def _array_of_terms(model: SensorModel, values: Mapping[str, float | None],
     return np.array([number(values.get(name, default)) for name in model.terms])
 
 
-def least_squares_of(model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
+def fit_of_selection(model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
                      used: BoolArray, check: Points, iterated: bool | None = None) -> Fit:
     """Return the fit of a selection of terms and features, as a run makes it.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import cast
 
-from termsel.core.errors import amount, counted, percent
+from termsel.core.errors import amount_in_words, count_in_words, percent_text
 from termsel.data.record.figures import SIGNIFICANT, AdjustmentFigures, RoleRmse, SensorFigure
 from termsel.data.record.record import Record
 from termsel.data.record.search import Certificate, Member, SizeRow, Strategy
@@ -13,34 +13,34 @@ from termsel.fitting.figures import CORRELATED
 from termsel.results import sizes
 from termsel.results.blocks import Block, Detail, Figure, Names, TableBlock
 from termsel.results.charts import search
-from termsel.results.first_screen import share
-from termsel.results.plots import figure, missing
+from termsel.results.first_screen import share_in_words
+from termsel.results.plots import chart_block, why_chart_missing
 from termsel.results.tables import OF_TERMS
 from termsel.results.verdict import label_of
 from termsel.results.view import View
 
 
-def selected(record: Record, view: View | None, picture: str) -> Iterator[Block]:
+def blocks_on_selection(record: Record, view: View | None, picture: str) -> Iterator[Block]:
     """Yield the selection, its search or choice, and proofs of it.
 
     The picture is the image, smaller, as a data URL.
     """
     if record.strategy:
-        yield from _choice(record, record.strategy, view)
+        yield from _choice_table(record, record.strategy, view)
     else:
         yield from map(Detail, _sentences_on_search(record))
         yield from _proof_of_selection(record)
     yield from _front_and_proofs(record, view, picture)
     if record.sensor:
-        yield Detail(_sensor(record.sensor))
+        yield Detail(_sensor_table(record.sensor))
         if any(sensor.name == "kappa" for sensor in record.sensor):
             yield Detail(ANGLES)
-    yield from map(Detail, _coefficients(record))
+    yield from map(Detail, _sentences_on_coefficients(record))
     if view is not None:
         # Charts of terms, each with its table for those who cannot see it.
-        drawable = [name for name in OF_TERMS if not missing(view, name)]
+        drawable = [name for name in OF_TERMS if not why_chart_missing(view, name)]
         for name in drawable:
-            yield from figure(view, name)
+            yield from chart_block(view, name)
         yield from (table(view) for name in drawable if (table := OF_TERMS[name]) is not None)
     selection = record.selection
     offered = record.offered
@@ -57,7 +57,7 @@ ANGLES = ("omega, phi and kappa are those of R3(kappa) R2(phi) R1(omega), which 
 """The convention of the angles of a photo."""
 
 
-def _sensor(figures: Sequence[SensorFigure]) -> TableBlock:
+def _sensor_table(figures: Sequence[SensorFigure]) -> TableBlock:
     """Return the figures of a sensor as a table, with standard deviations where these are known."""
     rows = []
     for sensor in figures:
@@ -90,17 +90,17 @@ def _iteration_in_words(adjustment: AdjustmentFigures) -> str:
     if adjustment.steps is None:
         return ""
     ending = "converged" if adjustment.converged else "has not converged"
-    return f"; the fit {ending} after {counted(adjustment.steps, 'step')}"
+    return f"; the fit {ending} after {count_in_words(adjustment.steps, 'step')}"
 
 
-def _choice(record: Record, strategy: Strategy, view: View | None) -> Iterator[Block]:
+def _choice_table(record: Record, strategy: Strategy, view: View | None) -> Iterator[Block]:
     """Yield a table of the models with their leave-one-out RMSE, the chosen one marked."""
     models = strategy.candidates
     yield Detail(f"Chosen: {label_of(strategy.chosen)}, fitted to control and selection points; "
                  f"{record.seconds:.1f} s")
     if strategy.reason:  # records of version 0.1 do not say it
         yield Detail(strategy.reason)
-    yield from figure(view, "candidates")
+    yield from chart_block(view, "candidates")
     names = [row.name for row in models]
     yield Detail(TableBlock(
         "Models", ("model", "terms", "effective", "leave-one-out RMSE [px]"), [
@@ -117,8 +117,9 @@ def _sentences_on_search(record: Record) -> Iterator[Block]:
         yield (f"{selection.n_terms} of {offered.n_terms} terms are in at least "
                f"{stability.threshold:.0%} of {stability.repeats} selections, each with "
                "other control and selection points.")
-    yield (f"Selected: {share(selection.n_features, offered.n_features)} control features, "
-           f"{share(selection.n_terms, offered.n_terms)} terms; "
+    yield (f"Selected: {share_in_words(selection.n_features, offered.n_features)} control "
+           "features, "
+           f"{share_in_words(selection.n_terms, offered.n_terms)} terms; "
            f"redundancy {record.adjustment.redundancy}{_iteration_in_words(record.adjustment)}")
     if parameters := selection.parameters:
         yield "Parameters: " + ", ".join(
@@ -127,12 +128,13 @@ def _sentences_on_search(record: Record) -> Iterator[Block]:
     max_share = _max_share(record)
     if max_share < 1:
         yield f"Limit: {max_share:.2g} terms per equation; --set max_share=1 removes it"
-    yield (f"Search: {amount(record.evaluations, 'evaluation')} ({record.lookups:,} from the "
-           f"cache), {counted(record.generations, 'generation')}, {record.seconds:.1f} s")
+    yield (f"Search: {amount_in_words(record.evaluations, 'evaluation')} ({record.lookups:,} from "
+           "the "
+           f"cache), {count_in_words(record.generations, 'generation')}, {record.seconds:.1f} s")
     if refined := record.polish:
         yield (f"Local refinement: {record.criterion} {refined.found:.4g} as "
                f"{record.solver} found it, {refined.polished:.4g} after it "
-               f"({amount(refined.evaluations, 'evaluation')})")
+               f"({amount_in_words(refined.evaluations, 'evaluation')})")
 
 
 def _max_share(record: Record) -> float:
@@ -147,13 +149,13 @@ def _proof_of_selection(record: Record) -> Iterator[Block]:
             exact += " --set max_share=1"
         if record.solver == "exact":  # it has a front once it has decided all
             exact = "--set recommend=best" if record.front else "a larger budget"
-        yield _certificate(record.certificate, exact)
+        yield _certificate_sentence(record.certificate, exact)
 
 
-def _certificate(certificate: Certificate, exact: str) -> str:
+def _certificate_sentence(certificate: Certificate, exact: str) -> str:
     """Return the statement that a certificate proves; `exact` would find the optimum."""
     # In words: how many subsets were decided, of which space, under which limit.
-    decided = f"{amount(certificate.subsets, 'subset')} enumerated"
+    decided = f"{amount_in_words(certificate.subsets, 'subset')} enumerated"
     proven = f"{decided}, {certificate.space}"
     _, _, limit = certificate.space.partition("selections of ")
     capped = f" of {limit}" if limit else ""
@@ -163,7 +165,7 @@ def _certificate(certificate: Certificate, exact: str) -> str:
     if certificate.optimal:
         how = [decided]
         if certificate.bounded:
-            how.append(f"{amount(certificate.bounded)} of them fathomed by bounds")
+            how.append(f"{amount_in_words(certificate.bounded)} of them fathomed by bounds")
         return (f"Proven: no selection{capped} has a better criterion "
                 f"({', '.join(how if limit else [*how, certificate.space])})")
     # A proof of the optimum that is not this selection: how far it is from it.
@@ -171,13 +173,14 @@ def _certificate(certificate: Certificate, exact: str) -> str:
         if not isinstance(certificate.gap, float):
             return (f"The proven optimum is {certificate.optimum:.4g}, below this ({proven}); "
                     f"{exact} finds it")
-        return (f"Optimality gap: {percent(certificate.gap)} above the proven optimum "
+        return (f"Optimality gap: {percent_text(certificate.gap)} above the proven optimum "
                 f"{certificate.optimum:.4g} ({proven}); {exact} finds it")
     if certificate.feasible is False:
         return f"Proven: no selection{capped} is feasible ({decided if limit else proven})"
-    done = f"{amount(certificate.subsets)} of {amount(certificate.of, 'subset')} enumerated"
+    done = f"{amount_in_words(certificate.subsets)} of " \
+        f"{amount_in_words(certificate.of, 'subset')} enumerated"
     if isinstance(certificate.gap, float):
-        return (f"Not proven: at most {percent(certificate.gap)} above the optimum{capped}, "
+        return (f"Not proven: at most {percent_text(certificate.gap)} above the optimum{capped}, "
                 f"which is {certificate.bound:.4g} or more ({done})")
     return f"Not proven: {done}" + (
         "; no lower bound is known yet" if certificate.bound == 0 else "")
@@ -192,17 +195,17 @@ def _front_and_proofs(record: Record, view: View | None, picture: str) -> Iterat
     if not members:
         return
     if front and view is not None:
-        yield from figure(view, "front", search.front(view))
+        yield from chart_block(view, "front", search.front_chart(view))
         yield Figure("members", "Residuals of the chosen member",
                      "Choose a member in the chart above or in the table below.",
-                     search.members(view, picture), keeps_ratio=True)
+                     search.member_residuals(view, picture), keeps_ratio=True)
     yield _table_of_members(record, members)
     rule = record.options.problem.get("recommend")
     if rule and (len(record.objectives) > 1 or rule != "best"):
         yield (f"The arrow marks the selection; the rule {rule} recommends it (--set "
                "recommend=...).")
     if by_size:
-        yield from sizes.others(by_size, list(members[0].objectives)[1])
+        yield from sizes.sentences_on_sizes(by_size, list(members[0].objectives)[1])
         yield _table_by_size(members, by_size)
 
 
@@ -212,24 +215,25 @@ def _table_of_members(record: Record, members: Sequence[Member | SizeRow]) -> Ta
     names = size.removeprefix("n_")
     # The criterion may be the RMSE at selection points itself.
     is_objective = "check-rmse" in further
-    proven = {row.objectives[size]: sizes.proven(row) for row in record.by_size}
+    proven = {row.objectives[size]: sizes.proven_in_words(row) for row in record.by_size}
     rows = []
     for member in members:
         objectives = ["-" if value is None else f"{value:.5g}"
                       for value in member.objectives.values()]
         verdict = [proven.get(member.objectives[size], "")] if proven else []
-        selection = [] if is_objective else [_px(member.rmse.check)]
-        rows.append((*objectives, *selection, _px(member.rmse.independent), *verdict,
+        selection = [] if is_objective else [_px_text(member.rmse.check)]
+        rows.append((*objectives, *selection, _px_text(member.rmse.independent), *verdict,
                      " ".join(getattr(member.selection, names))))
     title = [sizes.TITLE] if proven else []
     selection_heading = [] if is_objective else ["selection [px]"]
-    columns = (sizes.counted_by(members), *further, *selection_heading, "independent check [px]",
+    columns = (sizes.noun_of_members(members), *further, *selection_heading,
+               "independent check [px]",
                *title, names)
     # A text has no room for the errors at selection points and for the names.
     selection_columns = [] if is_objective else [len(members[0].objectives)]
     return TableBlock("Pareto front", columns, rows, choice="member" if record.front else "",
                       keys=list(range(len(record.front))),
-                      marked=sizes.recommended(members, record.selection),
+                      marked=sizes.recommended_member(members, record.selection),
                       page_only=(*selection_columns, len(columns) - 1))
 
 
@@ -241,18 +245,18 @@ def _table_by_size(members: Sequence[Member | SizeRow], by_size: Sequence[SizeRo
     for row in by_size:
         bound = "-" if row.bound is None else f"{row.bound:.4g}"
         rows.append((f"{row.objectives[size]:g}", f"{row.objectives[criterion]:.4g}", bound,
-                     sizes.proven(row), _px(row.rmse.independent),
+                     sizes.proven_in_words(row), _px_text(row.rmse.independent),
                      " ".join(getattr(row.selection, names))))
-    columns = (sizes.counted_by(members), criterion, "lower bound", sizes.TITLE,
+    columns = (sizes.noun_of_members(members), criterion, "lower bound", sizes.TITLE,
                "independent check [px]", names)
     return TableBlock("Best selection of each size", columns, rows, folded=True)
 
 
-def _px(rmse: RoleRmse) -> str:
+def _px_text(rmse: RoleRmse) -> str:
     return "-" if rmse.total is None else f"{rmse.total:.3f}"
 
 
-def _coefficients(record: Record) -> Iterator[Block]:
+def _sentences_on_coefficients(record: Record) -> Iterator[Block]:
     """Yield which terms are not significant, and how coefficients correlate."""
     weak = [name for name, term in record.significance.items() if term.p > SIGNIFICANT]
     if weak:

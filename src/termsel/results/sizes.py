@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from termsel.core.errors import percent
+from termsel.core.errors import percent_text
 from termsel.data.record.search import Member, SelectionRecord, SizeRow
 
 TITLE = "best of its size"
@@ -13,7 +13,7 @@ SIZE_WORDS = {"n_terms": "terms", "n_features": "control features"}
 _TIE = 1e-9  # criteria that differ relatively by less are equal
 
 
-def proven(row: SizeRow) -> str:
+def proven_in_words(row: SizeRow) -> str:
     """Return how far the best selection of a size is proven, in words."""
     if row.optimal:
         return "proven"
@@ -22,10 +22,10 @@ def proven(row: SizeRow) -> str:
     # Above twice the optimum a percentage is read wrongly.
     if row.gap > 1:
         return f"at most {1 + row.gap:.3g} times the optimum"
-    return f"gap at most {percent(row.gap)}"
+    return f"gap at most {percent_text(row.gap)}"
 
 
-def others(by_size: Sequence[SizeRow], criterion: str) -> Iterator[str]:
+def sentences_on_sizes(by_size: Sequence[SizeRow], criterion: str) -> Iterator[str]:
     """Yield sentences on sizes that are no better than a smaller one by the criterion.
 
     They say of which sizes this is proven, and of which it is not.
@@ -33,7 +33,7 @@ def others(by_size: Sequence[SizeRow], criterion: str) -> Iterator[str]:
     settled = []
     open_ = []
     best_value = float("inf")
-    words = counted_by(by_size)
+    words = noun_of_members(by_size)
     for row in by_size:
         size = int(row.objectives[size_of(row)] or 0)
         value = row.objectives[criterion]
@@ -45,14 +45,16 @@ def others(by_size: Sequence[SizeRow], criterion: str) -> Iterator[str]:
         else:
             open_.append(size)
     if settled:
-        yield (f"Proven: the best selection of {_ranges(settled)} {words} is no better than "
+        yield (f"Proven: the best selection of {_ranges_in_words(settled)} {words} is no better "
+               "than "
                "that of fewer.")
     if open_:
-        yield (f"Not proven: a selection of {_ranges(open_)} {words} may still be better "
+        yield (f"Not proven: a selection of {_ranges_in_words(open_)} {words} may still be better "
                "than that of fewer.")
 
 
-def recommended(members: Sequence[Member | SizeRow], selection: SelectionRecord) -> int | None:
+def recommended_member(members: Sequence[Member | SizeRow],
+                       selection: SelectionRecord) -> int | None:
     """Return the number of the member that is the selection; None if none is."""
     # Compared by what they select, as numbers may be rounded.
     return next((i for i, member in enumerate(members)
@@ -65,12 +67,12 @@ def size_of(member: Member | SizeRow) -> str:
     return next(iter(member.objectives))
 
 
-def counted_by(members: Sequence[Member | SizeRow]) -> str:
+def noun_of_members(members: Sequence[Member | SizeRow]) -> str:
     """Return the plural of the things that members select, such as "terms"."""
     return SIZE_WORDS.get(size_of(members[0]), size_of(members[0]))
 
 
-def _ranges(sizes: Sequence[int]) -> str:
+def _ranges_in_words(sizes: Sequence[int]) -> str:
     """Return numbers as text, three or more in a row by their ends."""
     rows: list[list[int]] = []
     # Runs of consecutive sizes.

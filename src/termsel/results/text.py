@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 
-from termsel.core.errors import printable
+from termsel.core.errors import make_printable
 from termsel.results.blocks import (
     Block,
     Code,
@@ -39,12 +39,12 @@ def text_of(document: Document, *, with_details: bool = True, titled: bool = Tru
         if blocks := list(_blocks_shown(section.blocks, with_details)):
             lines += ["", section.title, *_lines_of_blocks(blocks)]
     # File names may have what a terminal would obey.
-    return printable("\n".join(lines)) + "\n"
+    return make_printable("\n".join(lines)) + "\n"
 
 
 def text_of_blocks(blocks: Iterable[Block]) -> str:
     """Return blocks as text, such as the facts of the first screen."""
-    return printable("\n".join(_lines_of_blocks(blocks))) + "\n"
+    return make_printable("\n".join(_lines_of_blocks(blocks))) + "\n"
 
 
 def _blocks_shown(blocks: Iterable[Block], with_details: bool) -> Iterator[Block]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from termsel.core.errors import requires
+from termsel.core.errors import require_import
 
 CONTROL, CHECK, INDEPENDENT = "#0072b2", "#e08a00", "#1b1f24"
 UNUSED, BLUNDER = "#9aa1ab", "#c8003c"
@@ -46,7 +46,7 @@ def require_altair() -> Any:
     TermselError
         If it is not installed, with the command that installs it.
     """
-    with requires("charts require", "altair and vl-convert-python", '"termsel[report]"'):
+    with require_import("charts require", "altair and vl-convert-python", '"termsel[report]"'):
         import altair
     return altair
 
@@ -55,7 +55,7 @@ def with_theme(chart: Any, title: str = "", look: str = "") -> Any:
     """Return a chart in the common style, with its title and how to read it."""
     alt = require_altair()
     if title:
-        chart = chart.properties(title=alt.Title(title, subtitle=_wrapped(look)))
+        chart = chart.properties(title=alt.Title(title, subtitle=_wrap_text(look)))
     return chart.configure(
         background=GROUND, font="Helvetica Neue, Helvetica, Arial, sans-serif", padding=10,
     ).configure_view(stroke=None).configure_title(
@@ -82,7 +82,7 @@ def dark_style() -> str:
     return f"@media screen and (prefers-color-scheme: dark) {{\n{block}\n}}\n"
 
 
-def _wrapped(text: str, width: int = 84) -> list[str]:
+def _wrap_text(text: str, width: int = 84) -> list[str]:
     import textwrap
 
     return textwrap.wrap(text, width)

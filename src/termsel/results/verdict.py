@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from termsel.auto.compare import WITHOUT_BLUNDERS
 from termsel.auto.methods import BY_NAME
-from termsel.core.errors import rounded
+from termsel.core.errors import rounded_size_text
 from termsel.data.record.figures import BlunderTest, Outlier, RmseByRole
 from termsel.data.record.record import Record
 from termsel.results.blocks import Block, TableBlock
@@ -42,13 +42,13 @@ def verdict_on_choice(own_rmse: float, rival_rmse: float, rival: str, among: int
     if are_alike(own_rmse, rival_rmse):
         return "no practical difference"
     if rival_rmse > own_rmse:
-        return f"{times(rival_rmse / own_rmse)} as large"
+        return f"{times_in_words(rival_rmse / own_rmse)} as large"
     # The choice has kept to the simpler model, or averages, where the difference is small.
     return "may be chance" if among > 1 and own_rmse <= CHANCE * rival_rmse else \
         f"{label_of(rival)} is better by {100 * (1 - rival_rmse / own_rmse):.0f} %"
 
 
-def times(ratio: float) -> str:
+def times_in_words(ratio: float) -> str:
     """Return a ratio in words, such as "1.1 times"."""
     return f"{ratio:.1f} times" if ratio < 10 else f"{ratio:,.0f} times"
 
@@ -122,12 +122,12 @@ def _points_in(record: Record) -> int:
     return counts.control + counts.check + counts.independent + len(rejected)
 
 
-def contradicting_of(record: Record) -> str:
+def outlier_share_in_words(record: Record) -> str:
     """Return how many of the points are outliers, such as "16 of 97 points"."""
     return f"{len(_sure_outliers(record))} of {_points_in(record)} points"
 
 
-def contradicting(record: Record) -> str:
+def outliers_in_words(record: Record) -> str:
     """Return the id of the outlier among independent points, or how many of them are outliers."""
     wrong = [outlier.id for outlier in record.outliers if outlier.role == "independent"]
     return wrong[0] if len(wrong) == 1 else f"{len(wrong)} outliers among them"
@@ -143,7 +143,7 @@ def size_of_errors(record: Record) -> float:
     return min(sizes, default=0.0)
 
 
-def too_few_to_test(test: BlunderTest, errors: float) -> bool:
+def are_too_few_to_test(test: BlunderTest, errors: float) -> bool:
     """Return whether features are too few for a test, given the size of their errors [px].
 
     Then an error that could be found is larger than the image, and not because all errors are
@@ -156,7 +156,7 @@ def _none_detected_in_words(test: BlunderTest | None, errors: float) -> str:
     """Return that no outlier was detected, and how large one may be, given the size of errors."""
     if test is None:
         return "Outliers were not tested."
-    if test.limit is None or too_few_to_test(test, errors):
+    if test.limit is None or are_too_few_to_test(test, errors):
         if test.features >= NOT_FEW:
             return f"No outlier can be detected by this model among {test.features} features."
         return f"No outlier can be detected: {test.features} features are too few."
@@ -164,7 +164,7 @@ def _none_detected_in_words(test: BlunderTest | None, errors: float) -> str:
         return ("No outlier can be detected: no model fits these features. Several are wrong, or "
                 "no model is suitable.")
     return (f"No outliers detected. At half of the {test.features} features, an error must exceed "
-            f"{rounded(test.limit)} px to be detected.")
+            f"{rounded_size_text(test.limit)} px to be detected.")
 
 
 def verdict_table(record: Record) -> Iterator[Block]:
@@ -174,14 +174,16 @@ def verdict_table(record: Record) -> Iterator[Block]:
         yield TableBlock(
             "Outliers and their prediction errors", (
                 "feature", "kind", "role", "error [px]", "outlier test", "use"), [
-                (outlier.id, outlier.kind, ROLE_WORDS[outlier.role], rounded(outlier.error),
+                (outlier.id, outlier.kind, ROLE_WORDS[outlier.role],
+                 rounded_size_text(outlier.error),
                  CERTAINTY[outlier.certainty],
                  "rejected" if outlier.excluded else
                  "in the figures" if outlier.role == "independent" else "in use")
                 for outlier in outliers])
         off = off_option(record)
         if may_be_shifted(record):
-            yield (f"{contradicting_of(record)} contradict the others, more than slips do. Rows of "
+            yield (f"{outlier_share_in_words(record)} contradict the others, more than slips do. "
+                   "Rows of "
                    "the table may be shifted against each other or sorted in part, or matches "
                    "wrong: compare some points with the map before leaving any out.")
         elif off:

@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 
 from termsel.data.coordinates.crs import is_geographic
-from termsel.data.coordinates.metres import in_metres
-from termsel.data.coordinates.places import hull
+from termsel.data.coordinates.metres import offsets_in_metres
+from termsel.data.coordinates.places import convex_hull
 from termsel.data.features import FeatureSet, FloatArray, select
 from termsel.data.record.record import Record
-from termsel.data.roles import by_roles
+from termsel.data.roles import observations_by_role
 from termsel.fitting.figures import residuals_of
 from termsel.fitting.fit import Fit
 from termsel.fitting.residuals import Residual, Residuals
 from termsel.fitting.scene import errors_on_ground, scene_grid
-from termsel.results.repeat import command, not_by_command
+from termsel.results.repeat import repeating_command, why_not_by_command
 
 Row = dict[str, Any]
 
@@ -54,7 +54,7 @@ class View:
         if self.features.image_size is not None:
             lines, samples = self.features.image_size
             return 0.0, 0.0, lines - 1.0, samples - 1.0
-        return _box(self.features.image_vertices())
+        return _coordinate_box(self.features.image_vertices())
 
     @property
     def count(self) -> int:
@@ -76,22 +76,25 @@ class View:
         # Rows of charts are kept short: a page holds thousands.
         for r, (line, sample) in zip(self._drawn_residuals, self._image_positions, strict=True):
             if np.isfinite([line, sample, r.distance]).all():
-                rows.append({**self._row_of(r), "line": _shorten(line), "sample": _shorten(sample),
-                             "dl": _shorten(r.line, 4), "ds": _shorten(r.sample, 4)})
+                rows.append({**self._row_of(r), "line": _shorten_number(line),
+                             "sample": _shorten_number(sample),
+                             "dl": _shorten_number(r.line, 4), "ds": _shorten_number(r.sample, 4)})
         return rows
 
     @cached_property
     def on_ground(self) -> list[Row]:
         """Residuals with their places on the ground: x, y, dx, dy in the unit of the CRS."""
         offsets = errors_on_ground(self.fit, self._drawn_residuals)
-        metres = in_metres(self.features.crs, self._drawn_residuals.ground, offsets)
+        metres = offsets_in_metres(self.features.crs, self._drawn_residuals.ground, offsets)
         rows = []
         for i, (r,
                 (dx, dy)) in enumerate(zip(self._drawn_residuals, offsets.tolist(), strict=True)):
             if np.isfinite([dx, dy]).all():
-                away = None if metres is None else _shorten(float(np.hypot(*metres[i])), 4)
-                rows.append({**self._row_of(r), "x": _shorten(r.x, 12), "y": _shorten(r.y, 12),
-                             "dx": _shorten(dx, 4), "dy": _shorten(dy, 4), "metres": away})
+                away = None if metres is None else _shorten_number(float(np.hypot(*metres[i])), 4)
+                rows.append({**self._row_of(r), "x": _shorten_number(r.x, 12),
+                             "y": _shorten_number(r.y, 12),
+                             "dx": _shorten_number(dx, 4), "dy": _shorten_number(dy, 4),
+                                                                                 "metres": away})
         return rows
 
     @cached_property
@@ -113,15 +116,16 @@ class View:
         blunders = {outlier.id for outlier in self.record.outliers}
         return [{"id": name, "role": "control" if name in selected else
                  "rejected" if name in blunders else "left out",
-                 "blunder": name in blunders, "line": _shorten(l1), "sample": _shorten(s1),
-                 "line2": _shorten(l2), "sample2": _shorten(s2)}
+                 "blunder": name in blunders, "line": _shorten_number(l1),
+                 "sample": _shorten_number(s1),
+                 "line2": _shorten_number(l2), "sample2": _shorten_number(s2)}
                 for name, ((l1, s1), (l2, s2)) in zip(lines.ids, lines.image.tolist(),
                                                       strict=True)]
 
     @cached_property
     def ground_box(self) -> tuple[float, float, float, float]:
         """Least x and y, greatest x and y of the features, in the unit of the CRS."""
-        return _box(self._ground[np.isfinite(self._ground[:, :2]).all(axis=1), :2])
+        return _coordinate_box(self._ground[np.isfinite(self._ground[:, :2]).all(axis=1), :2])
 
     @cached_property
     def flattening(self) -> float:
@@ -137,7 +141,7 @@ class View:
         middle = np.nanmean(self._ground[:, :2], axis=0, keepdims=True)  # heights may be unknown
         # About a metre: a degree is 111 km.
         step = 1e-5 if is_geographic(self.features.crs) else 1.0
-        metres = in_metres(self.features.crs, middle, np.array([[0.0, step]]))
+        metres = offsets_in_metres(self.features.crs, middle, np.array([[0.0, step]]))
         return None if metres is None else step / float(metres[0, 1])
 
     @cached_property
@@ -149,10 +153,11 @@ class View:
                                         self.record.shared_sigma or 0.0), axis=1)
         # Cells reach half the distance of nodes to either side.
         half_line, half_sample = ((image[-1] - image[0]) / (SIGMA_SIDE - 1) / 2).tolist()
-        return [{"line": _shorten(line - half_line), "line2": _shorten(line + half_line),
-                 "sample": _shorten(sample - half_sample),
-                 "sample2": _shorten(sample + half_sample),
-                 "sigma": _shorten(value, 4)}
+        return [{"line": _shorten_number(line - half_line),
+                 "line2": _shorten_number(line + half_line),
+                 "sample": _shorten_number(sample - half_sample),
+                 "sample2": _shorten_number(sample + half_sample),
+                 "sigma": _shorten_number(value, 4)}
                 for (line, sample), value in zip(image.tolist(), sigma.tolist(), strict=True)
                 if np.isfinite(value)]
 
@@ -169,7 +174,7 @@ class View:
 
         None of places on one straight line.
         """
-        around = hull(self._control_in_image)
+        around = convex_hull(self._control_in_image)
         return [{"i": i, "line": float(self._control_in_image[v, 0]),
                  "sample": float(self._control_in_image[v, 1])}
                 for i, v in enumerate(around + around[:1])]
@@ -205,7 +210,8 @@ class View:
             for residual in of_members:
                 values += [residual.line, residual.sample]
             if np.isfinite(values).all():
-                rows.append({**self._row_of(r), "line": _shorten(line), "sample": _shorten(sample),
+                rows.append({**self._row_of(r), "line": _shorten_number(line),
+                             "sample": _shorten_number(sample),
                              "dls": [round(residual.line / unit) for residual in of_members],
                              "dss": [round(residual.sample / unit) for residual in of_members],
                              "uses": [int(residual.used) for residual in of_members]})
@@ -227,12 +233,12 @@ class View:
     @cached_property
     def command(self) -> str:
         """The command that repeats the run; "" where none does."""
-        return "" if self.no_command else command(self.record)
+        return "" if self.no_command else repeating_command(self.record)
 
     @cached_property
     def no_command(self) -> str:
         """Why no command repeats the run; "" where one does."""
-        return not_by_command(self.record)
+        return why_not_by_command(self.record)
 
     @cached_property
     def _ground(self) -> FloatArray:
@@ -286,7 +292,7 @@ class View:
 
     @cached_property
     def _by_member(self) -> list[Residuals]:
-        roles = by_roles(self.features)
+        roles = observations_by_role(self.features)
         return [residuals_of(fitted, roles) for fitted in self.fits_of_front()]
 
     def _row_of(self, r: Residual) -> Row:
@@ -295,22 +301,22 @@ class View:
         return {"id": r.id, "kind": "point" if r.kind == "point" else "line",
                 "role": ("rejected" if r.blunder else "left out") if left_out else r.role,
                 "blunder": r.blunder,
-                "distance": _shorten(r.distance, 4)}
+                "distance": _shorten_number(r.distance, 4)}
 
 
-def _box(points: FloatArray) -> tuple[float, float, float, float]:
+def _coordinate_box(points: FloatArray) -> tuple[float, float, float, float]:
     """Return the least, then the greatest of both coordinates, shape (n, 2)."""
     (a, b) = points.min(axis=0).tolist()
     (c, d) = points.max(axis=0).tolist()
     return a, b, c, d
 
 
-def _shorten(value: float, digits: int = 7) -> float:
+def _shorten_number(value: float, digits: int = 7) -> float:
     """Return a number with fewer digits, as data of a page."""
     return float(f"{value:.{digits}g}")
 
 
-def nice(value: float) -> float:
+def nice_number(value: float) -> float:
     """Return the largest of 1, 2 and 5 times a power of ten that is not above a value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(f"{max(step * power for step in (1, 2, 5) if step * power <= value):.1g}")

@@ -13,21 +13,21 @@ from msgspec.structs import replace as changed
 from termsel.auto.auto import MAX_EXACT_POINTS, Auto, minimal_fit, minimal_view
 from termsel.auto.compare import compare
 from termsel.auto.rule import Choice, folds_of, has_pole, method_of
-from termsel.core.errors import TermselError, counted
+from termsel.core.errors import TermselError, count_in_words
 from termsel.core.interrupts import take_pending_interrupt
-from termsel.data.features import FloatArray, Points, no_points, select
+from termsel.data.features import FloatArray, Points, empty_points, select
 from termsel.data.fit_data import FitData
-from termsel.data.record.figures import Predicted, determined_exactly
+from termsel.data.record.figures import Predicted, is_determined_exactly
 from termsel.data.record.search import RPC_UNUSED, CandidateRow, SearchLimits, Strategy
 from termsel.data.roles import ASSIGNABLE, Observations, leave_out, with_lines, with_merged_twins
 from termsel.fitting.accuracy import (
     pixel_on_ground,
-    predicted_between,
-    predicted_by,
-    predicted_of_all,
+    predict_rmse_between_lines,
+    predict_rmse_of_all,
+    predict_rmse_of_fit,
 )
 from termsel.fitting.extrapolation import warnings_of
-from termsel.fitting.figures import Baseline, Rmses, finite_or_none, in_role
+from termsel.fitting.figures import Baseline, Rmses, finite_or_none, restrict_to_control
 from termsel.fitting.fit import Fit, Undetermined
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
@@ -157,19 +157,19 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
         errors = errors[:len(data.features.points)]
     predicted = outcome.between
     if errors is not None and clean.lattice is None:
-        predicted = predicted_by(choice.chosen, errors, len(observations.independent),
-                                 observations.independent.ground)
+        predicted = predict_rmse_of_fit(
+            choice.chosen, errors, len(observations.independent), observations.independent.ground)
     if predicted is not None:
         predicted = changed(predicted, pixel=pixel_on_ground(choice.chosen))
     # 4. The fit in the roles that the points play, and the verdict on independent points. No
     # choice is made from here on.
     played = with_lines(clean, observations.control.lines)
-    fitted = in_role(choice.chosen, played)
+    fitted = restrict_to_control(choice.chosen, played)
     contradicting, agreeing = judge_independent(clean, choice, auto, verdict)
     # 5. The same structure with independent points, for export; its figures are of the former.
     final = _final_fit(choice.chosen, played.features.points, data.heights, auto,
                        contradicting.blunders)
-    predicted_final = None if final is None or predicted is None else predicted_of_all(
+    predicted_final = None if final is None or predicted is None else predict_rmse_of_all(
         choice.chosen, predicted, agreeing.independent.ground)
 
     @cache  # they are asked for by who judges and by who writes
@@ -187,7 +187,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
     is_judged = predicted is not None and not method.from_one and clean.lattice is None
     corners = [*uncertain_corners(fitted, predicted.rmse)] if predicted and is_judged else []
     rpc_unused, rpc_correction = _notes_on_rpc(request, data, auto, choice.chosen)
-    strategy = _strategy(choice, errors, predicted, data, clean, rpc_unused)
+    strategy = _strategy_record(choice, errors, predicted, data, clean, rpc_unused)
     interrupted = INTERRUPTED.format(min(watch.count, watch.methods), watch.methods) \
         if outcome.interrupted else ""
     heights_are_known = auto.fewest(observations.pool) == 1 or (
@@ -200,7 +200,8 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
     left_out_for_height = [f"Left out for {heights}: {', '.join(high)}."] if high else []
     lines = len(fitted.control.lines.features)
     lines_in_use = fitted.used[len(fitted.control.points):].any()
-    without_lines = [f"None of the {counted(lines, 'line')} is used: the points alone predict "
+    without_lines = [f"None of the {count_in_words(lines, 'line')} is used: the points alone "
+                     "predict "
                      "better."] if lines and not lines_in_use else []
     notes = (
         *([doubt] if (doubt := rpc_correction and doubt_of_rpc(clean)) else []),
@@ -209,9 +210,10 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
         *filter(None, (rpc_unused, rpc_correction)),
         *notes_on_data(request.features, observations, heights=not heights_are_known,
                        blank=request.blank, clean=clean),
-        *_notes(request.model, clean, errors, interrupted, plane=not fitted.model.uses_height,
-                determined=outcome.exact,
-                has_geometry=method.from_one), *corners,
+        *_notes_on_choice(request.model, clean, errors, interrupted,
+                          plane=not fitted.model.uses_height,
+                          determined=outcome.exact,
+                          has_geometry=method.from_one), *corners,
         *([] if lattice is None else [lattice.sentence(known=method.from_one)]),
         *left_out_for_height, *verdict.notes, *without_lines, *contradicting.notes, *auto.notes)
     # The objective of the record is what the rule of the choice compares.
@@ -249,7 +251,7 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
     try:
         if len(features) < LEAST and not is_enough:
             raise TermselError(
-                f"one point is not enough for a model. {_unused_rpc(data, auto)}".strip(),
+                f"one point is not enough for a model. {_why_rpc_unused(data, auto)}".strip(),
                 hint="Measure more.")
         choice = auto.choose_features(data, watch.method) if is_enough else minimal_fit(data)
         if choice and is_enough and len(features) > MAX_EXACT_POINTS:
@@ -258,7 +260,7 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
             is_enough = view is choice
             choice = view
         if choice is None:
-            raise _no_choice(auto, data)
+            raise _no_choice_error(auto, data)
         errors: FloatArray | None = None
         if len(features.lines):
             from termsel.runs.owdis import with_selected_lines  # it searches
@@ -272,7 +274,8 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
             between = None if choice.method.from_one else auto.between_lines(
                 data, lattice, watch.method, choice)
             if between is not None:
-                return _Chosen(choice, between[0], not is_enough, predicted_between(*between))
+                return _Chosen(choice, between[0], not is_enough,
+                               predict_rmse_between_lines(*between))
         elif errors is None and is_enough and len(features) > 1:
             errors = auto.repeated(data, watch.method, choice)
         return _Chosen(choice, errors, not is_enough)
@@ -285,7 +288,7 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
         return _Chosen(best, exact=not is_enough, interrupted=True)
 
 
-def _no_choice(auto: Auto, data: FitData) -> TermselError:
+def _no_choice_error(auto: Auto, data: FitData) -> TermselError:
     """Return the error where no method can be chosen; for a single method with its own reason."""
     features = f"the {len(data)} control and selection {data.features.word}"
     more = "Measure more, spread over the scene"
@@ -306,8 +309,8 @@ def _no_choice(auto: Auto, data: FitData) -> TermselError:
     return TermselError(f"{failure}: {reason}", hint=f"{more}, or choose another method.")
 
 
-def _strategy(choice: Choice, errors: FloatArray | None, predicted: Predicted | None,
-              data: FitData, clean: Observations, rpc_unused: str) -> Strategy:
+def _strategy_record(choice: Choice, errors: FloatArray | None, predicted: Predicted | None,
+                     data: FitData, clean: Observations, rpc_unused: str) -> Strategy:
     """Return the record of a choice; `errors` are those held out [px], None without any."""
     held_out = None
     if errors is not None:
@@ -355,7 +358,7 @@ def _notes_on_rpc(request: Request, data: FitData, auto: Auto, fitted: Fit) -> t
     if method.from_one:
         return ("" if request.rpc_part is None else request.rpc_part.sentence(),
                 auto.ask(method, "describe", fitted) or "")
-    return _unused_rpc(data, auto, fitted), ""
+    return _why_rpc_unused(data, auto, fitted), ""
 
 
 def _notes_on_stated_geometry(data: FitData, auto: Auto, fitted: Fit) -> list[str]:
@@ -400,7 +403,7 @@ RPC_CORRECTIONS = "corrections of the RPC"
 """Family of the methods that correct a vendor's RPC."""
 
 
-def _unused_rpc(data: FitData, auto: Auto, fitted: Fit | None = None) -> str:
+def _why_rpc_unused(data: FitData, auto: Auto, fitted: Fit | None = None) -> str:
     """Return why an RPC that is given is not used; "" where a note says which method failed."""
     if data.features.rpc is None:
         return ""
@@ -420,13 +423,13 @@ def _unused_rpc(data: FitData, auto: Auto, fitted: Fit | None = None) -> str:
     return f"{RPC_UNUSED}: {reason.removeprefix('the RPC ')}."
 
 
-def _notes(model: SensorModel, observations: Observations, errors: FloatArray | None,
-           interrupted: str = "", *, plane: bool, determined: bool,
-           has_geometry: bool) -> list[str]:
+def _notes_on_choice(model: SensorModel, observations: Observations, errors: FloatArray | None,
+                     interrupted: str = "", *, plane: bool, determined: bool,
+                     has_geometry: bool) -> list[str]:
     """Return notes on the control and on the figures of a choice; [] if all is as usual."""
     features = observations.together
     in_use = np.ones(len(features), dtype=bool)
-    notes = [] if has_geometry else [*warnings_of(features, in_use, no_points())]
+    notes = [] if has_geometry else [*warnings_of(features, in_use, empty_points())]
     if interrupted:
         notes.append(interrupted)
     elif observations.lattice is not None:
@@ -434,7 +437,7 @@ def _notes(model: SensorModel, observations: Observations, errors: FloatArray | 
     elif determined:
         mirrored = " Nor do they show whether the image is mirrored." \
             if len(features) == 2 else ""
-        exactly = determined_exactly(len(features), features.word.removesuffix("s"))
+        exactly = is_determined_exactly(len(features), features.word.removesuffix("s"))
         notes.append(f"{exactly}, so its accuracy is not known.{mirrored}")
     elif errors is None:
         notes.append("One point cannot be predicted by others, so no accuracy is predicted."

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.core.errors import counted, first_of, rounded
+from termsel.core.errors import count_in_words, first_names_in_words, rounded_size_text
 from termsel.data.coordinates.crs import EARTH, body_of, geodetic_of
 from termsel.data.coordinates.earth import note_on_turned
-from termsel.data.coordinates.longitudes import jumps
-from termsel.data.coordinates.metres import height_unit, in_metres, is_in_degrees, plan_of
-from termsel.data.coordinates.places import beyond, centres
+from termsel.data.coordinates.longitudes import has_longitude_jump
+from termsel.data.coordinates.metres import height_unit, is_in_degrees, offsets_in_metres, plan_of
+from termsel.data.coordinates.places import distance_beyond_hull, feature_centres
 from termsel.data.coordinates.plausible import note_on_mixed
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
-from termsel.data.fit_data import MEASURED, FitData, carriers, off_plane
-from termsel.data.roles import Observations, groups, twins
+from termsel.data.fit_data import MEASURED, FitData, distance_off_plane, relief_carriers
+from termsel.data.roles import Observations, find_twins, twin_groups
 from termsel.fitting.extrapolation import corners_of
 from termsel.fitting.fit import Fit
 from termsel.formats.heights import pixels_of
@@ -118,14 +118,15 @@ def datum_of(groups: TwoGroups, crs: str, position: tuple[float, float]) -> str:
         except ProjError:
             continue
         x, y, *_ = turn.transform(lon, lat, 0.0)
-        moved = in_metres("EPSG:4326", np.array([[lon, lat]]), np.array([[x - lon, y - lat]]))
+        moved = offsets_in_metres(
+            "EPSG:4326", np.array([[lon, lat]]), np.array([[x - lon, y - lat]]))
         if moved is not None and np.isfinite(moved).all():
             distance = float(np.linalg.norm(moved[0] - offset))
             nearest = min(nearest, (datum.name, distance), key=lambda candidate: candidate[1])
     return nearest[0]
 
 
-def two_groups(features: FeatureSet) -> TwoGroups | None:
+def find_two_groups(features: FeatureSet) -> TwoGroups | None:
     """Return the groups of points that lie as if by two datums, or None."""
     points = features.points
     plan = plan_of(features.crs, points.ground) if len(points) >= LEAST else None
@@ -135,13 +136,13 @@ def two_groups(features: FeatureSet) -> TwoGroups | None:
     design = np.column_stack([np.ones(len(plan)), plan])
     if np.isfinite(points.ground[:, 2]).all():
         design = np.column_stack([design, points.ground[:, 2] - points.ground[:, 2].mean()])
-    _, joint_residuals = _residuals(design, points.image)
-    second = _beyond_largest_gap(joint_residuals)
+    _, joint_residuals = _fit_residuals(design, points.image)
+    second = _are_beyond_largest_gap(joint_residuals)
     # Like k-means with two centres: fit with this split, then each point to the nearer group.
     for _ in range(_GROUPING_ROUNDS):
         if not LEAST_OF_GROUP <= second.sum() <= len(plan) - LEAST_OF_GROUP:
             return None
-        coefficients, residuals = _residuals(np.column_stack([design, second]), points.image)
+        coefficients, residuals = _fit_residuals(np.column_stack([design, second]), points.image)
         move = coefficients[-1]
         from_first = residuals + np.outer(second, move)  # as if all were of the first group
         nearer = np.linalg.norm(from_first - move, axis=1) < np.linalg.norm(from_first, axis=1)
@@ -168,13 +169,13 @@ def two_groups(features: FeatureSet) -> TwoGroups | None:
                      (float(shift[0]), float(shift[1])), design.shape[1] > 3)
 
 
-def _residuals(design: FloatArray, image: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _fit_residuals(design: FloatArray, image: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the coefficients (k, 2) and the residuals (n, 2) of a least-squares fit."""
     coefficients = np.asarray(np.linalg.lstsq(design, image, rcond=None)[0], dtype=np.float64)
     return coefficients, image - design @ coefficients
 
 
-def _beyond_largest_gap(residuals: FloatArray) -> BoolArray:
+def _are_beyond_largest_gap(residuals: FloatArray) -> BoolArray:
     """Return which residuals (n, 2) are beyond the largest gap of their main direction, (n,).
 
     The gap must leave LEAST_OF_GROUP residuals on either side.
@@ -216,7 +217,7 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
         yield mixed
     elif turned := note_on_turned(read):
         yield f"{turned[0].upper()}{turned[1:]}"
-    if jumps(read):
+    if has_longitude_jump(read):
         yield ("The longitudes jump by a full turn between points. They were made continuous: on "
                "one side they go on beyond 180 degrees.")
     features = observations.together
@@ -229,7 +230,8 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     missing = features.without_height()
     if heights and not blank and 0 < len(missing) < len(features):
         yield (f"{len(missing)} of {len(features)} {features.word} have no height, so the heights "
-               f"of the others were not used: {first_of(missing)}. Take those that are missing "
+               f"of the others were not used: {first_names_in_words(missing)}. Take those that "
+               "are missing "
                "from a raster (--dem FILE).")
     if heights and len(features) > 1 and not missing:
         # Heights may rest on one or two features.
@@ -255,7 +257,8 @@ def uncertain_corners(fitted: Fit, rmse: float) -> Iterator[str]:
         return
     corners = corners_of(fitted.control.image_size)
     # A model is as certain next to the hull of its control as at the hull.
-    corners = corners[beyond(centres(fitted.control), corners) > _NEXT_TO_HULL]
+    corners = corners[
+        distance_beyond_hull(feature_centres(fitted.control), corners) > _NEXT_TO_HULL]
     if not len(corners):
         return
     # At the middle height, as the height of the ground there is not known.
@@ -267,7 +270,8 @@ def uncertain_corners(fitted: Fit, rmse: float) -> Iterator[str]:
         sigma = np.hypot(*fitted.sigma(ground).T)
     largest = float(np.max(sigma, initial=0.0, where=np.isfinite(sigma)))
     if largest > _UNCERTAIN * rmse:
-        yield (f"Extrapolation: the standard deviation of the model is up to {rounded(largest)} px "
+        yield ("Extrapolation: the standard deviation of the model is up to "
+               f"{rounded_size_text(largest)} px "
                f"at the corners of the image, {largest / rmse:.0f} times the RMSE, which holds "
                "within the control. Measure points near the corners, or see termsel sigma.")
 
@@ -281,7 +285,7 @@ def notes_on_dem(features: FeatureSet, fitted: Fit) -> Iterator[str]:
 
 def _note_on_two_groups(features: FeatureSet) -> Iterator[str]:
     """Yield a note if points lie as if in two datums, with the other one's name if PROJ has it."""
-    groups = two_groups(features)
+    groups = find_two_groups(features)
     if groups is None:
         return
     datum = ""
@@ -290,7 +294,8 @@ def _note_on_two_groups(features: FeatureSet) -> Iterator[str]:
         lon, lat = features.points.ground[:, :2].mean(axis=0).tolist()
         datum = datum_of(groups, features.crs, (lon, lat))
     likely = f" Coordinates in {datum} are as far off there." if datum else ""
-    yield (f"{groups.sentence()}: {first_of(groups.second)}.{likely} Transform them to the CRS of "
+    yield (f"{groups.sentence()}: {first_names_in_words(groups.second)}.{likely} Transform them "
+           "to the CRS of "
            "the others.")
 
 
@@ -322,7 +327,7 @@ def _note_on_flat(control: FitData, points: Points) -> Iterator[str]:
     """Yield notes if the heights of control do not show their effect, and on other points' heights.
     """
     vertices = control.features.ground_vertices()
-    carrying = carriers(control)
+    carrying = relief_carriers(control)
     # Heights without those of the one or two features that make all the relief.
     z = vertices[~np.isin(np.array(control.features.ids)[control.features.vertex_feature],
                           carrying if len(carrying) < len(control) else ()), 2]
@@ -336,22 +341,25 @@ def _note_on_flat(control: FitData, points: Points) -> Iterator[str]:
             f"The heights of the {control.features.word} differ too little from a plane to "
             "show what a height does, so they were not used.")
     unit = height_unit(control.features.crs)
-    above, does = off_plane(control, vertices[:1] + np.array([0.0, 0.0, HIGH / unit]))
+    above, does = distance_off_plane(control, vertices[:1] + np.array([0.0, 0.0, HIGH / unit]))
     # How far an error of height moves the image, by the obliqueness of usual views.
     if does[0] > 0.0:
         low, high = (f"{round(float(height) * unit, 1) + 0.0:g}" for height in (z.min(), z.max()))
         covered = f"the height {low} m alone" if low == high else \
             f"heights from {low} to {high} m on one plane"
-        error = _rounded(HIGH / unit * does[0] / above[0])
+        error = _rounded_text(HIGH / unit * does[0] / above[0])
         yield (f"The control covers {covered}. Expect about {error} px error per "
                f"{HIGH:g} m outside it.")
     # Other points off the plane of the control are seen elsewhere than a plane model says.
-    off, effect = off_plane(control, points.ground)
+    off, effect = distance_off_plane(control, points.ground)
     far = effect > MEASURED
     if far.any():
-        yield (f"{counted(int(far.sum()), 'other point')} {'is' if far.sum() == 1 else 'are'} up "
-               f"to {_rounded(off.max() * unit)} m above or below their plane. What this does in "
-               f"the image is not known: some {_rounded(effect.max())} px, as views usually are.")
+        yield (f"{count_in_words(int(far.sum()), 'other point')} "
+               f"{'is' if far.sum() == 1 else 'are'} up "
+               f"to {_rounded_text(off.max() * unit)} m above or below their plane. What this "
+               "does in "
+               f"the image is not known: some {_rounded_text(effect.max())} px, as views usually "
+               "are.")
 
 
 def _question_on_unit(features: FeatureSet, z: FloatArray) -> str:
@@ -373,21 +381,22 @@ LEAST_SPREAD, LEAST_EXTENT = 3.0, 1.0
 """Spread of heights [m] below which, over so many kilometres, they may be kilometres."""
 
 
-def _rounded(size: float) -> str:
+def _rounded_text(size: float) -> str:
     return f"{size:.2g}" if size < 99.5 else f"{float(f'{size:.2g}'):,.0f}"
 
 
 def _note_on_twins(points: Points, independent: Points) -> Iterator[str]:
     """Yield notes on points too close to each other; nothing without any."""
     # Too close for anything to differ between them: they are held out together.
-    close_points = groups(points.ids, twins(points.ground))
+    close_points = twin_groups(points.ids, find_twins(points.ground))
     if close_points:
         yield (f"Points too close to each other to be independent share a role and a fold: "
                f"{_list_in_words(close_points)}.")
     all_points = points.join_unchecked(independent)
     independent_ids = set(independent.ids)
     # Twins of independent points among control make these test what was fitted to them.
-    shared = [group for group in groups(all_points.ids, twins(all_points.ground, points.ground))
+    shared = [group
+              for group in twin_groups(all_points.ids, find_twins(all_points.ground, points.ground))
               if 0 < len(independent_ids.intersection(group)) < len(group)]
     if shared:
         yield ("Independent check points at the places of control or selection points do not test "

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from msgspec import convert, json
 
-from termsel.core.errors import TermselError, counted
+from termsel.core.errors import TermselError, count_in_words
 from termsel.data.coordinates.crs import to_wgs84
 from termsel.data.features import FloatArray
 from termsel.data.fingerprints import are_remaining_makers, is_cut, makers_of
@@ -86,7 +86,8 @@ def rpc_without_record(rpc: Rpc) -> str:
     """Return what follows from a file that lost which control its RPC was fitted to, or ""."""
     if not rpc.control_count or rpc.control_digests:
         return ""
-    return (f"{_WITHOUT_RECORD} to {counted(rpc.control_count, 'control feature')} that its file "
+    return (f"{_WITHOUT_RECORD} to {count_in_words(rpc.control_count, 'control feature')} that "
+            "its file "
             "no longer names: if these points are among them, the accuracy stated is too good. "
             "Give the RPC that the vendor delivered, or the file that termsel wrote.")
 

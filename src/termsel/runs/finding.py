@@ -14,20 +14,20 @@ from typing import TYPE_CHECKING, Any
 
 from termsel.core.isolation.faults import is_own
 from termsel.data.coordinates.crs import height_reference
-from termsel.data.coordinates.earth import place_of, swapped_axes
+from termsel.data.coordinates.earth import find_swapped_axes, place_of
 from termsel.data.coordinates.plausible import note_on_mixed
 from termsel.data.features import select
 from termsel.data.record.figures import Predicted
 from termsel.data.record.record import SCHEMA, Counts, DataRecord, IdsByRole, Record, WhatWasRead
 from termsel.data.roles import Observations
 from termsel.fitting.accuracy import accuracy_of
-from termsel.fitting.figures import Baseline, Rmses, figures, residuals_of, rmse_record
+from termsel.fitting.figures import Baseline, Rmses, residuals_of, rmse_by_role, rmse_record
 from termsel.fitting.fit import Fit
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.registry import SESSION, registry
-from termsel.results.result import Result, of_features
+from termsel.results.result import Result, checksum_of_features
 from termsel.results.same_fit import final_fit, numbers_of
-from termsel.runs.data_notes import two_groups
+from termsel.runs.data_notes import find_two_groups
 from termsel.runs.request import Request
 from termsel.runs.verdict import Verdict
 from termsel.selection.problems.base import Selection
@@ -46,7 +46,7 @@ def data_of(request: Request, observations: Observations) -> DataRecord:
     roles = IdsByRole(control.ids, observations.off, observations.check.ids,
                       observations.independent.ids)
     return DataRecord(
-        source=request.source, sha256=of_features(features), crs=features.crs,
+        source=request.source, sha256=checksum_of_features(features), crs=features.crs,
         fit_crs=control.fit_crs or features.crs,
         heights=features.heights or height_reference(features.crs) or None,
         noise=features.noise, image_size=features.image_size, counts=counts, roles=roles,
@@ -63,7 +63,7 @@ def _what_was_read(request: Request, observations: Observations) -> WhatWasRead:
     excluded = {*observations.independent.ids, *select(
         points.ids, [role == "off" for role in points.roles])}
     # Independent points take no part, though only in a note.
-    groups = two_groups(request.features.with_(
+    groups = find_two_groups(request.features.with_(
         points=points.take([name not in excluded for name in points.ids])))
     lines_in_use = set(request.features.lines.ids)
     points_off = select(points.ids, [role == "off" for role in points.roles])
@@ -80,7 +80,8 @@ def _what_was_read(request: Request, observations: Observations) -> WhatWasRead:
     lattice = observations.lattice
     return WhatWasRead(
         points=len(read.points), lines=len(read.lines.features),
-        without_height=len(read.without_height()), place=place_of(read), doubt=swapped_axes(read),
+        without_height=len(read.without_height()), place=place_of(read),
+        doubt=find_swapped_axes(read),
         left_out={reason: tuple(ids) for reason, ids in reasons.items() if ids},
         z_unit=read.z_unit,
         height_doubt=difference.sentence() if difference is not None
@@ -90,13 +91,13 @@ def _what_was_read(request: Request, observations: Observations) -> WhatWasRead:
         mixed=note_on_mixed(read))
 
 
-def versions() -> dict[str, str]:
+def package_versions() -> dict[str, str]:
     """Return the versions of Python, termsel and the packages it computes with, by name."""
-    return {"python": platform.python_version(), **_packages()}
+    return {"python": platform.python_version(), **_computing_packages()}
 
 
 @cache
-def _packages() -> dict[str, str]:
+def _computing_packages() -> dict[str, str]:
     # Each is read from a file: a fiftieth of a run of few points.
     return {name: version(name) for name in ("termsel", "numpy", "scipy", "numba", "deap", "pymoo")}
 
@@ -115,10 +116,10 @@ def plugins_of(request: Request, **replaced: Any) -> dict[str, dict[str, str]]:
     if request.then is not None:
         components["then"] = type(request.then)
     return {role: origin for role, component in components.items()
-            if (origin := _origin(component))}
+            if (origin := _plugin_of(component))}
 
 
-def _origin(component: Any) -> dict[str, str]:
+def _plugin_of(component: Any) -> dict[str, str]:
     """Return name and version of the plugin that provides a component; {} for termsel's own."""
     if isinstance(component, type) and is_own(component):  # without a look at all the others
         return {}
@@ -210,11 +211,11 @@ def result_of(request: Request, finding: Finding) -> Result:
     # Of control and selection points those found before, of independent points afterwards.
     outliers = (*finding.verdict.without(finding.in_use), *contradicting)
     # The one place where figures of independent points are computed.
-    rmse = figures(fitted, observations)
+    rmse = rmse_by_role(fitted, observations)
     baselines = finding.baselines(finding.compared)
     # The sentence on what the selection is worth leaves out points that contradict all others.
     if contradicting:
-        judgement = finding.judgement(figures(fitted, agreeing), finding.baselines(agreeing))
+        judgement = finding.judgement(rmse_by_role(fitted, agreeing), finding.baselines(agreeing))
     else:
         judgement = finding.judgement(rmse, baselines)
     record = Record(
@@ -225,7 +226,7 @@ def result_of(request: Request, finding: Finding) -> Result:
         accuracy=accuracy_of(fitted, observations.independent),
         accuracy_without=accuracy_of(fitted, agreeing.independent) if contradicting else None,
         final_fit=final_fit(finding.final, finding.predicted_final),
-        exports="selection" if finding.final is None else "final", versions=versions(),
+        exports="selection" if finding.final is None else "final", versions=package_versions(),
         **numbers_of(fitted), **finding.stated)
     residuals = residuals_of(fitted, observations, outliers, check_used=finding.check_used)
     return Result.of(record, fit=fitted, final=finding.final, features=observations.features,

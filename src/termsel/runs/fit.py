@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name_error
 from termsel.core.isolation.faults import attribute_errors_to
 from termsel.core.threads import one_blas_thread
 from termsel.data.features import FeatureSet
@@ -72,8 +72,9 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "
         # A model comes before a method of the same name: it has options.
         resolved = names.known("models", model) or names.known("methods", model)
         if resolved is None:
-            raise unknown_name("model", model, {*names.names("models"), *names.names("methods")},
-                               names.hint(model, "models", "methods"))
+            raise unknown_name_error("model", model,
+                                     {*names.names("models"), *names.names("methods")},
+                                     names.hint(model, "models", "methods"))
     elif not isinstance(model, Method):
         resolved = registry().taken("models", model)
     if isinstance(resolved, Method):

@@ -16,13 +16,13 @@ from termsel.data.coordinates.crs import (
     WGS84,
     body_of,
     geodetic_of,
-    horizontal,
+    horizontal_crs,
     is_geocentric,
     kind_of,
     normalise,
-    transformation,
+    transformation_between,
 )
-from termsel.data.coordinates.longitudes import continuous
+from termsel.data.coordinates.longitudes import unwrap_longitudes
 from termsel.data.coordinates.metres import is_in_degrees, is_polar, metric_crs, polar_crs
 from termsel.data.features import FeatureSet, FloatArray
 from termsel.data.fit_data import FitData
@@ -77,7 +77,7 @@ def with_fit_crs(choice: str, observations: Observations, model: SensorModel) ->
     # What cannot be transformed is said now.
     for ground in (control.ground_vertices(), observations.check.ground,
                   observations.independent.ground):
-        transformation(features.crs, fit_crs, for_fit=True)(ground)
+        transformation_between(features.crs, fit_crs, for_fit=True)(ground)
     # 2D and 3D WGS84 are the same coordinates.
     if fit_crs == normalise(features.crs) or WGS84.issuperset((fit_crs, normalise(features.crs))):
         fit_crs = ""
@@ -104,31 +104,31 @@ def fit_crs_of(choice: str, control: FeatureSet) -> str:
     if choice == "geodetic":
         return geodetic_of(control.crs)
     if choice == "projected":
-        return _around(control)
+        return _local_crs(control)
     if choice == POLAR:
-        return polar_crs(control.crs, float(np.median(_places(control)[:, 1])))
+        return polar_crs(control.crs, float(np.median(_control_on_globe(control)[:, 1])))
     if (body := body_of(control.crs)) != EARTH:
         raise TermselError(f"geocentric coordinates are for {EARTH} only, and the control is on "
                            f"{body}", hint="Fit in geodetic or projected coordinates.")
     return "EPSG:4978"
 
 
-def _around(control: FeatureSet) -> str:
+def _local_crs(control: FeatureSet) -> str:
     """Return the CRS in metres around the middle of the control."""
-    angles = _places(control)
+    angles = _control_on_globe(control)
     lon, lat = ((angles.min(axis=0) + angles.max(axis=0)) / 2).tolist()
     return metric_crs(control.crs, lon, lat)
 
 
-def _places(control: FeatureSet) -> FloatArray:
+def _control_on_globe(control: FeatureSet) -> FloatArray:
     """Return longitudes without a jump and latitudes [deg] of the control, (v, 2)."""
     source = normalise(control.crs)
     geodetic = geodetic_of(source)
     if not is_geocentric(source):
         # Heights of another datum may need a grid that is not there, and say nothing of the place.
-        source, geodetic = horizontal(source), horizontal(geodetic)
-    positions = transformation(source, geodetic)(control.ground_vertices())
-    return np.column_stack([continuous(positions[:, 0]), positions[:, 1]])
+        source, geodetic = horizontal_crs(source), horizontal_crs(geodetic)
+    positions = transformation_between(source, geodetic)(control.ground_vertices())
+    return np.column_stack([unwrap_longitudes(positions[:, 0]), positions[:, 1]])
 
 
 def note_on_pole(features: FeatureSet, control: FeatureSet) -> str:
@@ -136,7 +136,7 @@ def note_on_pole(features: FeatureSet, control: FeatureSet) -> str:
     crs = normalise(features.crs)
     if features.fit_crs or not is_in_degrees(features.crs) or kind_of(crs) != "geographic":
         return ""
-    geodetic = _places(control)
+    geodetic = _control_on_globe(control)
     if not is_polar(geodetic):
         return ""
     polar = polar_crs(features.crs, float(np.median(geodetic[:, 1])))
@@ -158,7 +158,7 @@ def with_polar(observations: Observations) -> Observations:
     # Around a pole degrees of longitude shrink to nothing, and so does what they explain.
     polar = fit_crs_of(POLAR, observations.control)
     try:
-        transformation(features.crs, polar, for_fit=True)
+        transformation_between(features.crs, polar, for_fit=True)
     except TermselError:  # heights of another datum, whose grid is not there
         return observations
     # Both choices see control and selection points alone.
@@ -181,7 +181,7 @@ def _best_predicting_crs(observations: Observations, spatial: bool) -> str:
         # Not every system is possible for every model and body.
         if system == "geocentric" and not (spatial and body_of(features.crs) == EARTH):
             continue
-        if system == POLAR and not is_polar(_places(observations.control)):
+        if system == POLAR and not is_polar(_control_on_globe(observations.control)):
             continue
         try:
             fit_crs = fit_crs_of(system, observations.control)

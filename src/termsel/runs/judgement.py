@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from termsel.auto.methods import BY_NAME
-from termsel.core.errors import amount, counted, rounded
+from termsel.core.errors import amount_in_words, count_in_words, rounded_size_text
 from termsel.data.record.figures import FEW_EVALUATIONS, MANY_INDEPENDENT, TOO_FEW
 from termsel.data.roles import Observations
 from termsel.fitting.extrapolation import warnings_of
@@ -16,7 +16,7 @@ from termsel.fitting.fit import Fit
 from termsel.fitting.least_squares import fit
 from termsel.fitting.method import Method
 from termsel.plugins.registry import registry
-from termsel.results.verdict import ALIKE_RATIO, times, verdict_on_choice
+from termsel.results.verdict import ALIKE_RATIO, times_in_words, verdict_on_choice
 from termsel.selection.criteria import Criterion
 from termsel.selection.problems.genome import Genome
 from termsel.selection.solvers.search import SearchResult
@@ -48,7 +48,8 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
                 "last step. Do not use it: measure more control points or choose a simpler model.")
     if not feasible and evaluations is not None and evaluations < FEW_EVALUATIONS:
         return (f"This selection does not satisfy all conditions, and no better one was found with "
-                f"{amount(evaluations, 'evaluation')}, {TOO_FEW}. Do not use it: search with "
+                f"{amount_in_words(evaluations, 'evaluation')}, {TOO_FEW}. Do not use it: search "
+                "with "
                 f"{FEW_EVALUATIONS:,} evaluations or more.")
     if not feasible:
         return ("This selection does not satisfy all conditions, and no better one was found. It "
@@ -61,37 +62,40 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
                 f"known. The search minimised {criterion}.")
     best = next((b for b in baselines if b.name == reference), None)
     # Better than what fails is nothing to be proud of.
-    poor = best is not None and _ratio(measured.total, _independent(best)) > POOR
+    poor = best is not None and _error_ratio(measured.total, _independent_rmse(best)) > POOR
     # A comparison with a fit that failed, or of a selection that did, flatters one of them.
     if poor or not baselines[0].converged:
-        first = f"The RMSE of the selection is {_px(measured.total)}"
+        first = f"The RMSE of the selection is {_px_text(measured.total)}"
         if not baselines[0].converged:
             first += f" (the fit of {conventional} did not converge)"
     else:
-        first = _compare("The selection is", measured.total, _independent(baselines[0]),
+        first = _compare("The selection is", measured.total, _independent_rmse(baselines[0]),
                          conventional, determined=baselines[0].determined)
-    sentences = [f"{first} at {counted(measured.n, 'independent check point')}."]
+    sentences = [f"{first} at {count_in_words(measured.n, 'independent check point')}."]
     # The rule of auto, for what the user would get without a search.
     method = method or BY_NAME.get(reference)
     if best is not None and method is not None:
         removed = ", outliers removed" if blunders else ""
         title = f"{method.title} fitted to control and selection points{removed}"
-        ratio = _ratio(measured.total, _independent(best))
-        size = _px(_independent(best))
+        ratio = _error_ratio(measured.total, _independent_rmse(best))
+        size = _px_text(_independent_rmse(best))
         if ratio > ALIKE_RATIO and (blunders or not method.is_plain):
-            sentences.append(f"The automatic choice, {title}, is {times(ratio)} better ({size}): "
+            sentences.append(f"The automatic choice, {title}, is {times_in_words(ratio)} better "
+                             f"({size}): "
                              "omit --problem, --solver and --model.")
         elif ratio > ALIKE_RATIO:
-            sentences.append(f"A simpler model, {title}, is {times(ratio)} better ({size}).")
+            sentences.append(f"A simpler model, {title}, is {times_in_words(ratio)} better "
+                             f"({size}).")
         elif ratio > 1 / ALIKE_RATIO:
             sentences.append(f"It is no better than the automatic choice, {title} ({size}).")
         else:
-            sentences.append(f"It is {times(1 / ratio)} better than the automatic choice, {title} "
+            sentences.append(f"It is {times_in_words(1 / ratio)} better than the automatic "
+                             f"choice, {title} "
                              f"({size}).")
     else:
         sentences.append("Control and selection points together determine no polynomial.")
     if noise is not None:
-        sentences.append(f"Measurement noise alone gives {_px(noise * np.sqrt(2))}.")
+        sentences.append(f"Measurement noise alone gives {_px_text(noise * np.sqrt(2))}.")
     return " ".join(sentences)
 
 
@@ -109,14 +113,15 @@ def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
     conventional model that is better at so many independent points is named, too.
     """
     measured = rmse["independent"]
-    expected = "" if predicted is None else f", with a predicted RMSE of {_px(predicted)}"
+    expected = "" if predicted is None else f", with a predicted RMSE of {_px_text(predicted)}"
     subject = "The method that was asked for" if is_asked_for else "The automatic choice"
     sentences = [f"{subject} is {method.title}{expected}."]
     if measured is None:
         sentences.append("It is not verified: there are no independent check points.")
     else:
-        sentences.append(f"The RMSE at {counted(measured.n, 'independent check point')}, which "
-                         f"took no part, is {_px(measured.total)}.")
+        sentences.append(f"The RMSE at {count_in_words(measured.n, 'independent check point')}, "
+                         "which "
+                         f"took no part, is {_px_text(measured.total)}.")
     # The rival is chosen by held-out errors, never by independent check points.
     rivals = [(b.predicted, b, candidate.title) for b in baselines if b.predicted is not None
               and (candidate := registry().known("methods", b.name))
@@ -128,19 +133,20 @@ def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
         rival_held_out, best, title = min(rivals, key=lambda rival: rival[0])
         deficient = "" if best.determined else ", which is rank-deficient"
         if by_points and measured is not None:
-            rival_rmse = _independent(best)
+            rival_rmse = _independent_rmse(best)
             verdict = verdict_on_choice(measured.total, rival_rmse, best.name, among)
             sentences.append(f"There {title}, the best conventional model in cross-validation, has "
-                             f"{_px(rival_rmse)}{deficient}: {verdict}.")
+                             f"{_px_text(rival_rmse)}{deficient}: {verdict}.")
             sentences += _conventional_in_hindsight(measured.total, best, [
                 (b, name) for _, b, name in rivals])
         elif held_out is not None:
             verdict = verdict_on_choice(held_out, rival_held_out, best.name, among)
-            sentences.append(f"In leave-one-out its model has {_px(held_out)}, and {title}, the "
-                             f"best conventional model, {_px(rival_held_out)}{deficient}: "
+            sentences.append(f"In leave-one-out its model has {_px_text(held_out)}, and {title}, "
+                             "the "
+                             f"best conventional model, {_px_text(rival_held_out)}{deficient}: "
                              f"{verdict}.")
     if noise is not None and measured is not None:
-        sentences.append(f"Measurement noise alone gives {_px(noise * np.sqrt(2))}.")
+        sentences.append(f"Measurement noise alone gives {_px_text(noise * np.sqrt(2))}.")
     return " ".join(sentences)
 
 
@@ -155,11 +161,12 @@ def best_conventional(method: Method, baselines: tuple[Baseline, ...]) -> str:
 def _conventional_in_hindsight(rmse: float, named: Baseline,
                                conventional: list[tuple[Baseline, str]]) -> Iterator[str]:
     """Yield which conventional model is better at the independent points, if one but `named` is."""
-    best, title = min(conventional, key=lambda rival: _independent(rival[0]))
+    best, title = min(conventional, key=lambda rival: _independent_rmse(rival[0]))
     # Said apart, as these points chose it in hindsight.
-    ratio = _ratio(rmse, _independent(best))
+    ratio = _error_ratio(rmse, _independent_rmse(best))
     if ratio > ALIKE_RATIO and best is not named:
-        yield (f"At these points {title} is {times(ratio)} better ({_px(_independent(best))}), "
+        yield (f"At these points {title} is {times_in_words(ratio)} better "
+               f"({_px_text(_independent_rmse(best))}), "
                "which only these points show.")
 
 
@@ -177,30 +184,30 @@ def name_conventional(genome: Genome, observations: Observations) -> str:
     return f"{features} with all terms" if terms else features
 
 
-def _independent(baseline: Baseline) -> float:
+def _independent_rmse(baseline: Baseline) -> float:
     value = baseline.rmse["independent"]
     return float("inf") if value is None else value.total
 
 
-def _ratio(error: float, reference: float) -> float:
+def _error_ratio(error: float, reference: float) -> float:
     """Return how many times one error is the other; below `_ROUNDING_PX` all are alike."""
     return max(error, _ROUNDING_PX) / max(reference, _ROUNDING_PX)
 
 
-def _px(value: float) -> str:
-    return f"{rounded(value)} px"
+def _px_text(value: float) -> str:
+    return f"{rounded_size_text(value)} px"
 
 
 def _compare(start: str, rmse: float, reference: float, title: str, *, determined: bool) -> str:
     """Return a sentence on one RMSE against another."""
-    figures = f"({_px(rmse)} against {_px(reference)}"
+    figures = f"({_px_text(rmse)} against {_px_text(reference)}"
     figures += ")" if determined else ", which is rank-deficient)"
-    ratio = _ratio(reference, rmse)
+    ratio = _error_ratio(reference, rmse)
     if ratio > ALIKE_RATIO:
-        return f"{start} {times(ratio)} better than {title} {figures}"
+        return f"{start} {times_in_words(ratio)} better than {title} {figures}"
     if ratio > 1 / ALIKE_RATIO:
         return f"{start} no better than {title} {figures}"
-    return f"{start} {times(1 / ratio)} worse than {title} {figures}"
+    return f"{start} {times_in_words(1 / ratio)} worse than {title} {figures}"
 
 
 def notes_on(observations: Observations, criterion: Criterion, search: SearchResult,
@@ -210,7 +217,8 @@ def notes_on(observations: Observations, criterion: Criterion, search: SearchRes
     if len(observations.control.lines) and not len(observations.control.points):
         idle = len(observations.off)
         if idle:
-            yield (f"{counted(idle, 'control point')} of the file {'is' if idle == 1 else 'are'} "
+            yield (f"{count_in_words(idle, 'control point')} of the file "
+                   f"{'is' if idle == 1 else 'are'} "
                    "unused: lines are the control; --set mixed=true uses both.")
     lines = fitted.control.take(fitted.used).lines
     if len(lines) and not len(observations.control.points):
@@ -226,7 +234,7 @@ def notes_on(observations: Observations, criterion: Criterion, search: SearchRes
     if fitted.model.start(fitted.scaled_control.take(fitted.used)) is not None:
         yield ("The model is not linear in its terms. The search judged each selection by one "
                "linear solution about the fit of all terms; the selection itself took "
-               f"{counted(fitted.adjustment.steps or 0, 'step')}.")
+               f"{count_in_words(fitted.adjustment.steps or 0, 'step')}.")
     if search.interrupted:
         yield "The search was interrupted; this is the best selection so far."
     check = fitted.rmse(observations.check)

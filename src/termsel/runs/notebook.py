@@ -21,7 +21,7 @@ _inside = ContextVar("_inside", default=False)
 
 def notebook_observer(title: str) -> Callable[[Progress], None] | None:
     """Return an observer that shows how far a run is; None outside a notebook and in a study."""
-    show = _line(title)
+    show = _line_renewer(title)
     if show is None:
         return None
 
@@ -44,7 +44,7 @@ def line_of_many(title: str) -> Iterator[Callable[[str, bool], None]]:
     Yielded is a function of the text of the line, and whether it is the last one. Outside a
     notebook it shows nothing.
     """
-    show = _line(title)
+    show = _line_renewer(title)
     token = _inside.set(True)
     try:
         yield show or (lambda _text, _last: None)
@@ -52,7 +52,7 @@ def line_of_many(title: str) -> Iterator[Callable[[str, bool], None]]:
         _inside.reset(token)
 
 
-def _line(title: str) -> Callable[[str, bool], None] | None:
+def _line_renewer(title: str) -> Callable[[str, bool], None] | None:
     """Return a function that renews a line in a notebook.
 
     It takes the text of the line, and whether it is the last one. None outside a notebook, or

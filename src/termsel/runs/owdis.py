@@ -23,7 +23,7 @@ from termsel.core.errors import TermselError
 from termsel.data.coordinates.places import spatial_order
 from termsel.data.features import FloatArray, Points
 from termsel.data.fit_data import FitData
-from termsel.runs.recommend import recommended
+from termsel.runs.recommend import with_recommended_member
 from termsel.runs.steps import search_in_steps
 from termsel.runs.task import prepare
 
@@ -54,7 +54,7 @@ def with_selected_lines(control: FitData, choice: Choice, auto: Auto,
     if gain <= CLEAR_MARGIN:
         return replace(choice, reason=f"{choice.reason} {comparison}; it must be better by more "
                                       f"than {CLEAR_MARGIN:g}."), None
-    errors = _held_out(control, auto, seed)
+    errors = _held_out_errors(control, auto, seed)
     if errors is None:
         return choice, None
     squares = (errors**2).sum(axis=1)
@@ -80,7 +80,7 @@ def _select_features(control: FitData, seed: int) -> FitData | None:
     except TermselError:  # too few lines, or all parallel
         return None
     # The outlier test has been made.
-    search = recommended(task, search_in_steps(
+    search = with_recommended_member(task, search_in_steps(
         task, seed=seed, generations=task.recipe.generations, patience=task.recipe.patience))
     if search.interrupted:
         raise KeyboardInterrupt
@@ -91,7 +91,7 @@ def _select_features(control: FitData, seed: int) -> FitData | None:
                                  + [name in lines for name in features.lines.features]))
 
 
-def _held_out(control: FitData, auto: Auto, seed: int) -> FloatArray | None:
+def _held_out_errors(control: FitData, auto: Auto, seed: int) -> FloatArray | None:
     """Return the errors of points by selections without them [px], (n, 2).
 
     None if some fold leaves no choice.

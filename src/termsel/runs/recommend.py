@@ -15,7 +15,7 @@ from termsel.selection.solvers.proofs.exact import gap_of
 from termsel.selection.solvers.search import SearchResult
 
 
-def recommended(task: Task, search: SearchResult) -> SearchResult:
+def with_recommended_member(task: Task, search: SearchResult) -> SearchResult:
     """Return the search with the recommended member of its front as its selection.
 
     The rule is the problem's option "recommend". With a single objective the number of genes is the

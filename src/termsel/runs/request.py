@@ -14,13 +14,13 @@ from msgspec import json
 from termsel.auto.auto import Auto
 from termsel.auto.function import FunctionMethod
 from termsel.auto.memory import Memory
-from termsel.core.errors import TermselError, counted, first_of, printable
-from termsel.core.isolation.arrays import of_type
+from termsel.core.errors import TermselError, count_in_words, first_names_in_words, make_printable
+from termsel.core.isolation.arrays import difference_from_type
 from termsel.core.isolation.faults import attribute_errors_to, fault_of_method
-from termsel.core.options import SEED, Configurable, Option, by_part, resolve
+from termsel.core.options import SEED, Configurable, Option, options_by_part, resolve
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
-from termsel.data.fit_data import FitData, carriers
+from termsel.data.fit_data import FitData, relief_carriers
 from termsel.data.roles import Split, asked_roles, with_roles
 from termsel.fitting.method import Method
 from termsel.models.base import SensorModel
@@ -30,7 +30,7 @@ from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import registry
 from termsel.runs.fit_crs import FIT_CRS
 from termsel.selection.criteria import Criterion
-from termsel.selection.problems.constraints import MAX_SHARE, listed
+from termsel.selection.problems.constraints import MAX_SHARE, split_names
 from termsel.selection.problems.objectives import Objective
 from termsel.selection.problems.recipes import Recipe, undeclared_options
 from termsel.selection.solvers.base import Solver
@@ -137,7 +137,7 @@ def objectives_of(names_listed: str | None, criterion: Criterion) -> tuple[Objec
     The names are separated by commas; one that no objective has is refused.
     """
     # The criterion is the first objective already.
-    names = [name for name in dict.fromkeys(listed(names_listed)) if name != criterion.name]
+    names = [name for name in dict.fromkeys(split_names(names_listed)) if name != criterion.name]
     return tuple(registry().get("objectives", name) for name in names)
 
 
@@ -160,16 +160,17 @@ def to_leave_out(features: FeatureSet) -> tuple[str, ...]:
     deciding = with_heights.with_(points=with_heights.points.take(
         [role != "independent" for role in with_heights.points.roles]))
     return tuple(missing) if len(with_heights) > len(missing) and len(deciding) \
-        and not carriers(FitData.of(deciding, heights=False)) else ()
+        and not relief_carriers(FitData.of(deciding, heights=False)) else ()
 
 
 def note_on_blank(ids: Sequence[str], features: FeatureSet) -> str:
     """Return the note on features, of those as read, that were left out for want of a height."""
-    named = first_of(ids)
+    named = first_names_in_words(ids)
     is_one = len(ids) == 1
     takes, heights, them = ("takes", "its height", "it") if is_one else (
         "take", "their heights", "them")
-    return (f"{counted(len(ids), features.word[:-1])} without a height {takes} no part, as the "
+    return (f"{count_in_words(len(ids), features.word[:-1])} without a height {takes} no part, as "
+            "the "
             f"model uses heights: {named}. Give {heights}, or take {them} from a raster (--dem "
             "FILE). A plane model (--model poly2d) requires none.")
 
@@ -306,7 +307,7 @@ def request_of(
     # 5. The features, in the roles asked for.
     if features is None:
         spec = names.taken("datasets", recipe.dataset if dataset is None else dataset)
-        features = loaded(spec)
+        features = load_dataset(spec)
         source = f"{spec.name} (simulated)" if spec.simulated else spec.name
     in_roles = with_roles(features, roles)
     # Features without a height take no part where the others have one and the model needs it.
@@ -315,7 +316,7 @@ def request_of(
         recipe=recipe, model=instances["model"], criterion=instances["criterion"],
         solver=instances["solver"], read=features,
         features=with_roles(in_roles, dict.fromkeys(blank, "off")),
-        source=printable(source or "given in Python"),
+        source=make_printable(source or "given in Python"),
         options={"problem": of_problem, "data": of_data, "search": of_search},
         then=instances.get("then"), set_options=set_options, blank=blank,
         undeclared=tuple(option.name for option in undeclared_options(recipe)
@@ -333,7 +334,7 @@ def _options_by_parts(recipe: Recipe, components: Mapping[str, Any],
     of_problem = [*recipe.options, *(option for option in undeclared_options(recipe)
                                      if option.name not in elsewhere)]
     _refuse_of_others(settings, elsewhere | {option.name for option in of_problem})
-    return by_part(settings, {"problem": of_problem, **declared})
+    return options_by_part(settings, {"problem": of_problem, **declared})
 
 
 def _refuse_of_others(settings: Mapping[str, Any], names: Collection[str]) -> None:
@@ -382,7 +383,7 @@ def _owners_of_options() -> dict[str, list[str]]:
 def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None = None) -> str:
     """Return the problem that features, or else a data set, are for where none is named."""
     if features is None and dataset is not None:
-        features = loaded(registry().taken("datasets", dataset))
+        features = load_dataset(registry().taken("datasets", dataset))
     if features is None:
         raise TermselError("there is nothing to run",
                            hint="Give points or lines, or name a problem.")
@@ -406,7 +407,7 @@ def _named_parts(recipe: Recipe, model: Any, solver: Any, criterion: Any,
     if issubclass(class_of(model_part), Interpolating):
         usual_solver = "all-terms"
     # Solvers are loaded only where several objectives are asked for: a choice needs none.
-    elif listed(settings.get("objectives", settings.get("problem.objectives"))) \
+    elif split_names(settings.get("objectives", settings.get("problem.objectives"))) \
             and names.get("solvers", recipe.solver).max_objectives == 1:
         usual_solver = SEVERAL_OBJECTIVES
     components = {
@@ -454,7 +455,7 @@ def split_of(of_data: Mapping[str, Any]) -> Split | None:
     return split
 
 
-def loaded(spec: DatasetSpec) -> FeatureSet:
+def load_dataset(spec: DatasetSpec) -> FeatureSet:
     """Return the features of a data set; an error names the plugin it is of."""
     with attribute_errors_to(spec.load, "load"):
         features = spec.load()
@@ -464,7 +465,7 @@ def loaded(spec: DatasetSpec) -> FeatureSet:
 
 def require_type(function: Callable[..., Any], name: str, value: Any, expected: type) -> None:
     """Raise PluginFault if a plugin's function returned another type than expected."""
-    fault = of_type(value, expected)
+    fault = difference_from_type(value, expected)
     if fault is not None:
         raise fault_of_method(function, name, fault)
 

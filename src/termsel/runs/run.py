@@ -30,7 +30,7 @@ from termsel.runs.notebook import notebook_observer
 from termsel.runs.request import auto_of, method_words, problem_for, request_of
 from termsel.runs.task import (
     Task,
-    given_features,
+    find_features,
     request_of_method,
     require_alone,
     task_of,
@@ -139,7 +139,7 @@ def run(
     >>> round(result.rmse["independent"].total, 1) > 0
     True
     """
-    features, source = given_features(features, source, crs, columns, rpc)
+    features, source = find_features(features, source, crs, columns, rpc)
     arguments: dict[str, Any] = {
         "dataset": dataset, "source": source, "model": model, "solver": solver,
         "criterion": criterion, "options": options}

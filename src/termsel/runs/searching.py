@@ -17,7 +17,7 @@ from termsel.auto.compare import compare_robustly
 from termsel.auto.memory import Memory
 from termsel.auto.refits import held_out_by_refits
 from termsel.auto.shrunken import RidgeByOrder
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name_error
 from termsel.core.files.names import CERTIFICATE
 from termsel.core.isolation.faults import HINT, fault_of_method
 from termsel.data.features import BoolArray, select
@@ -25,12 +25,12 @@ from termsel.data.fit_data import FitData
 from termsel.data.record.figures import as_plain_data
 from termsel.data.record.search import Certificate, Member, SearchLimits, SizeRow
 from termsel.data.roles import Observations
-from termsel.fitting.figures import Baseline, Rmses, baseline, rmse_record
+from termsel.fitting.figures import Baseline, Rmses, baseline_figures, rmse_record
 from termsel.fitting.fit import Fit, HeldOut
 from termsel.fitting.least_squares import fit
 from termsel.models.base import SensorModel
-from termsel.results.result import Result, of_certificate
-from termsel.results.same_fit import has_pole, least_squares_of
+from termsel.results.result import Result, checksum_of_certificate
+from termsel.results.same_fit import fit_of_selection, has_pole
 from termsel.runs.data_notes import notes_on_data, notes_on_dem
 from termsel.runs.exported_rpc import doubt_of_rpc, rpc_of_model
 from termsel.runs.finding import Finding, data_of, notes_on_sessions, plugins_of, result_of
@@ -45,7 +45,7 @@ from termsel.selection.problems.base import Selection
 from termsel.selection.problems.recipes import Recipe
 from termsel.selection.problems.segments import Genes
 from termsel.selection.solvers.base import GIVEN
-from termsel.selection.solvers.proofs.exact import gap
+from termsel.selection.solvers.proofs.exact import gap_to_optimum
 from termsel.selection.solvers.proofs.proof import SizeProof
 from termsel.selection.solvers.search import SearchResult
 
@@ -194,7 +194,7 @@ BUDGETS = ("generations", "evaluations", "seconds", "patience")
 """Limits of a search that its record names."""
 
 
-def assessed(task: Task, search: SearchResult) -> Result:
+def result_of_search(task: Task, search: SearchResult) -> Result:
     """Return the result of a finished search."""
     return result_of(task.request, finding_of(task, search, Auto()))
 
@@ -221,13 +221,13 @@ def finding_of(task: Task, search: SearchResult, auto: Auto,
     plugins = plugins_of(task.request)
     # Members of the front and the best of each size share fits, by their genes.
     sizes = _proofs_by_size(task, search)
-    members = {genes.tobytes(): _member(task, genes) for genes in search.front}
+    members = {genes.tobytes(): _front_member(task, genes) for genes in search.front}
     for size in sizes:
         if size.genes.tobytes() not in members:
-            members[size.genes.tobytes()] = _member(task, size.genes)
+            members[size.genes.tobytes()] = _front_member(task, size.genes)
 
     def baselines(in_roles: Observations) -> tuple[Baseline, ...]:
-        return (baseline("all-terms", all_terms, None, in_roles, ("control",)),
+        return (baseline_figures("all-terms", all_terms, None, in_roles, ("control",)),
                 *comparison.baselines(in_roles))
 
     # Called twice where independent points contradict all others: with and without these.
@@ -266,23 +266,25 @@ def finding_of(task: Task, search: SearchResult, auto: Auto,
         "by_size": tuple(SizeRow(**asdict(members[size.genes.tobytes()]), better=size.better,
                                  optimal=size.optimal, bound=size.bound, gap=size.gap)
                          for size in sizes),
-        "certificate": _certificate(task, search, fitted), "predicted": None, "strategy": None}
+        "certificate": _certificate_or_gap(task, search,
+                                           fitted), "predicted": None, "strategy": None}
     return Finding(
         fit=fitted, observations=observations, compared=observations, verdict=verdict,
         contradicting=contradicting, agreeing=agreeing,
         in_use=frozenset({*selection.features, *observations.check.ids}), check_used=False,
         baselines=baselines, judgement=judgement, selection=selection, stated=stated,
-        files=_files(task, search, observations))
+        files=_files_of_search(task, search, observations))
 
 
-def _files(task: Task, search: SearchResult, observations: Observations) -> dict[str, str]:
+def _files_of_search(
+        task: Task, search: SearchResult, observations: Observations) -> dict[str, str]:
     """Return further files of the result: the certificate of a proof, with the data it is of."""
     if search.certificate_content is None:
         return {}
     # The checker compares this checksum with that of the result.
     data = data_of(task.request, observations).sha256
     content = {**search.certificate_content, "data": data}
-    content["sha256"] = of_certificate(content)
+    content["sha256"] = checksum_of_certificate(content)
     return {CERTIFICATE: json.dumps(content) + "\n"}
 
 
@@ -316,7 +318,7 @@ def estimated(task: Task, selection: Selection, search: SearchResult) -> Fit:
     return fitted if search.coefficients is None else fitted.with_coefficients(search.coefficients)
 
 
-def _certificate(task: Task, search: SearchResult, fitted: Fit) -> Certificate | None:
+def _certificate_or_gap(task: Task, search: SearchResult, fitted: Fit) -> Certificate | None:
     """Return the solver's proof, or how far it is from a proven optimum; None if neither is known.
     """
     # A certificate of the solver, or the gap to an optimum that enumeration proves quickly.
@@ -334,7 +336,7 @@ def _proof_or_gap(task: Task, search: SearchResult, fitted: Fit) -> Mapping[str,
     if (search.certificate is not None or search.violation or search.interrupted
             or not fitted.estimator.least_squares or len(search.objectives) > 1):
         return search.certificate
-    return gap(task.problem, float(search.objectives[0]))
+    return gap_to_optimum(task.problem, float(search.objectives[0]))
 
 
 def _required_certificate(certificate: Mapping[str, Any], solver: str) -> dict[str, Any]:
@@ -357,7 +359,7 @@ def _proofs_by_size(task: Task, search: SearchResult) -> list[SizeProof]:
         else search.proof.by_size(task.problem)
 
 
-def _member(task: Task, genes: Genes) -> Member:
+def _front_member(task: Task, genes: Genes) -> Member:
     """Return the member of a front, with its RMSE on all roles."""
     observations = task.observations
     selection = task.problem.decode(genes)
@@ -379,19 +381,20 @@ def fit_of(task: Task, selection: Selection) -> Fit:
     # Values that the genes chose for options of the model take the place of those given.
     model = task.model.with_parameters(selection.parameters)
     # Names, not places: a problem may select among some of the terms or features.
-    terms = _mask(task, model.terms, selection.terms, "term")
-    used = _mask(task, control.ids, selection.features, "control feature")
-    return least_squares_of(model, control, task.scaling, terms, used, task.observations.check)
+    terms = _mask_of_names(task, model.terms, selection.terms, "term")
+    used = _mask_of_names(task, control.ids, selection.features, "control feature")
+    return fit_of_selection(model, control, task.scaling, terms, used, task.observations.check)
 
 
-def _mask(task: Task, names: tuple[str, ...], fitted: Iterable[str], kind: str) -> BoolArray:
+def _mask_of_names(task: Task, names: tuple[str, ...], fitted: Iterable[str],
+                   kind: str) -> BoolArray:
     """Return which of n names a problem's `decode` gives, (n,).
 
     Raises PluginFault for a name that is none of them.
     """
     names_fitted = set(fitted)
     if not names_fitted <= set(names):
-        error = unknown_name(kind, min(names_fitted - set(names)), names)
+        error = unknown_name_error(kind, min(names_fitted - set(names)), names)
         raise fault_of_method(task.problem, "decode", f"names an {error.what}",
                               f"{error.hint} {HINT}")
     return np.array([name in names_fitted for name in names], dtype=bool)

@@ -50,7 +50,7 @@ def search_in_steps(task: Task, **how: Any) -> SearchResult:
         _require_beginning(problem.frozen(everything, ~later), task.then)
     require_limits(**{name: how.get(name) for name in _LIMITS})
     # Half of the budget for the first step; the second has what the first left.
-    budget = _budget(task, how)
+    budget = _total_budget(task, how)
     first = search(beginning, task.solver, **options, **{**how, **{
         name: value / 2 if name == "seconds" else max(value // 2, 1)
         for name, value in budget.items()}})
@@ -84,7 +84,7 @@ _MIN_STEP_SECONDS = 1e-3
 """Seconds of a second step for which the first left no time: enough for one population."""
 
 
-def _budget(task: Task, how: dict[str, Any]) -> dict[str, float]:
+def _total_budget(task: Task, how: dict[str, Any]) -> dict[str, float]:
     """Return the budget of both steps together: that given, or else that of every search."""
     limits = {name: how[name] for name in _LIMITS if how.get(name) is not None}
     if limits or how.get("patience") is not None or task.solver.ends_by_itself:

@@ -12,23 +12,23 @@ import numpy as np
 
 from termsel.auto.auto import Auto
 from termsel.core.display import Glance
-from termsel.core.errors import TermselError, counted, unknown_name
+from termsel.core.errors import TermselError, count_in_words, unknown_name_error
 from termsel.core.isolation.faults import attribute_errors_to
 from termsel.data.coordinates.crs import LOCAL, normalise, to_wgs84
 from termsel.data.coordinates.height_units import FOOT, UNITS
 from termsel.data.coordinates.places import lattice_of
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet, FloatArray
-from termsel.data.fit_data import FitData, carriers
-from termsel.data.roles import Observations, check_as_control, parsed_shares
+from termsel.data.fit_data import FitData, relief_carriers
+from termsel.data.roles import Observations, check_as_control, parse_shares
 from termsel.data.roles import observe as assign_roles
 from termsel.data.rpc import Rpc
-from termsel.data.scaling import Scaling, scaling_of
+from termsel.data.scaling import Scaling, make_scaling
 from termsel.fitting.figures import orientation_spread
 from termsel.formats.rpc_files import with_rpc
 from termsel.io.read import features_of
 from termsel.models.base import SensorModel, require_heights
-from termsel.models.image_part import ImagePart, recognised
+from termsel.models.image_part import ImagePart, recognise_part
 from termsel.plugins.registry import registry
 from termsel.runs.exported_rpc import refuse_makers, rpc_of_model
 from termsel.runs.fit_crs import with_fit_crs, with_polar
@@ -77,7 +77,7 @@ def require_enough(observations: Observations, criterion: Criterion, model: Sens
         without_selection = " Or choose by leave-one-out, without selection points: --criterion " \
             "press." if would_do else ""
         raise TermselError(
-            f"{_count_of_control(control)}{others}; at least {counted(fewest, noun)} "
+            f"{_count_of_control(control)}{others}; at least {count_in_words(fewest, noun)} "
             f"{'is' if fewest == 1 else 'are'} needed",
             hint=("Measure more, or give more features the role control." if others
                   else "Measure more.")
@@ -98,7 +98,8 @@ def require_enough(observations: Observations, criterion: Criterion, model: Sens
                            hint="Check that the columns line and sample hold image coordinates.")
     if not np.ptp(control.ground_vertices()[:, :2], axis=0).any():
         raise TermselError(
-            f"all {counted(len(control), 'control feature')} have the same place on the ground",
+            f"all {count_in_words(len(control), 'control feature')} have the same place on the "
+            "ground",
             hint="Check that the columns x and y hold the position of each feature.")
     # The singular values of centred plan coordinates: the second is 0 on one straight line.
     spread = np.linalg.svd(control.ground_vertices()[:, :2]
@@ -128,7 +129,8 @@ def _refuse_one_number(control: FeatureSet) -> None:
     axis = int(np.argmax(is_one_number))
     name = ("line", "sample")[axis]
     raise TermselError(
-        f"all {counted(len(control.points), 'control point')} have {name} {image[0, axis]:g}",
+        f"all {count_in_words(len(control.points), 'control point')} have {name} "
+        f"{image[0, axis]:g}",
         column=name,
         hint=f"Is that the right column? Name the one that holds it: --columns {name}=NAME.")
 
@@ -143,14 +145,14 @@ def _others_in_words(observations: Observations) -> str:
     """Return how many points are not control, such as ", next to 1 selection point"; "" if none."""
     kinds = ((observations.check, "selection point"),
              (observations.independent, "independent check point"))
-    others = [counted(len(features), noun) for features, noun in kinds if len(features)]
+    others = [count_in_words(len(features), noun) for features, noun in kinds if len(features)]
     if observations.off:
-        others.append(f"{counted(len(observations.off), 'feature')} with the role off")
+        others.append(f"{count_in_words(len(observations.off), 'feature')} with the role off")
     return f", next to {' and '.join(others)}" if others else ""
 
 
 def _number(number: int, noun: str) -> str:
-    return f"only {counted(number, noun)}" if number else f"no {noun}s"
+    return f"only {count_in_words(number, noun)}" if number else f"no {noun}s"
 
 
 MIN_CONTROL = 3
@@ -226,7 +228,7 @@ class Task(Glance):
     @cached_property
     def scaling(self) -> Scaling:
         """The scaling of the control."""
-        return scaling_of(self.observations.control)
+        return make_scaling(self.observations.control)
 
     @cached_property
     def model(self) -> SensorModel:
@@ -239,7 +241,7 @@ class Task(Glance):
         control = self.observations.control
         options = dict(self.request.options["problem"])
         # Check points with relief do not help control without.
-        if self.model.uses_height and (not self.observations.heights or carriers(
+        if self.model.uses_height and (not self.observations.heights or relief_carriers(
                 FitData(control, self.scaling, False))):
             options |= without_heights(self.model.terms, options)
         return ProblemData(
@@ -257,7 +259,7 @@ class Task(Glance):
         TermselError
             If the recipe fails, or the solver cannot handle its problem.
         """
-        return self.narrowed or _built(self.request, self.inputs)
+        return self.narrowed or _build_problem(self.request, self.inputs)
 
     @cached_property
     def options(self) -> Mapping[str, Mapping[str, Any]]:
@@ -321,15 +323,15 @@ def prepare(
     >>> task.problem.genome.size, task.problem.objectives
     (20, ('check-rmse',))
     """
-    features, source = given_features(features, source, crs, columns)
+    features, source = find_features(features, source, crs, columns)
     return task_of(request_of(
         problem, features=features, dataset=dataset, source=source, model=model,
         solver=solver, criterion=criterion, options=options))
 
 
-def given_features(features: Any, source: str | None, crs: str | None,
-                   columns: str | Mapping[str, Any] | None, rpc: Rpc | Path | str | None = None,
-                   ) -> tuple[FeatureSet | None, str | None]:
+def find_features(features: Any, source: str | None, crs: str | None,
+                  columns: str | Mapping[str, Any] | None, rpc: Rpc | Path | str | None = None,
+                  ) -> tuple[FeatureSet | None, str | None]:
     """Return the features given or read, with their RPC, and their source; None without features.
 
     Raises TermselError if only crs, columns or rpc are given.
@@ -356,7 +358,7 @@ def task_of(request: Request) -> Task:
     return task
 
 
-def checked(task: Task) -> Task:
+def with_problem_built(task: Task) -> Task:
     """Return a task after its problem has been built, whose errors are raised here."""
     _ = task.problem
     return task
@@ -376,7 +378,7 @@ def observe(request: Request, fewest: int = MIN_CONTROL) -> Observations:
         request.features,
         control="both" if request.options["problem"].get("mixed") else recipe.control,
         split=split_of(of_data),
-        fractions=parsed_shares(of_data["fractions"], criterion.needs_check),
+        fractions=parse_shares(of_data["fractions"], criterion.needs_check),
         rng=np.random.default_rng(of_data["split"]))
     refuse_makers(request.features.rpc or rpc_of_model(request.model), observations)
     # Where no criterion needs judges, selection points are control as well.
@@ -420,7 +422,7 @@ def with_shares(request: Request, *, auto: bool = False) -> Request:
     return replace(request, options={**request.options, "data": {**of_data, "fractions": shares}})
 
 
-def _built(request: Request, inputs: ProblemData) -> Problem:
+def _build_problem(request: Request, inputs: ProblemData) -> Problem:
     """Return the recipe's problem, for solvers that can handle it."""
     # Shrunk are coefficients towards zero; of such a model 0 is no camera, and gave 65 px.
     if inputs.options.get("shrink") and inputs.model.start(inputs.control) is not None:
@@ -449,7 +451,7 @@ def _refuse_foreign(request: Request, problem: Problem) -> None:
     known = options_of(problem)
     for name in request.undeclared:
         if name not in known:
-            raise unknown_name("option", name, {
+            raise unknown_name_error("option", name, {
                 *known, *(option.name for option in request.recipe.options)})
 
 
@@ -497,7 +499,7 @@ def part_of_rpc(control: FeatureSet) -> ImagePart | None:
     # Before the part is recognised: wrong units look like another part.
     _refuse_feet(rpc, positions, points.image)
     with np.errstate(all="ignore"):
-        return recognised(rpc.project(positions), points.image)
+        return recognise_part(rpc.project(positions), points.image)
 
 
 def _refuse_feet(rpc: Rpc, positions: FloatArray, image: FloatArray) -> None:

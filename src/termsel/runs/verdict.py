@@ -20,8 +20,8 @@ from termsel.auto.contradictions import Division
 from termsel.auto.majority import MAX_BLUNDER_SHARE
 from termsel.auto.rule import Choice, method_of
 from termsel.data.features import FeatureSet, FloatArray, IntArray, Points, select
-from termsel.data.fit_data import MEASURED, FitData, off_plane
-from termsel.data.record.chances import median
+from termsel.data.fit_data import MEASURED, FitData, distance_off_plane
+from termsel.data.record.chances import median_of
 from termsel.data.record.figures import BlunderTest, Outlier, Role
 from termsel.data.roles import Observations, leave_out, with_twins
 from termsel.fitting.figures import finite_or_none
@@ -58,7 +58,7 @@ def exchange_of(control: FitData) -> Exchange | None:
     points = control.scaled.points
     ground = points.ground[:, :2]
     image = points.image
-    if not _are_mixed(_turnings(ground, image)):
+    if not _are_mixed(_turning_products(ground, image)):
         return None
     # What would make the plane a view again: two points exchanged, or one left out; the affine
     # residual of the rest decides among several.
@@ -67,7 +67,7 @@ def exchange_of(control: FitData) -> Exchange | None:
         # The image coordinates of the two are exchanged.
         order = np.arange(count)
         order[list(pair)] = pair[::-1]
-        turnings = _turnings(ground, image[order])
+        turnings = _turning_products(ground, image[order])
         if not _are_mixed(turnings):
             # A mirrored image is rare.
             mirrored = 1e3 if (turnings > 0).any() else 1.0
@@ -75,7 +75,7 @@ def exchange_of(control: FitData) -> Exchange | None:
                             Exchange(pair, True)))
     for wrong in range(count) if count > MIN_EXCHANGED_POINTS else ():
         remaining = np.delete(np.arange(count), wrong)
-        if not _are_mixed(_turnings(ground[remaining], image[remaining])):
+        if not _are_mixed(_turning_products(ground[remaining], image[remaining])):
             repairs.append((_affine_residuals(ground[remaining], image[remaining]),
                             Exchange((wrong,), False)))
     if repairs:
@@ -96,18 +96,18 @@ def errors_by_others(control: FitData) -> FloatArray:
     return errors * control.scaling.image_scale
 
 
-def _turnings(ground: FloatArray, image: FloatArray) -> IntArray:
+def _turning_products(ground: FloatArray, image: FloatArray) -> IntArray:
     """Return the signs by which triangles turn in the image and on the ground, multiplied, (t,).
 
     0 of those that are thin. Lines count downwards, so that an image that is not mirrored has -1.
     """
     triangles = np.array(list(combinations(range(len(ground)), 3)))
-    on_ground = _turning(ground[triangles])
-    in_image = _turning(image[triangles][..., ::-1])
+    on_ground = _turning_sign(ground[triangles])
+    in_image = _turning_sign(image[triangles][..., ::-1])
     return np.asarray(on_ground * in_image, dtype=np.intp)
 
 
-def _turning(corners: FloatArray) -> FloatArray:
+def _turning_sign(corners: FloatArray) -> FloatArray:
     """Return by which sign triangles (n, 3, 2) turn; 0 of thin ones."""
     first = corners[:, 1] - corners[:, 0]
     second = corners[:, 2] - corners[:, 0]
@@ -180,14 +180,14 @@ def judge_features(observations: Observations, auto: Auto,
     # Relief that rests on one or two features cannot be distinguished from their errors.
     high = with_twins(points, carriers).union(carriers)
     # Where no plane is determined without them, they are judged like others.
-    if off_plane_outliers := _held_against_others(observations, roles, high):
+    if off_plane_outliers := _features_off_plane(observations, roles, high):
         observations = leave_out(observations, high)
     verdict = Verdict(off_plane_outliers, high=high if off_plane_outliers else frozenset())
     pool = observations.pool
     features = pool.features
     suspects = _visible_suspects(auto.suspects(pool) or find_blunders(pool, auto))
     # The median over features of the error that would be named, for the record.
-    limit = None if suspects is None else finite_or_none(float(median(suspects.limits)))
+    limit = None if suspects is None else finite_or_none(float(median_of(suspects.limits)))
     verdict = replace(verdict, test=BlunderTest(
         len(features), limit, float(np.ptp(features.image_vertices(), axis=0).max())))
     if suspects is None or not (suspects.blunders | suspects.undecided).any():
@@ -195,15 +195,17 @@ def judge_features(observations: Observations, auto: Auto,
         # triangles still shows two exchanged points.
         exchange = exchange_of(pool)
         if exchange is not None:
-            unlike_any_view = _unlike_any_view(pool, exchange, roles)
+            unlike_any_view = _blunders_by_view(pool, exchange, roles)
             return replace(verdict, outliers=(*off_plane_outliers, *unlike_any_view),
                            notes=(_note_on_exchange(features, exchange),))
     if suspects is None:
         return verdict
     wrong = select(features.ids, suspects.blunders)
-    return replace(verdict, outliers=(*off_plane_outliers, *_outliers(features, roles, suspects)),
+    return replace(verdict,
+                   outliers=(*off_plane_outliers, *_sorted_outliers(features, roles, suspects)),
                    blunders=with_twins(points, wrong).union(wrong),
-                   notes=(*_note_on_contradictions(pool, suspects), *_limits(features, suspects)))
+                   notes=(*_note_on_contradictions(pool, suspects),
+                          *_limits_of_detection(features, suspects)))
 
 
 def _note_on_contradictions(pool: FitData, suspects: Suspects) -> Iterator[str]:
@@ -226,14 +228,15 @@ def _visible_suspects(suspects: Suspects | None) -> Suspects | None:
                    undecided=suspects.undecided & is_visible)
 
 
-def _unlike_any_view(pool: FitData, exchange: Exchange,
-                     roles: dict[str, Role]) -> tuple[Outlier, ...]:
+def _blunders_by_view(pool: FitData, exchange: Exchange,
+                      roles: dict[str, Role]) -> tuple[Outlier, ...]:
     """Return the points that reverse triangles, or are exchanged, as possible blunders."""
     errors = errors_by_others(pool)
     is_wrong = np.zeros(len(pool), dtype=bool)
     is_named = is_wrong.copy()
     is_named[list(exchange.points)] = True
-    return _outliers(pool.features, roles, Suspects(is_wrong, is_wrong, is_named, errors, errors))
+    return _sorted_outliers(pool.features, roles,
+                            Suspects(is_wrong, is_wrong, is_named, errors, errors))
 
 
 def _note_on_exchange(features: FeatureSet, exchange: Exchange) -> str:
@@ -249,8 +252,8 @@ def _note_on_exchange(features: FeatureSet, exchange: Exchange) -> str:
             "them in the image.")
 
 
-def _held_against_others(observations: Observations, roles: dict[str, Role],
-                         high: frozenset[str]) -> tuple[Outlier, ...]:
+def _features_off_plane(observations: Observations, roles: dict[str, Role],
+                        high: frozenset[str]) -> tuple[Outlier, ...]:
     """Return features whose height alone is off a plane, as the others predict them."""
     features = observations.pool.features
     is_high = np.isin(features.ids, list(high))
@@ -258,8 +261,8 @@ def _held_against_others(observations: Observations, roles: dict[str, Role],
     if test is None:
         return ()
     is_wrong = np.zeros_like(is_high)
-    return _outliers(features, roles,
-                     Suspects(is_wrong, is_wrong, is_high, test.errors, test.errors))
+    return _sorted_outliers(features, roles,
+                            Suspects(is_wrong, is_wrong, is_high, test.errors, test.errors))
 
 
 def judge_independent(observations: Observations, choice: Choice | None, auto: Auto,
@@ -283,13 +286,13 @@ def judge_independent(observations: Observations, choice: Choice | None, auto: A
         if not choice.method.from_one:
             # Where nothing shows what a height does, it contradicts nothing.
             control = FitData.of(choice.chosen.control, observations.heights)
-            points = points.take(off_plane(control, points.ground)[1] <= MEASURED)
+            points = points.take(distance_off_plane(control, points.ground)[1] <= MEASURED)
         suspects = judge_others(choice.chosen, observations.heights, points, auto.memory)
     suspects = _visible_suspects(suspects)
     if suspects is None or not suspects.blunders.any():
         return Verdict(), observations
     # Where most contradict the model it is the model, or their datum, that is in doubt.
-    if suspects.blunders.sum() > _most_blunders(len(points), of_others) and by_geometry is None:
+    if suspects.blunders.sum() > _limit_of_blunders(len(points), of_others) and by_geometry is None:
         count = int(suspects.blunders.sum())
         subject = ("The independent check point contradicts" if len(points) == 1 else
                    f"{count} of {len(points)} independent check points contradict")
@@ -299,13 +302,14 @@ def judge_independent(observations: Observations, choice: Choice | None, auto: A
     wrong = frozenset(select(points.ids, suspects.blunders))
     # Independent points are blunders or not: nothing is chosen that would leave it open.
     decided = replace(suspects, undecided=np.zeros_like(suspects.undecided))
-    outliers = _outliers(FeatureSet(points), dict.fromkeys(points.ids, "independent"), decided)
+    outliers = _sorted_outliers(
+        FeatureSet(points), dict.fromkeys(points.ids, "independent"), decided)
     independent = observations.independent
     return Verdict(outliers, wrong), replace(
         observations, independent=independent.take([name not in wrong for name in independent.ids]))
 
 
-def _most_blunders(count: int, of_others: Verdict | None) -> float:
+def _limit_of_blunders(count: int, of_others: Verdict | None) -> float:
     """Return how many of some points may be blunders, before the model is in doubt.
 
     A third, or as many as are likely where more than a third of the other points are blunders.
@@ -339,8 +343,8 @@ def _contradicting_known_image(fitted: Fit, points: Points, heights: bool,
                     suspects.limits[of_points])
 
 
-def _outliers(features: FeatureSet, roles: dict[str, Role],
-              suspects: Suspects) -> tuple[Outlier, ...]:
+def _sorted_outliers(features: FeatureSet, roles: dict[str, Role],
+                     suspects: Suspects) -> tuple[Outlier, ...]:
     """Return the outliers among features, the largest error first; none is excluded."""
     lines = frozenset(features.lines.features)
     is_outlier = suspects.blunders | suspects.undecided
@@ -357,24 +361,25 @@ def _outliers(features: FeatureSet, roles: dict[str, Role],
     return tuple(outliers)
 
 
-def _limits(features: FeatureSet, suspects: Suspects) -> Iterator[str]:
+def _limits_of_detection(features: FeatureSet, suspects: Suspects) -> Iterator[str]:
     """Yield which errors cannot be found, where features are few."""
     # With many features the limits are a few noise levels: nothing to warn of.
     if len(features) >= MIN_TESTED_FEATURES:
         return
     index = int(np.argmax(suspects.limits))
-    median_limit = float(median(suspects.limits))
+    median_limit = float(median_of(suspects.limits))
     extent = float(np.ptp(features.image_vertices(), axis=0).max())
     if median_limit > extent:
         yield (f"With {len(features)} {features.word} no blunder can be found for certain: any "
                "may be one.")
         return
-    at_worst = (f"{_size(suspects.limits[index])} px at {features.ids[index]}"
+    at_worst = (f"{_size_text(suspects.limits[index])} px at {features.ids[index]}"
                 if suspects.limits[index] <= extent else
                 f"at {features.ids[index]} none can be found for certain")
-    yield (f"With {len(features)} {features.word} an error must exceed {_size(median_limit)} px "
+    yield (f"With {len(features)} {features.word} an error must exceed {_size_text(median_limit)} "
+           "px "
            f"to be found for certain at half of them, and {at_worst}.")
 
 
-def _size(error: float) -> str:
+def _size_text(error: float) -> str:
     return f"{error:.2g}" if error < 100 else f"{error:,.0f}"

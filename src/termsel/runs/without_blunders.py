@@ -14,9 +14,9 @@ from termsel.auto.auto import Auto
 from termsel.core.errors import TermselError
 from termsel.data.features import select
 from termsel.data.roles import leave_out
-from termsel.runs.recommend import recommended
+from termsel.runs.recommend import with_recommended_member
 from termsel.runs.steps import search_in_steps
-from termsel.runs.task import MIN_CONTROL, Task, checked, require_enough
+from termsel.runs.task import MIN_CONTROL, Task, require_enough, with_problem_built
 from termsel.runs.verdict import Verdict, judge_features
 from termsel.selection.problems.segments import Bits, Subset
 from termsel.selection.problems.selection import SelectionProblem
@@ -41,14 +41,14 @@ def search_without_blunders(task: Task, auto: Auto, verdict: Verdict | None = No
             task.observations, auto, task.options["data"]["tested"])
         remaining = _task_without_blunders(task, verdict.blunders)
     if remaining is not None:
-        searched = recommended(remaining, search_in_steps(remaining, **how))
+        searched = with_recommended_member(remaining, search_in_steps(remaining, **how))
         if remaining is task:
             return task, searched
         # A second search would have no time.
         if not searched.violation or searched.stopped or how.get("seconds") is not None:
             return remaining, replace(searched, notes=(*searched.notes, (
                 "Outliers were removed before the search; --set blunders=keep keeps them.")))
-    searched = recommended(task, search_in_steps(task, **how))
+    searched = with_recommended_member(task, search_in_steps(task, **how))
     return task, replace(searched, notes=(*searched.notes, (
         "Blunders are in use: without them no selection satisfies all conditions.")))
 
@@ -74,7 +74,7 @@ def _task_without_blunders(task: Task, blunders: frozenset[str]) -> Task | None:
         fewer = leave_out(observations, points)
         try:
             require_enough(fewer, task.criterion, task.model, MIN_CONTROL)
-            task = checked(Task(task.request, fewer))
+            task = with_problem_built(Task(task.request, fewer))
         except TermselError:
             return None
         problem = task.problem

@@ -21,7 +21,7 @@ from termsel.data.coordinates.wgs84 import (
     SEMI_MINOR,
     from_ecef,
     to_ecef,
-    vertical,
+    vertical_directions,
 )
 from termsel.data.features import FloatArray
 
@@ -201,11 +201,11 @@ class Pushbroom:
         The line is the root of the along-track camera coordinate over time, found by the
         secant method for all points at once, to 1e-8 px.
         """
-        ground = _columns(ground, 3, "ground")
+        ground = _as_columns(ground, 3, "ground")
         target = to_ecef(ground)
-        up = vertical(ground)
+        up = vertical_directions(ground)
         line = np.full(len(target), self.centre[0])
-        along_track, sample = self._view(target, up, ground[:, 2], line)
+        along_track, sample = self._view_coordinates(target, up, ground[:, 2], line)
         step = along_track  # one pixel of the along-track coordinate is about one line
         slope = np.full_like(line, -1.0)
         for _ in range(ITERATIONS):
@@ -214,7 +214,7 @@ class Pushbroom:
                 break
             line = line + step
             before = along_track
-            along_track, sample = self._view(target, up, ground[:, 2], line)
+            along_track, sample = self._view_coordinates(target, up, ground[:, 2], line)
             # Steps of a few nano-px do not determine the slope, so the last slope is kept.
             np.divide(along_track - before, step, out=slope, where=np.abs(step) > 1e-4)
             step = -along_track / slope
@@ -246,7 +246,7 @@ class Pushbroom:
         TermselError
             For an array of another shape, or rays that miss the Earth.
         """
-        image = _columns(image, 2, "image")
+        image = _as_columns(image, 2, "image")
         height = np.broadcast_to(np.asarray(height, dtype=np.float64), len(image))
         station, rotation = self.exposure(self.time(image[:, 0]))
         across = -(image[:, 1] - self.centre[1]) * self.ifov
@@ -258,7 +258,8 @@ class Pushbroom:
         if self.refraction:
             # The shift is about a metre and changes by less than a micrometre over that distance.
             for _ in range(2):
-                bent = straight - _refraction(to_ecef(position), vertical(position), height,
+                bent = straight - _refraction(to_ecef(position), vertical_directions(position),
+                                              height,
                                               station)
                 position = from_ecef(bent)
         return position[:, :2]
@@ -291,8 +292,9 @@ class Pushbroom:
         ray = rotation[0, :, 2]
         return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(nadir, ray)), nadir @ ray)))
 
-    def _view(self, target: FloatArray, up: FloatArray, height: FloatArray, line: FloatArray,
-              ) -> tuple[FloatArray, FloatArray]:
+    def _view_coordinates(self, target: FloatArray, up: FloatArray, height: FloatArray,
+                          line: FloatArray,
+                          ) -> tuple[FloatArray, FloatArray]:
         """Return the along-track camera coordinate of targets at `line`, and their sample, (n,)."""
         station, rotation = self.exposure(self.time(line))
         if self.refraction:
@@ -352,13 +354,13 @@ def _meet(station: FloatArray, ray: FloatArray, height: FloatArray) -> FloatArra
     for _ in range(2):
         position = from_ecef(station + distance[:, None] * ray)
         # Height gained per metre of the ray.
-        climb = np.einsum("ni,ni->n", ray, vertical(position))
+        climb = np.einsum("ni,ni->n", ray, vertical_directions(position))
         distance = distance + (height - position[:, 2]) / climb
     to_ground: FloatArray = distance[:, None] * ray
     return station + to_ground
 
 
-def _columns(values: ArrayLike, width: int, kind: str) -> FloatArray:
+def _as_columns(values: ArrayLike, width: int, kind: str) -> FloatArray:
     """Return coordinates as an array (n, width); raises TermselError for another shape."""
     array = np.asarray(values, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != width:

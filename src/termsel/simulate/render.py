@@ -17,7 +17,7 @@ _MESH = 4  # px; the ground between is interpolated by cubic splines
 _MARGIN = 3  # meshes around the image, as splines are worst at the edge
 
 
-def checkerboard(origin: tuple[float, float], field_size: tuple[float, float]) -> Pattern:
+def checkerboard_pattern(origin: tuple[float, float], field_size: tuple[float, float]) -> Pattern:
     """Return a pattern of dark and bright fields.
 
     `origin` is the longitude and latitude of a corner, `field_size` the width and height of a field

@@ -14,7 +14,7 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.random import Generator
 
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name_error
 from termsel.data.coordinates.wgs84 import SEMI_MAJOR
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import (
@@ -23,15 +23,15 @@ from termsel.data.features import (
     IntArray,
     Lines,
     Points,
-    no_lines,
-    no_points,
+    empty_lines,
+    empty_points,
 )
 from termsel.data.roles import ASSIGNABLE
 from termsel.simulate.catalogue import OTHERS, SCENES, Scene
 from termsel.simulate.kept import kept_features
 from termsel.simulate.orbit import pushbroom_at
 from termsel.simulate.pushbroom import Angle, Pushbroom
-from termsel.simulate.terrain import Terrain, hilly
+from termsel.simulate.terrain import Terrain, hilly_terrain
 
 _EDGE = 0.015  # fraction of the image at each edge without measurements
 _CANDIDATES = 24  # places tried for each point
@@ -104,7 +104,7 @@ def simulate_scene(
     >>> len(features.points), len(features.lines)
     (12, 5)
     """
-    scene = _scene(name)
+    scene = _scene_of_name(name)
     n_lines, wrong = _line_counts(scene, n_lines, wrong_lines)
     if roles is not None and (n_points is not None or len(roles) != 3 or min(roles) < 0):
         raise TermselError(f"roles={roles} cannot be simulated",
@@ -115,7 +115,7 @@ def simulate_scene(
     if min(roles) < 0 or not 0 <= noise < float("inf"):
         raise TermselError(f"{sum(roles)} points with a noise of {noise} px cannot be simulated",
                            hint="Give a number of points and a noise of at least 0.")
-    wrong_rng, noise_rng = _streams(scene, seed)[2:]
+    wrong_rng, noise_rng = _random_streams(scene, seed)[2:]
     points, lines = _noise_free_features(name, seed, tuple(roles), n_lines)
     image = _displace_lines(lines.image, wrong_rng, wrong)
     point_noise, line_noise = noise_rng.spawn(2)
@@ -156,19 +156,19 @@ def scene_truth(
     >>> len(truth.wrong_lines)
     8
     """
-    scene = _scene(name)
+    scene = _scene_of_name(name)
     n_lines, wrong = _line_counts(scene, n_lines, wrong_lines)
-    sensor, terrain, _ = _geometry(name)
-    ids = _ids("L", n_lines)
-    picked = _pick_mismatched(_streams(scene, seed)[2], n_lines, wrong)
+    sensor, terrain, _ = _scene_geometry(name)
+    ids = _numbered_ids("L", n_lines)
+    picked = _pick_mismatched(_random_streams(scene, seed)[2], n_lines, wrong)
     return SceneTruth(sensor, terrain, tuple(ids[i] for i in picked))
 
 
-def _scene(name: str) -> Scene:
+def _scene_of_name(name: str) -> Scene:
     """Return the scene of a name; raises TermselError if it does not exist."""
     scenes = {**SCENES, **OTHERS}
     if name not in scenes:
-        raise unknown_name("simulated scene", name, scenes)
+        raise unknown_name_error("simulated scene", name, scenes)
     return scenes[name]
 
 
@@ -184,28 +184,28 @@ def _line_counts(scene: Scene, n_lines: int | None, wrong: int | None) -> tuple[
     return n_lines, wrong
 
 
-def _streams(scene: Scene, seed: int | None) -> list[Generator]:
+def _random_streams(scene: Scene, seed: int | None) -> list[Generator]:
     """Return generators of points, lines, mismatches and noise, each a separate stream."""
     if seed is not None and seed < 0:
         raise TermselError(f"the seed is {seed}", hint="Give a whole number of at least 0.")
     return np.random.default_rng([scene.number, seed or 0]).spawn(4)
 
 
-def _ids(letter: str, count: int) -> tuple[str, ...]:
+def _numbered_ids(letter: str, count: int) -> tuple[str, ...]:
     return tuple(f"{letter}{i + 1:03d}" for i in range(count))
 
 
 @lru_cache
-def _geometry(name: str) -> tuple[Pushbroom, Terrain, FloatArray]:
+def _scene_geometry(name: str) -> tuple[Pushbroom, Terrain, FloatArray]:
     """Return sensor, terrain, and the image places (2, 2) of lowest and highest terrain."""
-    scene = _scene(name)
+    scene = _scene_of_name(name)
     middle = sum(scene.heights) / 2
-    sensor = _shaken(scene, pushbroom_at(
+    sensor = _with_attitude_errors(scene, pushbroom_at(
         scene.lon, scene.lat, height=middle, off_nadir=scene.off_nadir,
         look_azimuth=scene.look_azimuth, gsd=scene.gsd, image_size=scene.image_size,
         altitude=scene.altitude, inclination=scene.inclination))
     width = scene.gsd * scene.image_size[1], scene.gsd * scene.image_size[0]
-    terrain = hilly(scene.number, scene.lon, scene.lat, width, scene.relief)
+    terrain = hilly_terrain(scene.number, scene.lon, scene.lat, width, scene.relief)
     # Heights are those of what the image shows, but for its edges.
     share = np.linspace(_EDGE, 1 - _EDGE, 81)
     image = np.stack(np.meshgrid(share, share, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -214,7 +214,7 @@ def _geometry(name: str) -> tuple[Pushbroom, Terrain, FloatArray]:
     return sensor, terrain, image[[low, high]]
 
 
-def _shaken(scene: Scene, sensor: Pushbroom) -> Pushbroom:
+def _with_attitude_errors(scene: Scene, sensor: Pushbroom) -> Pushbroom:
     """Return the sensor with drift and jitter of its attitude."""
     end = sensor.centre[0] * sensor.line_period
     per_pixel = (sensor.ifov, sensor.ifov, 1 / sensor.centre[1])
@@ -234,9 +234,9 @@ def _shaken(scene: Scene, sensor: Pushbroom) -> Pushbroom:
 
 def _ground_positions(name: str, image: FloatArray) -> FloatArray:
     """Return lon, lat, height, shape (n, 3), of image points on the terrain."""
-    sensor, terrain, _ = _geometry(name)
+    sensor, terrain, _ = _scene_geometry(name)
     # Slopes are gentle, so each round leaves about a twentieth of the error.
-    return sensor.on_terrain(terrain, image, sum(_scene(name).heights) / 2, rounds=8)
+    return sensor.on_terrain(terrain, image, sum(_scene_of_name(name).heights) / 2, rounds=8)
 
 
 def _role_counts(scene: Scene, count: int) -> tuple[int, int, int]:
@@ -254,8 +254,8 @@ def _noise_free_features(name: str, seed: int | None, roles: tuple[int, int, int
 
     `roles` are the numbers of control, check and independent points.
     """
-    scene = _scene(name)
-    point_rng, line_rng = _streams(scene, seed)[:2]
+    scene = _scene_of_name(name)
+    point_rng, line_rng = _random_streams(scene, seed)[:2]
     return _noise_free_points(scene, point_rng, roles), _noise_free_lines(scene, line_rng, n_lines)
 
 
@@ -263,8 +263,8 @@ def _noise_free_points(scene: Scene, rng: Generator, numbers: tuple[int, int, in
     """Return points free of noise, spread over the image as a whole and role by role."""
     count = sum(numbers)
     if count == 0:
-        return no_points()
-    sensor, _, extremes = _geometry(scene.name)
+        return empty_points()
+    sensor, _, extremes = _scene_geometry(scene.name)
     # Each role's points are evenly spread over the order in which points are drawn.
     role_order: list[tuple[float, int]] = []
     for role, number in enumerate(numbers):
@@ -287,7 +287,7 @@ def _noise_free_points(scene: Scene, rng: Generator, numbers: tuple[int, int, in
         placed.add(image[i])
         of_same.add(image[i])
     ground = _ground_positions(scene.name, image)
-    return Points(_ids("P", count), sensor.project(ground), ground, None,
+    return Points(_numbered_ids("P", count), sensor.project(ground), ground, None,
                   tuple(ASSIGNABLE[role] for role in roles))
 
 
@@ -320,8 +320,8 @@ class _Placed:
 def _noise_free_lines(scene: Scene, rng: Generator, count: int) -> Lines:
     """Return lines free of noise, dense like the streets of towns, sparse elsewhere."""
     if count == 0:
-        return no_lines()
-    sensor, terrain, _ = _geometry(scene.name)
+        return empty_lines()
+    sensor, terrain, _ = _scene_geometry(scene.name)
     # A town with 55 % of the lines, two villages with 15 % each, the rest anywhere.
     settlement = rng.choice(4, count, p=(0.55, 0.15, 0.15, 0.15))
     centre = np.array([[0.42, 0.38], [0.75, 0.70], [0.22, 0.74], [0.5, 0.5]])[settlement]
@@ -347,7 +347,7 @@ def _noise_free_lines(scene: Scene, rng: Generator, count: int) -> Lines:
     fractions[swap] = fractions[swap, ::-1]
     measured = ground[:, :1] + fractions[..., None] * (ground[:, 1:] - ground[:, :1])
     image = sensor.project(measured.reshape(-1, 3)).reshape(-1, 2, 2)
-    return Lines(_ids("L", count), image, ground)
+    return Lines(_numbered_ids("L", count), image, ground)
 
 
 def _pick_mismatched(rng: Generator, n_lines: int, wrong: int) -> IntArray:
@@ -369,12 +369,12 @@ def _displace_lines(image: FloatArray, rng: Generator, wrong: int) -> FloatArray
     return moved
 
 
-def _datasets(scenes: Mapping[str, Scene]) -> tuple[DatasetSpec, ...]:
+def _read_datasets(scenes: Mapping[str, Scene]) -> tuple[DatasetSpec, ...]:
     """Return the data sets of scenes, which are read from the files that hold them."""
     return tuple(DatasetSpec(scene.name, scene.summary,
                              partial(kept_features, "termsel.simulate", scene.name), simulated=True)
                  for scene in scenes.values())
 
 
-DATASETS = _datasets(SCENES)
-FURTHER = _datasets(OTHERS)
+DATASETS = _read_datasets(SCENES)
+FURTHER = _read_datasets(OTHERS)

@@ -20,7 +20,7 @@ _CROSSINGS = 15
 _SHEET_NOISE = 0.5  # px
 
 
-def _corner(sheet: int) -> tuple[float, float]:
+def _sheet_corner(sheet: int) -> tuple[float, float]:
     """Return easting and northing of the north-western corner of a sheet [m]."""
     row, column = divmod(sheet, 2)
     return _WEST + column * FRAME[0], _NORTH - row * FRAME[1]
@@ -34,14 +34,14 @@ def _map_positions(sheet: int, image: FloatArray) -> FloatArray:
     turn = np.radians(_TURNS[sheet])
     right = _PIXEL * (sample - _PAPER_MARGIN)
     down = _PIXEL * (line - _PAPER_MARGIN)
-    west, north = _corner(sheet)
+    west, north = _sheet_corner(sheet)
     return np.column_stack([west + right * np.cos(turn) + down * np.sin(turn),
                             north + right * np.sin(turn) - down * np.cos(turn)])
 
 
 def _scan_positions(sheet: int, ground: FloatArray) -> FloatArray:
     """Return the pixels of map positions: the inverse of `_map_positions`, by iteration."""
-    corner = np.array(_corner(sheet))
+    corner = np.array(_sheet_corner(sheet))
     offsets = np.column_stack([corner[1] - ground[:, 1], ground[:, 0] - corner[0]])
     image = offsets / _PIXEL + _PAPER_MARGIN
     # Turn and warp are small, so that each step leaves a few per cent of the error.
@@ -62,7 +62,7 @@ def sheet_and_points(sheet: int) -> tuple[np.ndarray, FloatArray, FloatArray]:
     """
     lines, samples = np.mgrid[:SHEET_SIZE[0], :SHEET_SIZE[1]]
     pixels = np.column_stack([lines.ravel(), samples.ravel()]).astype(float)
-    west, north = _corner(sheet)
+    west, north = _sheet_corner(sheet)
     right, down = ((_map_positions(sheet, pixels) - (west, north)) * (1.0, -1.0)).T
     inside = (right >= 0) & (right <= FRAME[0]) & (down >= 0) & (down <= FRAME[1])
     fields = (np.floor(right / GRID_SPACING) + np.floor(down / GRID_SPACING)) % 2

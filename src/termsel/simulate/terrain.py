@@ -88,8 +88,8 @@ class Terrain:
         return terrain, int(form.argmin()), int(form.argmax())
 
 
-def hilly(seed: int, lon: float, lat: float, extent: tuple[float, float], relief: float,
-          ) -> Terrain:
+def hilly_terrain(seed: int, lon: float, lat: float, extent: tuple[float, float], relief: float,
+                  ) -> Terrain:
     """Return terrain with regional hills of unit size, to be scaled by `Terrain.between`.
 
     The seed draws the direction of slope and hills, and the waves. `extent` is the width to the
@@ -111,8 +111,8 @@ def hilly(seed: int, lon: float, lat: float, extent: tuple[float, float], relief
              for rise, off, radius in ((1.0, 0.0, 0.9), (-0.8, 2.6, 0.8), (0.3, 4.4, 0.8))]
     return Terrain(lon, lat, scale, base=0.0, gain=1.0,
                    slope=(0.1 * float(np.cos(turn)), 0.1 * float(np.sin(turn))),
-                   hills=_rows(hills), relief=_rows(waves))
+                   hills=_as_rows(hills), relief=_as_rows(waves))
 
 
-def _rows(values: ArrayLike) -> tuple[tuple[float, float, float, float], ...]:
+def _as_rows(values: ArrayLike) -> tuple[tuple[float, float, float, float], ...]:
     return tuple((float(a), float(b), float(c), float(d)) for a, b, c, d in np.asarray(values))

@@ -12,27 +12,27 @@ from typing import Any
 import numpy as np
 
 from termsel.adjustment.kernels import needs_compilation
-from termsel.core.errors import TermselError, counted
+from termsel.core.errors import TermselError, count_in_words
 from termsel.core.files.atomic import make_folder, private_folder
 from termsel.core.files.lock import lock_folder
 from termsel.core.files.names import JOURNAL
-from termsel.core.isolation.parts import part
+from termsel.core.isolation.parts import value_of_slot
 from termsel.core.options import options_of_file
 from termsel.data.features import FeatureSet
 from termsel.io.export import writer_of
 from termsel.io.result_folder import RECORD
 from termsel.plugins.registry import registry
-from termsel.runs.finding import versions
+from termsel.runs.finding import package_versions
 from termsel.runs.notebook import line_of_many
 from termsel.studies.cells.cell import Cell, cells_of, kind_of
 from termsel.studies.cells.folder import PLAN, keys_by_labels, write_plan
 from termsel.studies.cells.images import IMAGES, folders_of, write_files
 from termsel.studies.cells.journal import Journal, read_journal
-from termsel.studies.execution.contained import contained
-from termsel.studies.execution.executors import deferred, processes, serial
+from termsel.studies.execution.contained import run_contained
+from termsel.studies.execution.executors import defer_interrupts, run_in_processes, run_serially
 from termsel.studies.execution.progress import StudyProgress, Tally
-from termsel.studies.execution.work import OUT_OF_TIME, Outcome, do, failed
-from termsel.studies.outputs import names
+from termsel.studies.execution.work import OUT_OF_TIME, Outcome, do, failed_outcome
+from termsel.studies.outputs import output_names
 from termsel.studies.plan.data import data_of
 from termsel.studies.plan.spec import Spec, read_spec, spec_of
 from termsel.studies.study import Study
@@ -96,16 +96,16 @@ def compare(
     """
     if workers < 1:
         raise TermselError(f"{workers} workers cannot run anything", hint="Give 1 or more.")
-    spec, folder = asked(study, keys)
-    tables = () if out is None else [(Path(out) / name).resolve() for name in names()]
+    spec, folder = requested_study(study, keys)
+    tables = () if out is None else [(Path(out) / name).resolve() for name in output_names()]
     cells = plan_cells(spec, folder, frozenset(tables))
     labels = {cell.key: cell.labels for cell in cells}
     folders = folders_of(labels)
     with ExitStack() as stack:
         # Without a folder a study keeps its journal all the same, until it ends.
         directory = Path(out) if out is not None else stack.enter_context(private_folder())
-        plugins = _plugins(cells, spec)
-        journal = _open_journal(stack, directory, {**versions(), **plugins})
+        plugins = _plugin_versions(cells, spec)
+        journal = _open_journal(stack, directory, {**package_versions(), **plugins})
         # Read before the plan is replaced, to show what has changed since.
         before = keys_by_labels(directory)
         write_plan(spec, cells, workers, directory)
@@ -115,7 +115,7 @@ def compare(
         title = spec.title or "Study"
         show = stack.enter_context(line_of_many(title))
         observers = (*observers, lambda progress: show(
-            f"{title}: {progress.finished} of {counted(progress.total, 'run')}, "
+            f"{title}: {progress.finished} of {count_in_words(progress.total, 'run')}, "
             f"{progress.time_left()}", progress.finished == progress.total))
         for remark in journal.remarks:
             log.warning(remark)
@@ -124,16 +124,16 @@ def compare(
                    and (key := before.get(tuple(cell.labels.values()))) in journal.records}
         if changed:
             log.warning("%s repeated, as data, options, budget or code changed since.",
-                        counted(len(changed), "finished run"))
+                        count_in_words(len(changed), "finished run"))
         if foreign := len(journal.records) - len(finished):
             log.warning("The journal keeps %s of an earlier form of the study without using %s.",
-                        counted(foreign, "finished run"), "it" if foreign == 1 else "them")
+                        count_in_words(foreign, "finished run"), "it" if foreign == 1 else "them")
         for observe in observers:
             observe(tally.progress())
         waiting = [cell for cell in cells if cell.key not in finished]
         # The first Ctrl-C lets the cells under way end: their work is kept.
-        stopped = stack.enter_context(deferred(lambda: log.warning(FINISHING)))
-        for outcome in _outcomes(waiting, stopped, workers, scheduler, plugins):
+        stopped = stack.enter_context(defer_interrupts(lambda: log.warning(FINISHING)))
+        for outcome in _run_cells(waiting, stopped, workers, scheduler, plugins):
             key = outcome.record.cell
             # Files first: what the journal calls finished has them.
             if out is not None and outcome.files:
@@ -155,8 +155,8 @@ LONG_CELL_SECONDS = 20.0
 FINISHING = "The runs under way are being finished. Ctrl-C once more ends at once."
 
 
-def asked(study: Path | str | Mapping[str, Any] | None, keys: Mapping[str, Any]
-          ) -> tuple[Spec, Path]:
+def requested_study(study: Path | str | Mapping[
+        str, Any] | None, keys: Mapping[str, Any] ) -> tuple[Spec, Path]:
     """Return the spec of a study, and the folder that its file names are relative to.
 
     Raises TermselError for keys next to a study file.
@@ -205,7 +205,7 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
     first is run twice, unless it takes `LONG_CELL_SECONDS`. A cell is ended after `PROBE_SECONDS`,
     which then is the least that it takes, and the reason says so.
     """
-    spec, folder = asked(study, keys)
+    spec, folder = requested_study(study, keys)
     # Before anything is run: the first cell would otherwise count the compilation.
     cold = needs_compilation()
     kinds: dict[tuple[str, ...], list[Cell]] = {}
@@ -214,7 +214,7 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
     for kind, cells in kinds.items():
         works, features = works_of(cells)
         if not works:
-            yield kind, len(cells), None, _reasons(cells)
+            yield kind, len(cells), None, _reasons_not_to_run(cells)
             continue
         sizes = [len(features[cell.data.key]) for cell in works]
         sample = _cells_of_all_sizes(works, sizes)
@@ -241,10 +241,11 @@ def _probe(cell: Cell) -> Cell:
     return replace(cell, call={**cell.call, "timeout": PROBE_SECONDS})
 
 
-def _reasons(cells: list[Cell]) -> str:
+def _reasons_not_to_run(cells: list[Cell]) -> str:
     """Return why cells cannot run: the first reason, and how many cells have others."""
     further = len({cell.data.reason for cell in cells}) - 1
-    return cells[0].data.reason + (f" And {counted(further, 'other reason')}." if further else "")
+    return cells[
+        0].data.reason + (f" And {count_in_words(further, 'other reason')}." if further else "")
 
 
 def _cells_of_all_sizes(cells: list[Cell], sizes: list[int]) -> list[Cell]:
@@ -279,7 +280,7 @@ def _open_journal(stack: ExitStack, folder: Path, current_versions: Mapping[str,
         raise TermselError(f"the folder has {RECORD}, the result of a run", file=folder,
                            hint="A study would hide it. Choose another --out.")
     # Files of another program with such names must not be replaced.
-    outputs = [name for name in (*names(), PLAN, IMAGES) if (folder / name).exists()]
+    outputs = [name for name in (*output_names(), PLAN, IMAGES) if (folder / name).exists()]
     if outputs and not (folder / JOURNAL).exists():
         raise TermselError(f"the folder has {outputs[0]}, but no journal of a study",
                            file=folder,
@@ -290,7 +291,7 @@ def _open_journal(stack: ExitStack, folder: Path, current_versions: Mapping[str,
     return journal
 
 
-def _plugins(cells: list[Cell], spec: Spec) -> dict[str, str]:
+def _plugin_versions(cells: list[Cell], spec: Spec) -> dict[str, str]:
     """Return the versions of the plugins that provide something the study names."""
     kinds = {"problem": "problems", "model": "models", "criterion": "criteria",
              "solver": "solvers"}
@@ -307,24 +308,24 @@ def _plugins(cells: list[Cell], spec: Spec) -> dict[str, str]:
     return {origin: registry().version(origin) for origin in sorted(origins)}
 
 
-def _outcomes(cells: list[Cell], stopped: Callable[[], bool], workers: int,
-              scheduler: str | None, plugins: Mapping[str, str]) -> Iterator[Outcome]:
+def _run_cells(cells: list[Cell], stopped: Callable[[], bool], workers: int,
+               scheduler: str | None, plugins: Mapping[str, str]) -> Iterator[Outcome]:
     """Yield the outcomes of cells as they end, by the executor that is asked for."""
     for cell in cells:
         if cell.data.features is None:
-            yield failed(cell.key, cell.data.reason)
+            yield failed_outcome(cell.key, cell.data.reason)
     works, features = works_of(cells)
     if scheduler is not None:
-        on_cluster = part("scheduler", "a scheduler requires")
+        on_cluster = value_of_slot("scheduler", "a scheduler requires")
         yield from on_cluster(works, features, stopped, scheduler, plugins)
         return
     if workers == 1:
         # Other programs may crash: they run in a process of their own.
-        yield from serial([cell for cell in works if not cell.others], features, stopped)
-        yield from contained([cell for cell in works if cell.others], features, stopped)
+        yield from run_serially([cell for cell in works if not cell.others], features, stopped)
+        yield from run_contained([cell for cell in works if cell.others], features, stopped)
         return
     if works and needs_compilation():
         # Compiled code is kept on disk: the first cell makes it once for all processes.
-        yield from serial(works[:1], features, stopped)
+        yield from run_serially(works[:1], features, stopped)
         works = works[1:]
-    yield from processes(works, features, stopped, workers)
+    yield from run_in_processes(works, features, stopped, workers)

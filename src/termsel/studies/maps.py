@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from shlex import quote
 
-from termsel.core.errors import TermselError, counted, first_of
+from termsel.core.errors import TermselError, count_in_words, first_names_in_words
 from termsel.core.files.names import JOURNAL, is_there
 from termsel.core.files.texts import csv_table
 from termsel.io.result_folder import RECORD, read_result
@@ -18,7 +18,7 @@ from termsel.studies.cells.folder import read_study
 from termsel.studies.cells.images import IMAGES, folders_of, stem_of
 from termsel.studies.cells.table import Row
 from termsel.studies.cells.verdicts import DOUBTFUL, FIT, UNFIT
-from termsel.studies.execution.naming import named
+from termsel.studies.execution.naming import name_image_in_log
 from termsel.studies.study import Study
 
 PLANNED, WRITTEN, KEPT, OUTDATED, LEFT_OUT, FAILED = (
@@ -80,7 +80,8 @@ def plan_maps(folder: Path, pictures: Path, out: Path, *, with_doubtful: bool, o
         raise TermselError("this is a study of searches, of which no map can be made", file=folder,
                            hint="Give the folder of one result, or of a batch of images.")
     if not pictures.is_dir():
-        raise TermselError(f"{folder} is a batch of {counted(len(study.cells), 'image')}, and this "
+        raise TermselError(f"{folder} is a batch of {count_in_words(len(study.cells), 'image')}, "
+                           "and this "
                            "is not a folder of images", file=pictures,
                            hint="Give the folder in which the images are, or one result: "
                                 f"{folder / IMAGES}/NAME.")
@@ -99,7 +100,7 @@ def plan_maps(folder: Path, pictures: Path, out: Path, *, with_doubtful: bool, o
         row = rows[key]
         planned = ImageMap(str(labels["data"]), str(row["verdict"]), folder / IMAGES / names[key],
                            out / f"{names[key]}.tif")
-        planned = _left_out(planned, row) if row["verdict"] not in verdicts else \
+        planned = _image_without_map(planned, row) if row["verdict"] not in verdicts else \
             _with_picture(planned, pictures, pictures_of, overwrite)
         maps.append(_with_earlier_map(planned))
     return maps
@@ -120,7 +121,7 @@ def _require_folder_of_maps(out: Path, overwrite: bool) -> None:
                            file=table, hint="Choose another --output, or use --overwrite.")
 
 
-def _left_out(planned: ImageMap, row: Row) -> ImageMap:
+def _image_without_map(planned: ImageMap, row: Row) -> ImageMap:
     """Return an image whose verdict allows no map, with the reason."""
     if not planned.verdict:
         return replace(planned, state=LEFT_OUT, why="not finished: repeat the command of the batch")
@@ -147,8 +148,9 @@ def _with_picture(planned: ImageMap, folder: Path, pictures_of: Mapping[str, Seq
     owners = sorted(label for label, others in pictures_of.items() if files[0] in others)
     if len(owners) > 1:
         return replace(planned, state=FAILED, why=(
-            f"{files[0].name} would be the image of {counted(len(owners), 'file')} of points: "
-            f"{first_of(owners)}. Give each its own name"))
+            f"{files[0].name} would be the image of {count_in_words(len(owners), 'file')} of "
+            "points: "
+            f"{first_names_in_words(owners)}. Give each its own name"))
     return replace(planned, picture=files[0])
 
 
@@ -184,7 +186,7 @@ def _with_earlier_map(item: ImageMap) -> ImageMap:
     return replace(item, why=f"{item.why}; an earlier map is still there: {item.output}")
 
 
-def needing_heights(maps: Iterable[ImageMap]) -> ImageMap | None:
+def first_map_needing_heights(maps: Iterable[ImageMap]) -> ImageMap | None:
     """Return the first planned map whose model needs the heights of the ground; None if none does.
     """
     return next((planned for planned in maps if planned.state == PLANNED
@@ -208,7 +210,7 @@ def write_maps(maps: Sequence[ImageMap], write: Callable[[Result, Path, Path], N
             yield planned
             continue
         try:
-            with named(planned.image):
+            with name_image_in_log(planned.image):
                 write(read_result(planned.folder), planned.picture, planned.output)
         except TermselError as error:
             yield _with_earlier_map(replace(planned, state=FAILED, why=str(error)))
@@ -229,7 +231,7 @@ def count_of_maps(maps: Sequence[ImageMap]) -> str:
     states = Counter(item.state for item in maps)
     counts = [f"{states[state]} {state}" for state in (
         PLANNED, WRITTEN, KEPT, OUTDATED, LEFT_OUT, FAILED) if states[state]]
-    return f"{counted(len(maps), 'image')}: {', '.join(counts)}"
+    return f"{count_in_words(len(maps), 'image')}: {', '.join(counts)}"
 
 
 def next_command(study: Study, folder: Path) -> str:

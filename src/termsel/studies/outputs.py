@@ -8,9 +8,14 @@ from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
 
-from termsel.core.errors import counted
+from termsel.core.errors import count_in_words
 from termsel.core.files.atomic import atomic_path, write_text
-from termsel.core.isolation.parts import lack_of, missing, package_of_name, parts
+from termsel.core.isolation.parts import (
+    lack_of,
+    missing_package_error,
+    package_of_name,
+    values_of_slot,
+)
 from termsel.results.blocks import Block
 from termsel.results.text import text_of_blocks
 from termsel.studies.cells.image_table import image_reasons, image_table
@@ -44,9 +49,9 @@ class StudyOutput:
     page: Callable[[Study], str] | None = None
 
 
-def names() -> tuple[str, ...]:
+def output_names() -> tuple[str, ...]:
     """Return the files and folders that `write_outputs` may write."""
-    return (*NAMES, *chain.from_iterable(output.files for output in parts("study")))
+    return (*NAMES, *chain.from_iterable(output.files for output in values_of_slot("study")))
 
 
 def write_outputs(study: Study, out: Path) -> list[Path]:
@@ -63,27 +68,28 @@ def write_outputs(study: Study, out: Path) -> list[Path]:
         with atomic_path(out / "study.parquet") as path:
             study.to_pandas().to_parquet(path, index=False)
         written.append(out / "study.parquet")
-    for output in parts("study"):
+    for output in values_of_slot("study"):
         written += output.write(study, out)
     return written
 
 
-def summary(study: Study) -> str:
+def study_summary(study: Study) -> str:
     """Return a study as text: a table of its images, or the packages' summary of searches.
 
     Without a package, the text says which would show more.
     """
-    outputs = parts("study")
+    outputs = values_of_slot("study")
     package = package_of_name("study")
     state, remedy = lack_of(package)
     # Images have their table without any package; statistics of searches come with one.
     if study.noun == "image":
         further = "" if any(output.page for output in outputs) else (
             f"A page of all images comes with the package {package}, which {state}. {remedy}\n")
-        return f"{_images(study)}{further}"
+        return f"{_image_text(study)}{further}"
     texts = [output.summary(study) for output in outputs if output.summary]
     return "".join(texts) or (
-        f"{counted(len(study.records), study.noun)} finished. Statistics and tables come with the "
+        f"{count_in_words(len(study.records), study.noun)} finished. Statistics and tables come "
+        "with the "
         f"package {package}, which {state}. {remedy}\n")
 
 
@@ -93,7 +99,7 @@ REMEDY_FOR_SWAPPED = (
 """What to do about images of a batch whose axes look swapped."""
 
 
-def _images(study: Study) -> str:
+def _image_text(study: Study) -> str:
     """Return remarks, the table of images, and the reasons of verdicts, as text."""
     title = [study.spec.title] if study.spec.title else []
     meaning = () if study.spec.accept is not None or not any(
@@ -105,9 +111,9 @@ def _images(study: Study) -> str:
     return text_of_blocks(blocks).lstrip("\n")
 
 
-def page(study: Study) -> str:
+def study_page(study: Study) -> str:
     """Return the HTML page of a study; TermselError where no installed package makes one."""
-    pages = [output.page for output in parts("study") if output.page]
+    pages = [output.page for output in values_of_slot("study") if output.page]
     if not pages:
-        raise missing("study", "the page of a study requires")
+        raise missing_package_error("study", "the page of a study requires")
     return str(pages[0](study))

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from termsel.core.display import Glance
-from termsel.core.errors import counted, requires
-from termsel.core.isolation.parts import part
+from termsel.core.errors import count_in_words, require_import
+from termsel.core.isolation.parts import value_of_slot
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.cells.table import Row, batch_of_records, columns_of, rows_of
 from termsel.studies.plan.spec import Spec
@@ -39,7 +39,7 @@ class Rows(list[Row]):
         TermselError
             If pandas is not installed.
         """
-        with requires("tables require", "pandas", '"termsel[studies]"'):
+        with require_import("tables require", "pandas", '"termsel[studies]"'):
             import pandas as pd
         return pd.DataFrame(list(self), columns=list(self.columns))
 
@@ -120,7 +120,7 @@ class Study(Glance):
         TermselError
             If geopandas or termsel-studies is not installed, or the study has no folder.
         """
-        return part("study-map", "maps of studies require")(self)
+        return value_of_slot("study-map", "maps of studies require")(self)
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
         spec = self.spec
@@ -133,7 +133,7 @@ class Study(Glance):
         # Each data set once, in the order of the cells.
         data = list(dict.fromkeys(str(cell["data"]) for cell in self.cells.values()))
         states = Counter(row["state"] for row in self.rows)
-        return f"Study of {counted(len(self.cells), 'run')}: {spec.title or 'no title'}", {
+        return f"Study of {count_in_words(len(self.cells), 'run')}: {spec.title or 'no title'}", {
             "state": ", ".join(f"{n} {state}" for state, n in states.items()) or "empty",
             "data": f"{len(data)}: {', '.join(data)}", **named,
             "strategies": ", ".join(spec.strategies),

@@ -13,11 +13,11 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name_error
 from termsel.core.isolation.calls import without_guards
-from termsel.core.isolation.faults import TooSlow, within
+from termsel.core.isolation.faults import TooSlow, call_within
 from termsel.core.options import Configurable
-from termsel.plugins.kinds import KINDS, summary
+from termsel.plugins.kinds import KINDS, summary_line
 
 LIMIT = 120.0
 """Seconds that a check may take with one object."""
@@ -104,7 +104,7 @@ def assemble(
     reasons = dict(expected_failures or {})
     for name in reasons:
         if name not in named:
-            raise unknown_name("check", name, named)
+            raise unknown_name_error("check", name, named)
     # A generator of cases is used up by the first check, and there are many.
     listed = tuple(cases)
     return tuple(Check(name, partial(_run, name, function, listed, reasons.get(name)))
@@ -149,7 +149,7 @@ def _run_case(name: str, function: Callable[[Any], None], case: Case) -> None:
             warnings.simplefilter("error", RuntimeWarning)
             # Made anew for each check: what one check leaves behind in an object is no fault of the
             # next.
-            within(LIMIT, lambda: function(case.make()))
+            call_within(LIMIT, lambda: function(case.make()))
     except AssertionError as failure:
         raise AssertionError(f"{name}: {case.label}: {failure}") from failure
     except TooSlow as end:
@@ -159,20 +159,20 @@ def _run_case(name: str, function: Callable[[Any], None], case: Case) -> None:
                              ) from error
 
 
-def instance(item: type[Made] | Made) -> Made:
+def make_instance(item: type[Made] | Made) -> Made:
     """Return an object of a class with its default options; an object as it is."""
     return item() if isinstance(item, type) else item
 
 
-def label(item: type[Configurable] | Configurable, options: Mapping[str, Any]) -> str:
+def label_with_options(item: type[Configurable] | Configurable, options: Mapping[str, Any]) -> str:
     """Return a name with its options, such as "rfm with order=3"."""
     name = getattr(item, "name", None) or getattr(item, "__name__", type(item).__name__)
     settings = ", ".join(f"{key}={value}" for key, value in options.items())
     return f"{name} with {settings}" if settings else str(name)
 
 
-def declares(kind: str, item_of: Callable[[Any], Any] = lambda subject: subject,
-             ) -> Callable[[Any], None]:
+def declaration_check(kind: str, item_of: Callable[
+        [Any], Any] = lambda subject: subject, ) -> Callable[[Any], None]:
     """Return the check of a thing's declaration, given how a case's subject has the thing."""
     def declaration(subject: Any) -> None:
         """It has a name and a docstring or summary; its options are documented and parse."""
@@ -191,7 +191,7 @@ def check_declaration(kind: str, item: Any) -> None:
         KINDS[kind].require_returned(type(item) if isinstance(item, Configurable) else item)
     except TypeError as error:
         raise AssertionError(f"the hook termsel_{kind} would be refused: it {error}") from error
-    require(summary(item).strip(), "it says nothing of itself; give it a docstring (or a "
+    require(summary_line(item).strip(), "it says nothing of itself; give it a docstring (or a "
                                     f"summary), whose first line `termsel list {kind}` shows")
     options = getattr(item, "declared_options", ())
     names = [option.name for option in options]

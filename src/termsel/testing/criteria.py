@@ -17,14 +17,14 @@ from termsel.selection.solvers.proofs.proof import prove
 from termsel.testing.cases import (
     Case,
     Suite,
-    declares,
-    instance,
-    label,
+    declaration_check,
+    label_with_options,
+    make_instance,
     require,
     require_unchanged,
     through_pickle,
 )
-from termsel.testing.scenes import imaged, seeded
+from termsel.testing.scenes import imaged_features, seeded_generator
 
 PIXELS = 1000.0
 NOISE_PX = 0.5
@@ -51,7 +51,7 @@ class _Recorder(Criterion):
 def score_shape(criterion: Criterion) -> None:
     """It gives one figure for each fitted model."""
     # Searches evaluate whole populations, and a fit alone is a population of one.
-    for masks in (_masks(), _masks()[:1]):
+    for masks in (_term_masks(), _term_masks()[:1]):
         score = criterion.score(_noisy_fits(masks))
         require(isinstance(score, np.ndarray) and score.shape == (len(masks),)
                 and np.issubdtype(score.dtype, np.floating),
@@ -61,13 +61,13 @@ def score_shape(criterion: Criterion) -> None:
 
 def score_finite(criterion: Criterion) -> None:
     """Its figures are finite for models that are determined and have finite errors."""
-    score = criterion.score(_noisy_fits(_masks()))
+    score = criterion.score(_noisy_fits(_term_masks()))
     require(np.isfinite(score).all(), f"score() must be finite for finite errors, not {score}")
 
 
 def smaller_is_better(criterion: Criterion) -> None:
     """The better a model fits, the smaller the figure."""
-    score = criterion.score(_noisy_fits(_masks()))
+    score = criterion.score(_noisy_fits(_term_masks()))
     # Every further term that lacks makes the fit worse, far beyond the noise.
     require((np.diff(score) > 0).all(),
             "models that lack no term, then one, two and more of the terms the measurements were "
@@ -76,18 +76,18 @@ def smaller_is_better(criterion: Criterion) -> None:
 
 def deterministic(criterion: Criterion) -> None:
     """The same fits get the same figures, here and in another process."""
-    fits = _noisy_fits(_masks())
+    fits = _noisy_fits(_term_masks())
     first = criterion.score(fits)
     # An equal object, and one that has been in another process.
     repeated = (criterion.score(fits), type(criterion)(**criterion.options).score(fits),
-                through_pickle(criterion).score(_noisy_fits(_masks())))
+                through_pickle(criterion).score(_noisy_fits(_term_masks())))
     require(all(np.array_equal(first, score) for score in repeated),
             "score() of the same fits differs from one call or object to the next")
 
 
 def one_by_one(criterion: Criterion) -> None:
     """A model's figure does not depend on the models scored with it."""
-    masks = _masks()
+    masks = _term_masks()
     joint = criterion.score(_noisy_fits(masks))
     single = np.concatenate([criterion.score(_noisy_fits(masks[i:i + 1]))
                              for i in range(len(masks))])
@@ -99,7 +99,7 @@ def one_by_one(criterion: Criterion) -> None:
 
 def inputs_unchanged(criterion: Criterion) -> None:
     """It does not change its inputs."""
-    fits = _noisy_fits(_masks())
+    fits = _noisy_fits(_term_masks())
     arrays = {**vars(fits), "check_errors": fits.check_errors}
     require_unchanged({f"fits.{name}": value for name, value in arrays.items()
                        if isinstance(value, np.ndarray)}, "score()", lambda: criterion.score(fits))
@@ -127,21 +127,23 @@ def subset_score_agrees(criterion: Criterion) -> None:
 
 def cases(criterion: type[Criterion] | Criterion) -> list[Case]:
     """Return a criterion, with its default options if it is a class."""
-    criterion_object = instance(criterion)
-    return [Case(label(criterion_object, criterion_object.options), lambda: criterion_object)]
+    criterion_object = make_instance(criterion)
+    return [Case(label_with_options(criterion_object, criterion_object.options),
+                 lambda: criterion_object)]
 
 
-SUITE = Suite((declares("criteria"), score_shape, score_finite, smaller_is_better, deterministic,
+SUITE = Suite((declaration_check("criteria"), score_shape, score_finite, smaller_is_better,
+               deterministic,
                one_by_one, inputs_unchanged, subset_score_agrees), cases)
 
 
-def _model() -> Polynomial3D:
+def _model_of_terms() -> Polynomial3D:
     return Polynomial3D(degree=2)
 
 
-def _masks() -> BoolArray:
+def _term_masks() -> BoolArray:
     """Return term masks, shape (4, 20), from the true model to ones that lack ever more."""
-    names = _model().terms
+    names = _model_of_terms().terms
     lacking: tuple[tuple[str, ...], ...] = ((), ("Z",), ("Z", "Y"), ("Z", "Y", "X"))
     masks = []
     for missing in lacking:
@@ -152,13 +154,13 @@ def _masks() -> BoolArray:
 
 def _noisy_fits(masks: BoolArray) -> Fits:
     """Return least-squares fits of an affine scene with noise, as from a problem."""
-    model = _model()
-    rng = seeded()
+    model = _model_of_terms()
+    rng = seeded_generator()
     affine = {"1": 0.1, "X": 0.5, "Y": 0.4, "Z": 0.2}
     # The other terms have no part in the measurements.
     truth = np.array([affine.get(Term.parse(name).column, 0.0) for name in model.terms])
     # Control and selection points of one scene, with independent noise.
-    control, check = (imaged(model, truth, rng, points=40) for _ in range(2))
+    control, check = (imaged_features(model, truth, rng, points=40) for _ in range(2))
     noisy = [Points(f.points.ids, f.points.image + rng.normal(0.0, NOISE_PX / PIXELS, (40, 2)),
                     f.points.ground) for f in (control, check)]
     recorder = _Recorder()
@@ -172,7 +174,7 @@ def _random_inputs(criterion: Criterion, seed: int) -> ProblemData:
     """Return few points whose image positions an affine model explains in part."""
     model = Polynomial3D(degree=1)
     rng = np.random.default_rng(seed)
-    control, check = (imaged(model, rng.normal(0.0, 0.5, len(model.terms)), rng, points=n)
+    control, check = (imaged_features(model, rng.normal(0.0, 0.5, len(model.terms)), rng, points=n)
                       for n in (12, 8))
     noisy = [Points(f.points.ids, f.points.image + rng.normal(0.0, 0.2, f.points.image.shape),
                     f.points.ground) for f in (control, check)]

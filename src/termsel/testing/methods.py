@@ -14,7 +14,7 @@ from termsel.data.fit_data import FitData
 from termsel.fitting.fit import Fit, HeldOut, Undetermined
 from termsel.fitting.method import Method
 from termsel.testing.cases import Case, Suite, check_declaration, require, through_pickle
-from termsel.testing.scenes import seeded
+from termsel.testing.scenes import seeded_generator
 
 NOISE = 0.3
 """Standard deviation of the image coordinates of the points that are made up [px]."""
@@ -115,7 +115,7 @@ def holds_out(subject: Subject) -> None:
         # Refits take long with many features, and lines have no error as points have.
         if len(control.features.lines) or len(control) > 2 * HELD_OUT:
             continue
-        errors = _held_out(subject.method, control)
+        errors = _held_out_squares(subject.method, control)
         if errors is None:
             continue
         # Root of the mean square over the same features on both sides.
@@ -157,14 +157,14 @@ def refits(subject: Subject) -> None:
 
 def cases(method: Method, features: Iterable[FeatureSet] | None = None) -> list[Case]:
     """Return a method with features: those given, or points of several kinds."""
-    feature_sets = tuple(_features() if features is None else features)
+    feature_sets = tuple(_feature_kinds() if features is None else features)
     return [Case(method.name, lambda: Subject(method, feature_sets))]
 
 
 SUITE = Suite((declaration, declines, nearly, fits, holds_out, repeats, describes, refits), cases)
 
 
-def _held_out(method: Method, control: FitData) -> np.ndarray | None:
+def _held_out_squares(method: Method, control: FitData) -> np.ndarray | None:
     """Return squared errors of the first points under fits without them; None without a fit."""
     points = control.features.points
     squares = []
@@ -179,9 +179,9 @@ def _held_out(method: Method, control: FitData) -> np.ndarray | None:
     return np.array(squares)
 
 
-def _features() -> list[FeatureSet]:
+def _feature_kinds() -> list[FeatureSet]:
     """Return points with and without heights: few, some, many, and many with local deformation."""
-    rng = seeded()
+    rng = seeded_generator()
     sets = []
     for n, heights, bend in ((2, False, 0.0), (6, False, 0.0), (6, True, 0.0), (20, False, 0.0),
                              (20, True, 0.0), (80, True, 0.0), (80, False, 0.0), (80, False, 1.0),

@@ -15,7 +15,13 @@ from termsel.models.base import SensorModel
 from termsel.models.quotient import RationalModel
 from termsel.runs.fit import fit as fit_model
 from termsel.testing.cases import require
-from termsel.testing.scenes import MIXES, accepted_scenes, experiment, fitted, seeded
+from termsel.testing.scenes import (
+    MIXES,
+    accepted_scenes,
+    fit_and_project,
+    make_experiment,
+    seeded_generator,
+)
 
 EXACT = 1e-6
 """Allowed error of a model fitted to its own image positions, in scaled units."""
@@ -39,7 +45,7 @@ def control_kinds(model: SensorModel) -> None:
     """
     for mix, name in zip(MIXES, ("points alone", "lines alone", "points and lines"), strict=True):
         try:
-            model.equations(experiment(model, *mix)[0])
+            model.equations(make_experiment(model, *mix)[0])
         except TermselError as error:
             raise AssertionError(f"it refuses control from {name}: {error}") from error
 
@@ -79,7 +85,7 @@ def linearisation(model: SensorModel) -> None:
 
     From its start, or the solution of `equations`, a fit to points that it computed converges.
     """
-    features, truth, _ = experiment(model, 1, 0)
+    features, truth, _ = make_experiment(model, 1, 0)
     # Points that the model computed, so that the solution is known.
     points = features.points
     terms = np.ones(len(truth), bool)
@@ -114,11 +120,11 @@ def exact_recovery(model: SensorModel) -> None:
 
     Standard deviations, which weight the points, make no difference.
     """
-    features, truth, ground = experiment(model, 1, 0)
+    features, truth, ground = make_experiment(model, 1, 0)
     _require_recovered(model, features, truth, ground, "points")
     points = features.points
     # With weights the exact solution is the same.
-    sigma = seeded().uniform(0.5, 2.0, (len(points), 2))
+    sigma = seeded_generator().uniform(0.5, 2.0, (len(points), 2))
     weighted = Points(points.ids, points.image, points.ground, sigma)
     _require_recovered(model, features.with_(points=weighted), truth, ground,
                        "points with standard deviations")
@@ -133,7 +139,7 @@ def recovery_from_lines(model: SensorModel) -> None:
     separate = _has_separate_denominators(model)
     # Of other models than a RationalModel, lines alone may not suffice.
     points = 0 if isinstance(model, RationalModel) else 1
-    features, truth, ground = experiment(model, points, 1, shrink=0.1 if separate else 1.0)
+    features, truth, ground = make_experiment(model, points, 1, shrink=0.1 if separate else 1.0)
     if not separate:
         _require_recovered(model, features, truth, ground, "lines")
         return
@@ -142,7 +148,7 @@ def recovery_from_lines(model: SensorModel) -> None:
     # A search has only the equations; a fit continues from them and may correct their errors.
     coefficients = solve(model.equations(features)).coefficients
     for how, predicted in (("by equations()", model.predict(coefficients, features, ground)),
-                           ("by a fit", fitted(model, features, ground))):
+                           ("by a fit", fit_and_project(model, features, ground))):
         error = float(np.median(np.abs(predicted - image)))
         require(error <= allowed,
                 f"fitted to lines without noise {how}, it misses points by {error:.1g} (median, "
@@ -151,12 +157,13 @@ def recovery_from_lines(model: SensorModel) -> None:
 
 def translation(model: SensorModel) -> None:
     """A shift of all image coordinates shifts its prediction by as much."""
-    features, truth, ground = experiment(model, 1, 0)
+    features, truth, ground = make_experiment(model, 1, 0)
     # Different in line and sample, so that an exchange of both is seen.
     shift = np.array([0.1, -0.05])
     points = features.points
     moved = features.with_(points=Points(points.ids, points.image + shift, points.ground))
-    error = np.abs(fitted(model, moved, ground) - model.project(truth, ground) - shift).max()
+    error = np.abs(fit_and_project(model, moved, ground) - model.project(truth, ground)
+                   - shift).max()
     require(error <= EXACT, f"a shift of all image coordinates by {shift} does not shift its "
                             f"prediction by as much, but differs by {error:.1g}; has it a constant "
                             "term for line and for sample?")
@@ -165,7 +172,7 @@ def translation(model: SensorModel) -> None:
 def fit(model: SensorModel) -> None:
     """Its method `fit` recovers what it computed, and leaves one out as refits do."""
     try:
-        scaled, truth, ground = experiment(model, 1, 0)
+        scaled, truth, ground = make_experiment(model, 1, 0)
         model.equations(scaled)
     except TermselError:  # a model of lines alone, as `control_kinds` says
         return
@@ -193,7 +200,7 @@ def fit(model: SensorModel) -> None:
                             "units); equations() and project() need not be closed under "
                             "rescaling, but must be of the same model")
     # A little noise, so that errors without a point are not zero.
-    noise = NOISE * scaling.image_scale * seeded().normal(size=(len(points), 2))
+    noise = NOISE * scaling.image_scale * seeded_generator().normal(size=(len(points), 2))
     noisy_fit = fit_model(features.with_(points=replace(
         features.points, image=features.points.image + noise)), model)
     left_out = noisy_fit.leave_one_out
@@ -215,7 +222,7 @@ def fit(model: SensorModel) -> None:
 def _require_recovered(model: SensorModel, features: FeatureSet, truth: FloatArray,
                        ground: FloatArray, kind: str) -> None:
     """Require that a model, fitted to its own features, projects as with the true coefficients."""
-    error = np.abs(fitted(model, features, ground) - model.project(truth, ground)).max()
+    error = np.abs(fit_and_project(model, features, ground) - model.project(truth, ground)).max()
     require(error <= EXACT,
             f"fitted to {kind} without noise that project() gave, it misses other points by "
             f"{error:.1g} (scaled units); equations() and project() do not say the same")

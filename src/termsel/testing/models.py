@@ -19,8 +19,8 @@ from termsel.selection.problems.selection import SelectionProblem
 from termsel.testing.cases import (
     Case,
     Suite,
-    declares,
-    label,
+    declaration_check,
+    label_with_options,
     require,
     require_unchanged,
     through_pickle,
@@ -36,11 +36,11 @@ from termsel.testing.model_equations import (
 )
 from termsel.testing.scenes import (
     accepted_scenes,
-    flattened,
-    imaged,
+    flatten_heights,
+    imaged_features,
     random_coefficients,
     random_ground,
-    seeded,
+    seeded_generator,
 )
 
 PLACE = Scaling((48.5, 34.8, 1850.0), (0.05, 0.04, 150.0), (3500.0, 4000.0), 4000.0), "EPSG:4979"
@@ -56,7 +56,7 @@ def term_names(model: SensorModel) -> None:
     require(not twice, f"terms must have different names; several are called {', '.join(twice)}")
     model.equations(accepted_scenes(model)[-1])
     # A result names its terms, and a twin must understand them.
-    twin = _twin(model)
+    twin = _equal_model(model)
     require(model.terms == terms and twin.terms == terms,
             "terms must be the same names in the same order whenever they are asked for; results "
             "name them")
@@ -72,8 +72,8 @@ def axis(model: SensorModel) -> None:
     require(np.issubdtype(codes.dtype, np.integer) and np.isin(codes, (0, 1, 2)).all(),
             f"axis must hold the integers 0 (line), 1 (sample) and 2 (both), not {codes}")
     # Random, so that no coefficient is zero by chance.
-    coefficients = random_coefficients(model, seeded())
-    ground = random_ground(seeded(), 40)
+    coefficients = random_coefficients(model, seeded_generator())
+    ground = random_ground(seeded_generator(), 40)
     image = model.project(coefficients, ground)
     for term, code in enumerate(codes):
         # A term without which an axis changes acts on that axis.
@@ -88,8 +88,8 @@ def axis(model: SensorModel) -> None:
 
 def inputs_unchanged(model: SensorModel) -> None:
     """It does not change its inputs."""
-    coefficients = random_coefficients(model, seeded())
-    ground = random_ground(seeded(), 9)
+    coefficients = random_coefficients(model, seeded_generator())
+    ground = random_ground(seeded_generator(), 9)
     features = accepted_scenes(model)[-1]
     arrays = {"the coefficients": coefficients, "the ground points": ground, **{
         f"{name} of the features": array for name, array in (
@@ -103,11 +103,11 @@ def inputs_unchanged(model: SensorModel) -> None:
 def project_shapes(model: SensorModel) -> None:
     """It projects any number of points, none included, for one set of coefficients or many."""
     k = len(model.terms)
-    coefficients = random_coefficients(model, seeded())
+    coefficients = random_coefficients(model, seeded_generator())
     # No points at all, and no sets at all, occur at the ends of searches.
     for n, batch in product((0, 1, 7), ((), (1,), (5,), (2, 3))):
         image = model.project(np.broadcast_to(coefficients, (*batch, k)).copy(),
-                              random_ground(seeded(), n))
+                              random_ground(seeded_generator(), n))
         require(np.shape(image) == (*batch, n, 2),
                 f"project() of coefficients of shape {(*batch, k)} and {n} ground points must have "
                 f"shape {(*batch, n, 2)}, not {np.shape(image)}")
@@ -115,7 +115,7 @@ def project_shapes(model: SensorModel) -> None:
 
 def batch_project(model: SensorModel) -> None:
     """Many sets of coefficients at once give the same as one by one."""
-    rng = seeded()
+    rng = seeded_generator()
     # Two axes before the coefficients, as searches of several populations have them.
     sets = np.stack([random_coefficients(model, rng) for _ in range(6)]).reshape(2, 3, -1)
     ground = random_ground(rng, 11)
@@ -143,12 +143,12 @@ def batch_project(model: SensorModel) -> None:
 def deterministic(model: SensorModel) -> None:
     """The same inputs give the same results, from this object and from an equal one."""
     features = accepted_scenes(model)[-1]
-    ground = random_ground(seeded(), 50)
-    coefficients = random_coefficients(model, seeded())
+    ground = random_ground(seeded_generator(), 50)
+    coefficients = random_coefficients(model, seeded_generator())
     first = model.equations(features)
     image = model.project(coefficients, ground)
     # Nothing may be kept in the object between calls.
-    for same_model in (model, _twin(model)):
+    for same_model in (model, _equal_model(model)):
         repeated = same_model.equations(features)
         require(np.array_equal(first.A, repeated.A) and np.array_equal(first.b, repeated.b),
                 "equations() of the same features differ from one call to the next")
@@ -174,8 +174,8 @@ def prepared(model: SensorModel) -> None:
 
 def picklable(model: SensorModel) -> None:
     """It works in another process."""
-    coefficients = random_coefficients(model, seeded())
-    ground = random_ground(seeded(), 9)
+    coefficients = random_coefficients(model, seeded_generator())
+    ground = random_ground(seeded_generator(), 9)
     copy = through_pickle(model)
     require(copy.terms == model.terms and np.array_equal(copy.project(coefficients, ground),
                                                          model.project(coefficients, ground)),
@@ -185,7 +185,7 @@ def picklable(model: SensorModel) -> None:
 def masks_stay_finite(model: SensorModel) -> None:
     """No selection of terms or features, however poor, breaks an evaluation."""
     for features in accepted_scenes(model):
-        for kind, problem in _problems(model, features):
+        for kind, problem in _problems_with_model(model, features):
             size = problem.genome.size
             # None, each alone, and all.
             genes = np.concatenate([np.zeros((1, size)), np.eye(size), np.ones((1, size))]) > 0
@@ -199,16 +199,18 @@ def masks_stay_finite(model: SensorModel) -> None:
 def height(model: SensorModel) -> None:
     """`uses_height` shows correctly whether heights matter."""
     features = accepted_scenes(model)[-1]
-    ground = random_ground(seeded(), 50)
-    coefficients = random_coefficients(model, seeded())
+    ground = random_ground(seeded_generator(), 50)
+    coefficients = random_coefficients(model, seeded_generator())
     # The same features with other heights.
-    flat = features.with_(points=replace(features.points, ground=flattened(features.points.ground)),
-                          lines=replace(features.lines, ground=flattened(features.lines.ground)))
+    flat = features.with_(points=replace(features.points,
+                                         ground=flatten_heights(features.points.ground)),
+                          lines=replace(features.lines,
+                                        ground=flatten_heights(features.lines.ground)))
     first = model.equations(features)
     second = model.equations(flat)
     # Positions show whether heights act on the image, equations whether they act on the fit.
     same_image = np.array_equal(model.predict(coefficients, features, ground),
-                                model.predict(coefficients, flat, flattened(ground)))
+                                model.predict(coefficients, flat, flatten_heights(ground)))
     same_model = (same_image and np.array_equal(first.A, second.A)
                   and np.array_equal(first.b, second.b))
     if model.uses_height:
@@ -222,7 +224,7 @@ def height(model: SensorModel) -> None:
 
 def residual_weights(model: SensorModel) -> None:
     """Weights that spread residuals, if any, have a row per place and are finite."""
-    rng = seeded()
+    rng = seeded_generator()
     control = random_ground(rng, 8)
     for m in (0, 1, 5):
         weights = model.residual_weights(control, random_ground(rng, m))
@@ -238,29 +240,30 @@ def cases(model: type[SensorModel] | SensorModel, *,
     """Return a model with each of its options, prepared for a place."""
     # An object has its options; of a class all choices are tried.
     cls, own_options = (model, None) if isinstance(model, type) else (type(model), [model.options])
-    option_sets = next((o for o in (options, own_options) if o is not None), _choices(cls))
-    return [Case(label(cls, o), partial(_made, cls, o, place)) for o in option_sets]
+    option_sets = next((o for o in (options, own_options) if o is not None), _option_choices(cls))
+    return [Case(label_with_options(cls, o), partial(_make_model, cls, o, place))
+            for o in option_sets]
 
 
 SUITE = Suite((
-    declares("models", type), term_names, axis, control_kinds, equations, inputs_unchanged,
+    declaration_check("models", type), term_names, axis, control_kinds, equations, inputs_unchanged,
     linearisation, exact_recovery, recovery_from_lines, fit, translation, project_shapes,
     batch_project, deterministic, prepared, picklable, masks_stay_finite, height,
     residual_weights), cases)
 
 
-def _made(model: type[SensorModel], options: Mapping[str, Any],
-          place: tuple[Scaling, str]) -> SensorModel:
+def _make_model(model: type[SensorModel], options: Mapping[str, Any],
+                place: tuple[Scaling, str]) -> SensorModel:
     return model(**options).prepared(*place)
 
 
-def _twin(model: SensorModel) -> SensorModel:
+def _equal_model(model: SensorModel) -> SensorModel:
     """Return another model with the same options, prepared for the same features."""
     assert model.scaling is not None
-    return _made(type(model), model.options, (model.scaling, model.crs))
+    return _make_model(type(model), model.options, (model.scaling, model.crs))
 
 
-def _choices(model: type[SensorModel]) -> list[dict[str, Any]]:
+def _option_choices(model: type[SensorModel]) -> list[dict[str, Any]]:
     """Return sets of options: none, then each choice other than a default by itself."""
     option_sets: list[dict[str, Any]] = [{}]
     for option in model.declared_options:
@@ -270,11 +273,12 @@ def _choices(model: type[SensorModel]) -> list[dict[str, Any]]:
     return option_sets
 
 
-def _problems(model: SensorModel, features: FeatureSet) -> list[tuple[str, SelectionProblem]]:
+def _problems_with_model(model: SensorModel,
+                         features: FeatureSet) -> list[tuple[str, SelectionProblem]]:
     """Return selections of terms and of features with a model, by title."""
-    truth = random_coefficients(model, seeded())
+    truth = random_coefficients(model, seeded_generator())
     # Selection points by the same model, at other places.
-    check = imaged(model, truth, np.random.default_rng(2), points=10).points
+    check = imaged_features(model, truth, np.random.default_rng(2), points=10).points
     inputs = ProblemData(model, features, check, 1000.0, CheckRmse())
     return [("terms", SelectionProblem(inputs, terms=True, features=False)),
             ("terms, line and sample together",

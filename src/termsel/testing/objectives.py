@@ -7,15 +7,22 @@ from functools import partial
 
 import numpy as np
 
-from termsel.core.isolation.arrays import of_shape
+from termsel.core.isolation.arrays import difference_from_shape
 from termsel.data.features import FloatArray, Points
 from termsel.models.polynomial import Affine
 from termsel.selection.criteria import CheckRmse
 from termsel.selection.problems.base import ProblemData
 from termsel.selection.problems.objectives import Objective, PopulationSelection
 from termsel.selection.problems.selection import SelectionProblem
-from termsel.testing.cases import Case, Suite, declares, require, require_unchanged, through_pickle
-from termsel.testing.scenes import imaged, random_coefficients, seeded
+from termsel.testing.cases import (
+    Case,
+    Suite,
+    declaration_check,
+    require,
+    require_unchanged,
+    through_pickle,
+)
+from termsel.testing.scenes import imaged_features, random_coefficients, seeded_generator
 
 ALONE = (slice(0, 1), slice(3, 4), slice(-1, None))
 """Individuals that are judged without the others."""
@@ -23,8 +30,8 @@ ALONE = (slice(0, 1), slice(3, 4), slice(-1, None))
 
 def figure_each(objective: Objective) -> None:
     """It gives one finite figure for each individual, also where none or all is selected."""
-    for selected in _selections():
-        fault = of_shape(objective.score(selected), (len(selected.terms),))
+    for selected in _extreme_selections():
+        fault = difference_from_shape(objective.score(selected), (len(selected.terms),))
         require(fault is None, f"score() of {len(selected.terms)} individuals {fault}")
 
 
@@ -34,14 +41,14 @@ def control_kinds(objective: Objective) -> None:
     One that cannot has this check among its expected failures.
     """
     for points, lines in ((0, 14), (10, 4)):
-        for selected in _selections(points, lines):
-            fault = of_shape(objective.score(selected), (len(selected.terms),))
+        for selected in _extreme_selections(points, lines):
+            fault = difference_from_shape(objective.score(selected), (len(selected.terms),))
             require(fault is None, f"score() with {points} points and {lines} lines {fault}")
 
 
 def deterministic(objective: Objective) -> None:
     """The same selections get the same figures, here and in another process."""
-    for selected in _selections():
+    for selected in _extreme_selections():
         first = objective.score(selected)
         for copy in (objective, through_pickle(objective)):
             require(np.array_equal(copy.score(selected), first),
@@ -50,7 +57,7 @@ def deterministic(objective: Objective) -> None:
 
 def one_by_one(objective: Objective) -> None:
     """An individual's figure does not depend on the individuals judged with it."""
-    for selected in _selections():
+    for selected in _extreme_selections():
         joint = objective.score(selected)
         for individuals in ALONE:
             single = objective.score(replace(selected, terms=selected.terms[individuals],
@@ -62,7 +69,7 @@ def one_by_one(objective: Objective) -> None:
 
 def inputs_unchanged(objective: Objective) -> None:
     """It does not change the selections it is given."""
-    for selected in _selections():
+    for selected in _extreme_selections():
         require_unchanged({"selected.terms": selected.terms, "selected.features": selected.features,
                            "selected.equations": selected.equations.A}, "score()",
                           partial(objective.score, selected))
@@ -73,17 +80,18 @@ def cases(objective: Objective) -> list[Case]:
     return [Case(objective.name, lambda: objective)]
 
 
-SUITE = Suite((declares("objectives"), figure_each, control_kinds, deterministic, one_by_one,
+SUITE = Suite((declaration_check("objectives"), figure_each, control_kinds, deterministic,
+               one_by_one,
                inputs_unchanged), cases)
 
 
-def _selections(points: int = 14, lines: int = 0) -> list[PopulationSelection]:
+def _extreme_selections(points: int = 14, lines: int = 0) -> list[PopulationSelection]:
     """Return selections of none, all and some, from problems of terms and of features."""
     model = Affine()
-    rng = seeded()
+    rng = seeded_generator()
     truth = random_coefficients(model, rng)
-    control = imaged(model, truth, rng, points=points, lines=lines)
-    check: Points = imaged(model, truth, rng, points=10).points
+    control = imaged_features(model, truth, rng, points=points, lines=lines)
+    check: Points = imaged_features(model, truth, rng, points=10).points
     recorded: list[PopulationSelection] = []
 
     # A problem makes the selections; an objective that records them gets them out.

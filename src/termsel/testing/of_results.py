@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from termsel.results.extras import Measure, ReportSection, measured, section_of
+from termsel.results.extras import Measure, ReportSection, figure_of_result, section_of
 from termsel.results.result import Result
-from termsel.testing.cases import Case, Suite, declares, require, through_pickle
+from termsel.testing.cases import Case, Suite, declaration_check, require, through_pickle
 from termsel.testing.writers import example_results
 
 
@@ -41,7 +41,7 @@ def same_again(item: ReportSection | Measure) -> None:
 
 
 def _answer(item: ReportSection | Measure, result: Result) -> object:
-    return measured(item, result) if isinstance(item, Measure) else section_of(item, result)
+    return figure_of_result(item, result) if isinstance(item, Measure) else section_of(item, result)
 
 
 def cases(item: ReportSection | Measure) -> list[Case]:
@@ -49,5 +49,5 @@ def cases(item: ReportSection | Measure) -> list[Case]:
     return [Case(item.name, lambda: item)]
 
 
-SECTIONS = Suite((declares("sections"), shown, same_again), cases)
-MEASURES = Suite((declares("measures"), figure, same_again), cases)
+SECTIONS = Suite((declaration_check("sections"), shown, same_again), cases)
+MEASURES = Suite((declaration_check("measures"), figure, same_again), cases)

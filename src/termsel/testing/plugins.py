@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import EntryPoint, distributions
 
-from termsel.core.isolation.parts import canonical
+from termsel.core.isolation.parts import canonical_name
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.kinds import KINDS
 from termsel.plugins.registry import Registry
@@ -44,7 +44,7 @@ class Installed:
         """The plugins of this distribution, next to those that are built in."""
         points: list[EntryPoint] = []
         for distribution in distributions():
-            if canonical(distribution.name) == canonical(self.name):
+            if canonical_name(distribution.name) == canonical_name(self.name):
                 points += distribution.entry_points.select(group=PROJECT)
         return Registry(points)
 
@@ -56,8 +56,8 @@ class Installed:
 
 def installed(plugin: Installed) -> None:
     """It is installed, with an entry point in the group termsel."""
-    names = {canonical(distribution.name) for distribution in distributions()}
-    require(canonical(plugin.name) in names, f"{plugin.name} is not installed: pip install .")
+    names = {canonical_name(distribution.name) for distribution in distributions()}
+    require(canonical_name(plugin.name) in names, f"{plugin.name} is not installed: pip install .")
     require(plugin.modules(), f"{plugin.name} has no entry point in the group {PROJECT!r}")
 
 
@@ -73,7 +73,7 @@ def provides(plugin: Installed) -> None:
     require(any(loaded.hooks for loaded in plugin.registry.plugins[1:]), "it implements no hook")
     for kind in KINDS:
         for entry in plugin.registry.entries(kind):
-            if entry.provided_by == canonical(plugin.name):
+            if entry.provided_by == canonical_name(plugin.name):
                 check_declaration(kind, entry.object)
 
 

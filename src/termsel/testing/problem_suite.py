@@ -10,7 +10,7 @@ import numpy as np
 from termsel.runs.task import prepare
 from termsel.selection.problems.base import Evaluation, Problem, Selection, evaluation_fault
 from termsel.selection.problems.recipes import Recipe
-from termsel.selection.solvers.heuristics.swap import neighbours
+from termsel.selection.solvers.heuristics.swap import neighbour_batches
 from termsel.selection.solvers.heuristics.yardsticks import RandomSearch
 from termsel.selection.solvers.search import search
 from termsel.testing.cases import Case, Suite, check_declaration, require, through_pickle
@@ -33,7 +33,7 @@ def declaration(problem: Problem) -> None:
 
 def evaluation_holds(problem: Problem) -> None:
     """It evaluates one individual and many: finite objectives, and violations of at least 0."""
-    genes = _individuals(problem)
+    genes = _valid_individuals(problem)
     # An evaluation of one individual is what the final check of a search asks for.
     for individuals in (genes, genes[:1]):
         evaluation = problem.evaluate(individuals)
@@ -44,7 +44,7 @@ def evaluation_holds(problem: Problem) -> None:
 
 def deterministic(problem: Problem) -> None:
     """The same genes get the same evaluation, here and in another process."""
-    genes = _individuals(problem)
+    genes = _valid_individuals(problem)
     first = problem.evaluate(genes)
     for repeated in (problem.evaluate(genes), through_pickle(problem).evaluate(genes)):
         _require_equal(first, repeated, "evaluate() of the same genes differs from one call or "
@@ -53,7 +53,7 @@ def deterministic(problem: Problem) -> None:
 
 def one_by_one(problem: Problem) -> None:
     """An individual's evaluation does not depend on those evaluated with it."""
-    genes = _individuals(problem)
+    genes = _valid_individuals(problem)
     # Searches keep figures of earlier generations and compare them with new ones.
     joint = problem.evaluate(genes)
     singles = [problem.evaluate(genes[i:i + 1]) for i in range(len(genes))]
@@ -66,9 +66,9 @@ def one_by_one(problem: Problem) -> None:
 
 def neighbours_alike(problem: Problem) -> None:
     """Neighbours of an individual have their own evaluation, but for rounding."""
-    for start in _individuals(problem)[:3]:
+    for start in _valid_individuals(problem)[:3]:
         # The first neighbour stands for all: they differ from the start by one step.
-        around = next(iter(neighbours(start, problem.genome)), None)
+        around = next(iter(neighbour_batches(start, problem.genome)), None)
         if around is not None:
             _require_equal(problem.evaluate(around), problem.evaluate_near(around, start),
                            "evaluate_near() differs from evaluate()", 1e-6)
@@ -76,7 +76,7 @@ def neighbours_alike(problem: Problem) -> None:
 
 def inputs_unchanged(problem: Problem) -> None:
     """It does not change the genes it is given."""
-    genes = _individuals(problem)
+    genes = _valid_individuals(problem)
     before = genes.copy()
     problem.evaluate(genes)
     problem.decode(genes[0])
@@ -86,7 +86,7 @@ def inputs_unchanged(problem: Problem) -> None:
 
 def decodes(problem: Problem) -> None:
     """It shows what each individual selects, the same each time."""
-    for individual in _individuals(problem):
+    for individual in _valid_individuals(problem):
         selection = problem.decode(individual)
         require(isinstance(selection, Selection),
                 f"decode() must return a Selection, not {type(selection).__name__}")
@@ -112,7 +112,7 @@ def searched(problem: Problem) -> None:
 def cases(problem: Recipe | Problem | Make) -> list[Case]:
     """Return the problem of a recipe with its own data set, a problem, or what makes one."""
     if isinstance(problem, Recipe):
-        return [Case(problem.name, partial(_of_recipe, problem))]
+        return [Case(problem.name, partial(_problem_of_recipe, problem))]
     if isinstance(problem, Problem):
         return [Case(type(problem).__name__, lambda: problem)]
     return [Case(getattr(problem, "__name__", "problem"), problem)]
@@ -122,12 +122,12 @@ SUITE = Suite((declaration, evaluation_holds, deterministic, one_by_one, neighbo
                inputs_unchanged, decodes, searched), cases)
 
 
-def _of_recipe(recipe: Recipe) -> Problem:
+def _problem_of_recipe(recipe: Recipe) -> Problem:
     check_declaration("problems", recipe)
     return prepare(recipe).problem
 
 
-def _individuals(problem: Problem) -> np.ndarray:
+def _valid_individuals(problem: Problem) -> np.ndarray:
     """Return individuals that keep the conditions of the genome."""
     return problem.genome.random(np.random.default_rng(1), BATCH_SIZE)
 

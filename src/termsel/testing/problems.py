@@ -31,10 +31,21 @@ from termsel.selection.problems.segments import (
 )
 from termsel.selection.problems.selection import SelectionProblem
 from termsel.testing.cases import require
-from termsel.testing.scenes import imaged, numbered
+from termsel.testing.scenes import imaged_features, numbered_names
 
-__all__ = ["Counted", "Toy", "Watched", "bound", "hopeless", "narrow", "optimum", "trap",
-           "twelve_terms", "two_aims", "typed"]
+__all__ = [
+    "Counted",
+    "Toy",
+    "Watched",
+    "bound",
+    "hopeless_problem",
+    "least_objective",
+    "narrow",
+    "problem_of_two_aims",
+    "trap_problem",
+    "twelve_terms",
+    "typed_problem",
+]
 
 SIZE = 12
 
@@ -119,20 +130,20 @@ def require_genes(genome: Genome, genes: object, who: str) -> None:
 def twelve_terms() -> SelectionProblem:
     """Return the choice among the 12 terms of a 2-D polynomial of second degree.
 
-    Half of the terms are needed, and noise makes the others harmful; `optimum` enumerates
+    Half of the terms are needed, and noise makes the others harmful; `least_objective` enumerates
     all 4096 selections.
     """
     model = Polynomial2D(degree=2)
     rng = np.random.default_rng(9)
     truth = rng.choice([-0.3, 0.3], SIZE) * (np.arange(SIZE) % 2 == 0)
     # Every other term is needed: 0.3 is six times the noise.
-    control, check = (imaged(model, truth, rng, points=12).points for _ in range(2))
+    control, check = (imaged_features(model, truth, rng, points=12).points for _ in range(2))
     noisy = Points(control.ids, control.image + rng.normal(0.0, 0.05, (12, 2)), control.ground)
     return SelectionProblem(ProblemData(model, FeatureSet(noisy), check, 100.0, CheckRmse()),
                             terms=True, features=False)
 
 
-def trap(size: int = 2 * SIZE) -> Toy:
+def trap_problem(size: int = 2 * SIZE) -> Toy:
     """Return a problem whose cost leads away from the few selections that are feasible.
 
     The violation counts the genes that differ from an alternating pattern, but for two; the
@@ -145,12 +156,12 @@ def trap(size: int = 2 * SIZE) -> Toy:
         different = (genes != pattern).sum(axis=1).astype(np.float64)
         return size - different[:, None], np.maximum(different - 2, 0.0)
 
-    return Toy(_plain(size), judge)
+    return Toy(_plain_evaluation(size), judge)
 
 
-def hopeless(size: int = SIZE) -> Toy:
+def hopeless_problem(size: int = SIZE) -> Toy:
     """Return a problem no individual of which is feasible; all cost the same."""
-    return Toy(_plain(size), lambda genes: (
+    return Toy(_plain_evaluation(size), lambda genes: (
         np.full((len(genes), 1), WORST), 1.0 + genes.sum(axis=1)))
 
 
@@ -161,8 +172,8 @@ def bound() -> Toy:
     of 6; segment "c" is free but for c1, which is always on. The cost counts the genes that
     differ from a1, a5, a6, b4, b5, b6, c1 and c3: the optimum is 0.
     """
-    segments = (Bits("a", numbered("a", 8), 2, 4), Bits("b", numbered("b", 6), 3, 3),
-                Bits("c", numbered("c", 4)))
+    segments = (Bits("a", numbered_names("a", 8), 2, 4), Bits("b", numbered_names("b", 6), 3, 3),
+                Bits("c", numbered_names("c", 4)))
     genome = Genome(segments, on=("a1", "c1"), off=("a2",))
     # Within the bounds of all three segments, and not the first that a search would meet.
     best = np.isin(genome.labels, ("a1", "a5", "a6", "b4", "b5", "b6", "c1", "c3"))
@@ -170,10 +181,10 @@ def bound() -> Toy:
         (genes != best).sum(axis=1, keepdims=True).astype(np.float64), np.zeros(len(genes))))
 
 
-def two_aims(size: int = SIZE) -> Toy:
+def problem_of_two_aims(size: int = SIZE) -> Toy:
     """Return a problem of two objectives: genes off in the first half, and genes on at all."""
-    return Toy(_plain(size), lambda genes: (
-        np.column_stack([_off(genes[:, :size // 2]), genes.sum(axis=1)]).astype(np.float64),
+    return Toy(_plain_evaluation(size), lambda genes: (
+        np.column_stack([_count_off(genes[:, :size // 2]), genes.sum(axis=1)]).astype(np.float64),
         np.zeros(len(genes))), ("off", "on"))
 
 
@@ -190,16 +201,16 @@ class Even(CustomSegment):
         return np.asarray(2 * np.clip(np.rint(genes / 2), 0, 4).astype(np.intp))
 
 
-def typed(types: Iterable[type[AnySegment]]) -> Toy:
+def typed_problem(types: Iterable[type[AnySegment]]) -> Toy:
     """Return a problem with a segment of each type: the sum of the squares of all genes."""
     genomes: dict[type[AnySegment], AnySegment] = {
-        Bits: Bits("bits", numbered("b", 6), 2, 4),
-        Integers: Integers("integers", numbered("i", 2), (-2, 0), (3, 100)),
-        Reals: Reals("reals", numbered("r", 2), -1.5, 2.5),
-        Categories: Categories("categories", numbered("c", 2), ("x", "y", "z")),
-        Permutation: Permutation("permutation", numbered("p", 5)),
-        Subset: Subset("subset", numbered("s", 8), 3),
-        CustomSegment: Even("even", numbered("e", 3))}
+        Bits: Bits("bits", numbered_names("b", 6), 2, 4),
+        Integers: Integers("integers", numbered_names("i", 2), (-2, 0), (3, 100)),
+        Reals: Reals("reals", numbered_names("r", 2), -1.5, 2.5),
+        Categories: Categories("categories", numbered_names("c", 2), ("x", "y", "z")),
+        Permutation: Permutation("permutation", numbered_names("p", 5)),
+        Subset: Subset("subset", numbered_names("s", 8), 3),
+        CustomSegment: Even("even", numbered_names("e", 3))}
     segments = [genomes[kind] for kind in types]
     # Of `Bits` and a `Subset` one label is forced on and one off.
     switched = [segment for segment in segments if isinstance(segment, Bits | Subset)]
@@ -211,11 +222,11 @@ def typed(types: Iterable[type[AnySegment]]) -> Toy:
 
 def narrow(size: int, on: tuple[str, ...] = ()) -> Toy:
     """Return the problem of switching few genes on, some or all of them forced on."""
-    return Toy(Genome([Bits("terms", numbered("g", size))], on=on),
-               lambda genes: (_off(genes), np.zeros(len(genes))))
+    return Toy(Genome([Bits("terms", numbered_names("g", size))], on=on),
+               lambda genes: (_count_off(genes), np.zeros(len(genes))))
 
 
-def optimum(problem: Problem) -> float:
+def least_objective(problem: Problem) -> float:
     """Return the least first objective of the feasible selections of a small problem."""
     genome = problem.genome
     # All selections that keep forced genes and cardinality are evaluated.
@@ -225,11 +236,11 @@ def optimum(problem: Problem) -> float:
     return float(evaluation.objectives[evaluation.violation == 0, 0].min())
 
 
-def _plain(size: int) -> Genome:
+def _plain_evaluation(size: int) -> Genome:
     half = size // 2
-    return Genome([Bits("terms.line", numbered("l", half)),
-                   Bits("terms.sample", numbered("s", size - half))])
+    return Genome([Bits("terms.line", numbered_names("l", half)),
+                   Bits("terms.sample", numbered_names("s", size - half))])
 
 
-def _off(genes: BoolArray) -> FloatArray:
+def _count_off(genes: BoolArray) -> FloatArray:
     return np.asarray((~genes).sum(axis=1, keepdims=True), dtype=np.float64)

@@ -12,7 +12,15 @@ import numpy as np
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet
 from termsel.formats.base import Reader
-from termsel.testing.cases import Case, Suite, declares, instance, label, require, require_refused
+from termsel.testing.cases import (
+    Case,
+    Suite,
+    declaration_check,
+    label_with_options,
+    make_instance,
+    require,
+    require_refused,
+)
 
 HEAD = 65536
 """Bytes of a file that are shown to `sniff`."""
@@ -64,7 +72,7 @@ def sniffs_anything(example: Example) -> None:
     """It returns False for bytes without meaning, and never raises."""
     with TemporaryDirectory() as folder:
         # Bytes without meaning, of which a reader that guesses would make points.
-        for content, description in _noise():
+        for content, description in _noise_files():
             path = _put(example, folder, content)
             try:
                 answer = example.reader.sniff(path, content[:HEAD])
@@ -73,7 +81,7 @@ def sniffs_anything(example: Example) -> None:
                     f"sniff() of {description} raises {type(error).__name__}: {error}; it must "
                     "return False for unknown content") from error
             require(answer is False, f"sniff() of {description} must be False, not {answer!r}")
-        for size in _cuts(example):
+        for size in _cut_lengths(example):
             content = example.content[:size]
             answer = example.reader.sniff(_put(example, folder, content), content)
             require(isinstance(answer, bool), f"sniff() must be True or False, not {answer!r}")
@@ -82,7 +90,7 @@ def sniffs_anything(example: Example) -> None:
 def truncated(example: Example) -> None:
     """A truncated file is read as far as it makes sense, or refused by its name."""
     with TemporaryDirectory() as folder:
-        for size in _cuts(example):
+        for size in _cut_lengths(example):
             _read_or_refuse(example, folder, example.content[:size],
                             f"the example cut off after {size} bytes")
 
@@ -95,15 +103,16 @@ def empty_file(example: Example) -> None:
 
 def binary_file(example: Example) -> None:
     """Bytes without meaning are refused by the name of the file."""
-    for content, description in _noise():
+    for content, description in _noise_files():
         _require_refused(example, content, description)
 
 
 def missing_file(example: Example) -> None:
     """A file that does not exist, and a folder, are refused by name."""
     with TemporaryDirectory() as folder:
-        _refused(example, Path(folder) / "missing" / example.filename, "a file that does not exist")
-        _refused(example, Path(folder), "a folder")
+        _is_refused(
+            example, Path(folder) / "missing" / example.filename, "a file that does not exist")
+        _is_refused(example, Path(folder), "a folder")
 
 
 def wrong_encoding(example: Example) -> None:
@@ -140,12 +149,12 @@ def line_ends(example: Example) -> None:
 def cases(reader: type[Reader] | Reader, *, content: bytes, expected: FeatureSet,
           filename: str = "example.txt") -> list[Case]:
     """Return a reader with an example of its files."""
-    example = Example(instance(reader), content, expected, filename)
-    return [Case(label(reader, {}), lambda: example)]
+    example = Example(make_instance(reader), content, expected, filename)
+    return [Case(label_with_options(reader, {}), lambda: example)]
 
 
 SUITE = Suite((
-    declares("readers", lambda example: example.reader), reads_example, sniffs_example,
+    declaration_check("readers", lambda example: example.reader), reads_example, sniffs_example,
     sniffs_anything, truncated, empty_file, binary_file, missing_file, wrong_encoding, line_ends),
     cases)
 
@@ -156,7 +165,7 @@ def _put(example: Example, folder: str, content: bytes) -> Path:
     return path
 
 
-def _noise() -> list[tuple[bytes, str]]:
+def _noise_files() -> list[tuple[bytes, str]]:
     """Return bytes without any meaning, the same in every run, with their description."""
     # The same bytes in every run.
     rng = np.random.default_rng(1)
@@ -164,19 +173,19 @@ def _noise() -> list[tuple[bytes, str]]:
         (bytes(100), "zero bytes")]
 
 
-def _cuts(example: Example) -> list[int]:
+def _cut_lengths(example: Example) -> list[int]:
     # Cuts all over the file, as each part of it is read by other code.
     return sorted({int(n) for n in np.linspace(0, len(example.content) - 1, PIECES)})
 
 
-def _refused(example: Example, path: Path, description: str) -> None:
+def _is_refused(example: Example, path: Path, description: str) -> None:
     require_refused(lambda: example.reader.read(path), path, description,
                     "is read as if nothing were wrong")
 
 
 def _require_refused(example: Example, content: bytes, description: str) -> None:
     with TemporaryDirectory() as folder:
-        _refused(example, _put(example, folder, content), description)
+        _is_refused(example, _put(example, folder, content), description)
 
 
 def _read_or_refuse(example: Example, folder: str, content: bytes, description: str,
@@ -186,7 +195,7 @@ def _read_or_refuse(example: Example, folder: str, content: bytes, description: 
     # Whatever was raised is judged by the second call, which says what is wrong.
     with suppress(Exception):
         return example.reader.read(path)
-    _refused(example, path, description)
+    _is_refused(example, path, description)
     return None
 
 

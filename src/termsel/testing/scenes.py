@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from termsel.core.errors import TermselError
-from termsel.data.features import FeatureSet, FloatArray, Lines, Points, no_lines, no_points
+from termsel.data.features import FeatureSet, FloatArray, Lines, Points, empty_lines, empty_points
 from termsel.fitting.least_squares import adjust
 from termsel.models.base import SensorModel
 
@@ -15,7 +15,7 @@ MIXES = ((1, 0), (0, 1), (1, 1))
 """Points only, lines only, both."""
 
 
-def seeded() -> np.random.Generator:
+def seeded_generator() -> np.random.Generator:
     """Return the generator of the checks, always in the same state."""
     return np.random.default_rng(1)
 
@@ -25,7 +25,7 @@ def random_ground(rng: np.random.Generator, n: int) -> FloatArray:
     return rng.uniform(-1.0, 1.0, (n, 3))
 
 
-def flattened(ground: FloatArray) -> FloatArray:
+def flatten_heights(ground: FloatArray) -> FloatArray:
     """Return ground coordinates with other heights, all the same."""
     return np.asarray(ground * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.25])
 
@@ -40,7 +40,7 @@ def random_coefficients(model: SensorModel, rng: np.random.Generator) -> FloatAr
     change = rng.uniform(-1.0, 1.0, len(model.terms))
     start = model.start(FeatureSet(Points(
         # Coefficients about the start of a model that is not linear; about 0 of one that is.
-        numbered("p", 500), 0.5 * ground[:, 1::-1] * [-1.0, 1.0], ground)))
+        numbered_names("p", 500), 0.5 * ground[:, 1::-1] * [-1.0, 1.0], ground)))
     middle, change = (0.0, change) if start is None else (start, 0.1 * change)
     for _ in range(60):
         coefficients = middle + change
@@ -56,8 +56,8 @@ def random_coefficients(model: SensorModel, rng: np.random.Generator) -> FloatAr
                          "[-1, 1], however small the coefficients, or near the start")
 
 
-def imaged(model: SensorModel, coefficients: FloatArray, rng: np.random.Generator, *,
-           points: int = 0, lines: int = 0) -> FeatureSet:
+def imaged_features(model: SensorModel, coefficients: FloatArray, rng: np.random.Generator, *,
+                    points: int = 0, lines: int = 0) -> FeatureSet:
     """Return so many control points and lines whose image coordinates the model computes itself."""
     ground = random_ground(rng, points)
     middle = rng.uniform(-0.7, 0.7, (lines, 1, 3))
@@ -69,23 +69,24 @@ def imaged(model: SensorModel, coefficients: FloatArray, rng: np.random.Generato
     # elsewhere along it.
     positions = np.array([-0.3, 1.4])[None, :, None] * (ends[:, 1:] - ends[:, :1])
     return FeatureSet(
-        Points(numbered("p", points), model.project(coefficients, ground), ground)
-        if points else no_points(),
-        Lines(numbered("l", lines), ends[:, :1] + positions, vertices) if lines else no_lines())
+        Points(numbered_names("p", points), model.project(coefficients, ground), ground)
+        if points else empty_points(),
+        Lines(numbered_names("l", lines), ends[:, :1] + positions,
+              vertices) if lines else empty_lines())
 
 
-def experiment(model: SensorModel, points: int, lines: int, shrink: float = 1.0,
-               ) -> tuple[FeatureSet, FloatArray, FloatArray]:
+def make_experiment(model: SensorModel, points: int, lines: int, shrink: float = 1.0,
+                    ) -> tuple[FeatureSet, FloatArray, FloatArray]:
     """Return features, the coefficients they were computed with, and other ground points.
 
     There are points or not, and lines or not, 1 or 0; each kind has enough to determine all terms
     twice over. The coefficients are shrunk by a factor.
     """
-    rng = seeded()
+    rng = seeded_generator()
     truth = random_coefficients(model, rng) * shrink
     # Twelve or more, so that every model of up to 24 terms is determined.
     number = max(12, len(model.terms))
-    features = imaged(model, truth, rng, points=points * number, lines=lines * number)
+    features = imaged_features(model, truth, rng, points=points * number, lines=lines * number)
     return features, truth, random_ground(rng, 50)
 
 
@@ -94,7 +95,7 @@ def accepted_scenes(model: SensorModel) -> list[FeatureSet]:
     accepted = []
     refusal: TermselError | None = None
     for mix in MIXES:
-        features = experiment(model, *mix)[0]
+        features = make_experiment(model, *mix)[0]
         try:
             model.equations(features)
         except TermselError as error:
@@ -106,13 +107,13 @@ def accepted_scenes(model: SensorModel) -> list[FeatureSet]:
     return accepted
 
 
-def fitted(model: SensorModel, features: FeatureSet, ground: FloatArray) -> FloatArray:
+def fit_and_project(model: SensorModel, features: FeatureSet, ground: FloatArray) -> FloatArray:
     """Return image positions, shape (n, 2), after fitting all terms to the features."""
     terms, used = (np.ones(n, dtype=bool) for n in (len(model.terms), len(features)))
     coefficients = adjust(model, features, terms, used).coefficients
     return model.predict(coefficients, features, ground)
 
 
-def numbered(letter: str, n: int) -> tuple[str, ...]:
+def numbered_names(letter: str, n: int) -> tuple[str, ...]:
     """Return names such as p1, p2, p3."""
     return tuple(f"{letter}{i + 1}" for i in range(n))

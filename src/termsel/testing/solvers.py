@@ -16,7 +16,7 @@ from termsel.selection.problems.base import Evaluation, Problem
 from termsel.selection.solvers.base import Generation, Solver
 from termsel.selection.solvers.ledger import Progress
 from termsel.testing import problems
-from termsel.testing.cases import Case, Suite, check_declaration, label, require
+from termsel.testing.cases import Case, Suite, check_declaration, label_with_options, require
 from termsel.testing.problems import Watched, require_genes
 from termsel.testing.trial import Trial, global_states, global_states_kept
 
@@ -111,7 +111,8 @@ def any_problem(trial: Trial) -> None:
     A solver that needs more refuses with a TermselError, and has this check among its expected
     failures; the others then omit such problems.
     """
-    for problem in (problems.bound(), problems.narrow(1), problems.trap(), problems.hopeless()):
+    for problem in (problems.bound(
+            ), problems.narrow(1), problems.trap_problem(), problems.hopeless_problem()):
         try:
             next(trial.few(problem), None)
         except TermselError as error:
@@ -131,8 +132,8 @@ def typed_genomes(trial: Trial) -> None:
     declared = trial.solver.segments
     # Each type alone first, as a mixture may hide which one is at fault.
     for types in (*([kind] for kind in declared), declared):
-        if trial.takes(problems.typed(types)):
-            problem = Watched(problems.typed(types))
+        if trial.takes(problems.typed_problem(types)):
+            problem = Watched(problems.typed_problem(types))
             for generation in trial.few(problem, 4):
                 require_genes(problem.genome, generation.genes,
                               f"generation {generation.index} has")
@@ -239,7 +240,7 @@ def interruptible(trial: Trial) -> None:
 
 def best_never_worse(trial: Trial) -> None:
     """The best so far only improves, and is what the search returns."""
-    for problem in map(Watched, filter(trial.takes, (trial.problem(), problems.trap()))):
+    for problem in map(Watched, filter(trial.takes, (trial.problem(), problems.trap_problem()))):
         recorded: list[tuple[float, float]] = []
         result = trial.search(problem, generations=10, observers=[
             lambda progress, recorded=recorded: recorded.append(
@@ -255,10 +256,10 @@ def best_never_worse(trial: Trial) -> None:
 
 def feasible_first(trial: Trial) -> None:
     """It seeks feasible individuals, even where infeasible ones have better objectives."""
-    if not trial.takes(problems.trap()):
+    if not trial.takes(problems.trap_problem()):
         return
     # Ends as soon as it is found, since the rest of the budget shows nothing.
-    result = trial.search_until(lambda progress: progress.violation == 0, problems.trap(),
+    result = trial.search_until(lambda progress: progress.violation == 0, problems.trap_problem(),
                                 evaluations=GENEROUS)
     require(result.violation == 0,
             f"with {result.evaluations} evaluations it finds no feasible selection where the "
@@ -269,16 +270,16 @@ def feasible_first(trial: Trial) -> None:
 
 def hopeless_survived(trial: Trial) -> None:
     """If nothing is feasible and all costs are equal, it still returns a finite result."""
-    if not trial.takes(problems.hopeless()):
+    if not trial.takes(problems.hopeless_problem()):
         return
-    result = trial.search(problems.hopeless(), generations=10)
+    result = trial.search(problems.hopeless_problem(), generations=10)
     require(result.violation >= 1.0 and np.isfinite(result.objectives).all(),
             "a problem without feasible individuals gives no finite result")
 
 
 def optimum_found(trial: Trial) -> None:
     """From any seed it finds the best of all selections, 4096 by default, in 5000 evaluations."""
-    best = problems.optimum(trial.problem())
+    best = problems.least_objective(trial.problem())
     for seed in SEEDS:
         result = trial.search_until(
             lambda progress: progress.violation == 0 and bool(np.isclose(progress.best, best)),
@@ -294,11 +295,11 @@ def objectives_respected(trial: Trial) -> None:
     if trial.solver.max_objectives < 2:
         # The run refuses what the solver cannot handle, before the solver gets it.
         try:
-            trial.search(problems.two_aims(), evaluations=50)
+            trial.search(problems.problem_of_two_aims(), evaluations=50)
         except TermselError:
             return
         raise AssertionError("two objectives are not refused, although max_objectives is 1")
-    problem = problems.two_aims()
+    problem = problems.problem_of_two_aims()
     last = None
     for last in trial.few(problem, 20):
         require(last.evaluation.objectives.shape == (len(last.genes), 2),
@@ -311,7 +312,7 @@ def cases(solver: type[Solver] | Solver, *, options: Iterable[Mapping[str, Any]]
           problem: Callable[[], Problem] = problems.twelve_terms) -> list[Case]:
     """Return a solver with each of its options, and the problem of most checks."""
     cls, own_options = (solver, {}) if isinstance(solver, type) else (type(solver), solver.options)
-    return [Case(label(cls, o), partial(Trial, cls(**o), problem))
+    return [Case(label_with_options(cls, o), partial(Trial, cls(**o), problem))
             for o in ([own_options] if options is None else options)]
 
 

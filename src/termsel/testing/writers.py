@@ -15,11 +15,19 @@ from termsel.data.features import FeatureSet, Points
 from termsel.formats.base import Writer
 from termsel.models.quotient import RationalFunctions
 from termsel.results.result import Result
-from termsel.runs.searching import assessed
+from termsel.runs.searching import result_of_search
 from termsel.runs.task import prepare
 from termsel.selection.solvers.search import search
-from termsel.testing.cases import Case, Suite, declares, instance, label, require, require_refused
-from termsel.testing.scenes import imaged, random_coefficients, seeded
+from termsel.testing.cases import (
+    Case,
+    Suite,
+    declaration_check,
+    label_with_options,
+    make_instance,
+    require,
+    require_refused,
+)
+from termsel.testing.scenes import imaged_features, random_coefficients, seeded_generator
 
 OLD = b"what was there before"
 
@@ -83,12 +91,12 @@ def unwritable_path(export: Export) -> None:
     """A path that cannot be written is refused by its name."""
     for result in export.accepted():
         with TemporaryDirectory() as folder:
-            _refused(export, result, Path(folder) / "missing" / export.filename,
-                     "a path in a folder that does not exist")
+            _is_refused(export, result, Path(folder) / "missing" / export.filename,
+                        "a path in a folder that does not exist")
             # A folder in the way of the file.
             occupied = Path(folder) / export.filename
             occupied.mkdir()
-            _refused(export, result, occupied, "a path where there is a folder")
+            _is_refused(export, result, occupied, "a path where there is a folder")
             require(occupied.is_dir() and not list(occupied.iterdir()), "it writes into a folder "
                                                                   "with the name of the file")
             _require_tidy(occupied)
@@ -126,21 +134,21 @@ def whole_or_nothing(export: Export) -> None:
             path.write_bytes(OLD)
             # Half of what it needs, so that it fails in the middle.
             with _file_size_limited(size // 2):
-                _refused(export, result, path, "a full disk")
+                _is_refused(export, result, path, "a full disk")
             _require_old(path, "a full disk")
 
 
 def cases(writer: type[Writer] | Writer, *, filename: str,
           results: Iterable[Result] | None = None, verify: Verify | None = None) -> list[Case]:
     """Return a writer with results to write."""
-    writer_object = instance(writer)
+    writer_object = make_instance(writer)
     to_write = None if results is None else tuple(results)
-    return [Case(label(writer_object, {}), lambda: Export(
+    return [Case(label_with_options(writer_object, {}), lambda: Export(
         writer_object, example_results() if to_write is None else to_write, filename, verify))]
 
 
 SUITE = Suite((
-    declares("writers", lambda export: export.writer), accepts_answers, writes_file,
+    declaration_check("writers", lambda export: export.writer), accepts_answers, writes_file,
     result_unchanged, unwritable_path, refuses_others, whole_or_nothing), cases)
 
 
@@ -162,8 +170,8 @@ def example_results() -> tuple[Result, ...]:
     [60, 60]
     """
     model = RationalFunctions(order=1)
-    rng = seeded()
-    points = imaged(model, random_coefficients(model, rng), rng, points=60).points
+    rng = seeded_generator()
+    points = imaged_features(model, random_coefficients(model, rng), rng, points=60).points
     image = 4000.0 + 4000.0 * points.image + rng.normal(0.0, 0.3, (60, 2))
     ids = ("Kreuzung 1, Süd", *points.ids[1:])
     size = (8001, 8001)
@@ -175,11 +183,11 @@ def example_results() -> tuple[Result, ...]:
     # Two kinds of results: degrees with heights, and a plane without a CRS.
     for problem, features in (("rfm-terms", geographic), ("poly-terms", plane)):
         task = prepare(problem, features=features, solver="random", options={"population": 50})
-        results.append(assessed(task, search(task.problem, task.solver, generations=1)))
+        results.append(result_of_search(task, search(task.problem, task.solver, generations=1)))
     return tuple(results)
 
 
-def _refused(export: Export, result: Result, path: Path, description: str) -> None:
+def _is_refused(export: Export, result: Result, path: Path, description: str) -> None:
     require_refused(lambda: export.writer.write(result, path), path, description,
                     "goes unnoticed: write through termsel.core.files.atomic")
 

@@ -1,12 +1,12 @@
-from termsel.results.accuracy import expected_of as expected_of
-from termsel.results.accuracy import predicted_first as predicted_first
+from termsel.results.accuracy import expected_rmse as expected_rmse
+from termsel.results.accuracy import is_prediction_surer as is_prediction_surer
 from termsel.results.blocks import Document as Document
 from termsel.results.blocks import Fact as Fact
 from termsel.results.blocks import Figure as Figure
 from termsel.results.blocks import Section as Section
 from termsel.results.charts.search import with_unit as with_unit
 from termsel.results.first_screen import first_screen as first_screen
-from termsel.results.page import page as page
+from termsel.results.page import render_page as render_page
 from termsel.results.plots import save as save
 from termsel.results.text import text_of as text_of
 from termsel.results.theme import BLUNDER as BLUNDER
@@ -25,4 +25,4 @@ from termsel.results.theme import spread_scale as spread_scale
 from termsel.results.theme import with_theme as with_theme
 from termsel.results.verdict import label_of as label_of
 from termsel.results.view import View as View
-from termsel.results.view import nice as nice
+from termsel.results.view import nice_number as nice_number

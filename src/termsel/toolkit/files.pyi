@@ -13,7 +13,7 @@ from termsel.core.files.names import refuse_links as refuse_links
 from termsel.core.files.names import utf8_name as utf8_name
 from termsel.core.files.reasons import reason_of as reason_of
 from termsel.core.files.texts import cell_text as cell_text
-from termsel.core.files.texts import guarded as guarded
+from termsel.core.files.texts import guard_cell as guard_cell
 from termsel.core.files.texts import is_number as is_number
 from termsel.core.files.texts import markdown_text as markdown_text
 from termsel.core.files.texts import xml_attribute as xml_attribute
@@ -33,14 +33,14 @@ from termsel.formats.deviation import say_nearest as say_nearest
 from termsel.formats.heights import surface_of as surface_of
 from termsel.formats.image_origin import require_inside as require_inside
 from termsel.formats.readers.tables import Table as Table
-from termsel.formats.rpc_files import delivered_rpc as delivered_rpc
+from termsel.formats.rpc_files import read_delivered_rpc as read_delivered_rpc
 from termsel.formats.rpc_files import rpb_text as rpb_text
 from termsel.formats.rpc_files import rpc_items as rpc_items
 from termsel.formats.toml_files import read_toml as read_toml
 from termsel.formats.vrt import vrt_text as vrt_text
 from termsel.formats.writers.selections import chosen_points as chosen_points
 from termsel.formats.writers.selections import gcps_of as gcps_of
-from termsel.formats.writers.selections import wkt as wkt
+from termsel.formats.writers.selections import wkt_in_one_line as wkt_in_one_line
 from termsel.io.accuracy_tags import Prediction as Prediction
 from termsel.io.accuracy_tags import accuracy_tags as accuracy_tags
 from termsel.io.accuracy_tags import prediction_of as prediction_of

@@ -2,13 +2,13 @@ from termsel.core.errors import GIS as GIS
 from termsel.core.errors import exception_in_words as exception_in_words
 from termsel.core.interrupts import INTERRUPTED as INTERRUPTED
 from termsel.core.interrupts import take_pending_interrupt as take_pending_interrupt
-from termsel.core.isolation.arrays import of_shape as of_shape
+from termsel.core.isolation.arrays import difference_from_shape as difference_from_shape
 from termsel.core.isolation.faults import fault_of_method as fault_of_method
 from termsel.runs.exported_rpc import RPC_DOUBTS as RPC_DOUBTS
 from termsel.runs.exported_rpc import rpc_without_record as rpc_without_record
-from termsel.runs.finding import versions as versions
+from termsel.runs.finding import package_versions as package_versions
 from termsel.runs.notebook import notebook_observer as notebook_observer
-from termsel.runs.recommend import recommended as recommended
+from termsel.runs.recommend import with_recommended_member as with_recommended_member
 from termsel.runs.request import DATA_OPTIONS as DATA_OPTIONS
 from termsel.runs.request import Request as Request
 from termsel.runs.request import problem_for as problem_for

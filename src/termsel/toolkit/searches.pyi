@@ -17,12 +17,14 @@ from termsel.selection.solvers.bridges.chance import OwnChance as OwnChance
 from termsel.selection.solvers.bridges.pareto import OPTIONS as OPTIONS
 from termsel.selection.solvers.bridges.pareto import Nsga2 as Nsga2
 from termsel.selection.solvers.bridges.pareto import population_size as population_size
-from termsel.selection.solvers.bridges.pymoo_operators import operators as operators
-from termsel.selection.solvers.bridges.pymoo_problem import steps as steps
-from termsel.selection.solvers.genetic.operators import crossover as crossover
-from termsel.selection.solvers.genetic.operators import mutation as mutation
+from termsel.selection.solvers.bridges.pymoo_operators import common_operators as common_operators
+from termsel.selection.solvers.bridges.pymoo_problem import step_algorithm as step_algorithm
+from termsel.selection.solvers.genetic.operators import cross_pairs as cross_pairs
+from termsel.selection.solvers.genetic.operators import mutate_genes as mutate_genes
 from termsel.selection.solvers.ledger import Ledger as Ledger
 from termsel.selection.solvers.observers import Observer as Observer
-from termsel.selection.solvers.proofs.exact import gap as gap
+from termsel.selection.solvers.proofs.exact import gap_to_optimum as gap_to_optimum
 from termsel.selection.solvers.proofs.proof import TIE as TIE
-from termsel.selection.solvers.regression.base import regressions as regressions
+from termsel.selection.solvers.regression.base import (
+    regressions_of_problem as regressions_of_problem,
+)

@@ -1,12 +1,12 @@
 from termsel.studies.cells.cell import Cell as Cell
 from termsel.studies.cells.image_table import count_of_verdicts as count_of_verdicts
+from termsel.studies.cells.image_table import ground_rmse_text as ground_rmse_text
 from termsel.studies.cells.image_table import image_name as image_name
 from termsel.studies.cells.image_table import image_reasons as image_reasons
 from termsel.studies.cells.image_table import image_table as image_table
 from termsel.studies.cells.image_table import independent_rmse as independent_rmse
-from termsel.studies.cells.image_table import metres as metres
-from termsel.studies.cells.image_table import own_notes as own_notes
-from termsel.studies.cells.image_table import predicted_rmse as predicted_rmse
+from termsel.studies.cells.image_table import notes_on_image as notes_on_image
+from termsel.studies.cells.image_table import predicted_rmse_text as predicted_rmse_text
 from termsel.studies.cells.images import IMAGES as IMAGES
 from termsel.studies.cells.images import file_word as file_word
 from termsel.studies.cells.images import folders_of as folders_of
@@ -22,7 +22,7 @@ from termsel.studies.execution.executors import Stop as Stop
 from termsel.studies.execution.progress import StudyProgress as StudyProgress
 from termsel.studies.execution.work import Outcome as Outcome
 from termsel.studies.execution.work import do as do
-from termsel.studies.execution.work import failed as failed
+from termsel.studies.execution.work import failed_outcome as failed_outcome
 from termsel.studies.outputs import StudyOutput as StudyOutput
 from termsel.studies.outputs import write_outputs as write_outputs
 from termsel.studies.plan.spec import MEASURES as MEASURES

@@ -1,9 +1,9 @@
 from termsel.plugins.kinds import KINDS as KINDS
 from termsel.testing.cases import Case as Case
 from termsel.testing.cases import Suite as Suite
-from termsel.testing.cases import declares as declares
-from termsel.testing.cases import instance as instance
-from termsel.testing.cases import label as label
+from termsel.testing.cases import declaration_check as declaration_check
+from termsel.testing.cases import label_with_options as label_with_options
+from termsel.testing.cases import make_instance as make_instance
 from termsel.testing.cases import require as require
 from termsel.testing.cases import require_unchanged as require_unchanged
 from termsel.testing.cases import through_pickle as through_pickle

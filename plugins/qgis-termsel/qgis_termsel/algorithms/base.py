@@ -88,7 +88,7 @@ def layer_file(layer, description):
     return path
 
 
-def in_place(new_folder, target):
+def move_into_place(new_folder, target):
     """Move the files of a complete folder into the folder `target`, result.json last.
 
     `target` is made if it does not exist; a symbolic link in it is replaced, not followed.
@@ -103,7 +103,7 @@ def in_place(new_folder, target):
         shutil.move(str(file), str(target / file.name))
 
 
-def scratch():
+def scratch_folder():
     """Return the path of a folder that does not exist yet, in Processing's temporary folder."""
     # In the temporary folder of Processing.
     return QgsProcessingUtils.generateTempFilename("result")

@@ -31,7 +31,7 @@ from ..layers import (
     points_csv,
     read_inside,
 )
-from .base import Algorithm, in_place, layer_file, scratch, with_page
+from .base import Algorithm, layer_file, move_into_place, scratch_folder, with_page
 
 _RESIDUALS = "result_residuals.gpkg"
 INPUTS = "qgis.json"
@@ -104,9 +104,9 @@ class Georeference(Algorithm):
         add(QgsProcessingParameterString(
             "MODEL", "Model, unless it is chosen automatically, such as affine, tps or poly3d 2",
             optional=True))
-        self._outputs()
+        self._declare_outputs()
 
-    def _outputs(self):
+    def _declare_outputs(self):
         """Declare the parameters that both algorithms have at the end, and their outputs."""
         self.addParameter(QgsProcessingParameterString(
             "OFF", "Points to leave out, such as P07,P12", optional=True))
@@ -120,10 +120,11 @@ class Georeference(Algorithm):
 
     def processAlgorithm(self, parameters, context, feedback):
         """Run `termsel run` and return its outputs."""
-        return self._run(self._points(parameters, context) + self._options(parameters, context),
+        return self._run(self._point_arguments(parameters, context)
+                         + self._option_arguments(parameters, context),
                          parameters, context, feedback)
 
-    def _points(self, parameters, context):
+    def _point_arguments(self, parameters, context):
         """Return the arguments of the points: a layer written as a table, or a file.
 
         Raises QgsProcessingException unless exactly one of them is given.
@@ -144,7 +145,7 @@ class Georeference(Algorithm):
         path, crs = points_csv(source, fields)
         return ["--points", path, "--crs", crs]
 
-    def _options(self, parameters, context):
+    def _option_arguments(self, parameters, context):
         """Return the arguments of DEM, image, RPC, lines and model; [] if none is given."""
         arguments = []
         dem = self.parameterAsRasterLayer(parameters, "DEM", context)
@@ -171,7 +172,7 @@ class Georeference(Algorithm):
         If the points are too few for selection points, it runs once more without them. Raises
         QgsProcessingException if termsel fails, or the folder has a result.
         """
-        new_folder = scratch()
+        new_folder = scratch_folder()
         target = self.parameterAsString(parameters, "OUTPUT", context)
         # termsel refuses this, too, but only after the search.
         if (Path(target) / "result.json").exists():
@@ -193,7 +194,7 @@ class Georeference(Algorithm):
         # Another run needs the RPC again, which is a file of the user.
         if rpc:
             (Path(new_folder) / INPUTS).write_text(json.dumps({"RPC": rpc}), encoding="utf-8")
-        in_place(new_folder, target)
+        move_into_place(new_folder, target)
         target = Path(target)
         summary = (target / "summary.txt").read_text(encoding="utf-8")
         feedback.pushInfo(summary)
@@ -234,7 +235,7 @@ class SelectLines(Georeference):
         self.addParameter(QgsProcessingParameterFile("LINES", "File of control lines"))
         self.addParameter(QgsProcessingParameterFile("FILE", "File of selection and check points"))
         self.addParameter(QgsProcessingParameterCrs("CRS", "CRS of the files", optional=True))
-        self._outputs()
+        self._declare_outputs()
 
     def processAlgorithm(self, parameters, context, feedback):
         """Run `termsel run` with the problem owdis-lines and return its outputs."""

@@ -23,7 +23,7 @@ from qgis.core import (
 
 from ..child import run
 from ..layers import InShades, crs_text, read_inside, stated_crs
-from .base import Algorithm, layer_file, result_parameter, scratch, with_page
+from .base import Algorithm, layer_file, result_parameter, scratch_folder, with_page
 
 _FORMATS = ("rpc-txt", "rpb", "rpc-vrt", "gcp-vrt", "gcp-grid-vrt", "geolocation-vrt",
             "qgis-points", "points-csv", "residuals-gpkg")
@@ -208,7 +208,7 @@ class NextPlaces(Algorithm):
     def processAlgorithm(self, parameters, context, feedback):
         """Run `termsel plan` and return its places as a layer of points."""
         folder = self.parameterAsString(parameters, "RESULT", context)
-        table = scratch() + ".csv"
+        table = scratch_folder() + ".csv"
         run(["plan", folder, "-n", self.parameterAsInt(parameters, "NUMBER", context), "-o", table],
             feedback)
         with open(table, newline="", encoding="utf-8") as opened:

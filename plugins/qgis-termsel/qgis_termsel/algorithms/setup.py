@@ -44,7 +44,8 @@ class SetUp(Algorithm):
         stated = self.parameterAsString(parameters, "ENVIRONMENT", context)
         folder = Path(stated) if stated else own_environment()
         if not stated:
-            _make(folder, _words(self.parameterAsString(parameters, "PACKAGES", context)), feedback)
+            _make(folder, _split_words(self.parameterAsString(parameters, "PACKAGES", context)),
+                  feedback)
         # The command shows that the environment has termsel; its version, that it runs.
         command = command_in(folder)
         if not command.is_file():
@@ -67,7 +68,7 @@ def _make(folder, packages, feedback):
     new = not folder.exists()
     # venv first, then pip of the new environment, so that nothing of QGIS's Python is touched.
     try:
-        run(["-m", "venv", folder], feedback, _python(feedback), show=True)
+        run(["-m", "venv", folder], feedback, _find_python(feedback), show=True)
         run(["-m", "pip", "install", "--disable-pip-version-check", "--progress-bar", "off",
              *packages], feedback, str(command_in(folder, "python")), show=True)
     except QgsProcessingException:
@@ -76,7 +77,7 @@ def _make(folder, packages, feedback):
         raise
 
 
-def _words(text):
+def _split_words(text):
     """Return the words of a text; [] of a blank one.
 
     Quotes keep spaces together, and a backslash is one of a path.
@@ -95,7 +96,7 @@ def _words(text):
     return words
 
 
-def _python(feedback):
+def _find_python(feedback):
     """Return a Python that can make the environment.
 
     That of QGIS may be too old, or the application itself.

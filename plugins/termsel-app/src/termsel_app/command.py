@@ -77,7 +77,7 @@ def app(image: str | None, maps: tuple[str, ...], points: Path | None, lines: Pa
                            hint="Give an image: termsel app scan.tif --map ortho.tif. Or look at "
                                 "the example: termsel app --example.")
     else:
-        files, folder = found(files, folder)
+        files, folder = files_of_session(files, folder)
     with open_session(files, folder, remote=remote_allowed(),
                       drivers=allowed_drivers()) as session:
 
@@ -100,7 +100,7 @@ def _name(path: Path | None) -> str | None:
     return None if path is None else str(path)
 
 
-def found(files: Files, folder: Path | None) -> tuple[Files, Path]:
+def files_of_session(files: Files, folder: Path | None) -> tuple[Files, Path]:
     """Return the files of a session and the folder of its journal.
 
     The first argument of the command, `files.image`, may be an image, the folder of a session or
@@ -116,21 +116,21 @@ def found(files: Files, folder: Path | None) -> tuple[Files, Path]:
 
     path = Path(files.image or "")
     if is_iiif(files.image):
-        return files, folder or by_default(f"{path.parent.name or 'image'}-control")
+        return files, folder or default_folder(f"{path.parent.name or 'image'}-control")
     if not path.is_dir():
-        return files, folder or by_default(f"{path.stem or 'image'}-control")
+        return files, folder or default_folder(f"{path.stem or 'image'}-control")
     if (path / JOURNAL_NAME).exists():
         before = Files.of_header(header_of(path), path)
         return replace(before, maps=before.maps + files.maps), folder or path
     if (path / "result.json").exists():
         beside = path.with_name(f"{path.name}-control")
-        return files_of_result(path, files), folder or by_default(beside)
+        return files_of_result(path, files), folder or default_folder(beside)
     raise TermselError("this folder contains neither a session nor a result", file=path,
                        hint="Give an image, or the folder that `termsel app` or `termsel run "
                             "--out` wrote.")
 
 
-def by_default(name: Path | str) -> Path:
+def default_folder(name: Path | str) -> Path:
     """Return the path of a session's folder that the user did not type.
 
     Raises TermselError if it is a symbolic link, which somebody else may have laid there.
@@ -165,7 +165,7 @@ def example_files(files_given: Files, folder: Path | None) -> tuple[Files, Path]
 
     from termsel.toolkit.files import write_example
 
-    session_folder = folder or by_default(EXAMPLE)
+    session_folder = folder or default_folder(EXAMPLE)
     if not (session_folder / "files").exists():
         make_folder(session_folder)
         write_example(session_folder / "files")

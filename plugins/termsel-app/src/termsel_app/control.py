@@ -70,7 +70,7 @@ class ControlFeatures:
         """Change the records by patches, together one change to undo; what was undone is forgotten.
         """
         patches = tuple(patches)
-        self._patch(patches)
+        self._apply_patches(patches)
         self.done.append(patches)
         self.undone.clear()
 
@@ -80,7 +80,7 @@ class ControlFeatures:
         if not self.done:
             raise TermselError("there is nothing to undo")
         patches = self.done.pop()
-        self._patch([patch.inverse() for patch in reversed(patches)])
+        self._apply_patches([patch.inverse() for patch in reversed(patches)])
         self.undone.append(patches)
         return patches
 
@@ -92,11 +92,11 @@ class ControlFeatures:
         if not self.undone:
             raise TermselError("there is nothing to do again")
         patches = self.undone.pop()
-        self._patch(patches)
+        self._apply_patches(patches)
         self.done.append(patches)
         return patches
 
-    def _patch(self, patches: Iterable[Patch]) -> None:
+    def _apply_patches(self, patches: Iterable[Patch]) -> None:
         """Change the records by patches, in their order, without a note for undo."""
         for patch in patches:
             before = None if patch.before is None else patch.before["id"]
@@ -138,7 +138,7 @@ class ControlFeatures:
         vertices: list[Any] = []
         for record in lines:
             vertices += record["ground"]
-        point_ground = _ground(record["ground"] for record in points)
+        point_ground = _ground_array(record["ground"] for record in points)
         return FeatureSet(
             points=Points(tuple(record["id"] for record in points),
                           np.array([record["image"] for record in points]).reshape(-1, 2),
@@ -146,7 +146,7 @@ class ControlFeatures:
                           tuple(record["role"] for record in points)),
             lines=Lines(tuple(record["id"] for record in lines),
                         np.array([record["image"] for record in lines]).reshape(-1, 2, 2),
-                        _ground(vertices).reshape(-1, 2, 3)),
+                        _ground_array(vertices).reshape(-1, 2, 3)),
             crs=crs)
 
 
@@ -155,12 +155,12 @@ def is_whole(record: Record) -> bool:
     return all(record[space] and len(record[space]) == 2 for space in ("image", "ground"))
 
 
-def _ground(positions: Iterable[Any]) -> Any:
+def _ground_array(positions: Iterable[Any]) -> Any:
     """Return ground coordinates (n, 3) of x, y, z; heights that are None become NaN."""
     return np.array([[x, y, np.nan if z is None else z] for x, y, z in positions], dtype=np.float64)
 
 
-def checked(record: Mapping[str, Any]) -> Record:
+def checked_record(record: Mapping[str, Any]) -> Record:
     """Return a record that came from a page or a file with id, kind, role, image and ground alone.
 
     Raises TermselError if it is no point or line, or its id, role or coordinates are not valid.
@@ -180,11 +180,11 @@ def checked(record: Mapping[str, Any]) -> Record:
         raise TermselError("a line is always control", hint="Choose control or off.")
     count = None if kind == "point" else 2
     return {"id": name.strip(), "kind": kind, "role": role,
-            "image": _places(record.get("image"), 2, count),
-            "ground": _places(record.get("ground"), 3, count)}
+            "image": _checked_places(record.get("image"), 2, count),
+            "ground": _checked_places(record.get("ground"), 3, count)}
 
 
-def _places(value: Any, size: int, count: int | None) -> Any:
+def _checked_places(value: Any, size: int, count: int | None) -> Any:
     """Return the checked place of a point (`count` None), or the up to `count` places of a line.
 
     A place has `size` coordinates; None if there is none.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from termsel_app.maps import Box, box_of
-from termsel_app.places import Places, between, turned
+from termsel_app.places import Places, transform_places, transformer_between
 
 LINES = 6
 """About how many lines there are either way."""
@@ -23,7 +23,7 @@ def round_step(width: float) -> float:
     return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= rough)
 
 
-def graticule(places: Places, box: Box) -> list[dict[str, Any]]:
+def graticule_lines(places: Places, box: Box) -> list[dict[str, Any]]:
     """Return lines of round ground coordinates within a box of the map.
 
     Each has its label, its vertices on the map, and their ground x and y.
@@ -31,8 +31,9 @@ def graticule(places: Places, box: Box) -> list[dict[str, Any]]:
     steps = np.linspace(0, 1, 9)
     mesh = np.stack(np.meshgrid(box[0] + steps * (box[2] - box[0]),
                                 box[1] + steps * (box[3] - box[1])), axis=-1).reshape(-1, 2)
-    west, south, east, north = box_of(turned(between(places.plane, places.shown), mesh,
-                                             inverse=True))
+    west, south, east, north = box_of(transform_places(transformer_between(places.plane,
+                                                                           places.shown), mesh,
+                                                       inverse=True))
     # Lines of constant x from south to north, then lines of constant y from west to east.
     lines = []
     for axis, (low, high, first, last) in enumerate(((west, east, south, north),

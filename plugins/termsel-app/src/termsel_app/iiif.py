@@ -50,7 +50,7 @@ def is_iiif(name: str | None) -> bool:
     return name is not None and name.startswith(("http://", "https://")) and name.endswith(INFO)
 
 
-def fetched(address: str, remote: bool) -> IiifImage:
+def fetch_image(address: str, remote: bool) -> IiifImage:
     """Return an image by the address of its description.
 
     Raises TermselError unless servers may be asked and termsel-iiif is installed, or if there is no
@@ -70,10 +70,10 @@ def fetched(address: str, remote: bool) -> IiifImage:
     except (URLError, OSError, ValueError) as error:
         raise TermselError(f"the image cannot be fetched: {error}", file=address,
                            hint="Check the address and the network.") from error
-    return described(content, address)
+    return parse_image_info(content, address)
 
 
-def described(content: bytes, address: str) -> IiifImage:
+def parse_image_info(content: bytes, address: str) -> IiifImage:
     """Return the image that the content of an info.json describes.
 
     `address` is for messages. Raises TermselError if it describes none, or states no size.

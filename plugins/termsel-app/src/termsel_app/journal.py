@@ -16,7 +16,7 @@ from typing import Any
 
 from termsel import TermselError
 from termsel.toolkit import lock_folder, path_inside, require_regular
-from termsel_app.control import MAX_FEATURES, ControlFeatures, Patch, checked
+from termsel_app.control import MAX_FEATURES, ControlFeatures, Patch, checked_record
 
 SCHEMA = "termsel-app-1"
 JOURNAL_NAME = "session.jsonl"
@@ -94,7 +94,7 @@ def open_journal(folder: Path) -> Iterator[
             if not entries:
                 yield journal, None, ControlFeatures()
             else:
-                yield journal, _header(entries[0], path), replayed(entries[1:], path)
+                yield journal, _parse_header(entries[0], path), replay_journal(entries[1:], path)
 
 
 @contextmanager
@@ -121,7 +121,7 @@ def header_of(folder: Path) -> dict[str, Any]:
     if not entries:
         raise TermselError("the session is empty", file=path,
                            hint="Remove its folder, or choose another --out.")
-    return _header(entries[0], path)
+    return _parse_header(entries[0], path)
 
 
 def _without_links(name: str, flags: int) -> int:
@@ -158,7 +158,7 @@ def read_entries(file: FileIO, path: Path) -> tuple[list[dict[str, Any]], int]:
     return entries, length
 
 
-def _header(entry: dict[str, Any], path: Path) -> dict[str, Any]:
+def _parse_header(entry: dict[str, Any], path: Path) -> dict[str, Any]:
     """Return the header in the first entry of a journal; raises TermselError if it is no session's.
     """
     if entry.get("schema") != SCHEMA:
@@ -168,7 +168,7 @@ def _header(entry: dict[str, Any], path: Path) -> dict[str, Any]:
     return {key: value for key, value in entry.items() if key != "schema"}
 
 
-def replayed(entries: list[dict[str, Any]], path: Path) -> ControlFeatures:
+def replay_journal(entries: list[dict[str, Any]], path: Path) -> ControlFeatures:
     """Return the features after all changes of a journal, whose first entry is the header.
 
     `entries` are those after the header. Raises TermselError with the line that cannot be repeated.
@@ -205,12 +205,13 @@ def patches_of(entry: Mapping[str, Any]) -> list[Patch]:
         raise TermselError("it has no change")
     patches = []
     for pair in change:
-        before, after = (None if record is None else checked(_mapping(record)) for record in pair)
+        before, after = (
+            None if record is None else checked_record(_parse_record(record)) for record in pair)
         patches.append(Patch(before, after))
     return patches
 
 
-def _mapping(record: Any) -> dict[str, Any]:
+def _parse_record(record: Any) -> dict[str, Any]:
     """Return a record; raises TermselError if it is no JSON object."""
     if not isinstance(record, dict):
         raise TermselError("it has no features")

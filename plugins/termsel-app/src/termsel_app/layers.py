@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from termsel_app.graticule import graticule
-from termsel_app.maps import Box, resampled
+from termsel_app.graticule import graticule_lines
+from termsel_app.maps import Box, resample_tile
 from termsel_app.prediction import Prediction
 from termsel_app.rasters import TILE, Pixels, Raster
 from termsel_app.session import Session
@@ -71,7 +71,7 @@ def warped_tile(image: Raster, prediction: Prediction, box: Box) -> Pixels:
     mesh = np.meshgrid(at, at, indexing="ij")
     lines, samples = (map_coordinates(image_nodes[..., axis], mesh, order=1).ravel()
                       for axis in (0, 1))
-    return resampled(image, lines, samples)
+    return resample_tile(image, lines, samples)
 
 
 def drawn_graticule(session: Session, box: Box) -> dict[str, Any]:
@@ -79,10 +79,11 @@ def drawn_graticule(session: Session, box: Box) -> dict[str, Any]:
 
     `image` of a line is None as long as there is no model.
     """
-    lines = graticule(session.places, box)
+    lines = graticule_lines(session.places, box)
     prediction = session.prediction
     return {"lines": [{"label": line["label"], "axis": line["axis"], "map": line["map"],
-                       "image": None if prediction is None else through(prediction, line["map"])}
+                       "image": None if prediction is None else project_visible(prediction,
+                                                                                line["map"])}
                       for line in lines]}
 
 
@@ -97,11 +98,11 @@ def drawn_vectors(session: Session) -> dict[str, Any]:
     lines = []
     for layer in session.maps.vectors:
         for feature in layer.collection["features"]:
-            lines += [through(prediction, line) for line in _lines_of(feature["geometry"])]
+            lines += [project_visible(prediction, line) for line in _lines_of(feature["geometry"])]
     return {"lines": [line for line in lines if len(line) > 1]}
 
 
-def through(prediction: Prediction, vertices: Any) -> list[list[float]]:
+def project_visible(prediction: Prediction, vertices: Any) -> list[list[float]]:
     """Return line and sample of vertices on the map (n, 2), but for those the model does not see.
     """
     if not len(vertices):

@@ -12,7 +12,7 @@ import numpy as np
 from termsel import TermselError
 from termsel.toolkit import FloatArray, open_layer
 from termsel.toolkit.coordinates import LOCAL, normalise
-from termsel_app.places import MERCATOR, between, shown_crs, turned
+from termsel_app.places import MERCATOR, shown_crs, transform_places, transformer_between
 from termsel_app.rasters import TILE, Pixels, Raster, refuse_giant
 
 MOST_VERTICES = 400_000
@@ -81,7 +81,7 @@ class MapRaster:
         edge = np.concatenate([np.column_stack([share, zero]), np.column_stack([zero, share]),
                                np.column_stack([share, unit]), np.column_stack([unit, share])])
         x, y = dataset.transform @ (edge[:, 0] * dataset.width, edge[:, 1] * dataset.height)
-        return box_of(turned(between(self.crs, crs), np.column_stack([x, y])))
+        return box_of(transform_places(transformer_between(self.crs, crs), np.column_stack([x, y])))
 
     def resolution(self, crs: str) -> float:
         """Return the width of a pixel in the raster's middle, in units of the CRS that is shown."""
@@ -89,7 +89,7 @@ class MapRaster:
         row = dataset.height / 2
         column = dataset.width / 2
         x, y = dataset.transform @ (np.array([column, column + 1]), np.array([row, row]))
-        ends = turned(between(self.crs, crs), np.column_stack([x, y]))
+        ends = transform_places(transformer_between(self.crs, crs), np.column_stack([x, y]))
         return float(np.hypot(*(ends[1] - ends[0])))
 
     def tile(self, box: Box, crs: str) -> Pixels:
@@ -101,7 +101,7 @@ class MapRaster:
         transform = dataset.transform
         # North up and in the same CRS: a tile is a window of the raster.
         upright = transform.b == transform.d == 0 and transform.e < 0
-        if upright and between(self.crs, crs) is None:
+        if upright and transformer_between(self.crs, crs) is None:
             return self.raster.pixels(((transform.f - north) / -transform.e,
                                        (west - transform.c) / transform.a,
                                        (north - south) / -transform.e,
@@ -113,12 +113,13 @@ class MapRaster:
 
     def _resample_tile(self, xy: Any, crs: str) -> Pixels:
         """Return the colours at places of a tile, by the nearest pixel of what is read for it."""
-        positions = turned(between(self.crs, crs), np.column_stack(xy), inverse=True)
+        positions = transform_places(
+            transformer_between(self.crs, crs), np.column_stack(xy), inverse=True)
         columns, rows = ~self.raster.dataset.transform @ (positions[:, 0], positions[:, 1])
-        return resampled(self.raster, rows - 0.5, columns - 0.5)
+        return resample_tile(self.raster, rows - 0.5, columns - 0.5)
 
 
-def resampled(raster: Raster, lines: Any, samples: Any) -> Pixels:
+def resample_tile(raster: Raster, lines: Any, samples: Any) -> Pixels:
     """Return the colours of a tile at lines and samples [px], line by line of it.
 
     What is read has about the resolution of the tile, and the nearest of its pixels counts.
@@ -158,7 +159,7 @@ def box_of(xy: FloatArray) -> Box:
     return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
-def around(boxes: Sequence[Box]) -> Box:
+def box_around(boxes: Sequence[Box]) -> Box:
     """Return the smallest box (x min, y min, x max, y max) that holds all boxes, one or more."""
     values = np.array(boxes)
     low = values[:, :2].min(axis=0)
@@ -186,7 +187,7 @@ class Maps:
         """The extent of all files (x min, y min, x max, y max) as shown; None without files."""
         boxes = [raster.box(self.shown) for raster in self.rasters]
         boxes += [layer.box for layer in self.vectors]
-        return around(boxes) if boxes else None
+        return box_around(boxes) if boxes else None
 
     def resolutions(self, box: Box) -> list[float]:
         """Return the size of a pixel of a tile on each level, in units of the CRS that is shown.
@@ -260,8 +261,8 @@ def _shapes_shown(name: str, shapes: Any, crs: str | None, page_crs: str) -> Vec
                            f"{MOST_VERTICES:,}", file=name,
                            hint="Cut out the area, for example with ogr2ogr -spat.")
     # The page draws plane coordinates: it transforms nothing.
-    transformer = between(normalise(crs), page_crs)
-    shapes = shapely.transform(shapes, lambda xy: turned(transformer, xy))
+    transformer = transformer_between(normalise(crs), page_crs)
+    shapes = shapely.transform(shapes, lambda xy: transform_places(transformer, xy))
     features = [{"type": "Feature", "properties": {}, "geometry": shapely.geometry.mapping(shape)}
                 for shape in shapes if np.isfinite(shapely.get_coordinates(shape)).all()]
     return VectorLayer(Path(name).name, {"type": "FeatureCollection", "features": features},

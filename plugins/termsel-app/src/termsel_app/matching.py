@@ -17,8 +17,8 @@ from termsel import TermselError
 from termsel.toolkit import FloatArray
 from termsel_app.maps import MapRaster
 from termsel_app.outputs import call
-from termsel_app.places import between, turned
-from termsel_app.quality import written
+from termsel_app.places import transform_places, transformer_between
+from termsel_app.quality import write_control_tables
 from termsel_app.session import from_folder
 
 if TYPE_CHECKING:
@@ -75,9 +75,9 @@ def refined_place(session: Session, name: str) -> dict[str, Any]:
     record = session.control.records.get(name)
     if record is None or record["kind"] != "point" or not record["image"] or not record["ground"]:
         raise TermselError("only a point with both positions can be refined")
-    first, second = _windows(session, prediction, record)
+    first, second = _cut_windows(session, prediction, record)
     for matcher in _MATCHERS:
-        shift = _agreed_shift(_shifts(termsel.get("matchers", matcher)(), first, second))
+        shift = _agreed_shift(_match_shifts(termsel.get("matchers", matcher)(), first, second))
         if shift is not None:
             refined = np.asarray(record["image"]) - shift
             return {"image": refined.tolist(), "distance": float(np.hypot(*shift)),
@@ -86,14 +86,15 @@ def refined_place(session: Session, name: str) -> dict[str, Any]:
                        hint="The point stays as it is.")
 
 
-def _shifts(matcher: Any, first: Any, second: Any) -> FloatArray:
+def _match_shifts(matcher: Any, first: Any, second: Any) -> FloatArray:
     """Return how far matches of two windows are apart (n, 2), each to a part of a pixel [px]."""
-    from termsel_match.matchers.refinement import Layers, refined
+    from termsel_match.matchers.refinement import Layers, refine_matches
 
     matches = matcher.match(first, second, SEARCH)
     if not matcher.places_exactly:
-        matches = refined(Layers(first.pixels[None], first.known),
-                          Layers(second.pixels[None], second.known), matches.first, matches.second)
+        matches = refine_matches(Layers(first.pixels[None], first.known),
+                                 Layers(second.pixels[None],
+                                        second.known), matches.first, matches.second)
     shifts: FloatArray = matches.second - matches.first
     return shifts
 
@@ -110,7 +111,7 @@ def _agreed_shift(shifts: FloatArray) -> FloatArray | None:
     return agreed
 
 
-def _windows(session: Session, prediction: Prediction, record: Record) -> tuple[Any, Any]:
+def _cut_windows(session: Session, prediction: Prediction, record: Record) -> tuple[Any, Any]:
     """Return the window of the image around a point, and the map as the image would show it.
 
     Raises TermselError if no raster of the map shows half of it.
@@ -134,7 +135,7 @@ def _windows(session: Session, prediction: Prediction, record: Record) -> tuple[
     for raster in session.maps.rasters:
         map_window = _grey_at(raster, on_map, session.maps.shown, width)
         if map_window[1].mean() > 0.5:
-            return Window(*_grey(picture)), Window(*map_window)
+            return Window(*_grey_and_opaque(picture)), Window(*map_window)
     raise TermselError("no raster of the map shows this position",
                        hint="Refine points that lie on a raster; keep this one as it was clicked.")
 
@@ -146,16 +147,16 @@ def _grey_at(raster: MapRaster, on_map: FloatArray, page_crs: str, width: int) -
     """
     from scipy.ndimage import map_coordinates
 
-    positions = turned(between(raster.crs, page_crs), on_map, inverse=True)
+    positions = transform_places(transformer_between(raster.crs, page_crs), on_map, inverse=True)
     columns, rows = ~raster.raster.dataset.transform @ (positions[:, 0], positions[:, 1])
     if not np.isfinite(rows + columns).all():
-        return _grey(np.zeros((width, width, 4), dtype=np.uint8))
+        return _grey_and_opaque(np.zeros((width, width, 4), dtype=np.uint8))
     first_row, first_column = np.floor([rows.min(), columns.min()]).astype(int) - 1
     size = np.ceil([rows.max() - first_row, columns.max() - first_column]).astype(int) + 2
     step = max(-(-int(size.max()) // MAX_WINDOW_SIDE), 1)  # a map that is far finer than the image
     shape = (-(-int(size[0]) // step), -(-int(size[1]) // step))
     box = (first_row, first_column, shape[0] * step, shape[1] * step)
-    grey, opaque = _grey(raster.raster.pixels(box, shape))
+    grey, opaque = _grey_and_opaque(raster.raster.pixels(box, shape))
     at = np.arange(width) / (width - 1) * (NODES_OF_WINDOW - 1)
     mesh = np.meshgrid(at, at, indexing="ij")
     lines, samples = (
@@ -166,12 +167,12 @@ def _grey_at(raster: MapRaster, on_map: FloatArray, page_crs: str, width: int) -
             map_coordinates(opaque.astype(np.float32), [lines, samples], order=1) > 0.999)
 
 
-def _grey(pixels: Pixels) -> tuple[Any, Any]:
+def _grey_and_opaque(pixels: Pixels) -> tuple[Any, Any]:
     """Return the mean of the colours (lines, samples), and where pixels are not transparent."""
     return pixels[..., :3].mean(axis=2).astype(np.float32), pixels[..., 3] > 0
 
 
-def more_points(session: Session) -> list[dict[str, Any]]:
+def propose_points(session: Session) -> list[dict[str, Any]]:
     """Return points that matching proposes, spread over the image, the clearest first.
 
     They lie where the model expects them; which of them are right the user sees.
@@ -179,7 +180,7 @@ def more_points(session: Session) -> list[dict[str, Any]]:
     prediction = require(session)
     with session.lock:
         features = session.control.features(session.places.crs)
-    written(features, session.folder)
+    write_control_tables(features, session.folder)
     arguments = ["match-points", from_folder(str(session.files.image), session.folder),
                  "--reference", from_folder(str(session.maps.rasters[0].raster.path),
                                             session.folder),
@@ -189,7 +190,8 @@ def more_points(session: Session) -> list[dict[str, Any]]:
     call(arguments, session.folder)
     candidates = termsel.read(session.folder / CANDIDATES)
     points = candidates.points
-    plane = turned(between(candidates.crs, session.maps.shown), points.ground[:, :2])
+    plane = transform_places(
+        transformer_between(candidates.crs, session.maps.shown), points.ground[:, :2])
     away = np.hypot(*(prediction.to_image(plane) - points.image).T)
     sigma = np.hypot(*prediction.sigma(plane).T)
     score = candidates.numbers("score") if "score" in points.attributes else np.zeros(len(points))

@@ -16,7 +16,7 @@ from pathlib import Path
 from termsel import TermselError
 from termsel_app.control import ControlFeatures
 from termsel_app.iiif import is_iiif
-from termsel_app.quality import written
+from termsel_app.quality import write_control_tables
 from termsel_app.session import Files, Session, from_folder
 
 RESULT = "result"
@@ -91,11 +91,11 @@ def save(session: Session, name: str, image_id: object = None) -> list[Path]:
     with session.lock:
         features = session.control.features(session.places.crs)
         arguments = run_arguments(session)
-    files = [*written(features, session.folder).values()]
+    files = [*write_control_tables(features, session.folder).values()]
     if output.needs_result:
         _update_result(session, arguments, files)
     if output.command:
-        arguments = completed(output.command, session.files, session.folder)
+        arguments = complete_command(output.command, session.files, session.folder)
         if name == "annotation":
             served = None if session.served is None else session.served.id
             arguments += _option_of_image(image_id or served)
@@ -109,14 +109,14 @@ def _update_result(session: Session, arguments: list[str], tables: Sequence[Path
     """Run the command that writes the folder of the result, if control or files have changed since.
     """
     control = tuple(table.read_bytes() for table in tables)
-    made_from = (*arguments, *control, *_states(session))
+    made_from = (*arguments, *control, *_file_states(session))
     # A file within an archive, or on a server, may change unseen.
     if None in made_from or session.result_made_from != made_from:
         call(arguments, session.folder)
-        session.result_made_from = (*arguments, *control, *_states(session))
+        session.result_made_from = (*arguments, *control, *_file_states(session))
 
 
-def _states(session: Session) -> list[tuple[int, int] | None]:
+def _file_states(session: Session) -> list[tuple[int, int] | None]:
     """Return time [ns] and size of each file that a result is made from, and of the result itself.
 
     None for a file that cannot be looked at.
@@ -146,7 +146,7 @@ def _option_of_image(image_id: object) -> list[str]:
     return ["--set", f"image_id={image_id}"]
 
 
-def completed(command: Sequence[str], files: Files, folder: Path) -> list[str]:
+def complete_command(command: Sequence[str], files: Files, folder: Path) -> list[str]:
     """Return a command with {image} replaced by the session's, and with its DEM for a map.
 
     Raises TermselError if the image is needed and is no file.

@@ -16,7 +16,7 @@ import numpy as np
 
 from termsel import open_dem
 from termsel.toolkit import FloatArray
-from termsel.toolkit.coordinates import LOCAL, horizontal, is_geographic
+from termsel.toolkit.coordinates import LOCAL, horizontal_crs, is_geographic
 
 MERCATOR = "EPSG:3857"
 _LOCK = Lock()  # objects of pyproj belong to one thread at a time
@@ -28,7 +28,7 @@ def shown_crs(crs: str) -> str:
 
 
 @lru_cache
-def between(source: str, target: str) -> Any:
+def transformer_between(source: str, target: str) -> Any:
     """Return the transformer of x and y from one CRS to another; None if both are alike or local.
     """
     from pyproj import CRS, Transformer
@@ -39,7 +39,7 @@ def between(source: str, target: str) -> Any:
     return None if ends[0].equals(ends[1]) else Transformer.from_crs(*ends, always_xy=True)
 
 
-def turned(transformer: Any, xy: Any, inverse: bool = False) -> FloatArray:
+def transform_places(transformer: Any, xy: Any, inverse: bool = False) -> FloatArray:
     """Return x and y (n, 2) by a transformer (None changes nothing).
 
     Infinite where it has no value.
@@ -82,16 +82,16 @@ class Places:
     @property
     def plane(self) -> str:
         """The CRS of x and y of the ground, without heights."""
-        return horizontal(self.crs) or LOCAL
+        return horizontal_crs(self.crs) or LOCAL
 
     def to_map(self, ground: Any) -> FloatArray:
         """Return where ground places (n, 2 or more) are on the map (n, 2)."""
         ground = np.asarray(ground, dtype=np.float64)
-        return turned(between(self.plane, self.shown), ground[:, :2])
+        return transform_places(transformer_between(self.plane, self.shown), ground[:, :2])
 
     def to_ground(self, xy: Any) -> FloatArray:
         """Return the ground coordinates (n, 3) of places on the map; NaN for unknown heights."""
-        plane = turned(between(self.plane, self.shown), xy, inverse=True)
+        plane = transform_places(transformer_between(self.plane, self.shown), xy, inverse=True)
         return np.column_stack([plane, self.heights(plane)])
 
     @property

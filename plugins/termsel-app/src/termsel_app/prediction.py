@@ -77,7 +77,8 @@ class Prediction:
         """Return the places on the map (n, 2) of line and sample (n, 2); NaN where there are none.
         """
         image = np.asarray(image, dtype=np.float64).reshape(-1, 2)
-        surface = self._surface if self.places.has_heights and not self.in_map else self.height()
+        surface = self._surface_heights \
+            if self.places.has_heights and not self.in_map else self.height()
         ground = self.result.locate(image, surface)
         finite = np.isfinite(ground[:, :2]).all(axis=1)
         xy = np.full((len(image), 2), np.nan)
@@ -86,7 +87,7 @@ class Prediction:
                 else self.places.to_map(ground[finite])
         return xy
 
-    def _surface(self, xy: FloatArray) -> FloatArray:
+    def _surface_heights(self, xy: FloatArray) -> FloatArray:
         """Return heights of ground places (n, 2) by the DEM; by the control where that has none."""
         heights = self.places.heights(np.asarray(xy, dtype=np.float64))
         return np.where(np.isfinite(heights), heights, self.height())
@@ -106,7 +107,8 @@ class Prediction:
         position = self.to_image([xy])[0]
         if not np.isfinite(position).all():
             return None
-        return {"place": position.tolist(), "ring": _finite(_ring(position, self.sigma([xy])[0])),
+        return {"place": position.tolist(),
+                "ring": _finite_ring(_error_ellipse(position, self.sigma([xy])[0])),
                 "sigma": _length_if_finite(self.sigma([xy])[0])}
 
     def on_map(self, image: Sequence[float]) -> dict[str, Any] | None:
@@ -121,12 +123,12 @@ class Prediction:
         if not np.isfinite(position).all():
             return None
         sigma = self.sigma([position])[0]
-        ring = _ring(np.asarray(image, dtype=np.float64), sigma)
+        ring = _error_ellipse(np.asarray(image, dtype=np.float64), sigma)
         return {"place": position.tolist(), "sigma": _length_if_finite(sigma),
-                "ring": _finite(self.to_map(ring)) if np.isfinite(ring).all() else []}
+                "ring": _finite_ring(self.to_map(ring)) if np.isfinite(ring).all() else []}
 
 
-def _ring(centre: FloatArray, sigma: FloatArray) -> FloatArray:
+def _error_ellipse(centre: FloatArray, sigma: FloatArray) -> FloatArray:
     """Return the ellipse (m, 2) around a place that holds nine in ten errors of `sigma` (2,)."""
     # Errors of both axes are independent and normal: nine in ten lie within sqrt(2 ln 10) = 2.15
     # standard deviations.
@@ -136,7 +138,7 @@ def _ring(centre: FloatArray, sigma: FloatArray) -> FloatArray:
     return ring
 
 
-def _finite(ring: FloatArray) -> list[list[float]]:
+def _finite_ring(ring: FloatArray) -> list[list[float]]:
     """Return a ring as lists; an empty one if any vertex is not finite."""
     return ring.tolist() if np.isfinite(ring).all() else []
 

@@ -1,7 +1,7 @@
 """What termsel says of the control: every figure comes from its public engine, none from here.
 
-`judged` runs in a process of its own. Points are written as a table and read again, as the command
-line reads them, so that the page and `termsel run` say the same to the last digit.
+`judge_control` runs in a process of its own. Points are written as a table and read again, as the
+command line reads them, so that the page and `termsel run` say the same to the last digit.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def prepare() -> None:
         assert callable(name)
 
 
-def judged(question: Question, memory: Memory | None = None) -> Iterator[Answer]:
+def judge_control(question: Question, memory: Memory | None = None) -> Iterator[Answer]:
     """Yield what is known of the control, the quickest first.
 
     With a memory, what earlier questions found of the same control is not computed again: a change
@@ -89,19 +89,19 @@ def judged(question: Question, memory: Memory | None = None) -> Iterator[Answer]
                "ids": list(error.ids)}
         return
     # Each stage is sent as soon as it is there: the first takes a second, the last several.
-    yield {**base, "stage": "figures", **figures(result), "result": result}
+    yield {**base, "stage": "figures", **figures_for_page(result), "result": result}
     yield {**base, "stage": "predicted", "errors": prediction_errors(result)}
     if len(features.lines) >= MIN_LINES:
-        yield {**base, "stage": "lines", **chosen_lines(features)}
+        yield {**base, "stage": "lines", **split_lines_by_owdis(features)}
     yield {**base, "stage": "next", **_next_places(result)}
-    yield {**base, "stage": "uncertainty", "uncertainty": uncertainty(result)}
+    yield {**base, "stage": "uncertainty", "uncertainty": uncertainty_grid(result)}
 
 
 def _run(question: Question, memory: Memory | None) -> Result:
     """Return the result of `termsel.run` with the control of a question, and its RPC and DEM."""
     with tempfile.TemporaryDirectory(prefix="termsel-app-") as folder:
         # Read from files like any others, so that DEM, RPC and checks work as for a command.
-        files = written(question.features, Path(folder))
+        files = write_control_tables(question.features, Path(folder))
         features = termsel.read(
             files.get("points"), files.get("lines"), dem=question.dem, rpc=question.rpc)
     if question.size is not None:
@@ -109,7 +109,7 @@ def _run(question: Question, memory: Memory | None) -> Result:
     return termsel.run(features=features, memory=memory)
 
 
-def written(features: FeatureSet, folder: Path) -> dict[str, Path]:
+def write_control_tables(features: FeatureSet, folder: Path) -> dict[str, Path]:
     """Write points and lines as tables to a folder; return their paths by "points" and "lines".
 
     A kind without features gets no table.
@@ -124,15 +124,15 @@ def written(features: FeatureSet, folder: Path) -> dict[str, Path]:
     return files
 
 
-def figures(result: Result) -> Answer:
+def figures_for_page(result: Result) -> Answer:
     """Return what the page shows of a result: accuracy, model, blunders, and each feature's error.
     """
     strategy = result.strategy
-    residuals = errors(result)
+    residuals = residuals_by_id(result)
     return {
         "facts": [{"label": fact.label, "text": fact.text}
                   for fact in charts.first_screen(result)],
-        "accuracy": accuracy(result),
+        "accuracy": shown_accuracy(result),
         "why": strategy.reason if strategy is not None else "",
         "judgement": result.judgement,
         "notes": list(result.notes),
@@ -145,15 +145,15 @@ def figures(result: Result) -> Answer:
     }
 
 
-def accuracy(result: Result) -> Answer | None:
+def shown_accuracy(result: Result) -> Answer | None:
     """Return the RMSE that a report shows first, with its interval, in px and metres.
 
     It is the predicted one or that of independent check points. `metres` is None if the size of a
     pixel is not known; None altogether if there is neither RMSE.
     """
-    predicted = charts.expected_of(result)
+    predicted = charts.expected_rmse(result)
     # The same rule as on the first screen of a report.
-    if predicted is not None and charts.predicted_first(result):
+    if predicted is not None and charts.is_prediction_surer(result):
         figure = (predicted.rmse, predicted.low, predicted.high)
         kind = "predicted by cross-validation"
         level = predicted.level
@@ -181,15 +181,15 @@ def metres_per_pixel(result: Result) -> float | None:
     height = np.nan_to_num(np.nanmedian(ground[:, 2])) if np.isfinite(ground[:, 2]).any() else 0.0
     # One pixel down and one to the right, on the ground.
     corners = fit.locate(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), height)
-    edges = coordinates.in_metres(fit.control.crs, np.repeat(corners[:1], 2, axis=0),
-                                  (corners[1:] - corners[0])[:, :2])
+    edges = coordinates.offsets_in_metres(
+        fit.control.crs, np.repeat(corners[:1], 2, axis=0), (corners[1:] - corners[0])[:, :2])
     if edges is None or not np.isfinite(edges).all():
         return None
     # The area of the parallelogram that the two edges of a pixel span.
     return float(np.sqrt(abs(np.linalg.det(edges))))
 
 
-def errors(result: Result) -> dict[str, Answer]:
+def residuals_by_id(result: Result) -> dict[str, Answer]:
     """Return the residual of each feature by id [px]: `line`, `sample` and `distance`.
 
     Of a line the distance is the larger of its vertices', and `line` and `sample` are None.
@@ -216,7 +216,7 @@ def prediction_errors(result: Result) -> dict[str, float]:
     if result.strategy is None:
         return table
     try:
-        held_out = termsel.fit(_fitted_to(result), result.strategy.chosen).leave_one_out
+        held_out = termsel.fit(_features_fitted_to(result), result.strategy.chosen).leave_one_out
     except TermselError:  # without some feature the fit is not determined
         return table
     for row in held_out:
@@ -224,7 +224,7 @@ def prediction_errors(result: Result) -> dict[str, float]:
     return table
 
 
-def _fitted_to(result: Result) -> FeatureSet:
+def _features_fitted_to(result: Result) -> FeatureSet:
     """Return the features that a choice is fitted to, as control; without blunders."""
     ids = result.estimation.features
     if ids is None:  # there are no selection points
@@ -234,7 +234,7 @@ def _fitted_to(result: Result) -> FeatureSet:
                                          roles=("control",) * len(features.points)))
 
 
-def chosen_lines(features: FeatureSet) -> Answer:
+def split_lines_by_owdis(features: FeatureSet) -> Answer:
     """Return which lines OWDIS would use, and which not; as `termsel run --problem owdis-lines`.
 
     Judged by leaving out each of the lines in turn, since the points of a session may be few.
@@ -280,7 +280,7 @@ def _next_places(result: Result) -> Answer:
                                      "now": before, "after": after}}
 
 
-def uncertainty(result: Result) -> Answer | None:
+def uncertainty_grid(result: Result) -> Answer | None:
     """Return the model's standard deviation [px] on a grid over the image, line by line.
 
     None where it is not known.

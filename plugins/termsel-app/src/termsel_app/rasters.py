@@ -56,8 +56,8 @@ class Raster:
         self.height, self.width = self.dataset.shape
         try:
             self.colours = _colour_table(self.dataset)
-            self.bands = _bands(self.dataset, self.colours is not None)
-            self._alpha = _alpha(self.dataset)
+            self.bands = _shown_bands(self.dataset, self.colours is not None)
+            self._alpha = _alpha_band(self.dataset)
             self._step = 1
             self._overview: Pixels | None = None
             self.share_read = 1.0
@@ -157,10 +157,10 @@ class Raster:
                 return np.zeros((*shape, 4), dtype=np.uint8)
             values = self.dataset.read(self.bands, window=window, resampling=resampling,
                                        out_shape=(len(self.bands), *shape))
-            mask = self._mask(window, shape)
+            mask = self._read_opacity(window, shape)
         return self.coloured(values, mask)
 
-    def _mask(self, window: Any, shape: tuple[int, int]) -> NDArray[np.uint8] | None:
+    def _read_opacity(self, window: Any, shape: tuple[int, int]) -> NDArray[np.uint8] | None:
         """Return the opacity of a window, 0 to 255, of this shape; None where all is opaque."""
         from rasterio.enums import MaskFlags
 
@@ -261,7 +261,7 @@ def _colour_table(dataset: Any) -> Pixels | None:
     return colours
 
 
-def _bands(dataset: Any, indexed: bool) -> list[int]:
+def _shown_bands(dataset: Any, indexed: bool) -> list[int]:
     """Return which bands are shown, from 1: red, green and blue, or a single one.
 
     `indexed` says whether values are indices of a palette.
@@ -279,7 +279,7 @@ def _bands(dataset: Any, indexed: bool) -> list[int]:
     return visible[:3] if len(visible) >= 3 else visible[:1]
 
 
-def _alpha(dataset: Any) -> int | None:
+def _alpha_band(dataset: Any) -> int | None:
     """Return the number of the band of opacity, from 1; None if there is none."""
     from rasterio.enums import ColorInterp
 
@@ -287,7 +287,7 @@ def _alpha(dataset: Any) -> int | None:
     return kinds.index(ColorInterp.alpha) + 1 if ColorInterp.alpha in kinds else None
 
 
-def png(pixels: Pixels) -> bytes:
+def encode_png(pixels: Pixels) -> bytes:
     """Return pixels (lines, samples, 4) as the content of a PNG file."""
     from PIL import Image
 

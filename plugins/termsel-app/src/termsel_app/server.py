@@ -33,10 +33,10 @@ from termsel_app.layers import (
     image_tile,
     warped_tile,
 )
-from termsel_app.matching import is_possible, more_points, refined_place
+from termsel_app.matching import is_possible, propose_points, refined_place
 from termsel_app.outputs import OUTPUTS, command_line, save
-from termsel_app.rasters import TILE, png
-from termsel_app.session import Session, checked_places
+from termsel_app.rasters import TILE, encode_png
+from termsel_app.session import Session, check_place_pairs
 
 ADDRESS = "127.0.0.1"
 LARGEST_BODY = 2**22
@@ -171,7 +171,7 @@ class Page(Guarded):
         if name == "index.html":
             session = self.session
             # The page may load images from the servers that the user named, and nothing else.
-            origins = {_origin(tiles) for tiles in session.maps.tiles}
+            origins = {_origin_of_tiles(tiles) for tiles in session.maps.tiles}
             if session.served is not None:
                 origins.add(session.served.origin)
             servers = " ".join(sorted(origins))
@@ -182,7 +182,7 @@ class Page(Guarded):
         self.finish(file.read_bytes())
 
 
-def _origin(address: str) -> str:
+def _origin_of_tiles(address: str) -> str:
     """Return scheme and server of an address of tiles, as the policy of a page names them."""
     scheme, _, path = address.partition("://")
     # {s} stands for one of several servers; a semicolon would begin another directive.
@@ -197,10 +197,10 @@ class State(Guarded):
         session = self.session
         self.finish({
             **session.state(), "answers": dict(session.answers),
-            "setting": setting(session, self.pages)})
+            "setting": page_setting(session, self.pages)})
 
 
-def setting(session: Session, pages: Pages) -> dict[str, Any]:
+def page_setting(session: Session, pages: Pages) -> dict[str, Any]:
     """Return what the page gets once, as it does not change: image, map, files and outputs."""
     size = session.size
     box = pages.box
@@ -235,19 +235,19 @@ class Tile(Guarded):
     async def get(self, secret: str, layer: str, level: str, column: str,
                   row: str) -> None:
         """Send a tile."""
-        pixels = await self.apart(self._pixels, layer, int(level), int(column), int(row))
+        pixels = await self.apart(self._tile_png, layer, int(level), int(column), int(row))
         if pixels is None:
             raise HTTPError(404)
         self.set_header("Content-Type", "image/png")
         self.set_header("Cache-Control", "private, max-age=3600")
         self.finish(pixels)
 
-    def _pixels(self, layer: str, level: int, column: int, row: int) -> bytes | None:
+    def _tile_png(self, layer: str, level: int, column: int, row: int) -> bytes | None:
         """Return a tile of a layer (image, warped or mapN) as PNG; None if there is no such tile.
         """
         session = self.session
         if layer == "image":
-            return None if session.image is None else png(
+            return None if session.image is None else encode_png(
                 image_tile(session.image, level, column, row))
         box = box_of_tile(session, self.pages.box, level, column, row)
         if box is None:
@@ -255,13 +255,13 @@ class Tile(Guarded):
         if layer == "warped":
             if session.image is None or session.prediction is None:
                 # No prediction yet: a clear tile, which the page asks for again.
-                return png(np.zeros((TILE, TILE, 4), dtype=np.uint8))
-            return png(warped_tile(session.image, session.prediction, box))
+                return encode_png(np.zeros((TILE, TILE, 4), dtype=np.uint8))
+            return encode_png(warped_tile(session.image, session.prediction, box))
         # The pattern of the address allows digits only.
         number = int(layer.removeprefix("map"))
         if number >= len(session.maps.rasters):
             return None
-        return png(session.maps.rasters[number].tile(box, session.maps.shown))
+        return encode_png(session.maps.rasters[number].tile(box, session.maps.shown))
 
 
 class Call(Guarded):
@@ -293,7 +293,7 @@ class Call(Guarded):
         self.finish(answer or {})
 
 
-def _text(arguments: dict[str, Any], key: str) -> str:
+def _text_argument(arguments: dict[str, Any], key: str) -> str:
     """Return the text of an argument; raises TermselError if it is none."""
     value = arguments.get(key)
     if not isinstance(value, str):
@@ -301,7 +301,7 @@ def _text(arguments: dict[str, Any], key: str) -> str:
     return value
 
 
-def _names(arguments: dict[str, Any]) -> list[str]:
+def _id_arguments(arguments: dict[str, Any]) -> list[str]:
     """Return the ids of an argument; raises TermselError if they are no list of texts."""
     value = arguments.get("ids")
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
@@ -309,35 +309,36 @@ def _names(arguments: dict[str, Any]) -> list[str]:
     return value
 
 
-def _box(arguments: dict[str, Any]) -> tuple[float, float, float, float]:
+def _box_argument(arguments: dict[str, Any]) -> tuple[float, float, float, float]:
     """Return the box (x min, y min, x max, y max) of a request; raises TermselError if it has none.
     """
     box = arguments.get("box")
     if not isinstance(box, list):
         raise TermselError("box is no list of coordinates")
     # Its lower and its upper corner.
-    low, high = checked_places([box[:2], box[2:]])
+    low, high = check_place_pairs([box[:2], box[2:]])
     return (low[0], low[1], high[0], high[1])
 
 
 CALLS: dict[str, Callable[[Session, Pages, dict[str, Any]], dict[str, Any] | None]] = {
     "put": lambda session, _, arguments: {"id": session.put(arguments), "version": session.version},
-    "delete": lambda session, _, arguments: session.delete(_names(arguments)),
+    "delete": lambda session, _, arguments: session.delete(_id_arguments(arguments)),
     "undo": lambda session, _, __: session.undo(),
     "redo": lambda session, _, __: session.redo(),
-    "paste": lambda session, _, arguments: {"count": session.paste(_text(arguments, "text"))},
+    "paste": lambda session, _, arguments: {
+        "count": session.paste(_text_argument(arguments, "text"))},
     "add": lambda session, _, arguments: {"count": session.add(arguments.get("points"))},
     "predict": lambda session, _, arguments: {"prediction": session.predict(
         arguments.get("image"), arguments.get("map"))},
     "ground": lambda session, _, arguments: {"ground": session.ground_of(
-        checked_places([arguments.get("map")]))[0]},
-    "graticule": lambda session, _, arguments: drawn_graticule(session, _box(arguments)),
+        check_place_pairs([arguments.get("map")]))[0]},
+    "graticule": lambda session, _, arguments: drawn_graticule(session, _box_argument(arguments)),
     "vectors": lambda session, _, __: drawn_vectors(session),
-    "refine": lambda session, _, arguments: refined_place(session, _text(arguments, "id")),
-    "more": lambda session, _, __: {"proposals": more_points(session)},
+    "refine": lambda session, _, arguments: refined_place(session, _text_argument(arguments, "id")),
+    "more": lambda session, _, __: {"proposals": propose_points(session)},
     "command": lambda session, _, __: {"command": command_line(session)},
     "save": lambda session, _, arguments: {"files": [
-        str(path) for path in save(session, _text(arguments, "name"),
+        str(path) for path in save(session, _text_argument(arguments, "name"),
                                    arguments.get("image_id"))]},
 }
 """What a page may ask for, by name."""

@@ -19,18 +19,18 @@ import numpy as np
 import termsel
 from termsel import FeatureSet, TermselError
 from termsel.toolkit import make_folder
-from termsel.toolkit.coordinates import LOCAL, horizontal, normalise
+from termsel.toolkit.coordinates import LOCAL, horizontal_crs, normalise
 from termsel_app.control import (
     COORDINATE_LIMIT,
     MAX_FEATURES,
     ControlFeatures,
     Patch,
     Record,
-    checked,
+    checked_record,
 )
-from termsel_app.iiif import IiifImage, fetched, is_iiif
+from termsel_app.iiif import IiifImage, fetch_image, is_iiif
 from termsel_app.journal import Journal, entry_of, open_journal
-from termsel_app.maps import Box, Maps, around, box_of, open_maps
+from termsel_app.maps import Box, Maps, box_around, box_of, open_maps
 from termsel_app.places import Places, shown_crs
 from termsel_app.prediction import Prediction, prediction_of
 from termsel_app.quality import Answer, Question
@@ -175,7 +175,7 @@ class Session:
             lines, samples = self.size
             boxes.append(box_of(self.prediction.to_map(
                 [[0, 0], [0, samples], [lines, 0], [lines, samples]])))
-        box = around(boxes) if boxes else (0.0, 0.0, 1000.0, 1000.0)
+        box = box_around(boxes) if boxes else (0.0, 0.0, 1000.0, 1000.0)
         wide = max(box[2] - box[0], box[3] - box[1]) or 1000.0
         # Room to measure beyond the points that there are; a map has its own edge.
         margin = 0.0 if self.maps.box is not None and len(boxes) == 1 else wide * 0.1
@@ -193,7 +193,7 @@ class Session:
             # The journal first: what the page shows is never lost.
             self.journal.append(entry_of(patches))
             self.control.apply(patches)
-            self._changed()
+            self._note_change()
 
     def _require_new(self, patches: list[Patch]) -> None:
         """Raise TermselError for changes that give two features one name, or make too many of them.
@@ -215,14 +215,14 @@ class Session:
             # Undone first, as only the control knows whether there is something to undo.
             self.control.undo()
             self._journal_or(self.control.redo, {"undo": True})
-            self._changed()
+            self._note_change()
 
     def redo(self) -> None:
         """Repeat the change that was undone last; raises TermselError if there is none."""
         with self.lock:
             self.control.redo()
             self._journal_or(self.control.undo, {"redo": True})
-            self._changed()
+            self._note_change()
 
     def _journal_or(self, revert: Callable[[], Any], entry: dict[str, Any]) -> None:
         """Append an entry to the journal; if that fails, call `revert` and raise the TermselError.
@@ -233,7 +233,7 @@ class Session:
             revert()
             raise
 
-    def _changed(self) -> None:
+    def _note_change(self) -> None:
         """Count the change, have the control judged, and notify the pages."""
         self.version += 1
         self.judge()
@@ -338,11 +338,11 @@ class Session:
             after.update({key: values[key] for key in ("image", "ground", "role") if key in values})
             if values.get("map") is not None:
                 positions = values["map"] if kind == "line" else [values["map"]]
-                ground = self.ground_of(checked_places(positions))
+                ground = self.ground_of(check_place_pairs(positions))
                 after["ground"] = ground if kind == "line" else ground[0]
             if "name" in values:
                 after["id"] = values["name"]
-            after = checked(after)
+            after = checked_record(after)
             if after.get("ground") and kind == "point" and after["ground"][2] is None \
                     and values.get("ground") is not None:
                 after["ground"] = self._with_height(after["ground"])
@@ -376,8 +376,8 @@ class Session:
             patches = []
             number = int(self.control.new_id("point")[1:])
             for i, point in enumerate(points_given):
-                ground = self.ground_of(checked_places([point.get("map")]))[0]
-                patches.append(Patch(None, checked({
+                ground = self.ground_of(check_place_pairs([point.get("map")]))[0]
+                patches.append(Patch(None, checked_record({
                     "id": f"P{number + i:02d}", "kind": "point", "role": "",
                     "image": point.get("image"), "ground": ground})))
             if patches:
@@ -403,7 +403,7 @@ class Session:
                     after[space] = record[space] or after[space]
                 if after["ground"] and after["ground"][2] is None:
                     after["ground"] = self._with_height(after["ground"])
-                patches.append(Patch(before, checked(after)))
+                patches.append(Patch(before, checked_record(after)))
             names = Counter(patch.after["id"] for patch in patches if patch.after)
             twice = next((name for name, count in names.items() if count > 1), None)
             if twice is not None:
@@ -422,11 +422,11 @@ class Session:
         if prediction is None:
             return None
         if image is not None:
-            return prediction.on_map(checked_places([image])[0])
-        return prediction.in_image(checked_places([xy])[0])
+            return prediction.on_map(check_place_pairs([image])[0])
+        return prediction.in_image(check_place_pairs([xy])[0])
 
 
-def checked_places(positions: Any) -> list[list[float]]:
+def check_place_pairs(positions: Any) -> list[list[float]]:
     """Return one or two pairs of finite numbers that came from a page; raises TermselError if not.
     """
     if not isinstance(positions, list) or not 1 <= len(positions) <= 2:
@@ -487,12 +487,12 @@ def _points_of_paste(text: str) -> Iterator[Record]:
                                line=number)
         cells = dict(zip(names, row, strict=True))
         yield {"id": cells.get("id", ""), "kind": "point", "role": cells.get("role", "").lower(),
-               "image": _cells(cells, ("line", "sample"), number),
-               "ground": _cells(cells, ("x", "y", "z"), number)}
+               "image": _row_numbers(cells, ("line", "sample"), number),
+               "ground": _row_numbers(cells, ("x", "y", "z"), number)}
 
 
-def _cells(cells: Mapping[str, str], names: tuple[str, ...], number: int,
-           ) -> list[float | None] | None:
+def _row_numbers(cells: Mapping[str, str], names: tuple[str, ...], number: int,
+                 ) -> list[float | None] | None:
     """Return the numbers of some columns of a row; None if either of the first two is blank.
 
     A blank z is None. `number` is that of the row, for the TermselError if a cell is no number.
@@ -547,7 +547,7 @@ def open_session(files: Files, folder: Path, *, remote: bool = False,
         image = None
         # The browser itself loads an image of a IIIF server; nothing is read here.
         if files.image is not None and is_iiif(files.image):
-            served = fetched(files.image, remote)
+            served = fetch_image(files.image, remote)
             files = replace(files, size=served.size)
         elif files.image is not None:
             image = Raster(files.image, remote)
@@ -557,13 +557,13 @@ def open_session(files: Files, folder: Path, *, remote: bool = False,
         features = None
         if before is None and (files.points or files.lines):
             features = _read_features(files)
-        crs = _crs(files, features, before)
+        crs = _ground_crs(files, features, before)
         maps = open_maps(files.maps, crs, remote)
         stack.callback(maps.close)
         crs = crs or _crs_of_maps(maps)
         # Without a map the control is drawn in its own CRS, if that is plane.
         if not (maps.rasters or maps.vectors or maps.tiles):
-            maps.shown = shown_crs(horizontal(crs) or LOCAL)
+            maps.shown = shown_crs(horizontal_crs(crs) or LOCAL)
         session_places = Places(crs, maps.shown, None if files.dem is None else Path(files.dem))
         stack.callback(session_places.close)
         # Once all files have been opened: a session that cannot begin leaves no journal.
@@ -620,7 +620,7 @@ def records_of(features: FeatureSet) -> list[Record]:
         label = name if counts[name] == 1 else f"{name}.{counts[name]}"
         records.append({"id": label, "kind": "line", "role": "", "image": image,
                         "ground": [_with_none(vertex) for vertex in ground]})
-    return [checked(record) for record in records]
+    return [checked_record(record) for record in records]
 
 
 def _with_none(ground: list[float]) -> list[float | None]:
@@ -628,7 +628,7 @@ def _with_none(ground: list[float]) -> list[float | None]:
     return [*ground[:2], None if ground[2] != ground[2] else ground[2]]
 
 
-def _crs(files: Files, features: FeatureSet | None, kept: Files | None) -> str | None:
+def _ground_crs(files: Files, features: FeatureSet | None, kept: Files | None) -> str | None:
     """Return the CRS of the ground coordinates; None if neither files nor options state it.
 
     Raises TermselError if an option contradicts the session that is there, `kept`.

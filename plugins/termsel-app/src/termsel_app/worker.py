@@ -24,7 +24,7 @@ def answer_all(questions: Connection, remote: bool, drivers: Sequence[str]) -> N
     `remote` and `drivers` say which files may be read. It runs in a process of its own.
     """
     from termsel import Memory
-    from termsel_app.quality import judged, prepare
+    from termsel_app.quality import judge_control, prepare
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server
     logging.getLogger("termsel").setLevel(logging.ERROR)
@@ -35,8 +35,8 @@ def answer_all(questions: Connection, remote: bool, drivers: Sequence[str]) -> N
         prepare()
         memory = Memory()
         try:
-            while (question := _newest(questions)) is not None:
-                for answer in judged(question, memory):
+            while (question := _wait_for_newest_question(questions)) is not None:
+                for answer in judge_control(question, memory):
                     questions.send(answer)
                     if questions.poll():
                         break
@@ -44,7 +44,7 @@ def answer_all(questions: Connection, remote: bool, drivers: Sequence[str]) -> N
             return
 
 
-def _newest(questions: Connection) -> Question | None:
+def _wait_for_newest_question(questions: Connection) -> Question | None:
     """Wait for a question, and return the newest of those that have come; None to end the process.
     """
     question: Question | None = questions.recv()

@@ -25,6 +25,6 @@ def termsel_commands(cli: click.Group) -> None:
 def termsel_parts() -> Iterable[Part]:
     """Return the part of termsel that writes certificates of proofs."""
     from termsel.toolkit import Part
-    from termsel_bench.certificate import certifier
+    from termsel_bench.certificate import certificate_maker
 
-    return [Part("certificate", certifier)]
+    return [Part("certificate", certificate_maker)]

@@ -49,8 +49,8 @@ _GAIN = 0.9
 _DEEP = 20.0
 
 
-def certifier(problem: Problem, rooms: Sequence[int],
-              ) -> Callable[[NDArray[np.bool_]], dict[str, Any] | None]:
+def certificate_maker(problem: Problem, rooms: Sequence[int],
+                      ) -> Callable[[NDArray[np.bool_]], dict[str, Any] | None]:
     """Return what makes the certificate of an optimum, given its genes: its content.
 
     `rooms` are the most terms of each part of the problem. Raises TermselError at once for a
@@ -185,7 +185,8 @@ def tree_of(axis: dict[str, Any], max_steps: int,
             if closed:
                 continue
         # Beyond the path the column that leaves least open.
-        j = way[0][0] if way else columns.names[_branch(columns, checker.room - len(node.used))]
+        j = way[0][
+            0] if way else columns.names[_branching_column(columns, checker.room - len(node.used))]
         i = columns.names.index(j)
         steps.append(["split", j])
         without, using = checker.halves(node, j)
@@ -227,7 +228,7 @@ def _bound_steps(columns: Columns, node: Node,
         if bound is None:
             break
         columns = replace(columns, alphas=bound.alphas)
-        alphas = _short(node, columns.names, bound.alphas)
+        alphas = _multipliers_of_open_columns(node, columns.names, bound.alphas)
         if bound.closes:
             if checker.is_closed(node, alphas):
                 return [*steps, ["closed", alphas]], columns, node, True
@@ -250,7 +251,8 @@ def _bound_steps(columns: Columns, node: Node,
     return steps, columns, node, False
 
 
-def _short(node: Node, names: Sequence[int], alphas: FloatArray) -> list[float]:
+def _multipliers_of_open_columns(node: Node, names: Sequence[int],
+                                 alphas: FloatArray) -> list[float]:
     """Return multipliers in the order of the open columns.
 
     Any are valid. But where columns nearly depend on each other, those with four digits are no
@@ -260,7 +262,7 @@ def _short(node: Node, names: Sequence[int], alphas: FloatArray) -> list[float]:
     return [float(f"{alpha_by_name[j]:.9g}") for j in node.rest]
 
 
-def _branch(columns: Columns, room: int) -> int:
+def _branching_column(columns: Columns, room: int) -> int:
     """Return the column whose two halves leave least open, as far as one bound of each shows."""
     best = 0
     least_open = np.inf

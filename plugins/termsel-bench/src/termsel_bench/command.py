@@ -76,8 +76,8 @@ def bench(method_names: tuple[str, ...], solvers: tuple[str, ...], problem: str 
     show_messages()
     tasks = {"--check": checked, "--files": files}
     # All options are looked at before any set is simulated.
-    own_methods = _own_methods(method_names, solvers, problem, models, packages,
-                               parse_settings(settings))
+    own_methods = _methods_of_options(
+        method_names, solvers, problem, models, packages, parse_settings(settings))
     methods = _with_others(own_methods, without_others=without_others)
     # At most one task; without one methods are run.
     named = [name for name, value in tasks.items() if value is not None]
@@ -91,9 +91,9 @@ def bench(method_names: tuple[str, ...], solvers: tuple[str, ...], problem: str 
                                 "--package, which says what code of the results may run.")
     # A check repeats the sets that its file names, of either suite.
     if suite == "measured" and checked is None:
-        names = _measured_names(pattern, quick=quick)
+        names = _measured_sets_like(pattern, quick=quick)
     else:
-        names = _sets(pattern, quick=quick)
+        names = _simulated_sets_like(pattern, quick=quick)
     if files is not None and suite == "measured":
         _write_measured(files, names, overwrite=overwrite)
     elif files is not None:
@@ -104,9 +104,9 @@ def bench(method_names: tuple[str, ...], solvers: tuple[str, ...], problem: str 
         _run(methods, names, real, processes, scheduler, folder, overwrite=overwrite)
 
 
-def _own_methods(names: Sequence[str], solvers: Sequence[str], problem: str | None,
-                 models: Sequence[str], packages: Sequence[str],
-                 options: dict[str, str]) -> list[Method]:
+def _methods_of_options(names: Sequence[str], solvers: Sequence[str], problem: str | None,
+                        models: Sequence[str], packages: Sequence[str],
+                        options: dict[str, str]) -> list[Method]:
     """Return the methods that the options name; raises TermselError for options without a method.
     """
     from termsel_bench.methods.base import Method
@@ -137,7 +137,7 @@ def _with_others(own_methods: list[Method], *, without_others: bool) -> list[Met
                                                *(Method("peer", name) for name in PEERS)]
 
 
-def _sets(pattern: str, *, quick: bool) -> list[str]:
+def _simulated_sets_like(pattern: str, *, quick: bool) -> list[str]:
     """Return the names of simulated sets that contain `pattern`; raises TermselError if none does.
     """
     from termsel_bench.scenes.catalogue import QUICK, set_names
@@ -148,7 +148,7 @@ def _sets(pattern: str, *, quick: bool) -> list[str]:
     return names
 
 
-def _measured_names(pattern: str, *, quick: bool) -> list[str]:
+def _measured_sets_like(pattern: str, *, quick: bool) -> list[str]:
     """Return the names of measured sets that contain `pattern`; if quick, the first of each kind.
     """
     from termsel_bench.scenes.measured import SOURCES, measured_names
@@ -166,7 +166,7 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
     """Run methods on sets and print the table; with a folder, write table, page and results there.
     """
     from termsel import require_replaceable
-    from termsel_bench.protocol import scores
+    from termsel_bench.protocol import score_all
     from termsel_bench.scenes.measured import MEASURED
     from termsel_bench.scenes.real import real_folders
     from termsel_bench.tables import losses, ratios_by_kind
@@ -178,7 +178,7 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
     folders = [] if real is None else real_folders(real)
     scored: list[Score] = []
     total = (len(names) + len(folders)) * len(methods)
-    for score in scores(methods, names, folders, processes=processes, scheduler=scheduler):
+    for score in score_all(methods, names, folders, processes=processes, scheduler=scheduler):
         scored.append(score)
         if len(scored) % len(methods) == 0:
             # A line for each set, as methods of one set come one after the other.
@@ -207,15 +207,16 @@ def _write(scored: Sequence[Score], folder: Path, title: str) -> None:
     """Write table, page and results into a folder; `title` is the method whose losses are listed.
     """
     from termsel.toolkit import make_folder, write_text
-    from termsel.toolkit.charts import page
+    from termsel.toolkit.charts import render_page
     from termsel.toolkit.files import refuse_links
-    from termsel_bench.page import document
+    from termsel_bench.page import scores_document
     from termsel_bench.submitted import texts_of
     from termsel_bench.tables import csv_text
 
     make_folder(folder)
     refuse_links(folder)
-    texts = {"table.csv": csv_text(scored), "index.html": page(document(scored, title)),
+    texts = {"table.csv": csv_text(scored),
+             "index.html": render_page(scores_document(scored, title)),
              **texts_of(scored)}
     for name, text in texts.items():
         write_text(folder / name, text)
@@ -249,10 +250,10 @@ def _write_measured(folder: Path, names: Sequence[str], *, overwrite: bool) -> N
     from termsel.toolkit import make_folder, write_text
     from termsel.toolkit.files import refuse_links
     from termsel_bench.scenes.catalogue import METADATA
-    from termsel_bench.scenes.croissant import described_measured
-    from termsel_bench.scenes.measured import published_files
+    from termsel_bench.scenes.croissant import croissant_of_measured
+    from termsel_bench.scenes.measured import build_published_files
 
-    files = published_files(names)
+    files = build_published_files(names)
     require_replaceable([folder / METADATA, *(folder / name for name in files)], reads=[],
                         overwrite=overwrite, makes_folder=True)
     make_folder(folder)
@@ -260,7 +261,7 @@ def _write_measured(folder: Path, names: Sequence[str], *, overwrite: bool) -> N
     for name, text in files.items():
         (folder / name).parent.mkdir(exist_ok=True)
         write_text(folder / name, text)
-    write_text(folder / METADATA, json_text(described_measured(names, files)) + "\n")
+    write_text(folder / METADATA, json_text(croissant_of_measured(names, files)) + "\n")
     say_written([folder / METADATA])
     echo(f"{len(names)} sets are in {folder}.")
 

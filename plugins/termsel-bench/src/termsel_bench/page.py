@@ -11,14 +11,20 @@ from termsel_bench.methods.base import AUTO
 from termsel_bench.protocol import Score
 from termsel_bench.scenes.croissant import VERSION
 from termsel_bench.scenes.measured import MEASURED
-from termsel_bench.tables import LOSS_RATIO, best_of, losses, ratio, ratios_by_kind
+from termsel_bench.tables import (
+    LOSS_RATIO,
+    least_error_by_set,
+    losses,
+    ratio_to_best,
+    ratios_by_kind,
+)
 
 
-def document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
+def scores_document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
     """Return the page of scores; `title` is the method whose losses are listed."""
     header, rows = ratios_by_kind(scores)
     # Ratios are to the least RMSE of each set.
-    best = best_of(scores)
+    best = least_error_by_set(scores)
     sets = dict.fromkeys(score.set_name for score in scores)
     worse = losses(scores, title)
     figure = "RMSE"
@@ -37,14 +43,16 @@ def document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
     lost = TableBlock(
         f"Sets where {title} loses by more than {100 * (LOSS_RATIO - 1):.0f} %",
         ("set", "points", f"{title} [px]", "95 %", "best method", "best [px]", "95 %", "ratio"),
-        [(loss.set_name, str(loss.control), _px(loss.rmse), _interval(loss), winner.method.title,
-          _px(winner.rmse), _interval(winner), f"{loss.rmse / winner.rmse:.2f}")
+        [(loss.set_name, str(loss.control), _px_text(loss.rmse), _interval_text(loss),
+          winner.method.title,
+          _px_text(winner.rmse), _interval_text(winner), f"{loss.rmse / winner.rmse:.2f}")
          for loss, winner in worse])
     all_scores = TableBlock(
         "All scores",
         ("set", "method", "points", f"{figure} [px]", "95 %", "ratio", "why no result"),
-        [(score.set_name, score.method.title, str(score.control), _px(score.rmse), _interval(score),
-          _px(ratio(score, best)), score.why) for score in scores], folded=True)
+        [(score.set_name, score.method.title, str(score.control), _px_text(score.rmse),
+          _interval_text(score),
+          _px_text(ratio_to_best(score, best)), score.why) for score in scores], folded=True)
     named = any(score.method.title == title for score in scores)
     return Document(
         "termsel-bench", f"sets of version {VERSION}, termsel {__version__}",
@@ -56,9 +64,9 @@ def document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
          Section("All scores", (all_scores,))))
 
 
-def _px(value: float) -> str:
+def _px_text(value: float) -> str:
     return f"{value:.3f}" if math.isfinite(value) else "-"
 
 
-def _interval(score: Score) -> str:
+def _interval_text(score: Score) -> str:
     return f"{score.low:.3f} to {score.high:.3f}" if math.isfinite(score.rmse) else "-"

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from termsel import TermselError
-from termsel.toolkit import FloatArray, one_blas_thread, requires, safe_start
+from termsel.toolkit import FloatArray, one_blas_thread, require_import, safe_start
 from termsel.toolkit.files import quiet_logger
 from termsel_bench.methods.base import Method
 from termsel_bench.scenes.base import BenchSet
 from termsel_bench.scenes.catalogue import simulated_set
-from termsel_bench.scenes.measured import MEASURED, MeasuredSet, measured
+from termsel_bench.scenes.measured import MEASURED, MeasuredSet, read_measured_set
 from termsel_bench.scenes.real import real_set
 
 SEED = 1
@@ -74,16 +74,16 @@ class Work:
 
 def set_of(work: Work) -> BenchSet:
     """Return the set of some work: simulated, or of a folder."""
-    return simulated_set(work.set_name) if work.real is None else _real(work.real)
+    return simulated_set(work.set_name) if work.real is None else _as_real_number(work.real)
 
 
 @lru_cache(maxsize=2)
-def _real(folder: Path) -> BenchSet:
+def _as_real_number(folder: Path) -> BenchSet:
     return real_set(folder)
 
 
 @one_blas_thread
-def score(work: Work) -> Score:
+def score_work(work: Work) -> Score:
     """Return what the method of some work is worth on its set.
 
     Raises
@@ -92,7 +92,7 @@ def score(work: Work) -> Score:
         If the set is not the frozen one, or its files are not those it declares.
     """
     if work.real is None and work.set_name.startswith(MEASURED):
-        return _score_of_measured(work.method, measured(work.set_name))
+        return _score_of_measured(work.method, read_measured_set(work.set_name))
     bench_set = set_of(work)
     method = work.method
     of_score = (method, bench_set.name, bench_set.kind, len(bench_set.features.points),
@@ -105,7 +105,7 @@ def score(work: Work) -> Score:
         return Score(*of_score, seconds=time.process_time() - start, why=str(error).split("\n")[0])
     seconds = time.process_time() - start
     squares = ((positions - bench_set.independent.image) ** 2).sum(axis=1)
-    low, high = np.sqrt(_interval(squares, np.mean))
+    low, high = np.sqrt(_bootstrap_interval(squares, np.mean))
     return Score(*of_score, float(np.sqrt(squares.mean())), low, high, seconds)
 
 
@@ -130,11 +130,12 @@ def _score_of_measured(method: Method, measured_set: MeasuredSet) -> Score:
     except TermselError as error:
         return Score(*of_score, seconds=time.process_time() - start, why=str(error).split("\n")[0])
     seconds = time.process_time() - start
-    low, high = _interval(np.array(distances), np.median)
+    low, high = _bootstrap_interval(np.array(distances), np.median)
     return Score(*of_score, float(np.median(distances)), low, high, seconds)
 
 
-def _interval(values: FloatArray, figure: Callable[[FloatArray], Any]) -> tuple[float, float]:
+def _bootstrap_interval(
+        values: FloatArray, figure: Callable[[FloatArray], Any]) -> tuple[float, float]:
     """Return the confidence interval of a figure of values (n, ...), by resampling them."""
     # Points are drawn with replacement, so that the interval is of sets like this one.
     rng = np.random.default_rng(SEED)
@@ -144,8 +145,8 @@ def _interval(values: FloatArray, figure: Callable[[FloatArray], Any]) -> tuple[
     return float(low), float(high)
 
 
-def scores(methods: Sequence[Method], sets: Iterable[str], real: Sequence[Path] = (), *,
-           processes: int = 1, scheduler: str = "") -> Iterator[Score]:
+def score_all(methods: Sequence[Method], sets: Iterable[str], real: Sequence[Path] = (), *,
+              processes: int = 1, scheduler: str = "") -> Iterator[Score]:
     """Yield the scores of all methods, set by set, as they end.
 
     Parameters
@@ -163,7 +164,7 @@ def scores(methods: Sequence[Method], sets: Iterable[str], real: Sequence[Path] 
     Raises
     ------
     TermselError
-        As `score`; for an unknown method; if the scheduler does not answer.
+        As `score_work`; for an unknown method; if the scheduler does not answer.
     """
     for method in methods:
         method.require()
@@ -173,7 +174,7 @@ def scores(methods: Sequence[Method], sets: Iterable[str], real: Sequence[Path] 
     if scheduler:
         yield from _scores_on_cluster(work, scheduler)
     elif processes == 1:
-        yield from map(score, work)
+        yield from map(score_work, work)
     else:
         # No fork: threads of numba and BLAS do not survive it.
         # Its locks have a process of their own.
@@ -183,7 +184,7 @@ def scores(methods: Sequence[Method], sets: Iterable[str], real: Sequence[Path] 
             # Map submits all, and so starts the processes.
             with safe_start():
                 # All methods of a set go to one process, which then simulates it once.
-                scored = pool.map(score, work, chunksize=len(methods))
+                scored = pool.map(score_work, work, chunksize=len(methods))
             yield from scored
 
 
@@ -192,7 +193,7 @@ def _scores_on_cluster(work: Sequence[Work], scheduler: str) -> Iterator[Score]:
 
     Raises TermselError if it does not answer.
     """
-    with requires("--scheduler requires", "distributed", "distributed"):
+    with require_import("--scheduler requires", "distributed", "distributed"):
         from distributed import Client
     try:
         client = Client(scheduler, timeout=10, set_as_default=False)
@@ -201,5 +202,5 @@ def _scores_on_cluster(work: Sequence[Work], scheduler: str) -> Iterator[Score]:
                            hint="Start it with `dask scheduler` and `dask worker ADDRESS`.",
                            ) from error
     with client:
-        for future in client.map(score, work, pure=False):
+        for future in client.map(score_work, work, pure=False):
             yield future.result()

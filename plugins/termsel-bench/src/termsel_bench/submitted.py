@@ -14,8 +14,8 @@ from termsel import TermselError, __version__
 from termsel.toolkit import read_text
 from termsel.toolkit.runs import exception_in_words
 from termsel_bench.methods.base import METHOD_KINDS, Method
-from termsel_bench.protocol import Score, scores
-from termsel_bench.scenes.catalogue import SETS, checksums
+from termsel_bench.protocol import Score, score_all
+from termsel_bench.scenes.catalogue import SETS, frozen_checksums
 from termsel_bench.scenes.measured import checksums_of_measured
 
 SCHEMA = "termsel-bench-1"
@@ -48,7 +48,7 @@ def texts_of(scored: Sequence[Score]) -> dict[str, str]:
 
     Only frozen sets are in it; a method that ran on none of them has no file.
     """
-    frozen = _frozen()
+    frozen = _frozen_checksums()
     files = {}
     for method in dict.fromkeys(score.method.title for score in scored):
         of_method = [score for score in scored if score.method.title == method
@@ -70,9 +70,9 @@ def texts_of(scored: Sequence[Score]) -> dict[str, str]:
     return files
 
 
-def _frozen() -> dict[str, str]:
+def _frozen_checksums() -> dict[str, str]:
     """Return the SHA-256 of the points of each set, simulated and measured."""
-    simulated = checksums()
+    simulated = frozen_checksums()
     return {**{name: simulated[f"{name}.csv"] for name in SETS}, **checksums_of_measured()}
 
 
@@ -132,7 +132,7 @@ def _read(path: Path, packages: Sequence[str]) -> Submitted:
         raise TermselError(f"{path} names code to run: {method.name!r:.100}",
                            hint="If you trust it, name it yourself: --package MODULE:FUNCTION.")
     method.require()
-    frozen = _frozen()
+    frozen = _frozen_checksums()
     for name in rmse:
         if name not in frozen:
             raise refused(f"names the set {name!r}, which there is not")
@@ -158,7 +158,7 @@ def check(submitted: Submitted, pattern: str = "", *, processes: int = 1) -> Che
                            hint=f"It has {', '.join(submitted.rmse)}.")
     refuted = []
     worst = 0.0
-    for repeated_score in scores([submitted.method], names, processes=processes):
+    for repeated_score in score_all([submitted.method], names, processes=processes):
         submitted_rmse = submitted.rmse[repeated_score.set_name]
         if submitted_rmse is not None and "not installed" in repeated_score.why:
             raise TermselError(f"{submitted.path.name} cannot be repeated here: "

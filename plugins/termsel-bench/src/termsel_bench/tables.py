@@ -18,7 +18,7 @@ LOSS_RATIO = 1.02
 """A method loses on a set where its RMSE is above that of another by more than this."""
 
 
-def best_of(scores: Sequence[Score]) -> dict[str, float]:
+def least_error_by_set(scores: Sequence[Score]) -> dict[str, float]:
     """Return the least error of each set [px], by its name; infinite if no method has a result."""
     best: dict[str, float] = {}
     for score in scores:
@@ -26,7 +26,7 @@ def best_of(scores: Sequence[Score]) -> dict[str, float]:
     return best
 
 
-def ratio(score: Score, best: dict[str, float]) -> float:
+def ratio_to_best(score: Score, best: dict[str, float]) -> float:
     """Return the ratio of a score to the best of its set; infinite without a result."""
     best_rmse = best[score.set_name]
     return score.rmse / best_rmse if math.isfinite(score.rmse) else math.inf
@@ -34,11 +34,11 @@ def ratio(score: Score, best: dict[str, float]) -> float:
 
 def csv_text(scores: Sequence[Score]) -> str:
     """Return the content of table.csv: a row for each score; figures are blank without a result."""
-    best = best_of(scores)
+    best = least_error_by_set(scores)
     rows: list[Sequence[object]] = [TABLE_COLUMNS]
     for score in scores:
         figures = [f"{value:.4f}" if math.isfinite(value) else "" for value in (
-            score.rmse, score.low, score.high, ratio(score, best))]
+            score.rmse, score.low, score.high, ratio_to_best(score, best))]
         rows.append([score.set_name, score.kind, score.method.title, score.control,
                      score.independent,
                          *figures, f"{score.seconds:.2f}", score.why])
@@ -47,7 +47,7 @@ def csv_text(scores: Sequence[Score]) -> str:
 
 def ratios_by_kind(scores: Sequence[Score]) -> tuple[list[str], list[list[str]]]:
     """Return header and rows of the median ratio to the best of each set, best method first."""
-    best = best_of(scores)
+    best = least_error_by_set(scores)
     kinds = list(dict.fromkeys(score.kind for score in scores))
     titles = dict.fromkeys(score.method.title for score in scores)
     rows = []
@@ -55,7 +55,7 @@ def ratios_by_kind(scores: Sequence[Score]) -> tuple[list[str], list[list[str]]]
         of_title = [score for score in scores if score.method.title == title]
         ratios: dict[str, list[float]] = {kind: [] for kind in kinds}
         for score in of_title:
-            ratios[score.kind].append(ratio(score, best))
+            ratios[score.kind].append(ratio_to_best(score, best))
         all_ratios = list(chain.from_iterable(ratios.values()))
         rows.append((median(all_ratios),
                      [title, *(_ratio_in_words(median(values) if values else math.inf)

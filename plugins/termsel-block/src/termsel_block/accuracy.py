@@ -46,12 +46,13 @@ def independent_points(result: BlockResult, i: int) -> Points | None:
     return points if len(points) else None
 
 
-def rmse(errors: FloatArray) -> float:
+def rms_length(errors: FloatArray) -> float:
     """Return the root mean square of the lengths of differences (n, 2); n is at least 1."""
     return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
 
-def predicted(result: BlockResult, i: int, seed: int = 0, *, anywhere: bool = False) -> Spread:
+def predicted_errors(
+        result: BlockResult, i: int, seed: int = 0, *, anywhere: bool = False) -> Spread:
     """Return what points of an image, measured as its control is, will miss the model by.
 
     Over as many points as the image has independent ones, at their places; where it has none, or
@@ -166,13 +167,13 @@ def errors_in_space(result: BlockResult) -> InSpace | None:
     if not names:
         return None
     actual = result.frame.local(np.array([truth_of[name] for name in names]))
-    intersected = _intersections(result, [rays_of[name] for name in names], actual)
+    intersected = _intersect_rays(result, [rays_of[name] for name in names], actual)
     east, north, up = np.sqrt(((intersected - actual) ** 2).mean(axis=0))
     return InSpace(float(east), float(north), float(up), len(names))
 
 
-def _intersections(result: BlockResult, rays: Sequence[Sequence[tuple[int, FloatArray]]],
-                   near: FloatArray) -> FloatArray:
+def _intersect_rays(result: BlockResult, rays: Sequence[
+        Sequence[tuple[int, FloatArray]]], near: FloatArray) -> FloatArray:
     """Return where the rays of each point meet, shape (n, 3) [m].
 
     `rays` holds for each of n points the number of each image and the point's position there;

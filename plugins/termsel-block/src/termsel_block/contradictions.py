@@ -183,7 +183,8 @@ def doubts_of_models(block: Block, adjusted: Adjusted) -> list[str]:
             for i, contradiction in contradictions_of(adjusted).items()]
 
 
-def against_dem(ground: FloatArray, adjusted: Adjusted, dem: Surface) -> tuple[float, str]:
+def compare_ground_with_dem(
+        ground: FloatArray, adjusted: Adjusted, dem: Surface) -> tuple[float, str]:
     """Return by how much the ground as adjusted without a DEM is off it [m], and that as a note.
 
     The note is empty where that may be chance.

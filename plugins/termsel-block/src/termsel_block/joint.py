@@ -11,11 +11,11 @@ from functools import cached_property
 import numpy as np
 
 from termsel import TermselError, open_dem
-from termsel.toolkit import counted, one_blas_thread
+from termsel.toolkit import count_in_words, one_blas_thread
 from termsel_block.block import Block, BlockImage
 from termsel_block.contradictions import (
-    against_dem,
     agrees_better,
+    compare_ground_with_dem,
     gain_of_control,
     note_without,
     sensor_of,
@@ -27,7 +27,7 @@ from termsel_block.estimation.adjustment import adjust_block
 from termsel_block.estimation.starts import ImageInput, start
 from termsel_block.estimation.unknowns import Adjusted, Measured
 from termsel_block.geometry.cameras import Camera, groups_of
-from termsel_block.geometry.control import OwnControl, in_use, own_control
+from termsel_block.geometry.control import OwnControl, control_equations, points_in_use
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
 from termsel_block.geometry.heights import ControlHeights, Heights, Surface
 from termsel_block.geometry.physical import ABSURD, PhysicalModel
@@ -152,10 +152,11 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
             sensor = sensor_of(result.block, worst)
             right.add(sensor)
             freed_blocks[sensor] = freed
-    return _with_note_on_dem(_or_photos(_without_worse(result, freed_blocks, progress), progress))
+    return _with_note_on_dem(
+        _result_or_photos(_without_worse(result, freed_blocks, progress), progress))
 
 
-def _or_photos(result: BlockResult, progress: Callable[[float], None] | None) -> BlockResult:
+def _result_or_photos(result: BlockResult, progress: Callable[[float], None] | None) -> BlockResult:
     """Return the result, or that of photos where images of no stated model are some.
 
     Polynomials are for images from space. Of photos they miss places by a hundred pixels where a
@@ -173,10 +174,11 @@ def _or_photos(result: BlockResult, progress: Callable[[float], None] | None) ->
         # Too few points, no photos, or termsel-cameras is not installed.
         log.debug("not adjusted as photos: %s", error)
         photos = result
-    before = _misfit(result.adjusted)
-    after = _misfit(photos.adjusted)
+    before = _block_misfit(result.adjusted)
+    after = _block_misfit(photos.adjusted)
     is_one = len(unstated) == 1
-    have = f"{counted(len(unstated), 'image')} {'has' if is_one else 'have'} no RPC and no model"
+    have = f"{count_in_words(len(unstated), 'image')} {'has' if is_one else 'have'} no RPC and " \
+        "no model"
     if photos.adjusted.converged and after < _FAR_LESS * before:
         note = (f"{have}, and {'is' if is_one else 'are'} taken for photos (model "
                 f"{PHOTO}): control and ties agree to {after:.2g} px, by polynomials to "
@@ -191,7 +193,7 @@ def _or_photos(result: BlockResult, progress: Callable[[float], None] | None) ->
     return result
 
 
-def _misfit(adjusted: Adjusted) -> float:
+def _block_misfit(adjusted: Adjusted) -> float:
     """Return how far control and ties are off a block [px]: the larger standard deviation."""
     return max(adjusted.state.sigma_control, adjusted.state.sigma_ties)
 
@@ -245,7 +247,7 @@ def _with_note_on_dem(result: BlockResult) -> BlockResult:
         # Nothing but the DEM holds the heights, so that they say nothing of it.
         return result
     with open_dem(path, block.crs) as dem:
-        off, note = against_dem(free.ties, free.adjusted, dem)
+        off, note = compare_ground_with_dem(free.ties, free.adjusted, dem)
     return result if not note else _adjust_as_stated(replace(
         block, notes=(*block.notes, note)), result.frame, None, doubt=abs(off))
 
@@ -275,8 +277,8 @@ def _adjust_as_stated(block: Block, frame: Frame, progress: Callable[[float], No
             in_image = block.ties.image == i
             inputs.append(ImageInput(
                 image.name, Measured(block.ties.tie[in_image], block.ties.position[in_image]),
-                own_control(image.features, frame), image.rpc,
-                *_model(image)))
+                control_equations(image.features, frame), image.rpc,
+                *_correction_columns(image)))
         heights = replace(heights_of(block, frame, dem), doubt=doubt)
         state = start(inputs, len(block.ties.names), frame, heights)
         adjusted = adjust_block(
@@ -286,7 +288,7 @@ def _adjust_as_stated(block: Block, frame: Frame, progress: Callable[[float], No
     return BlockResult(block, frame, adjusted, tuple(image.control for image in inputs))
 
 
-def _model(image: BlockImage) -> tuple[tuple[str, ...], PhysicalModel | None]:
+def _correction_columns(image: BlockImage) -> tuple[tuple[str, ...], PhysicalModel | None]:
     """Return the columns that correct an image's RPC, () without one, and its physical model.
 
     The model is None with an RPC, and with `auto`.
@@ -315,18 +317,19 @@ def _frame_positions(block: Block) -> FloatArray:
     They are those of all points, whatever their role, of the ends of lines and of the middles of
     RPCs. Raises TermselError if no image has control in use or an RPC.
     """
-    from termsel.toolkit.coordinates import transformation
+    from termsel.toolkit.coordinates import transformation_between
 
     features_of_images = [image.features for image in block.images if image.features is not None]
     grounds = [features.points.ground for features in features_of_images]
     grounds += [features.lines.ground.reshape(-1, 3) for features in features_of_images]
     ground = np.concatenate([np.empty((0, 3)), *grounds])
     # Independent points alone hold nothing, though their positions are known.
-    has_control = any(len(in_use(features)) or len(features.lines)
+    has_control = any(len(points_in_use(features)) or len(features.lines)
                       for features in features_of_images)
     rpcs = [image.rpc.ground_offset for image in block.images if image.rpc is not None]
     if rpcs:
-        ground = np.concatenate([ground, transformation("EPSG:4979", block.crs)(np.array(rpcs))])
+        ground = np.concatenate([ground,
+                                 transformation_between("EPSG:4979", block.crs)(np.array(rpcs))])
     if not has_control and not rpcs:
         raise TermselError("no image of the block has control or an RPC",
                            hint="Give at least one image points, lines or an RPC.")
@@ -358,7 +361,8 @@ def heights_of(block: Block, frame: Frame, dem: Surface | None) -> Heights:
 def _control_places(block: Block) -> tuple[FloatArray, BoolArray, list[IntArray]]:
     """Return the places (k, 3) of all control, which of them state a height, and each row's place.
 
-    The last has for each image the number among the k of each of its rows (see `own_control`).
+    The last has for each image the number among the k of each of its rows (see
+    `control_equations`).
     """
     tables = [np.empty((0, 4))]
     rows = []
@@ -367,13 +371,13 @@ def _control_places(block: Block) -> tuple[FloatArray, BoolArray, list[IntArray]
         if image.features is None:
             rows.append(np.empty(0, np.intp))
             continue
-        points = in_use(image.features)
+        points = points_in_use(image.features)
         lines = image.features.lines
         ground = np.concatenate([points.ground, lines.ground.reshape(-1, 3)])
         ids = [*points.ids, *np.repeat(lines.ids, 2).tolist()]
         tables.append(np.column_stack([ground, [name not in image.of_dem for name in ids]]))
         at = count + np.arange(len(ground))
-        # As in `own_control`: two rows of a point, one of each vertex of a line.
+        # As in `control_equations`: two rows of a point, one of each vertex of a line.
         rows.append(np.concatenate([np.repeat(at[:len(points)], 2), at[len(points):]]))
         count += len(ground)
     # Images see the same control.

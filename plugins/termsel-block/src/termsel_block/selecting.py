@@ -27,11 +27,11 @@ from termsel import (
     get,
     search,
 )
-from termsel.toolkit import counted, csv_table
+from termsel.toolkit import count_in_words, csv_table
 from termsel.toolkit.searches import RowSystem
-from termsel_block.accuracy import independent_points, rmse
+from termsel_block.accuracy import independent_points, rms_length
 from termsel_block.block import Block, BlockImage
-from termsel_block.geometry.control import own_control
+from termsel_block.geometry.control import control_equations
 from termsel_block.geometry.frame import BoolArray, FloatArray, IntArray
 from termsel_block.joint import BlockResult, adjust
 
@@ -195,8 +195,8 @@ def select(block: Block, *, solver: str | Solver = "ga", seed: int = 1,
     check_of_all = float(problem.evaluate(everything).objectives[0, 0])
     return Selected(
         control=control, ties=ties, search=outcome, check=float(outcome.objectives[0]),
-        check_of_all=check_of_all, result=result, independent=_independent(result),
-        independent_of_all=_independent(problem.whole))
+        check_of_all=check_of_all, result=result, independent=_independent_rmse(result),
+        independent_of_all=_independent_rmse(problem.whole))
 
 
 def _parts_of_label(label: str) -> tuple[str, str, str]:
@@ -254,23 +254,23 @@ def _is_out(image: str, control: set[tuple[str, str]], name: str, role: str) -> 
     return role != "independent" and (image, name) not in control
 
 
-def _independent(result: BlockResult) -> float | None:
+def _independent_rmse(result: BlockResult) -> float | None:
     """Return the RMSE [px] of the independent points of all images; None if there are none."""
     errors = [points.image - result.project(i, points.ground)
               for i in range(len(result.block.images))
               if (points := independent_points(result, i)) is not None]
-    return rmse(np.concatenate(errors)) if errors else None
+    return rms_length(np.concatenate(errors)) if errors else None
 
 
 def _rows_among_all(result: BlockResult, i: int, rows: FloatArray) -> FloatArray:
     """Return rows of one image's parameters (n, p) among those of all images."""
     slices = result.adjusted.solved.reduced.slices
-    all_columns = np.zeros((len(rows), _columns(result)))
+    all_columns = np.zeros((len(rows), _count_parameters(result)))
     all_columns[:, slices[i]] = rows
     return all_columns
 
 
-def _columns(result: BlockResult) -> int:
+def _count_parameters(result: BlockResult) -> int:
     """Return the number of all images' parameters; columns of shared heights follow them."""
     return result.adjusted.solved.reduced.slices[len(result.block.images) - 1].stop
 
@@ -309,7 +309,7 @@ def _control_rows(result: BlockResult) -> list[tuple[str, FloatArray, FloatArray
     rows_of_features = []
     state = result.adjusted.state
     for i, image in enumerate(result.block.images):
-        control = own_control(image.features, result.frame)
+        control = control_equations(image.features, result.frame)
         if not len(control):
             continue
         # Derivatives in the direction that is measured, over the standard deviation.
@@ -330,7 +330,7 @@ def _tie_rows(result: BlockResult, ties: IntArray,
     """Return label, rows and targets of ties whose places are eliminated."""
     solved = result.adjusted.solved
     state = result.adjusted.state
-    total = _columns(result)
+    total = _count_parameters(result)
     # A row of each tie and image has as many numbers as all images have parameters.
     if len(ties) * total**2 > _MOST_ROWS:
         raise TermselError(f"{len(ties)} ties of {len(state.cameras)} images are too many to "
@@ -392,8 +392,8 @@ def table_of(selected: Selected) -> str:
 def text_of(selected: Selected) -> str:
     """Return the summary of a selection: its size, RMSEs, and whether it is proven, lines of text.
     """
-    lines = [f"Selected: {counted(len(selected.control), 'control feature')} and "
-             f"{counted(len(selected.ties), 'tie')}, by {selected.search.evaluations:,} "
+    lines = [f"Selected: {count_in_words(len(selected.control), 'control feature')} and "
+             f"{count_in_words(len(selected.ties), 'tie')}, by {selected.search.evaluations:,} "
              "evaluations.",
              f"Selection points: RMSE {selected.check:.2f} px; {selected.check_of_all:.2f} px with "
              "all candidates. They chose, so that this is no accuracy."]

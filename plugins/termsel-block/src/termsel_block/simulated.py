@@ -118,11 +118,11 @@ def simulate_block(
     rng = np.random.default_rng(seed)
     true_sensors = [_exact_scanner(i, size, gsd, views, bend, rng) for i in range(n_images)]
     # Jitter is drawn from generators of its own, so that the rest stays the same without it.
-    sensors = [_jittered(sensor, jitter[i], size, np.random.default_rng([seed, 2, i]))
+    sensors = [_with_jitter(sensor, jitter[i], size, np.random.default_rng([seed, 2, i]))
                if i < len(jitter) else sensor for i, sensor in enumerate(true_sensors)]
     width = size * gsd
     extent = _Extent(width, size, hills)
-    ground, image, index = _seen_ties(sensors, n_images, n_ties, extent, rng)
+    ground, image, index = _observe_ties(sensors, n_images, n_ties, extent, rng)
     measured_at = image + rng.normal(0, noise, image.shape)
     count = len(ground)
     # Of their own generator: the rest of the block is the same without them.
@@ -135,14 +135,14 @@ def simulate_block(
     images = []
     # Control of a stack serves its three images: the most that any of them asks for.
     of_stacks = [max(control[k:k + 3], default=0) for k in range(0, n_images, 3)]
-    known_ground, stack = _known_places(sensors, of_stacks, independent + check, width, hills,
+    known_ground, stack = _draw_known_places(sensors, of_stacks, independent + check, width, hills,
                                   rng)
     for i, sensor in enumerate(sensors):
         n = control[i] if i < len(control) else 0
         is_control = stack >= 0
         # An image has the first n control points of its stack, and all independent points.
         use = ~is_control | ((stack == i // 3) & (_rank_in_stack(stack) < n))
-        points = _points(sensor, (known_ground, use, is_control), noise, size, rng)
+        points = _measured_points(sensor, (known_ground, use, is_control), noise, size, rng)
         # The first of the independent points judge a selection instead.
         judging = np.flatnonzero([role == "independent" for role in points.roles])
         roles = np.array(points.roles, object)
@@ -154,7 +154,7 @@ def simulate_block(
     return Simulated(Block("EPSG:4979", tuple(images), ties), tuple(sensors), ground)
 
 
-def height(lonlat: FloatArray, hills: Hills = HILLS) -> FloatArray:
+def ground_heights(lonlat: FloatArray, hills: Hills = HILLS) -> FloatArray:
     """Return the heights of the simulated ground [m] at longitudes and latitudes (n, 2)."""
     east = (lonlat[:, 0] - LON) * _DEGREE_METRES * np.cos(np.radians(LAT)) / 1000
     north = (lonlat[:, 1] - LAT) * _DEGREE_METRES / 1000
@@ -198,8 +198,8 @@ def _exact_scanner(i: int, size: int, gsd: float, views: Sequence[tuple[float, f
     return replace(sensor, roll=slow(sensor.roll), pitch=slow(sensor.pitch))
 
 
-def _jittered(sensor: Pushbroom, amplitude: float, size: int,
-              rng: np.random.Generator) -> Pushbroom:
+def _with_jitter(sensor: Pushbroom, amplitude: float, size: int,
+                 rng: np.random.Generator) -> Pushbroom:
     """Return a scanner with jitter of roll and pitch, a sine each of `amplitude` [px]."""
     time = size * sensor.line_period
 
@@ -210,8 +210,8 @@ def _jittered(sensor: Pushbroom, amplitude: float, size: int,
     return replace(sensor, roll=moved(sensor.roll), pitch=moved(sensor.pitch))
 
 
-def _seen_ties(sensors: list[Pushbroom], n: int, n_ties: int, extent: _Extent,
-               rng: np.random.Generator) -> tuple[FloatArray, FloatArray, IntArray]:
+def _observe_ties(sensors: list[Pushbroom], n: int, n_ties: int, extent: _Extent,
+                  rng: np.random.Generator) -> tuple[FloatArray, FloatArray, IntArray]:
     """Return places of ties (t, 3), and measurements: line and sample, and (tie, image), (m, 2).
 
     Only ties that two images or more see are returned.
@@ -232,7 +232,7 @@ def _seen_ties(sensors: list[Pushbroom], n: int, n_ties: int, extent: _Extent,
             / np.cos(np.radians(LAT))
         north = rng.uniform(-0.55, 0.55, n_candidates) * width / _DEGREE_METRES
         xy = np.column_stack([lon + east, lat + north])
-        ground = np.column_stack([xy, height(xy, hills)])
+        ground = np.column_stack([xy, ground_heights(xy, hills)])
         rows = []
         # Images of other stacks see the ground, too, as each overlaps the next.
         near = (np.abs(middles[:, 1] - lat) < reach) & (
@@ -259,8 +259,8 @@ def _seen_ties(sensors: list[Pushbroom], n: int, n_ties: int, extent: _Extent,
             np.concatenate(indices).astype(np.intp))
 
 
-def _known_places(sensors: list[Pushbroom], control: list[int], independent: int, width: float,
-                  hills: Hills, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
+def _draw_known_places(sensors: list[Pushbroom], control: list[int], independent: int, width: float,
+                       hills: Hills, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
     """Return places of each stack's control, then of independent points all over the block.
 
     With them the stack of each; -1 for independent ones.
@@ -272,7 +272,7 @@ def _known_places(sensors: list[Pushbroom], control: list[int], independent: int
     stack_of = np.concatenate([of_control, rng.choice(stacks, independent * stacks)])
     middle = np.array([_middle_of_stack(int(stack), width) for stack in stack_of]).reshape(-1, 2)
     away = rng.uniform(-half, half, middle.shape) / [np.cos(np.radians(LAT)), 1.0]
-    return (np.column_stack([middle + away, height(middle + away, hills)]),
+    return (np.column_stack([middle + away, ground_heights(middle + away, hills)]),
             np.concatenate([of_control, np.full(independent * stacks, -1)]).astype(np.intp))
 
 
@@ -281,8 +281,9 @@ def _rank_in_stack(stack: IntArray) -> IntArray:
     return np.array([int((stack[:k] == number).sum()) for k, number in enumerate(stack)], np.intp)
 
 
-def _points(sensor: Pushbroom, known: tuple[FloatArray, BoolArray, BoolArray], noise: float,
-            size: int, rng: np.random.Generator) -> Points:
+def _measured_points(sensor: Pushbroom, known: tuple[FloatArray, BoolArray, BoolArray],
+                     noise: float,
+                     size: int, rng: np.random.Generator) -> Points:
     """Return the control and the independent points, of those in use, that an image sees.
 
     What is known is the ground (n, 3), which of it is in use, and which of it is control.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from termsel import FeatureSet, TermselError, read, require_replaceable
-from termsel.toolkit import counted, echo, print_table, say_written, write_text
+from termsel.toolkit import count_in_words, echo, print_table, say_written, write_text
 from termsel.toolkit.coordinates import LOCAL
 from termsel.toolkit.files import require_inside
 
@@ -60,7 +60,7 @@ def map_series(sheets: tuple[Path, ...], crs: str | None, prime_meridian: str | 
         meridian["prime_meridian"] = prime_meridian
     read_sheets = [_read_sheet(sheet, crs, meridian) for sheet in sheets]
     projection = "" if all(sheet.crs in ("", LOCAL) for sheet in read_sheets) \
-        else _chosen_projection(read_sheets, candidates, century)
+        else _choose_projection(read_sheets, candidates, century)
     series = series_of(read_sheets, projection)
     _say_paper(series)
     if output is not None:
@@ -82,15 +82,15 @@ _MOST_ALIKE = 3
 """Projections with the same figure that a table lists."""
 
 
-def _chosen_projection(sheets: list[FeatureSet], candidates: Path | None,
+def _choose_projection(sheets: list[FeatureSet], candidates: Path | None,
                        century: int | None) -> str:
     """Print how well each projection predicts the sheets, and return the CRS of the chosen one."""
-    from termsel_cameras.sheets.choosing import chosen_of, tried_projections
+    from termsel_cameras.sheets.choosing import first_of_the_best, rank_projections
     from termsel_cameras.sheets.reading import candidates_of
 
     projections = candidates_of(sheets, None if candidates is None else str(candidates), century)
-    ranked = tried_projections(sheets, projections)
-    best = chosen_of(ranked, projections)
+    ranked = rank_projections(sheets, projections)
+    best = first_of_the_best(ranked, projections)
     rows = [(projection.name, f"{projection.rmse:.3g}", projection.crs) for projection in ranked]
     # Projections of the same figure are listed up to a few of them.
     listed: list[tuple[str, str, str]] = []
@@ -101,7 +101,7 @@ def _chosen_projection(sheets: list[FeatureSet], candidates: Path | None,
         if len(alike) > _MOST_ALIKE:
             listed.append((f"{len(alike) - _MOST_ALIKE} more", figure, ""))
     print_table(("projection", "predicted px", "CRS"), listed)
-    echo(f"\nChosen for {counted(len(sheets), 'sheet')}: {best.name}. "
+    echo(f"\nChosen for {count_in_words(len(sheets), 'sheet')}: {best.name}. "
          f"--set projection='{best.crs}'")
     if len({figure for _, figure, _ in rows}) == 1 and len(rows) > 1:
         echo("All predict these sheets alike, so the sheets do not show which it is.")
@@ -121,7 +121,8 @@ def _say_paper(series: Series) -> None:
         return
     paper = paper_of(series.sheets)
     scale, turn, stretch, shear = paper.spreads
-    echo(f"Paper by {counted(len(series.sheets), 'sheet')}: {math.exp(paper.means[0]):.5g} px per "
+    echo(f"Paper by {count_in_words(len(series.sheets), 'sheet')}: {math.exp(paper.means[0]):.5g} "
+         "px per "
          f"unit of ground (standard deviation {100 * scale:,.2f} %), turn "
          f"{math.degrees(paper.means[1]):.3g} deg ({math.degrees(turn):.2g}), stretch "
          f"{100 * paper.means[2]:.2g} % ({100 * stretch:.2g}), shear {100 * paper.means[3]:.2g} % "
@@ -174,7 +175,7 @@ def flight_camera(photos: tuple[Path, ...], crs: str | None, size: tuple[int, in
     write_text(output, json.dumps(content, indent=2) + "\n")
     echo(f"Focal length {camera.focal:,.1f} px, standard deviation {100 * camera.spread:.2g} %; "
          f"radial distortion k1 {camera.k1:.3g}; residuals {camera.sigma:.2g} px at "
-         f"{camera.points} points in {counted(camera.photos, 'photo')}.")
+         f"{camera.points} points in {count_in_words(camera.photos, 'photo')}.")
     if camera.photos == 1:
         echo("Note: one photo hardly distinguishes focal length from height of flight. Give the "
              "photos of the whole flight.", err=True)

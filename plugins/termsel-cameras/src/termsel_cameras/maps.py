@@ -21,7 +21,7 @@ from numpy.random import Generator
 
 from termsel import DatasetSpec, FeatureSet, Points, TermselError
 from termsel.toolkit import FloatArray
-from termsel.toolkit.models import ASSIGNABLE, no_lines
+from termsel.toolkit.models import ASSIGNABLE, empty_lines
 from termsel_cameras.photo import DIGITS
 
 MAP_NAME = "old-map"
@@ -111,10 +111,10 @@ def simulate_map(
     # A generator for each part, so that without one of them the others stay the same.
     paper_rng, sheet_rng, field_rng, position_rng, noise_rng = np.random.default_rng(
         [1900, seed or 0]).spawn(5)
-    positions = _spread(position_rng, n_points)
+    positions = _spread_places(position_rng, n_points)
     extent = np.array(SIZE) - 1.0
     # Distorted as drawn, then by the sheets, then by the paper, then measured.
-    image = positions + _field(field_rng, local, positions)
+    image = positions + _random_shift(field_rng, local, positions)
     image += _shift_by_sheet(sheet_rng, sheets, joints, positions)
     image = _shrink(paper_rng, shrinkage, image)
     image += noise * noise_rng.standard_normal(positions.shape)
@@ -127,10 +127,10 @@ def simulate_map(
     ground = np.column_stack([ORIGIN[0] + right, ORIGIN[1] + up, np.full(n_points, np.nan)])
     roles = tuple(ASSIGNABLE[i % 3] for i in range(n_points))
     points = Points(tuple(f"M{i + 1:03d}" for i in range(n_points)), image, ground, None, roles)
-    return FeatureSet(points, no_lines(), CRS, SIZE, noise)
+    return FeatureSet(points, empty_lines(), CRS, SIZE, noise)
 
 
-def _spread(rng: Generator, count: int) -> FloatArray:
+def _spread_places(rng: Generator, count: int) -> FloatArray:
     """Return places on the map [px], spread out by best candidates (Mitchell 1991)."""
     positions = np.empty((count, 2))
     for i in range(count):
@@ -141,7 +141,7 @@ def _spread(rng: Generator, count: int) -> FloatArray:
     return positions
 
 
-def _field(rng: Generator, size: float, positions: FloatArray) -> FloatArray:
+def _random_shift(rng: Generator, size: float, positions: FloatArray) -> FloatArray:
     """Return a smooth random shift at places (n, 2) [px], of standard deviation `size` [px]."""
     length = DISTORTION_LENGTH * max(SIZE)
     shift = np.empty(positions.shape)

@@ -48,14 +48,14 @@ DIGITS = 6
 _PHOTO_POINTS, _PHOTO_SEED, _ADJUSTING_STEPS = 120, 1971, 50
 
 
-def photo() -> FeatureSet:
+def read_photo_points() -> FeatureSet:
     """Return the measured points of the photo: easting, northing in UTM zone 33 and height [m]."""
     rng = np.random.default_rng(_PHOTO_SEED)
     # Ground beyond the image on all sides, so that its corners have points, too.
     reach = 0.62 * SIZE[0] / FOCAL * HEIGHT
     ground = rng.uniform(-reach, reach, (20 * _PHOTO_POINTS, 3))
     ground[:, 2] = RELIEF * (np.sin(ground[:, 0] / 700.0) + np.cos(ground[:, 1] / 900.0)) / 2
-    image = seen(ground)
+    image = project_into_scan(ground)
     inside = ((image > 40) & (image < np.array(SIZE) - 40)).all(axis=1)
     ground = ground[inside][:_PHOTO_POINTS]
     image = image[inside][:_PHOTO_POINTS]
@@ -67,7 +67,7 @@ def photo() -> FeatureSet:
     return FeatureSet(points, crs=CRS, image_size=SIZE, noise=NOISE)
 
 
-def seen(ground: FloatArray) -> FloatArray:
+def project_into_scan(ground: FloatArray) -> FloatArray:
     """Return where ground points are in the scan [px], shape (n, 2), without noise.
 
     `ground`, shape (n, 3), is from the point below the camera [m].
@@ -93,6 +93,7 @@ def seen(ground: FloatArray) -> FloatArray:
 
 
 PHOTO = DatasetSpec(
-    PHOTO_NAME, "simulated aerial photo of hills, 1.2 m: 120 points, with radial distortion", photo,
+    PHOTO_NAME, "simulated aerial photo of hills, 1.2 m: 120 points, with radial distortion",
+    read_photo_points,
     simulated=True)
 """The embedded photo."""

@@ -116,7 +116,7 @@ class Radial(SensorModel):
         return np.asarray(self._centre + np.where(imaged, s, np.nan)[..., None] * away)
 
 
-def _options(degree: int, largest: int) -> tuple[Option, ...]:
+def _radial_options(degree: int, largest: int) -> tuple[Option, ...]:
     """Return the options of a model: degree (with its default and largest value) and centre."""
     return (Option("degree", degree, "Total degree of the polynomials.", int, 1, largest),
             Option("centre_line", 0.0, _CENTRE.format("line"), float, -1.0, 1.0),
@@ -132,7 +132,7 @@ class Radial2D(Radial):
     name = "radial2d"
     uses_height = False
     polynomial = Polynomial2D
-    declared_options = _options(2, 8)
+    declared_options = _radial_options(2, 8)
 
 
 class Radial3D(Radial):
@@ -145,4 +145,4 @@ class Radial3D(Radial):
 
     name = "radial3d"
     polynomial = Polynomial3D
-    declared_options = _options(2, 5)
+    declared_options = _radial_options(2, 5)

@@ -13,14 +13,15 @@ if TYPE_CHECKING:
     import click
 
     from termsel import Reader, Writer
-    from termsel_formats.check.comparison import Deviation, compared
-    from termsel_formats.check.programs import Taken, taken_by
+    from termsel_formats.check.comparison import Deviation, compare_programs
+    from termsel_formats.check.programs import Taken, taken_by_programs
 
 # What is not needed for `termsel run` is not imported for it.
 __getattr__, _, _ = lazy_loader.attach(__name__, submod_attrs={
-    "check.comparison": ["Deviation", "compared"], "check.programs": ["Taken", "taken_by"]})
+    "check.comparison": ["Deviation", "compare_programs"],
+    "check.programs": ["Taken", "taken_by_programs"]})
 
-__all__ = ["Deviation", "Taken", "compared", "taken_by"]
+__all__ = ["Deviation", "Taken", "compare_programs", "taken_by_programs"]
 
 
 @hookimpl

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel import Blocks, Option, ParameterProblem, Problem, ProblemData, RationalModel, Recipe
-from termsel.toolkit.models import Exponents, graded_exponents, monomial_name, monomials
+from termsel.toolkit.models import Exponents, evaluate_monomials, graded_exponents, monomial_name
 from termsel.toolkit.searches import CAP, OBJECTIVES, RECOMMEND
 
 FloatArray = NDArray[np.float64]
@@ -43,7 +43,8 @@ class PolynomialByAxis(RationalModel):
     def blocks(self, ground: FloatArray) -> Blocks:
         """Return the monomials of scaled places (n, 3) for line and for sample."""
         line, sample = self.exponents
-        return Blocks(line=monomials(ground, line), sample=monomials(ground, sample))
+        return Blocks(line=evaluate_monomials(ground, line),
+                      sample=evaluate_monomials(ground, sample))
 
     def column_names(self, block: str) -> tuple[str, ...]:
         """Return the names of the monomials of a block, line or sample."""
@@ -79,7 +80,7 @@ class Polynomial3DByAxis(PolynomialByAxis):
     declared_options = _options_of_powers("xyz", 4)
 
 
-def degrees(inputs: ProblemData) -> Problem:
+def degree_search(inputs: ProblemData) -> Problem:
     """Return the search for the degrees of each axis and coordinate."""
     # Models without a degree by axis have none to search: the problem then says which it needs.
     names = [option.name for option in inputs.model.declared_options
@@ -88,6 +89,6 @@ def degrees(inputs: ProblemData) -> Problem:
 
 
 RECIPE = Recipe(
-    "poly-degree", "Which degree to use for line and sample in each coordinate.", degrees,
+    "poly-degree", "Which degree to use for line and sample in each coordinate.", degree_search,
     model="poly3d-by-axis", dataset="ikonos-hamedan", solver="swap",
     options=(CAP, OBJECTIVES, RECOMMEND))

@@ -84,7 +84,7 @@ def _fit_second_step(computed: FloatArray, control: FeatureSet) -> FloatArray:
     weight = row_weights(control, heights=False)
     # A point is its own vertex twice, once a row; a line has two vertices with a row each.
     vertex = np.concatenate([np.repeat(np.arange(n), 2), np.arange(n, computed.shape[-2])])
-    columns = _columns(computed[..., vertex, :])
+    columns = _bilinear_columns(computed[..., vertex, :])
     # n (above) - rho (below) = 0, linear in the unknowns, as of a DLT.
     A = weight[:, None] * np.concatenate(
         [normal[:, :1] * columns, normal[:, 1:] * columns, -rho[:, None] * columns[..., 1:]],
@@ -96,10 +96,10 @@ def _fit_second_step(computed: FloatArray, control: FeatureSet) -> FloatArray:
 
 def _map_by_second_step(second: FloatArray, image: FloatArray) -> FloatArray:
     """Return image positions (..., n, 2) mapped by the second step; infinite at a pole."""
-    columns = _columns(image)
+    columns = _bilinear_columns(image)
     above = np.stack([np.einsum("...nk,...k->...n", columns, second[..., columns_of])
                       for columns_of in (slice(0, 4), slice(4, 8))], axis=-1)
-    below = _denominators(second, columns)[..., None]
+    below = _denominator_values(second, columns)[..., None]
     return np.asarray(np.divide(above, below, out=np.full_like(above, np.inf),
                                 where=below > _LEAST_DENOMINATOR))
 
@@ -112,16 +112,16 @@ def _has_pole(second: FloatArray, control: FeatureSet) -> BoolArray:
     # A bilinear function has its least value over a rectangle in a corner.
     corners = np.array([(first_line, first_sample), (first_line, last_sample),
                         (last_line, first_sample), (last_line, last_sample)])
-    below = _denominators(second, _columns(corners))
+    below = _denominator_values(second, _bilinear_columns(corners))
     return np.asarray((below <= _LEAST_DENOMINATOR).any(axis=-1))
 
 
-def _denominators(second: FloatArray, columns: FloatArray) -> FloatArray:
+def _denominator_values(second: FloatArray, columns: FloatArray) -> FloatArray:
     """Return the denominators, shape (..., n), of positions with these columns."""
     return np.asarray(1 + np.einsum("...nk,...k->...n", columns[..., 1:], second[..., 8:]))
 
 
-def _columns(image: FloatArray) -> FloatArray:
+def _bilinear_columns(image: FloatArray) -> FloatArray:
     """Return 1, x, y, xy of image positions (..., n, 2), shape (..., n, 4)."""
     x = image[..., 0]
     y = image[..., 1]

@@ -49,7 +49,7 @@ class LineDirections(SensorModel):
         lines = features.lines
         rows = self._columns(coefficients, points.ground)
         b = points.image - self.project(coefficients, points.ground) + rows @ coefficients
-        of_points, of_lines = _weights(features)
+        of_points, of_lines = _row_weights(features)
         vertices = lines.ground.reshape(-1, 3)
         normal, _ = line_normals(lines)
         image = self.project(coefficients, vertices).reshape(-1, 2, 2)
@@ -57,7 +57,7 @@ class LineDirections(SensorModel):
         directions = np.einsum("ia,iak->ik", normal, ends[:, 1] - ends[:, 0])
         away = np.einsum("ia,ia->i", normal, image[:, 1] - image[:, 0])
         # By the deviation of a direction, sqrt(2) over the length, and as two equal rows.
-        weight = _lengths(lines.image) / 2 / _lengths(lines.ground * self._units)
+        weight = _line_lengths(lines.image) / 2 / _line_lengths(lines.ground * self._units)
         weight = weight * of_lines
         return Equations(
             np.concatenate([rows.reshape(2 * len(points), rows.shape[2]) * of_points[:, None],
@@ -166,7 +166,7 @@ class LineConformal(LineDirections):
         # The nearest pair of orthogonal rows of one length: U V^T of the singular value
         # decomposition.
         a, b = left_vectors @ right_vectors
-        turn = _quaternion(np.stack([a, b, np.cross(a, b)]))
+        turn = _quaternion_of(np.stack([a, b, np.cross(a, b)]))
         solution = np.array([*affine[:, 0], *turn * np.sqrt(sizes.mean())])
         for _ in range(_NEWTON_STEPS):
             step = self.linearised(features, solution)
@@ -204,7 +204,7 @@ def _rotation_derivatives(q: FloatArray, ground: FloatArray) -> FloatArray:
     return np.asarray(2 * np.stack([-np.stack(up, axis=-1), np.stack(sample, axis=-1)], axis=-2))
 
 
-def _quaternion(turn: FloatArray) -> FloatArray:
+def _quaternion_of(turn: FloatArray) -> FloatArray:
     """Return the unit quaternion (4,) of a rotation matrix (3, 3).
 
     It is the eigenvector of the largest eigenvalue, 3, of Davenport's matrix.
@@ -217,7 +217,7 @@ def _quaternion(turn: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.eigh(matrix)[1][:, -1])
 
 
-def _weights(features: FeatureSet) -> tuple[FloatArray, FloatArray]:
+def _row_weights(features: FeatureSet) -> tuple[FloatArray, FloatArray]:
     """Return the median standard deviation over that of each row of points and of each line.
 
     Shapes (2 points,) and (lines,); ones for a kind without standard deviations.
@@ -229,6 +229,6 @@ def _weights(features: FeatureSet) -> tuple[FloatArray, FloatArray]:
             np.ones(len(features.lines)) if sigmas[1] is None else unit / sigmas[1])
 
 
-def _lengths(lines: FloatArray) -> FloatArray:
+def _line_lengths(lines: FloatArray) -> FloatArray:
     """Return the distance between both ends of each line (n, 2, d), shape (n,)."""
     return np.asarray(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1))

@@ -44,7 +44,8 @@ class Multiquadric(Polynomial2D):
         single control point corrects nothing.
         """
         positions = np.ascontiguousarray(control[:, :2])
-        return np.asarray(_distances(ground, control) @ _inverse_of_distances(positions.tobytes()))
+        return np.asarray(_plane_distances(ground, control)
+                          @ _inverse_of_distances(positions.tobytes()))
 
 
 class Hybrid3(Multiquadric):
@@ -72,9 +73,10 @@ def _inverse_of_distances(positions: bytes) -> FloatArray:
     """Return the inverse (n, n) of distances between control points, given as bytes for a cache."""
     control = np.frombuffer(positions).reshape(-1, 2)
     # F has full rank for distinct points; only repeated positions lower it.
-    return np.asarray(np.linalg.pinv(_distances(control, control), rcond=1e-12, hermitian=True))
+    return np.asarray(
+        np.linalg.pinv(_plane_distances(control, control), rcond=1e-12, hermitian=True))
 
 
-def _distances(a: FloatArray, b: FloatArray) -> FloatArray:
+def _plane_distances(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return distances in scaled X and Y, shape (len(a), len(b))."""
     return np.asarray(np.linalg.norm(a[:, None, :2] - b[None, :, :2], axis=2))

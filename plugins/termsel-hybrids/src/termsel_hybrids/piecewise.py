@@ -47,17 +47,17 @@ class Piecewise(Polynomial2D):
         positions, group = np.unique(control[:, :2], axis=0, return_inverse=True)
         members = np.equal.outer(np.arange(len(positions)), group.reshape(-1)).astype(float)
         members /= members.sum(axis=1, keepdims=True)
-        return np.asarray(_shares(positions, ground[:, :2]) @ members)
+        return np.asarray(_barycentric_coordinates(positions, ground[:, :2]) @ members)
 
 
-def _shares(positions: FloatArray, places: FloatArray) -> FloatArray:
+def _barycentric_coordinates(positions: FloatArray, places: FloatArray) -> FloatArray:
     """Return barycentric coordinates (m, n) of places (m, 2) by the positions (n, 2).
 
     They are zero but for the corners of a place's triangle; off all triangles, for the ends of the
     nearest edge of the hull. All are zero if there are no triangles.
     """
     shares = np.zeros((len(places), len(positions)))
-    triangles = _triangles(np.ascontiguousarray(positions).tobytes())
+    triangles = _cached_triangles(np.ascontiguousarray(positions).tobytes())
     if triangles is None:
         return shares
     inside = triangles.find_simplex(places)
@@ -75,7 +75,7 @@ def _shares(positions: FloatArray, places: FloatArray) -> FloatArray:
 
 
 @lru_cache(maxsize=8)
-def _triangles(positions: bytes) -> Delaunay | None:
+def _cached_triangles(positions: bytes) -> Delaunay | None:
     """Return the Delaunay triangles of positions, given as bytes.
 
     None if fewer than three or on a line.

@@ -60,7 +60,7 @@ class Pointwise(Polynomial2D):
         # From each place to each control point, in X and Y.
         offset = control[None, :, :2] - ground[:, None, :2]
         distance = np.linalg.norm(offset, axis=2)
-        near = self._neighbours(offset, distance)
+        near = self._neighbours_of(offset, distance)
         reach = np.where(near, distance, 0.0).max(axis=1, keepdims=True)
         reach[reach == 0.0] = 1.0
         root = np.sqrt(np.where(near, WEIGHTS[self.options["weight"]](distance / reach), 0.0))
@@ -70,17 +70,17 @@ class Pointwise(Polynomial2D):
         return np.asarray(
             np.linalg.pinv(root[..., None] * columns, rcond=1e-8)[:, 0] * root)
 
-    def _neighbours(self, offset: FloatArray, distance: FloatArray) -> BoolArray:
+    def _neighbours_of(self, offset: FloatArray, distance: FloatArray) -> BoolArray:
         """Return which control points are used at each place, shape (m, n).
 
         The nearest, or by quadrant.
         """
         if self.options["neighbours"] == "nearest":
-            return _nearest(distance, self.options["count"] or 8)
+            return _are_nearest(distance, self.options["count"] or 8)
         # Four quadrants around each place, numbered by the signs of both offsets.
         quadrant = 2 * (offset[..., 0] < 0) + (offset[..., 1] < 0)
         count = self.options["count"] or 2
-        return np.asarray(np.any([_nearest(np.where(quadrant == i, distance, np.inf), count)
+        return np.asarray(np.any([_are_nearest(np.where(quadrant == i, distance, np.inf), count)
                                   for i in range(4)], axis=0))
 
     def _columns_around(self, offset: FloatArray, count: NDArray[np.intp]) -> FloatArray:
@@ -95,7 +95,7 @@ class Pointwise(Polynomial2D):
         return np.stack(columns, axis=-1)
 
 
-def _nearest(distance: FloatArray, count: int) -> BoolArray:
+def _are_nearest(distance: FloatArray, count: int) -> BoolArray:
     """Return which control points are the `count` nearest of finite distance, shape (m, n)."""
     # Stable, so that of points at one distance the first ones are taken, on every machine.
     near = np.zeros(distance.shape, dtype=bool)

@@ -131,11 +131,11 @@ def maps_of(text: bytes) -> list[Map]:
         items = content.get("items")
         if not isinstance(items, list):
             raise ValueError("Expected an array of annotations - at `$.items`")
-        return [_map(item, f"$.items[{i}]") for i, item in enumerate(items)]
-    return [_map(content, "$")]
+        return [_parse_map(item, f"$.items[{i}]") for i, item in enumerate(items)]
+    return [_parse_map(content, "$")]
 
 
-def _map(item: Any, path: str) -> Map:
+def _parse_map(item: Any, path: str) -> Map:
     """Return one map of an annotation; raises ValueError with its place in the file if it is none.
     """
     try:
@@ -153,12 +153,12 @@ def _map(item: Any, path: str) -> Map:
         points.append((column, row, lon, lat))
     size = _size_and_mask(annotation.target.selector.value, path)
     transformation = annotation.body.transformation
-    return Map(annotation.id, _resource(annotation.target, size, path),
+    return Map(annotation.id, _parse_resource(annotation.target, size, path),
                annotation.target.selector.value,
                transformation if isinstance(transformation, dict) else None, points)
 
 
-def _resource(target: _Target, size: tuple[int, int] | None, path: str) -> dict[str, Any]:
+def _parse_resource(target: _Target, size: tuple[int, int] | None, path: str) -> dict[str, Any]:
     """Return id, type, width and height of the image; the size may be None.
 
     `size` is that of the selector. Raises ValueError without an address.
@@ -207,7 +207,7 @@ def _size_and_mask(value: str, path: str) -> tuple[int, int] | None:
         raise ValueError(f"Invalid SVG: {error}{location}") from error
     polygon = next((element for element in svg.iter()
                     if element.tag.rpartition("}")[2] == "polygon"), None)
-    if polygon is None or len(corners(polygon.get("points", ""))) < 3:
+    if polygon is None or len(polygon_corners(polygon.get("points", ""))) < 3:
         raise ValueError(f"Invalid SVG, expected a polygon of three corners or more{location}")
     try:
         return int(float(svg.get("width", ""))), int(float(svg.get("height", "")))
@@ -215,7 +215,7 @@ def _size_and_mask(value: str, path: str) -> tuple[int, int] | None:
         return None
 
 
-def corners(points: str) -> list[tuple[float, float]]:
+def polygon_corners(points: str) -> list[tuple[float, float]]:
     """Return the corners (x, y) of the attribute `points` of a polygon; [] if it is not one."""
     pairs = []
     at = 0
@@ -229,7 +229,7 @@ def corners(points: str) -> list[tuple[float, float]]:
     return pairs
 
 
-def kept(georeferenced: Map) -> dict[str, str]:
+def kept_as_attributes(georeferenced: Map) -> dict[str, str]:
     """Return source, mask and transformation of a map as texts of attributes of its points."""
     return {SOURCE: json.dumps({"annotation": georeferenced.id, **georeferenced.resource}),
             MASK: georeferenced.mask,

@@ -10,7 +10,7 @@ import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, TermselError
 from termsel.toolkit import read_text
-from termsel_iiif.annotation import FORMAT_NAME, Map, kept, maps_of
+from termsel_iiif.annotation import FORMAT_NAME, Map, kept_as_attributes, maps_of
 from termsel_iiif.viewer import kind_of
 
 log = logging.getLogger("termsel.iiif")
@@ -46,7 +46,7 @@ class AnnotationReader(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points of a map."""
-        map_ = self._chosen_map(self._maps(path), path)
+        map_ = self._choose_map(self._read_maps(path), path)
         if not map_.features:
             raise TermselError("this map has no control points", file=path,
                                hint="Add some, for example in Allmaps Editor.")
@@ -56,7 +56,7 @@ class AnnotationReader(Reader):
         image = table[:, 1::-1] - CENTRE
         ground = np.column_stack([table[:, 2:], np.full(n, np.nan)])
         attributes = {name: np.array([text] + [""] * (n - 1), dtype=object)
-                      for name, text in kept(map_).items()}
+                      for name, text in kept_as_attributes(map_).items()}
         points = Points(tuple(f"P{i}" for i in range(1, n + 1)), image, ground,
                         attributes=attributes)
         kind = kind_of(map_.transformation)
@@ -76,10 +76,10 @@ class AnnotationReader(Reader):
         """
         if self.options["map"]:
             return {}
-        maps = self._maps(path)
+        maps = self._read_maps(path)
         return {str(i): {"map": str(i)} for i in range(1, len(maps) + 1)} if len(maps) > 1 else {}
 
-    def _maps(self, path: Path) -> list[Map]:
+    def _read_maps(self, path: Path) -> list[Map]:
         """Return the maps of an annotation; raises TermselError if the file is none."""
         text = read_text(path)
         try:
@@ -88,7 +88,7 @@ class AnnotationReader(Reader):
             raise TermselError(f"this is not a georeference annotation: {error}", file=path,
                                hint="Correct it, or export it again.") from error
 
-    def _chosen_map(self, maps: list[Map], path: Path) -> Map:
+    def _choose_map(self, maps: list[Map], path: Path) -> Map:
         """Return the map that the option names, or the only one.
 
         Raises TermselError if there are several, none, or no such one.

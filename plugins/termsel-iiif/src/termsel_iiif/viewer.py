@@ -52,7 +52,7 @@ class Kind:
     options: Mapping[str, Any]
 
 
-def _polynomial(order: int) -> Kind:
+def _fit_polynomial(order: int) -> Kind:
     """Return the transformation of viewers that is a polynomial of an order."""
     return Kind(f"polynomial of order {order}",
                 {"type": "polynomial", "options": {"order": order}}, "poly2d", {"degree": order})
@@ -60,9 +60,9 @@ def _polynomial(order: int) -> Kind:
 
 TRANSFORMATIONS: dict[str, Kind] = {
     "similarity": Kind("helmert", {"type": "helmert"}, "helmert2d", {"mirrored": False}),
-    "order 1": _polynomial(1),
+    "order 1": _fit_polynomial(1),
     "projective": Kind("projective", {"type": "projective"}, "projective2d", {}),
-    "order 2": _polynomial(2), "order 3": _polynomial(3),
+    "order 2": _fit_polynomial(2), "order 3": _fit_polynomial(3),
     "spline": Kind("thinPlateSpline", {"type": "thinPlateSpline"}, "tps", {})}
 """The transformations of the extension, the simplest first."""
 
@@ -98,14 +98,14 @@ def kind_of_fit(fitted: Fit) -> str | None:
     return None
 
 
-def mercator(degrees: FloatArray) -> FloatArray:
+def to_mercator(degrees: FloatArray) -> FloatArray:
     """Return longitude and latitude (n, 2) [degrees] in Web Mercator [m]."""
     # Northing R artanh(sin lat), which is R ln tan(45 deg + lat / 2).
     lon, lat = np.radians(degrees).T
     return EARTH * np.column_stack([lon, np.arctanh(np.sin(lat))])
 
 
-def degrees(metres: FloatArray) -> FloatArray:
+def from_mercator(metres: FloatArray) -> FloatArray:
     """Return places in Web Mercator (n, 2) [m] as longitude and latitude [degrees]."""
     x, y = metres.T / EARTH
     return np.asarray(np.degrees(np.column_stack([x, np.arctan(np.sinh(y))])))
@@ -130,7 +130,7 @@ def forward(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
     unit = float(np.abs(image - image.mean(axis=0)).max()) or 1.0
     scaled_image = (image - centre) / unit
     scaled_plane = (plane - middle) / far
-    scaled = _scaling_to_one(key, scaled_image, scaled_plane)
+    scaled = _fit_scaling(key, scaled_image, scaled_plane)
     return None if scaled is None else lambda at: np.asarray(
         middle + far * scaled((at - centre) / unit))
 
@@ -139,7 +139,7 @@ SPLINED = 5000
 """Points through which a spline is tried at most."""
 
 
-def _scaling_to_one(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
+def _fit_scaling(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
     """Return a transformation from image (n, 2) to plane (n, 2), both scaled to about 1.
 
     `key` is its kind; None if the points do not determine it.
@@ -163,12 +163,12 @@ def _scaling_to_one(key: str, image: FloatArray, plane: FloatArray) -> Forward |
         return lambda at: np.column_stack([_similarity_columns(at, axis) @ values
                                            for axis in (0, 1)])
     if key == "projective":
-        return _projective(image, plane)
-    design = _monomials(image, int(key[-1]))
+        return _fit_projective(image, plane)
+    design = _monomial_columns(image, int(key[-1]))
     if n < design.shape[1] or np.linalg.matrix_rank(design) < design.shape[1]:
         return None
     terms = np.linalg.lstsq(design, plane, rcond=None)[0]
-    return lambda at: np.asarray(_monomials(at, int(key[-1])) @ terms)
+    return lambda at: np.asarray(_monomial_columns(at, int(key[-1])) @ terms)
 
 
 def _similarity_columns(image: FloatArray, axis: int) -> FloatArray:
@@ -181,7 +181,7 @@ def _similarity_columns(image: FloatArray, axis: int) -> FloatArray:
     return np.column_stack([unit, none, sample, line] if axis == 0 else [none, unit, -line, sample])
 
 
-def _monomials(image: FloatArray, order: int) -> FloatArray:
+def _monomial_columns(image: FloatArray, order: int) -> FloatArray:
     """Return the monomials of line and sample up to an order, (n, terms)."""
     line, sample = image.T
     columns = []
@@ -190,7 +190,7 @@ def _monomials(image: FloatArray, order: int) -> FloatArray:
     return np.column_stack(columns)
 
 
-def _projective(image: FloatArray, plane: FloatArray) -> Forward | None:
+def _fit_projective(image: FloatArray, plane: FloatArray) -> Forward | None:
     """Return the projective transformation by the direct linear transformation.
 
     None if the points do not determine it.
@@ -217,7 +217,7 @@ def _projective(image: FloatArray, plane: FloatArray) -> Forward | None:
     return project
 
 
-def places(fitted: Fit) -> FloatArray:
+def spread_places(fitted: Fit) -> FloatArray:
     """Return line and sample (m, 2) of places spread evenly over the image."""
     (first_line, first_sample), (last_line, last_sample) = fitted.image_box()
     return np.stack(np.meshgrid(np.linspace(first_line, last_line, _ACROSS),

@@ -10,18 +10,18 @@ import numpy as np
 
 from termsel import Fit, Option, Result, TermselError, Writer
 from termsel.toolkit import FloatArray, say_deviation, write_text
-from termsel.toolkit.coordinates import LOCAL, to_wgs84, transformation
+from termsel.toolkit.coordinates import LOCAL, to_wgs84, transformation_between
 from termsel_iiif.annotation import FORMAT_NAME, MASK, SOURCE, TRANSFORMATION
 from termsel_iiif.reader import CENTRE
 from termsel_iiif.viewer import (
     TRANSFORMATIONS,
     Forward,
-    degrees,
     forward,
+    from_mercator,
     kind_of,
     kind_of_fit,
-    mercator,
-    places,
+    spread_places,
+    to_mercator,
 )
 
 # In px.
@@ -67,32 +67,35 @@ class AnnotationWriter(Writer):
                # What was left out as a blunder would bend the transformation of a viewer.
                for name, role in zip(points.ids, points.roles, strict=True)]
         used = points.take(use)
-        source = self._source(result)
+        source = self._choose_source(result)
         ground = used.ground.copy()
         # Heights do not matter for longitude and latitude, but none must be unknown.
         ground[:, 2] = np.nan_to_num(ground[:, 2])
         places_on_earth = to_wgs84(result.features.crs)(ground)
         features = [{
             "type": "Feature",
-            "properties": {"resourceCoords": [_short(sample + CENTRE), _short(line + CENTRE)]},
-            "geometry": {"type": "Point", "coordinates": [_plain(lon), _plain(lat)]},
+            "properties": {
+                "resourceCoords": [_shorten_px(sample + CENTRE), _shorten_px(line + CENTRE)]},
+            "geometry": {"type": "Point", "coordinates": [_plain_number(lon), _plain_number(lat)]},
         } for (line, sample), (lon, lat) in zip(
             used.image.tolist(), places_on_earth[:, :2].tolist(), strict=True)]
         stated_before = _json_of_attribute(result, TRANSFORMATION)
-        stated = _transformation(result.exported, used.image, places_on_earth[:, :2], stated_before)
+        stated = _choose_transformation(
+            result.exported, used.image, places_on_earth[:, :2], stated_before)
         annotation = source.pop("annotation", None)
         content = {"type": "Annotation", **({"id": annotation} if annotation else {}),
                   "@context": ["http://iiif.io/api/extension/georef/1/context.json",
                                "http://iiif.io/api/presentation/3/context.json"],
                   "motivation": "georeferencing",
                   "target": {"type": "SpecificResource", "source": source,
-                             "selector": {"type": "SvgSelector", "value": self._mask(result)}},
+                             "selector": {"type": "SvgSelector",
+                                          "value": self._choose_mask(result)}},
                   "body": {"type": "FeatureCollection",
                            **({"transformation": stated} if stated else {}),
                            "features": features}}
         write_text(path, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
 
-    def _source(self, result: Result) -> dict[str, Any]:
+    def _choose_source(self, result: Result) -> dict[str, Any]:
         """Return the image: of the options, or else of the annotation that was read."""
         # What was read comes back as it was, but for what the options say.
         source = _json_of_attribute(result, SOURCE) or {}
@@ -107,7 +110,7 @@ class AnnotationWriter(Writer):
         return source
 
     @staticmethod
-    def _mask(result: Result) -> str:
+    def _choose_mask(result: Result) -> str:
         """Return the selector (SVG) that was read, or one of the whole image, or of the points."""
         text = _attribute(result, MASK)
         if text:
@@ -126,14 +129,14 @@ class AnnotationWriter(Writer):
                 f'{last_sample},{first_line}" /></svg>')
 
 
-def _transformation(fitted: Fit, image: FloatArray, lonlat: FloatArray,
-                    stated_before: Any) -> dict[str, Any] | None:
+def _choose_transformation(fitted: Fit, image: FloatArray, lonlat: FloatArray,
+                           stated_before: Any) -> dict[str, Any] | None:
     """Return the transformation to state, and log what a viewer makes of it.
 
     `kept` is what an annotation that was read stated: it comes back as it was where it is the same
     transformation. None where the points determine none; a viewer then takes its own.
     """
-    plane = mercator(lonlat)
+    plane = to_mercator(lonlat)
     by_kind = {}
     for key in TRANSFORMATIONS:
         by_points = forward(key, image, plane)
@@ -162,16 +165,16 @@ def _places_in_viewer(fitted: Fit, by_points: Forward) -> tuple[FloatArray, Floa
     height = float(fitted.ground_box()[0][2]) if fitted.model.uses_height else 0.0
     # All over the image, as a viewer shows all of it, and not at the points alone; but not in the
     # sky of an oblique photo, where no place is right.
-    at = places(fitted)
+    at = spread_places(fitted)
     on_ground = np.isfinite(fitted.locate(at, np.full(len(at), height))).all(axis=1)
     if on_ground.any():
         at = at[on_ground]
     # Web Mercator ends at the poles, and a transformation may leave it.
-    lonlat = degrees(by_points(at))
+    lonlat = from_mercator(by_points(at))
     is_finite = np.isfinite(lonlat).all(axis=1)
     at = at[is_finite]
     lonlat = lonlat[is_finite]
-    to_crs = transformation("EPSG:4979", fitted.control.crs, strict=False)
+    to_crs = transformation_between("EPSG:4979", fitted.control.crs, strict=False)
     ground = to_crs(np.column_stack([lonlat, np.full(len(at), height)]))
     finite = np.isfinite(ground[:, :2]).all(axis=1)
     return np.asarray(ground[finite]), at[finite]
@@ -190,10 +193,10 @@ def _json_of_attribute(result: Result, name: str) -> Any:
     return json.loads(text) if text else None
 
 
-def _short(value: float) -> float | int:
+def _shorten_px(value: float) -> float | int:
     """Return px without the digits that adding half a pixel costs."""
-    return _plain(round(value, 9))
+    return _plain_number(round(value, 9))
 
 
-def _plain(value: float) -> float | int:
+def _plain_number(value: float) -> float | int:
     return int(value) if value == int(value) else value

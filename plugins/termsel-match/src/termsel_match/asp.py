@@ -11,7 +11,14 @@ import numpy as np
 
 from termsel import FeatureSet, Reader, TermselError
 from termsel_match.images.rasters import FloatArray
-from termsel_match.points.readers import IMAGE, REFERENCE, bytes_of, in_image, text_of, with_ground
+from termsel_match.points.readers import (
+    IMAGE,
+    REFERENCE,
+    are_in_image,
+    bytes_of,
+    text_of,
+    with_ground,
+)
 
 __all__ = ["AspMatches", "is_matches", "read_matches"]
 
@@ -47,15 +54,15 @@ class AspMatches(Reader):
         # The first image is the one to georeference: its positions are the image's, the others the
         # map's.
         first, second = read_matches(path)
-        inside = in_image(first, self.options["raster"],
-                          [f"match {i + 1}" for i in range(len(first))])
+        inside = are_in_image(first, self.options["raster"],
+                              [f"match {i + 1}" for i in range(len(first))])
         return with_ground(path, [f"M{i + 1:03d}" for i in np.flatnonzero(inside)], first[inside],
                            second[inside], self.options["reference"], None)
 
 
 def is_matches(head: bytes) -> bool:
     """Return whether a file that begins so has matches: two equal counts, an interest point."""
-    if _counts(head) is not None:
+    if _parse_counts(head) is not None:
         return True
     lines = head.decode("utf-8", errors="replace").splitlines()
     counts = lines[0].split() if lines else []
@@ -73,8 +80,8 @@ def read_matches(path: Path) -> tuple[FloatArray, FloatArray]:
     """
     content = bytes_of(path)
     # Binary files begin with two counts of 8 bytes, text with two numbers.
-    if (counts := _counts(content[:_COUNTS + _RECORD.size])) is not None:
-        return _binary(content, counts[0], path)
+    if (counts := _parse_counts(content[:_COUNTS + _RECORD.size])) is not None:
+        return _parse_binary(content, counts[0], path)
     lines = text_of(path).splitlines()
     first_word = next(iter((lines or [""])[0].split()), "")
     # Python reads no number of thousands of digits, and no file has so many rows.
@@ -96,7 +103,7 @@ def read_matches(path: Path) -> tuple[FloatArray, FloatArray]:
     return of_images[:count], of_images[count:]
 
 
-def _counts(head: bytes) -> tuple[int, int] | None:
+def _parse_counts(head: bytes) -> tuple[int, int] | None:
     """Return the two counts that the head of a binary file states; None if it is no match file."""
     if len(head) < _COUNTS + _RECORD.size:
         return None
@@ -108,7 +115,7 @@ def _counts(head: bytes) -> tuple[int, int] | None:
             else None)
 
 
-def _binary(content: bytes, count: int, path: Path) -> tuple[FloatArray, FloatArray]:
+def _parse_binary(content: bytes, count: int, path: Path) -> tuple[FloatArray, FloatArray]:
     """Return line and sample (n, 2) [px] of the points of both images, of a binary file.
 
     Raises TermselError if the file is shorter or longer than its counts say.

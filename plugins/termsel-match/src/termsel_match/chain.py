@@ -15,14 +15,20 @@ import numpy as np
 from termsel import TermselError, open_dem, read_result, read_rpc, rectify, write_points_csv
 from termsel.toolkit import make_folder, write_text
 from termsel_match.images.masks import open_masked, tell_of_idle
-from termsel_match.images.rasters import FloatArray, GreyRaster, Mask, grid
+from termsel_match.images.rasters import FloatArray, GreyRaster, Mask, spread_pixels
 from termsel_match.images.starts import Start
 from termsel_match.images.warps import COVERS, NotShown, open_reference, references_of
 from termsel_match.judgement.picture import draw
-from termsel_match.judgement.repeats import repetition
+from termsel_match.judgement.repeats import repetition_distance
 from termsel_match.judgement.selection import Selected, select_points, with_lines
 from termsel_match.judgement.structures import Correction
-from termsel_match.judgement.verdict import Evidence, Georeferenced, evidence_of, reasons, remarks
+from termsel_match.judgement.verdict import (
+    Evidence,
+    Georeferenced,
+    evidence_of,
+    reasons_to_reject,
+    remarks_for_user,
+)
 from termsel_match.lines.rounds import Matched, iterate_lines
 from termsel_match.lines.vectors import read_vectors
 from termsel_match.points.candidates import Candidates, match_points
@@ -37,7 +43,7 @@ CANDIDATES, REPORT, PICTURE, RESULT = ("candidates.csv", "report.txt", "residual
 _SEARCH = 12.0
 
 
-def georeference(
+def georeference_image(
     image: Path | str,
     reference: Path | str | None,
     output: Path | str,
@@ -191,8 +197,9 @@ def judge(
         return selected, lines, unused
 
     def said_of(selected: Selected) -> tuple[Evidence, Bounds | None]:
-        return _evidence(image, reference, candidates, selected, dem=dem, extent=extent, seed=seed,
-                         masks=matching.get("masks", ()))
+        return _judge_candidates(image, reference, candidates, selected, dem=dem, extent=extent,
+                                 seed=seed,
+                                 masks=matching.get("masks", ()))
 
     selected, lines, unused = made()
     evidence, bounds = said_of(selected)
@@ -209,8 +216,9 @@ def judge(
         evidence, bounds = said_of(selected)
     return Georeferenced(
         candidates=candidates, selected=selected, evidence=evidence, accept=accept,
-        reasons=reasons(selected, evidence, accept),
-        remarks=remarks(candidates, selected, evidence, accept), lines=lines, unused=unused,
+        reasons=reasons_to_reject(selected, evidence, accept),
+        remarks=remarks_for_user(candidates, selected, evidence,
+                                 accept), lines=lines, unused=unused,
         bounds=bounds)
 
 
@@ -233,9 +241,9 @@ def model_for(start: Path | str | None, image: Path) -> tuple[str, dict[str, Any
     return "affine", {}
 
 
-def _evidence(image: Path | str, reference: Path | str | None, candidates: Candidates,
-              selected: Selected, *, dem: Path | str, extent: str, seed: int,
-              masks: Sequence[Path | str]) -> tuple[Evidence, Bounds | None]:
+def _judge_candidates(image: Path | str, reference: Path | str | None, candidates: Candidates,
+                      selected: Selected, *, dem: Path | str, extent: str, seed: int,
+                      masks: Sequence[Path | str]) -> tuple[Evidence, Bounds | None]:
     """Return what candidates say of the model, and the bounds that the map gets in their CRS.
 
     The bounds (least x and y, largest x and y) are None unless `extent` is "reference".
@@ -248,8 +256,8 @@ def _evidence(image: Path | str, reference: Path | str | None, candidates: Candi
     with open_masked(image, None, masks) as picture, \
             open_dem(Path(dem), candidates.crs) as heights:
         if reference is None:
-            overlap = picture.known_at(grid(picture.size,
-                                            everywhere.shape)).reshape(everywhere.shape)
+            overlap = picture.known_at(spread_pixels(picture.size,
+                                                     everywhere.shape)).reshape(everywhere.shape)
         else:
             model = Start("the model", candidates.crs, 0.0, result.project, result.locate)
             overlap, outline, repeats = _ground_shown(references_of(reference), picture, model, dem,
@@ -282,8 +290,8 @@ def _ground_shown(files: list[Path], picture: GreyRaster, model: Start, dem: Pat
                                                 masks=masks) as opened:
             overlap |= opened.shown(picture)
             bounds.append(opened.bounds(crs))
-            at_reference = opened.seen(grid(picture.size, (COVERS, COVERS)))
-            repeats = max(repeats, repetition(opened.picture, at_reference),
+            at_reference = opened.seen(spread_pixels(picture.size, (COVERS, COVERS)))
+            repeats = max(repeats, repetition_distance(opened.picture, at_reference),
                           key=lambda candidate: candidate[1])
     low = np.min(bounds, axis=0)
     high = np.max(bounds, axis=0)

@@ -16,7 +16,7 @@ import click
 from click.core import ParameterSource
 
 from termsel import TermselError, get, require_replaceable
-from termsel.toolkit import counted, printable, refuse_link, remote_option
+from termsel.toolkit import count_in_words, make_printable, refuse_link, remote_option
 
 if TYPE_CHECKING:
     from termsel_match.matchers import Matcher
@@ -127,7 +127,7 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
     # Before minutes of matching, not after.
     refuse_output(output, overwrite, image, reference, *options.values())
     show_log()
-    with bar("match-points", quiet) as progress:
+    with progress_bar("match-points", quiet) as progress:
         candidates = match(image, reference, progress=progress,
                            matcher=matcher_of(matcher, settings), **options)
     write_points_csv(candidates.points, output, candidates.crs)
@@ -139,8 +139,8 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
     click.echo(f"{len(candidates.points)} candidates in {candidates.cells.get('found', 0)} of "
                f"{cells} cells of the image, CRS {crs}")
     click.echo(f"Written: {output}", err=True)
-    next_command = next_map(image, reference, output, options["dem"], options["start"],
-                            options["masks"])
+    next_command = next_map_command(
+        image, reference, output, options["dem"], options["start"], options["masks"])
     click.echo(f"Next: {next_command}", err=True)
 
 
@@ -186,7 +186,7 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
         raise TermselError("--out requires --iterate", hint="Add --iterate, or leave --out out.")
     refuse_folder(folder)
     show_log()
-    with bar("match-lines", quiet) as progress:
+    with progress_bar("match-lines", quiet) as progress:
         if iterate:
             # The model of the lines is that which the start allows: an RPC's correction, or affine.
             done = iterate_lines(image, vectors, *model_for(options["start"], image), folder=folder,
@@ -205,7 +205,7 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
     click.echo(text, nl=False)
     click.echo(f"Written: {output}" + (f", {folder}" if folder is not None else ""), err=True)
     if not iterate:
-        click.echo(f"Next: {next_run(options['start'], image, output)}", err=True)
+        click.echo(f"Next: {next_run_command(options['start'], image, output)}", err=True)
 
 
 @click.command("match-ties")
@@ -246,7 +246,7 @@ def match_ties(images: tuple[Path, ...], dem: Path, output: Path, overwrite: boo
 
     refuse_output(output, overwrite, *images, dem, *options["masks"])
     show_log()
-    with bar("match-ties", quiet) as progress:
+    with progress_bar("match-ties", quiet) as progress:
         ties = match(images, dem=dem, progress=progress, matcher=matcher_of(matcher, settings),
                      **options)
     ties.write(output)
@@ -297,7 +297,7 @@ def auto_georeference(context: click.Context, /, image: Path, output: Path, fold
       termsel auto-georeference scene.tif --points candidates.csv --reference ortho.tif \\
           --dem dem.tif -o map.tif --out result
     """
-    from termsel_match.chain import georeference
+    from termsel_match.chain import georeference_image
 
     # Before minutes of matching.
     if output.suffix.lower() not in (".tif", ".tiff"):
@@ -310,15 +310,16 @@ def auto_georeference(context: click.Context, /, image: Path, output: Path, fold
                            hint="Give a raster of heights: --dem FILE.")
     refuse_folder(folder)
     show_log()
-    with bar("match", quiet) as progress:
-        done = georeference(image, output=output, dem=dem, folder=folder, progress=progress,
-                            matcher=matcher_of(matcher, settings), **options)
+    with progress_bar("match", quiet) as progress:
+        done = georeference_image(image, output=output, dem=dem, folder=folder, progress=progress,
+                                  matcher=matcher_of(matcher, settings), **options)
     click.echo(done.text(), nl=False)
     # A bad map is worse than none: the reasons are in the text above.
     if done.reasons:
         click.echo("No map was written.", err=True)
         context.exit(NOT_GOOD_ENOUGH)
-    advice = f"; look at {counted(len(done.remarks), 'remark')} above" if done.remarks else ""
+    remarks = count_in_words(len(done.remarks), "remark")
+    advice = f"; look at {remarks} above" if done.remarks else ""
     click.echo(f"Written: {output}{advice}", err=True)
 
 
@@ -349,8 +350,8 @@ def match_example(folder: Path, size: int, seed: int, off: float) -> None:
     click.echo(f"Written: {', '.join(str(folder / name) for name in NAMES)}", err=True)
 
 
-def next_map(image: Path, reference: Path, points: Path, dem: Path | None,
-             start: str | None, masks: Sequence[str] = ()) -> str:
+def next_map_command(image: Path, reference: Path, points: Path, dem: Path | None,
+                     start: str | None, masks: Sequence[str] = ()) -> str:
     """Return the command line that makes a map by the candidates in a file of points."""
     words = ["termsel auto-georeference", quote(str(image)), "--points", quote(str(points)),
              "--reference", quote(str(reference)),
@@ -362,7 +363,7 @@ def next_map(image: Path, reference: Path, points: Path, dem: Path | None,
     return " ".join([*words, "-o map.tif --out result"])
 
 
-def next_run(start: str | None, image: Path, lines: Path) -> str:
+def next_run_command(start: str | None, image: Path, lines: Path) -> str:
     """Return the command line that selects among candidate lines, of which most may be wrong."""
     from termsel_match.chain import model_for
 
@@ -409,7 +410,7 @@ class _OnStderr(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Print a message."""
         with suppress(OSError):
-            print(printable(self.format(record)), file=sys.stderr)
+            print(make_printable(self.format(record)), file=sys.stderr)
 
 
 def show_log() -> None:
@@ -423,7 +424,7 @@ def show_log() -> None:
 
 
 @contextmanager
-def bar(title: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
+def progress_bar(title: str, quiet: bool) -> Iterator[Callable[[float], None] | None]:
     """Yield a function that shows the share that is done (0 to 1); None if `quiet`.
 
     It draws a bar on a terminal, and writes a line every ten seconds to a log.

@@ -9,8 +9,9 @@ import termsel
 from termsel import FeatureSet
 
 
-def searched(problem: str, features: FeatureSet, model: str, options: Mapping[str, Any], *,
-             seed: int, criterion: str | None = None) -> tuple[str, ...]:
+def features_by_search(problem: str, features: FeatureSet, model: str, options: Mapping[str, Any],
+                       *,
+                       seed: int, criterion: str | None = None) -> tuple[str, ...]:
     """Return the ids of the features that a search selects, without the comparisons of a run."""
     # As `termsel run` prepares it, so that options and defaults are the same.
     task = termsel.prepare(problem, features=features, model=model, criterion=criterion,

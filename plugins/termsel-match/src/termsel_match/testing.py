@@ -8,14 +8,14 @@ import numpy as np
 from termsel.toolkit.suites import (
     Case,
     Suite,
-    declares,
-    instance,
-    label,
+    declaration_check,
+    label_with_options,
+    make_instance,
     require,
     require_unchanged,
     through_pickle,
 )
-from termsel_match.matchers import Matcher, Matches, Window, fault
+from termsel_match.matchers import Matcher, Matches, Window, fault_of_matches
 
 SEARCH = 20.0
 # Px of the first window, and of the second around it.
@@ -32,14 +32,14 @@ _SEEDS = 3
 
 def declaration(matcher: Matcher) -> None:
     """It has a name and a docstring; its options are documented and parse."""
-    declares("matchers")(matcher)
+    declaration_check("matchers")(matcher)
 
 
 def finds_a_shift(matcher: Matcher) -> None:
     """Of the matches of two windows that differ by noise and a shift, half and more are right."""
     for seed in range(_SEEDS):
-        first, second = _pair(seed)
-        matches = _matched(matcher, first, second)
+        first, second = _window_pair(seed)
+        matches = _valid_matches(matcher, first, second)
         # Where the second shows what the first has, less the shift that was made.
         away = matches.second + second.origin - matches.first - first.origin - _TRUE_SHIFT
         right = np.linalg.norm(away, axis=1) < _NEAR
@@ -50,10 +50,10 @@ def finds_a_shift(matcher: Matcher) -> None:
 
 def stays_within_the_windows(matcher: Matcher) -> None:
     """Places are within the windows, and none is where there are no data."""
-    first, second = _pair(0)
+    first, second = _window_pair(0)
     is_known = first.known.copy()
     is_known[:, :_WINDOW_SIDE // 2] = False
-    matches = _matched(matcher, Window(first.pixels, is_known, first.origin), second)
+    matches = _valid_matches(matcher, Window(first.pixels, is_known, first.origin), second)
     for positions, window, name in ((matches.first, Window(first.pixels, is_known), "first"),
                                     (matches.second, second, "second")):
         at = np.round(positions).astype(int)
@@ -64,29 +64,32 @@ def stays_within_the_windows(matcher: Matcher) -> None:
 
 def nothing_where_nothing_is(matcher: Matcher) -> None:
     """Windows without texture or data give no fault, and those without data no match."""
-    first, second = _pair(0)
+    first, second = _window_pair(0)
     flat = Window(np.full_like(first.pixels, 100), first.known, first.origin)
     empty = Window(first.pixels, np.zeros_like(first.known), first.origin)
-    _matched(matcher, flat, second)
-    _matched(matcher, flat, Window(np.full_like(second.pixels, 7), second.known, second.origin))
-    n_matches = len(_matched(matcher, empty, second).first)
+    _valid_matches(matcher, flat, second)
+    _valid_matches(matcher, flat,
+                   Window(np.full_like(second.pixels, 7), second.known, second.origin))
+    n_matches = len(_valid_matches(matcher, empty, second).first)
     require(n_matches == 0, f"a window without data has {n_matches} matches")
 
 
 def small_windows(matcher: Matcher) -> None:
     """Windows of a few pixels, as at the edge of an image, give no fault."""
-    first, second = _pair(0)
+    first, second = _window_pair(0)
     for extent in (1, 5, 30):
-        _matched(matcher, Window(first.pixels[:extent, :extent], first.known[:extent, :extent]),
-                 Window(second.pixels[:extent, :2 * extent], second.known[:extent, :2 * extent]))
+        _valid_matches(matcher,
+                       Window(first.pixels[:extent, :extent], first.known[:extent, :extent]),
+                       Window(second.pixels[:extent, :2 * extent],
+                              second.known[:extent, :2 * extent]))
 
 
 def repeats(matcher: Matcher) -> None:
     """The same windows give the same matches again, in another process too."""
-    first, second = _pair(0)
-    once = _matched(matcher, first, second)
+    first, second = _window_pair(0)
+    once = _valid_matches(matcher, first, second)
     for same_matcher in (matcher, through_pickle(matcher)):
-        repeated = _matched(same_matcher, first, second)
+        repeated = _valid_matches(same_matcher, first, second)
         require(np.array_equal(once.first, repeated.first)
                 and np.array_equal(once.second, repeated.second),
                 "match() of the same windows differs from one call or process to the next")
@@ -94,7 +97,7 @@ def repeats(matcher: Matcher) -> None:
 
 def leaves_windows(matcher: Matcher) -> None:
     """It does not change the arrays it is given."""
-    first, second = _pair(0)
+    first, second = _window_pair(0)
     arrays = {"first.pixels": first.pixels, "first.known": first.known,
               "second.pixels": second.pixels, "second.known": second.known}
     require_unchanged(arrays, "match", lambda: matcher.match(first, second, SEARCH))
@@ -102,22 +105,22 @@ def leaves_windows(matcher: Matcher) -> None:
 
 def cases(thing: type[Matcher] | Matcher) -> list[Case]:
     """Return the one case of a matcher: with its options, or the defaults of a class."""
-    return [Case(label(thing, {}), lambda: instance(thing))]
+    return [Case(label_with_options(thing, {}), lambda: make_instance(thing))]
 
 
 SUITE = Suite((declaration, finds_a_shift, stays_within_the_windows, nothing_where_nothing_is,
                small_windows, repeats, leaves_windows), cases)
 
 
-def _matched(matcher: Matcher, first: Window, second: Window) -> Matches:
+def _valid_matches(matcher: Matcher, first: Window, second: Window) -> Matches:
     """Return what a matcher finds in two windows, once it is known to be valid."""
     matches = matcher.match(first, second, SEARCH)
-    problem = fault(matcher, matches)
+    problem = fault_of_matches(matcher, matches)
     require(problem is None, f"match() {problem}")
     return matches
 
 
-def _pair(seed: int) -> tuple[Window, Window]:
+def _window_pair(seed: int) -> tuple[Window, Window]:
     """Return two windows of ground with fields, houses and texture, with noise of their own."""
     rng = np.random.default_rng(seed)
     extent = _WINDOW_SIDE + 2 * (_WINDOW_BORDER + 16)

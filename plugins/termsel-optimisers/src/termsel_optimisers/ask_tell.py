@@ -11,7 +11,7 @@ import numpy as np
 
 from termsel import Evaluation, Generation, Problem, Solver, TermselError
 from termsel.toolkit import attribute_errors_to
-from termsel.toolkit.runs import fault_of_method, of_shape
+from termsel.toolkit.runs import difference_from_shape, fault_of_method
 from termsel.toolkit.searches import SEGMENTS, AnySegment, Genes
 
 CHECK = "Check your optimiser: ask() and tell()."
@@ -100,7 +100,7 @@ def from_ask_tell(factory: Callable[[Problem, np.random.Generator], AskTell], *,
                                               "None where there are no more", CHECK)
                     # One selection, or several; numbers that the genome rounds to its genes.
                     candidates = np.atleast_2d(np.asarray(candidates, dtype=float))
-                if fault := of_shape(candidates, (-1, problem.genome.size)):
+                if fault := difference_from_shape(candidates, (-1, problem.genome.size)):
                     raise fault_of_method(optimiser, "ask", fault, CHECK)
                 # Told are the genes that were evaluated, not those that were asked for.
                 genes = problem.genome.repair(candidates, rng)

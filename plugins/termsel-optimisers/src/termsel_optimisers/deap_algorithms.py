@@ -66,7 +66,7 @@ class Deap(Solver):
         box = to_deap(problem)
         for role in ("select", "mate", "mutate"):
             register(box, role, o[role], problem.genome)
-        loop = _loop(o["algorithm"])
+        loop = _algorithm_of_name(o["algorithm"])
         # eaSimple crosses and mutates each child, the others do one of both, or neither.
         applies_both = o["algorithm"] == "eaSimple"
         chances = {"cxpb": o["cxpb"] if o["cxpb"] is not None else 0.9 if applies_both else 0.7,
@@ -86,7 +86,7 @@ class Deap(Solver):
         yield from generations_of(box, loop, rng, mu, {**chances, "mu": mu, "lambda_": children})
 
 
-def _loop(loop_name: str) -> Callable[..., Any]:
+def _algorithm_of_name(loop_name: str) -> Callable[..., Any]:
     """Return the algorithm of a name, or the function that module:function says.
 
     Raises TermselError if there is no such algorithm or function.
@@ -153,7 +153,7 @@ def generations_of(box: base.Toolbox, loop: Callable[..., Any], rng: np.random.G
             _evaluate(box, individuals)
         hall_of_fame.update(individuals)
         logbook.record(gen=index, **stats.compile(individuals))
-        yield _generation(index, individuals, {"logbook": logbook, "halloffame": hall_of_fame})
+        yield _as_generation(index, individuals, {"logbook": logbook, "halloffame": hall_of_fame})
 
 
 def _evaluate(box: base.Toolbox, individuals: Iterable[Individual]) -> None:
@@ -163,8 +163,8 @@ def _evaluate(box: base.Toolbox, individuals: Iterable[Individual]) -> None:
         individual.fitness.values = values
 
 
-def _generation(index: int, individuals: list[Individual],
-                details: Mapping[str, Any]) -> Generation:
+def _as_generation(index: int, individuals: list[Individual],
+                   details: Mapping[str, Any]) -> Generation:
     """Return individuals with their objectives and violations as a generation of this number."""
     genes: NDArray[Any] = np.array(individuals)
     return Generation(index, genes, Evaluation(

@@ -15,8 +15,8 @@ from deap import base, tools
 from numpy.typing import NDArray
 
 from termsel import Genome, Problem, TermselError
-from termsel.toolkit import unknown_name
-from termsel.toolkit.searches import WORST, crossover, mutation
+from termsel.toolkit import unknown_name_error
+from termsel.toolkit.searches import WORST, cross_pairs, mutate_genes
 
 
 class Fitness(base.Fitness):
@@ -94,7 +94,7 @@ class _ProblemTools:
 
     def population(self, n: int) -> list[Individual]:
         """Return n random individuals, without a fitness."""
-        genes = self.problem.genome.random(_rng(), n).tolist()
+        genes = self.problem.genome.random(_generator_like_random(), n).tolist()
         return [Individual(chromosome, len(self.problem.objectives)) for chromosome in genes]
 
     def individual(self) -> Individual:
@@ -191,10 +191,10 @@ def register(box: base.Toolbox, role: str, declaration: str | None, genome: Geno
     operators = [operator for operator in dir(tools)
                  if operator.startswith(start) and operator[len(start)].isupper()]
     if name not in operators:
-        raise unknown_name(f"operator of deap.tools to {role}", name, operators)
+        raise unknown_name_error(f"operator of deap.tools to {role}", name, operators)
     function: Callable[..., Any] = getattr(tools, name)
     # Arguments are Python literals: numbers, text, lists.
-    keywords: dict[str, Any] = dict(map(_argument, filter(None, arguments.split(","))))
+    keywords: dict[str, Any] = dict(map(_parse_argument, filter(None, arguments.split(","))))
     takes = list(inspect.signature(function).parameters)
     if role == "mutate" and "indpb" in takes:
         keywords.setdefault("indpb", 1.0 / genome.size)
@@ -212,7 +212,7 @@ def register(box: base.Toolbox, role: str, declaration: str | None, genome: Geno
     box.register(role, function, **keywords)
 
 
-def _argument(text: str) -> tuple[str, Any]:
+def _parse_argument(text: str) -> tuple[str, Any]:
     """Return name and value of an operator's argument, KEY=NUMBER.
 
     Raises TermselError if it is none.
@@ -229,17 +229,19 @@ def _mate(individual_1: Individual, individual_2: Individual,
           genome: Genome) -> tuple[Individual, Individual]:
     """Cross two individuals in place, with the operators for their types of genes; return both."""
     pair = np.array([individual_1, individual_2], dtype=genome.dtype)
-    individual_1[:], individual_2[:] = crossover(pair, genome, 1.0, _rng()).tolist()
+    individual_1[
+        :], individual_2[:] = cross_pairs(pair, genome, 1.0, _generator_like_random()).tolist()
     return individual_1, individual_2
 
 
 def _mutate(individual: Individual, genome: Genome) -> tuple[Individual]:
     """Mutate an individual in place, by its types of genes; return it in a tuple."""
     genes = np.array([individual], dtype=genome.dtype)
-    individual[:] = mutation(genes, genome, 1.0 / genome.size, _rng())[0].tolist()
+    individual[:] = mutate_genes(genes, genome, 1.0 / genome.size,
+                                 _generator_like_random())[0].tolist()
     return (individual,)
 
 
-def _rng() -> np.random.Generator:
+def _generator_like_random() -> np.random.Generator:
     """Return a generator that follows the state of Python's `random`, as DEAP's operators do."""
     return np.random.default_rng(random.getrandbits(128))

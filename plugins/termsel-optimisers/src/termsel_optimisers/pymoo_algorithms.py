@@ -18,9 +18,9 @@ from termsel.toolkit.searches import (
     OPTIONS,
     SEGMENTS,
     OwnChance,
-    operators,
+    common_operators,
     population_size,
-    steps,
+    step_algorithm,
 )
 from termsel_optimisers.survivals import RveaSurvival, with_safe_survival
 
@@ -101,10 +101,10 @@ class Pymoo(Solver):
         population = population_size(self.options["population"], problem)
         module, _, class_name = ALGORITHMS[name].partition(":")
         algorithm_class = getattr(import_module(f"pymoo.algorithms.{module}"), class_name)
-        arguments = operators(problem.genome, self.options["mutation"], rng)
+        arguments = common_operators(problem.genome, self.options["mutation"], rng)
         # An individual for each direction, at least.
         if name in DIRECTED:
-            arguments["ref_dirs"] = directions(len(problem.objectives), population)
+            arguments["ref_dirs"] = reference_directions(len(problem.objectives), population)
             if len(arguments["ref_dirs"]) > population:
                 raise TermselError(
                     f"algorithm={name} has a direction for each of {len(problem.objectives)} "
@@ -118,11 +118,12 @@ class Pymoo(Solver):
             arguments["eliminate_duplicates"] = False
         if name != "ctaea":  # which has as many as there are directions
             arguments["pop_size"] = population
-        yield from steps(with_safe_survival(algorithm_class, **arguments), problem, rng,
-                         self.options["horizon"])
+        yield from step_algorithm(
+            with_safe_survival(algorithm_class, **arguments), problem, rng, self.options["horizon"])
 
 
-def directions(objectives: int, max_directions: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+def reference_directions(
+        objectives: int, max_directions: int) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Return reference directions of Das and Dennis 1998, (n, objectives), n <= `max_directions`.
     """
     # Das and Dennis: all points whose coordinates are multiples of 1 / partitions and add up to 1.
@@ -189,8 +190,8 @@ def from_pymoo(algorithm: Algorithm, *, name: str | None = None) -> type[Solver]
 
         def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
             # The generator itself is as that of `pymoo.optimize.minimize` with the same seed.
-            yield from steps(deepcopy(algorithm), problem, rng,
-                             chance=OwnChance(rng.spawn(1)[0]))
+            yield from step_algorithm(
+                deepcopy(algorithm), problem, rng, chance=OwnChance(rng.spawn(1)[0]))
 
     FromPymoo.name = name or f"{type(algorithm).__name__.lower()}-pymoo"
     return FromPymoo

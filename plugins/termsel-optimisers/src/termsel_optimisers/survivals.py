@@ -31,16 +31,16 @@ class _AgeSurvival(AGEMOEA2Survival):
     @staticmethod
     def pairwise_distances(front: FloatArray, p: float) -> FloatArray:
         """Return distances along the estimated front, shape (m, m)."""
-        on_front = _project(front, p)
+        on_front = _scale_to_unit_norm(front, p)
         if 0.95 < p < 1.05:
             return np.asarray(np.linalg.norm(on_front[:, None] - on_front, axis=-1))
         # Twice over the middle of the arc, which lies on the front as well: nearer to its length.
-        middle = _project((on_front[:, None] + on_front) / 2, p)
+        middle = _scale_to_unit_norm((on_front[:, None] + on_front) / 2, p)
         half = np.linalg.norm(on_front[:, None] - middle, axis=-1)
         return np.asarray(half + half.T)
 
 
-def _project(points: FloatArray, p: float) -> FloatArray:
+def _scale_to_unit_norm(points: FloatArray, p: float) -> FloatArray:
     """Return points (..., m) scaled to a p-norm of 1; the origin stays."""
     length = np.maximum(points, 0.0)
     length = (length**p).sum(axis=-1, keepdims=True) ** (1 / p)

@@ -24,13 +24,13 @@ from termsel_rpc.local import CANDIDATE as LOCAL
 from termsel_rpc.local import RpcField
 from termsel_rpc.problem import RECIPE, Ce90
 from termsel_rpc.rigorous import PushbroomRefine
-from termsel_rpc.simulated import DATASET_NAME, MATCHES, candidates, matches
+from termsel_rpc.simulated import DATASET_NAME, MATCHES, simulate_candidates, simulate_matches
 
 if TYPE_CHECKING:
     from termsel import Criterion, Method, Recipe, SensorModel
 
 __all__ = ["Ce90", "E50PerArea", "PushbroomRefine", "RpcAffine", "RpcDrift",
-           "RpcField", "RpcJitter", "RpcShift", "candidates", "matches"]
+           "RpcField", "RpcJitter", "RpcShift", "simulate_candidates", "simulate_matches"]
 
 
 @hookimpl

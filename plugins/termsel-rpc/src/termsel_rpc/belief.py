@@ -69,7 +69,7 @@ class Grid:
     log: FloatArray  # (c,): logarithm of the prior probability
 
 
-def grid(kinds: Iterable[int], usual: float = USUAL_PX) -> Grid:
+def correction_grid(kinds: Iterable[int], usual: float = USUAL_PX) -> Grid:
     """Return all corrections of some kinds on a grid of size, share and noise, with their priors.
 
     `usual` is the usual noise [px], which the grid's is a multiple of.

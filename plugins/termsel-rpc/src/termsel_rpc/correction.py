@@ -28,7 +28,7 @@ from termsel import (
     line_normals,
     row_weights,
 )
-from termsel_rpc.belief import CORRECTION_KINDS, USUAL_PX, Belief, grid
+from termsel_rpc.belief import CORRECTION_KINDS, USUAL_PX, Belief, correction_grid
 from termsel_rpc.image_space import RpcAffine
 from termsel_rpc.refinement import FloatArray
 
@@ -76,11 +76,11 @@ class Correction(Estimator):
         """Fit the correction (see `Estimator.fit`) with all its terms, by features in use."""
         ready = model.prepared(scaling, control.crs)
         in_use = control.take(used)
-        believed, unit = belief(ready, in_use, scaling, self.kinds)
+        believed, unit = belief_about_rpc(ready, in_use, scaling, self.kinds)
         coefficients = to_terms(ready, scaling) @ believed.coefficients
         # Rows were weighed; errors of held-out features are in px again.
         held_out = HeldOut.of(
-            _vectors(believed.without_each[0] / unit, scaling.features(in_use)), in_use)
+            _rows_as_vectors(believed.without_each[0] / unit, scaling.features(in_use)), in_use)
         solution = Solution(coefficients, believed.effective, len(believed.right),
                             float(np.sqrt(believed.noise)) / scaling.image_scale, held_out)
         return fit_of(ready, scaling, control, used, self, solution)
@@ -90,7 +90,8 @@ class Correction(Estimator):
         model = fitted.model
         scale = fitted.scaling.image_scale
         assert isinstance(model, RpcAffine)
-        believed, _ = belief(model, fitted.control.take(fitted.used), fitted.scaling, self.kinds)
+        believed, _ = belief_about_rpc(
+            model, fitted.control.take(fitted.used), fitted.scaling, self.kinds)
         # C = F F^T by its eigenvectors; rounding may leave eigenvalues just below zero.
         values, vectors = np.linalg.eigh(believed.covariance)
         root = to_terms(model, fitted.scaling) @ vectors * np.sqrt(np.maximum(values, 0.0))
@@ -149,8 +150,8 @@ def to_terms(model: RpcAffine, scaling: Scaling) -> FloatArray:
     return np.kron(np.eye(2), of_axis)
 
 
-def belief(model: RpcAffine, features: FeatureSet, scaling: Scaling,
-           kinds: tuple[int, ...]) -> tuple[Belief, FloatArray]:
+def belief_about_rpc(model: RpcAffine, features: FeatureSet, scaling: Scaling,
+                     kinds: tuple[int, ...]) -> tuple[Belief, FloatArray]:
     """Return what features show of a prepared model's RPC errors, and the weights of the rows (m,).
     """
     scaled = scaling.features(features)
@@ -159,10 +160,10 @@ def belief(model: RpcAffine, features: FeatureSet, scaling: Scaling,
     rows = equations.A @ to_terms(model, scaling) * scaling.image_scale
     usual = USUAL_PX if sigma is None else float(np.median(sigma))
     return Belief(rows, equations.b * scaling.image_scale, equations.feature,
-                  grid(kinds, usual)), row_weights(scaled)
+                  correction_grid(kinds, usual)), row_weights(scaled)
 
 
-def _vectors(errors: FloatArray, scaled: FeatureSet) -> FloatArray:
+def _rows_as_vectors(errors: FloatArray, scaled: FeatureSet) -> FloatArray:
     """Return errors of rows [px] as vectors of points, then of vertices of lines, shape (m, 2)."""
     # Normals of lines: errors of lines have no direction along them.
     count = 2 * len(scaled.points)
@@ -171,7 +172,7 @@ def _vectors(errors: FloatArray, scaled: FeatureSet) -> FloatArray:
 
 
 @lru_cache(maxsize=8)
-def _model(rpc: Rpc) -> RpcAffine:
+def _prepared_model(rpc: Rpc) -> RpcAffine:
     return RpcAffine(rpc=json.dumps(asdict(rpc)))
 
 
@@ -190,7 +191,7 @@ class CorrectedRpc(Method):
             return (f"it needs ellipsoidal heights, and {missing[0]} has none (--dem FILE takes "
                     "them from a raster)")
         try:
-            model = _model(rpc).prepared(control.scaling, control.features.crs)
+            model = _prepared_model(rpc).prepared(control.scaling, control.features.crs)
         except TermselError as error:
             return error.what
         features = control.features
@@ -210,7 +211,7 @@ class CorrectedRpc(Method):
         rpc = control.features.rpc
         if rpc is None:
             raise Undetermined("no RPC is given", hint="Give it with --rpc FILE.")
-        model = _model(rpc)
+        model = _prepared_model(rpc)
         return self.estimator.fit(
             model, control.features, control.scaling, np.ones(len(model.terms), dtype=bool),
             np.ones(len(control), dtype=bool))
@@ -227,8 +228,9 @@ class CorrectedRpc(Method):
         """Return sentences on the correction: its shift, each kind's probability, its uncertainty.
         """
         assert isinstance(fitted.model, RpcAffine)
-        believed, _ = belief(fitted.model, fitted.control.take(fitted.used), fitted.scaling,
-                             tuple(range(len(CORRECTION_KINDS))))
+        believed, _ = belief_about_rpc(fitted.model, fitted.control.take(fitted.used),
+                                       fitted.scaling,
+                                       tuple(range(len(CORRECTION_KINDS))))
         rpc = fitted.model.rpc
         chances = [f"{name} {share:.2f}"
                    for name, share in zip(CORRECTION_KINDS, believed.kinds, strict=True)]
@@ -249,7 +251,8 @@ class CorrectedRpc(Method):
 
         None if the features are many, and are tested as those of any model.
         """
-        return None if len(control) >= MAX_TESTED_HERE else _suspects(control, _model_of(control))
+        return None if len(
+            control) >= MAX_TESTED_HERE else _probable_blunders(control, _model_of(control))
 
 
 _WORDS = ("no correction", "a shift", "a drift along the lines", "an affine correction")
@@ -259,10 +262,10 @@ def _model_of(control: FitData) -> RpcAffine:
     """Return the model of the features' RPC, prepared for them."""
     rpc = control.features.rpc
     assert rpc is not None
-    return _model(rpc).prepared(control.scaling, control.features.crs)
+    return _prepared_model(rpc).prepared(control.scaling, control.features.crs)
 
 
-def _suspects(control: FitData, model: RpcAffine) -> Suspects | None:
+def _probable_blunders(control: FitData, model: RpcAffine) -> Suspects | None:
     """Return the blunders, by hypotheses: none, each feature, pairs with one of the likeliest.
 
     A blunder lies anywhere, as likely within 2 to 4 px of its place as within 20 to 40. Beforehand
@@ -272,7 +275,8 @@ def _suspects(control: FitData, model: RpcAffine) -> Suspects | None:
     max_blunders = int(MAX_BLUNDER_SHARE * len(control))
     if not max_blunders:
         return None
-    full, _ = belief(model, control.features, control.scaling, tuple(range(len(CORRECTION_KINDS))))
+    full, _ = belief_about_rpc(model, control.features, control.scaling,
+                               tuple(range(len(CORRECTION_KINDS))))
     reach = np.log(np.linalg.norm(model.rpc.image_scale) / NEAREST)
     logs: dict[tuple[int, ...], float] = {(): full.log}
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel import Equations, FeatureSet, Option, Rpc, Term, TermselError, read_rpc
-from termsel_rpc.parametric import along_lines
+from termsel_rpc.parametric import line_equations
 from termsel_rpc.refinement import FloatArray, Refinement
 from termsel_rpc.simulated import DATASET_NAME, RPC_FILE
 
@@ -143,8 +143,8 @@ class RpcShift(Refinement):
             return None
 
         image, columns = self.known(features.lines.ground.reshape(-1, 3))
-        A, b = along_lines(features, (image + columns @ coefficients).reshape(-1, 2, 2),
-                           columns.reshape(-1, 2, 2, len(self.terms)))
+        A, b = line_equations(features, (image + columns @ coefficients).reshape(-1, 2, 2),
+                              columns.reshape(-1, 2, 2, len(self.terms)))
         vector = super().equations(features)
         # Rows of points stay as they are; those of lines are replaced by the parametric form.
         points = slice(0, 2 * len(features.points))
@@ -205,7 +205,7 @@ def _absorb_denominators(rpc: Rpc, linear: FloatArray, shifted: Rpc) -> Rpc | No
         return ground[is_finite], away[is_finite] @ linear.T
 
     ground, targets = places(_EDGE_PLACES)
-    columns = _monomials(rpc, ground)
+    columns = _numerator_columns(rpc, ground)
     if len(ground) < 4 * len(columns.T):
         return None
     numerators = []
@@ -221,7 +221,7 @@ def _absorb_denominators(rpc: Rpc, linear: FloatArray, shifted: Rpc) -> Rpc | No
     return refined if lost.size and lost.max() <= _LOST else None
 
 
-def _monomials(rpc: Rpc, ground: FloatArray) -> FloatArray:
+def _numerator_columns(rpc: Rpc, ground: FloatArray) -> FloatArray:
     """Return the 20 columns of an RPC's numerators at longitude, latitude, height (n, 3): (n, 20).
     """
     constant = tuple(np.eye(1, 20)[0])

@@ -56,7 +56,7 @@ class RpcJitter(RpcShift):
         # Required by geographic.
         assert self.scaling is not None
         positions = self.rpc.project(geographic)
-        values = splines(positions[:, 0], self.rpc, int(self.options["intervals"]))
+        values = spline_values(positions[:, 0], self.rpc, int(self.options["intervals"]))
         if self.options["across"]:
             sample = (positions[:, 1] - self.rpc.image_offset[1]) / abs(self.rpc.image_scale[1])
             values = np.column_stack([values, sample])
@@ -68,7 +68,7 @@ class RpcJitter(RpcShift):
         return None
 
 
-def splines(lines: FloatArray, rpc: Rpc, intervals: int) -> FloatArray:
+def spline_values(lines: FloatArray, rpc: Rpc, intervals: int) -> FloatArray:
     """Return the values of all splines at lines, (n, intervals + 3).
 
     They add up to 1. Beyond the lines of the RPC's image they are those of its edge.

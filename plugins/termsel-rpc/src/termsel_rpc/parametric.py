@@ -10,8 +10,8 @@ from termsel import FeatureSet
 FloatArray = NDArray[np.float64]
 
 
-def along_lines(features: FeatureSet, ends: FloatArray, columns: FloatArray,
-                ) -> tuple[FloatArray, FloatArray]:
+def line_equations(features: FeatureSet, ends: FloatArray, columns: FloatArray,
+                   ) -> tuple[FloatArray, FloatArray]:
     """Return rows (2 n_lines, k) and distances of the lines, one of each measured end.
 
     Ends (n, 2, 2) are the projected vertices P and Q of each line, columns (n, 2, 2, k) what terms

@@ -83,11 +83,12 @@ class Refinement(SensorModel):
                 f"x and y are swapped: exchanged, the control lies in the area of {self.source}, "
                 "as it stands it does not",
                 hint="Exchange them: --set swapped=xy.")
-        image = _position(low, high)
-        control = _position(lowest, greatest)
+        image = _middle_in_words(low, high)
+        control = _middle_in_words(lowest, greatest)
         reason = f"is of another place ({image}) than the control ({control})" \
             if image != control else \
-            f"covers {_range(low, high)}, but the control is in {_range(lowest, greatest)}"
+            f"covers {_ranges_in_words(low, high)}, but the control is in " \
+            f"{_ranges_in_words(lowest, greatest)}"
         raise TermselError(f"{self.source} {reason}",
                            hint="Give the geometry of this image; x must be longitude or easting.")
 
@@ -114,13 +115,13 @@ def _is_far(lowest: FloatArray, greatest: FloatArray, low: FloatArray, high: Flo
     return bool(((greatest < low - margin) | (lowest > high + margin)).any())
 
 
-def _position(low: FloatArray, high: FloatArray) -> str:
+def _middle_in_words(low: FloatArray, high: FloatArray) -> str:
     """Return the middle between two corners [deg] in words, such as "34.8 N, 48.5 E"."""
     lon, lat = ((low + high) / 2).tolist()
     return f"{abs(lat):.1f} {'N' if lat >= 0 else 'S'}, {abs(lon):.1f} {'E' if lon >= 0 else 'W'}"
 
 
-def _range(low: FloatArray, high: FloatArray) -> str:
+def _ranges_in_words(low: FloatArray, high: FloatArray) -> str:
     """Return the ranges of longitude and latitude between two corners [deg] in words."""
     return (f"longitude {low[0]:.4g} to {high[0]:.4g} and latitude {low[1]:.4g} to "
             f"{high[1]:.4g}")

@@ -112,13 +112,13 @@ class PushbroomRefine(Refinement):
     def first_order(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the nominal scaled positions (n, 2) of places, and their derivatives (n, 2, k)."""
         nominal = np.zeros(len(self.terms))
-        return self.project(nominal, ground), self._derivatives(nominal, ground)
+        return self.project(nominal, ground), self._coefficient_derivatives(nominal, ground)
 
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations:
         """Return the equations about a solution (see `SensorModel.linearised`)."""
         blocks = []
         for ground in (features.points.ground, features.lines.ground.reshape(-1, 3)):
-            columns = self._derivatives(coefficients, ground)
+            columns = self._coefficient_derivatives(coefficients, ground)
             blocks += [columns, self.project(coefficients, ground) - columns @ coefficients]
         return image_equations(features, *blocks[::2], *blocks[1::2])
 
@@ -135,7 +135,7 @@ class PushbroomRefine(Refinement):
             np.tile(geographic, (len(sets), 1)))
         return self.scaling.image(image).reshape(*coefficients.shape[:-1], len(geographic), 2)
 
-    def _derivatives(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
+    def _coefficient_derivatives(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return the derivatives of image positions by the coefficients, shape (n, 2, k)."""
         # Central differences, all terms at once.
         steps = _DERIVATIVE_STEP * np.eye(len(coefficients))

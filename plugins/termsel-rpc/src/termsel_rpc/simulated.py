@@ -47,7 +47,7 @@ def _with_drift(angle: Angle, by: tuple[float, ...]) -> Angle:
     return Angle(tuple(drift.tolist()))
 
 
-def candidates() -> FeatureSet:
+def simulate_candidates() -> FeatureSet:
     """Return points like those of image matching: most good, some inexact, some blunders.
 
     80 control, 80 check and 80 independent points of the simulated scene "ikonos-hamedan". Of
@@ -62,15 +62,15 @@ def candidates() -> FeatureSet:
 
     Examples
     --------
-    >>> from termsel_rpc import candidates
-    >>> len(candidates().points)
+    >>> from termsel_rpc import simulate_candidates
+    >>> len(simulate_candidates().points)
     240
     """
     scene = simulate_scene(SCENE, n_points=_POINTS, n_lines=0, noise=0.0)
-    return _measured_scene(scene, quality(), np.random.default_rng(_SEED))
+    return _simulate_measured_scene(scene, candidate_quality(), np.random.default_rng(_SEED))
 
 
-def matches(wrong: float = 0.3, seed: int = 0) -> FeatureSet:
+def simulate_matches(wrong: float = 0.3, seed: int = 0) -> FeatureSet:
     """Return points as image matching finds them in a Cartosat-1 scene, some of them wrong.
 
     100 control and 100 independent points of the simulated scene "cartosat-hyderabad". Of the
@@ -90,8 +90,8 @@ def matches(wrong: float = 0.3, seed: int = 0) -> FeatureSet:
 
     Examples
     --------
-    >>> from termsel_rpc import matches
-    >>> len(matches(wrong=0.5).points)
+    >>> from termsel_rpc import simulate_matches
+    >>> len(simulate_matches(wrong=0.5).points)
     200
     """
     scene = simulate_scene(NOMINAL[MATCHES], seed=seed, noise=0.0)
@@ -99,11 +99,11 @@ def matches(wrong: float = 0.3, seed: int = 0) -> FeatureSet:
     rng = np.random.default_rng([seed, 2])
     kind = np.full(len(scene.points), "good", dtype="<U7")
     kind[rng.permutation(control)[:round(wrong * len(control))]] = "wrong"
-    return _measured_scene(scene, kind, rng)
+    return _simulate_measured_scene(scene, kind, rng)
 
 
-def _measured_scene(scene: FeatureSet, kind: np.ndarray[tuple[int], np.dtype[np.str_]],
-                    rng: np.random.Generator) -> FeatureSet:
+def _simulate_measured_scene(scene: FeatureSet, kind: np.ndarray[tuple[int], np.dtype[np.str_]],
+                             rng: np.random.Generator) -> FeatureSet:
     """Return a scene with its points measured well, inexactly or wrongly, as `kind` (n,) says."""
     points = scene.points
     n = len(points)
@@ -118,8 +118,8 @@ def _measured_scene(scene: FeatureSet, kind: np.ndarray[tuple[int], np.dtype[np.
     return replace(scene, points=replace(points, image=image), noise=_GOOD_NOISE)
 
 
-def quality() -> np.ndarray[tuple[int], np.dtype[np.str_]]:
-    """Return for each point of `candidates` whether it is good, inexact or wrong, (n,)."""
+def candidate_quality() -> np.ndarray[tuple[int], np.dtype[np.str_]]:
+    """Return for each point of `simulate_candidates` whether it is good, inexact or wrong, (n,)."""
     scene = simulate_scene(SCENE, n_points=_POINTS, n_lines=0, noise=0.0)
     kind = np.full(_POINTS, "good", dtype="<U7")
     rng = np.random.default_rng([_SEED, 1])

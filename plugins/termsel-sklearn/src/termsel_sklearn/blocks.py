@@ -41,14 +41,14 @@ def spatial_blocks(X: Any, across: int = 3) -> IntArray:
     if positions.ndim != 2 or positions.shape[1] < 2 or across < 2:
         raise ValueError("blocks need x and y of each point, and at least 2 blocks each way")
     # Columns first, then rows within each of them: all blocks have about as many points.
-    column = _strips(positions[:, 0], across)
+    column = _strip_numbers(positions[:, 0], across)
     row = np.zeros(len(positions), dtype=np.intp)
     for number in range(across):
-        row[column == number] = _strips(positions[column == number, 1], across)
+        row[column == number] = _strip_numbers(positions[column == number, 1], across)
     return column * across + row
 
 
-def _strips(values: FloatArray, count: int) -> IntArray:
+def _strip_numbers(values: FloatArray, count: int) -> IntArray:
     """Return the number of the strip of each value (n,), of `count` strips of equally many values.
     """
     strips = np.zeros(len(values), dtype=np.intp)

@@ -28,7 +28,7 @@ class WithOptions(BaseEstimator):  # type: ignore[misc]
         """Return the parameters; with `deep` the options of the model or solver as well."""
         parameters: dict[str, Any] = super().get_params(deep)
         # Parameters of the estimator come before options of the same name.
-        return {**self._values(), **parameters} if deep else parameters
+        return {**self._option_values(), **parameters} if deep else parameters
 
     def set_params(self, **params: Any) -> Any:
         """Set parameters, or options of the model or solver, by their names; return the estimator.
@@ -39,7 +39,7 @@ class WithOptions(BaseEstimator):  # type: ignore[misc]
         own_parameters = {name: params.pop(name) for name in list(params)
                           if name.partition("__")[0] in self._get_param_names()}
         super().set_params(**own_parameters)
-        option_values = self._values()
+        option_values = self._option_values()
         for name in params:
             if name not in option_values:
                 extension = getattr(self, self.extension)
@@ -51,7 +51,7 @@ class WithOptions(BaseEstimator):  # type: ignore[misc]
             self.options = {**(self.options or {}), **params}
         return self
 
-    def _values(self) -> dict[str, Any]:
+    def _option_values(self) -> dict[str, Any]:
         """Return the options of the model or solver as set or by default; {} of an instance."""
         try:
             extension = self._taken()

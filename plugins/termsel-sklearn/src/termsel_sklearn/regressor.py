@@ -117,7 +117,7 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         if X.shape[1] not in (2, 3) or image.shape[1] not in (1, 2):
             raise ValueError(f"X has {X.shape[1]} columns and y {image.shape[1]}; ground "
                              "coordinates have 2 or 3, image coordinates 1 or 2")
-        method = self._method()
+        method = self._method_or_strategy()
         self._columns = None if np.ndim(y) == 1 else image.shape[1]
         # One image coordinate stands for both, of which `predict` returns one.
         image = np.broadcast_to(image, (len(X), 2))
@@ -126,14 +126,15 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         sigma = None if np.ptp(weights) == 0 else \
             np.column_stack([np.sqrt(weights.mean() / weights)] * 2)
         try:
-            points = Points(tuple(f"{i}" for i in range(len(positions))), image, _ground(positions),
+            points = Points(tuple(f"{i}" for i in range(len(positions))), image,
+                            _ground_with_heights(positions),
                             sigma)
             features = FeatureSet(points, crs="local")
             if method is not None:
                 self.fit_ = fit(features, method)
                 return self
             # Heights that are all alike, or absent, say nothing: then the plane model is fitted.
-            high, flat = self._models()
+            high, flat = self._models_by_dimension()
             if self.strategy in ("regularised", "selected") and (flat.polynomial_degree or 0) < 2:
                 raise ValueError(f"strategy {self.strategy!r} needs a polynomial of at least "
                                  "degree 2")
@@ -153,10 +154,10 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         """
         check_is_fitted(self)
         X = validate_data(self, X, reset=False, dtype=np.float64)
-        image: FloatArray = self.fit_.project(_ground(X))
+        image: FloatArray = self.fit_.project(_ground_with_heights(X))
         return image[:, 0] if self._columns is None else image[:, :self._columns]
 
-    def _method(self) -> Method | None:
+    def _method_or_strategy(self) -> Method | None:
         """Return the method that stands in place of a strategy; None for a strategy.
 
         Raises ValueError for a name that is neither.
@@ -172,7 +173,7 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
                              f"{', '.join(STRATEGIES)}, a termsel.Method or the name of one"
                              ) from error
 
-    def _models(self) -> tuple[SensorModel, SensorModel]:
+    def _models_by_dimension(self) -> tuple[SensorModel, SensorModel]:
         """Return the model for points whose heights differ, and the one for others."""
         degree = {} if self.degree is None else {"degree": self.degree}
         if isinstance(self.model, str) and self.model == "polynomial":
@@ -210,6 +211,6 @@ def _merge_points(X: FloatArray, image: FloatArray, weights: FloatArray,
     return X[first[order]], mean, total
 
 
-def _ground(X: FloatArray) -> FloatArray:
+def _ground_with_heights(X: FloatArray) -> FloatArray:
     """Return ground coordinates with a third column, which is not known where X has two."""
     return X if X.shape[1] == 3 else np.column_stack([X, np.full(len(X), np.nan)])

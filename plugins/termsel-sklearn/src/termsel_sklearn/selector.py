@@ -82,10 +82,10 @@ class ColumnProblem(Problem):
         solved = np.linalg.solve(system[is_feasible], right[is_feasible])
         # RSS = y^T y - b^T X^T y at the solution b.
         rss[is_feasible] = self._total - (solved * right[is_feasible]).sum(axis=(1, 2))
-        value = self._criterion(rss, genes.sum(axis=1))
+        value = self._criterion_values(rss, genes.sum(axis=1))
         return Evaluation(np.where(is_feasible, value, _WORST)[:, None], violation)
 
-    def _criterion(self, rss: FloatArray, size: IntArray) -> FloatArray:
+    def _criterion_values(self, rss: FloatArray, size: IntArray) -> FloatArray:
         # An exact fit has a residual of rounding alone, whose logarithm would choose by chance.
         floor = np.finfo(np.float64).eps * max(self._total, np.finfo(np.float64).tiny)
         return np.asarray(
@@ -99,7 +99,7 @@ class ColumnProblem(Problem):
         return (EnumerablePart(
             np.arange(genome.size),
             SubsetSystem(self._design, self._target, forced=genome.on, forbidden=genome.off),
-            "rss", partial(self._criterion, size=sizes)),)
+            "rss", partial(self._criterion_values, size=sizes)),)
 
     def design(self) -> FloatArray:
         """Return the constant and the centred columns, times the roots of the weights."""

@@ -63,12 +63,12 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
         took = "which took"
 
         def state(result: Result) -> Statements | PredictedStatement:
-            return _predicted_only(result) or statements_of(
+            return _predicted_statement(result) or statements_of(
                 errors_of(result).surveyed(survey_sigma, survey_sigma_z), horizontal, vertical)
 
         results = _results_of(source)
         is_one = len(results) == 1
-        stated = _stated_of_all(results, state)
+        stated = _statements_on_results(results, state)
     if as_json:
         content = stated[0] if is_one else stated
         click.echo(msgspec.json.format(msgspec.json.encode(content), indent=2))
@@ -76,9 +76,9 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
     click.echo("\n\n\n".join("\n".join(_lines_of(statement, took)) for statement in stated))
 
 
-def _stated_of_all(results: list[Result],
-                   state: Callable[[Result], Statements | PredictedStatement],
-                   ) -> list[Statements | PredictedStatement]:
+def _statements_on_results(results: list[Result],
+                           state: Callable[[Result], Statements | PredictedStatement],
+                           ) -> list[Statements | PredictedStatement]:
     """Return the statements on results; of several, those that have none are named on stderr.
 
     Raises TermselError if none has one.
@@ -115,7 +115,7 @@ def _results_of(folder: Path) -> list[Result]:
     return results
 
 
-def _predicted_only(result: Result) -> PredictedStatement | None:
+def _predicted_statement(result: Result) -> PredictedStatement | None:
     """Return the statement on what a result predicts; None if independent points tested it."""
     from termsel.toolkit.files import prediction_of
     from termsel_standards.statement import prediction_statement
@@ -128,10 +128,11 @@ def _lines_of(stated: Statements | PredictedStatement, took: str) -> Iterator[st
     """Yield the lines of a statement for the terminal, tested or predicted."""
     from termsel_standards.statement import Statements
 
-    return _tested_text(stated, took) if isinstance(stated, Statements) else _predicted_text(stated)
+    return _tested_lines(stated, took) if isinstance(stated,
+                                                     Statements) else _predicted_lines(stated)
 
 
-def _tested_text(stated: Statements, took: str) -> Iterator[str]:
+def _tested_lines(stated: Statements, took: str) -> Iterator[str]:
     """Yield the lines of a tested statement; `took` says what part the check points took."""
     points = stated.distribution.points
     yield f"{stated.source}: {points} check points, {took} no part in any choice"
@@ -139,15 +140,15 @@ def _tested_text(stated: Statements, took: str) -> Iterator[str]:
     yield f"{'':8}{'mean':>10}{'std':>10}{'RMSE':>10}{'95 %':>10}{'largest':>10}  normal"
     for component in stated.components:
         normal = "-" if component.normal is None else f"p = {component.normal:.2g}"
-        yield f"{component.name:8}{component.mean:10.3f}{_or(component.deviation)}" \
+        yield f"{component.name:8}{component.mean:10.3f}{_value_or(component.deviation)}" \
               f"{component.rmse:10.3f}{component.percentile95:10.3f}{component.maximum:10.3f}  " \
               + normal
     yield ""
     yield f"Horizontal RMSE {stated.horizontal:.3f} m, CE90 {stated.ce90:.3f} m, " \
-          f"CE95 {stated.ce95:.3f} m" + _survey(stated.survey_horizontal)
+          f"CE95 {stated.ce95:.3f} m" + _survey_text(stated.survey_horizontal)
     if stated.vertical is not None:
         yield f"Vertical RMSE {stated.vertical:.3f} m, LE90 {stated.le90:.3f} m" \
-              + _survey(stated.survey_vertical)
+              + _survey_text(stated.survey_vertical)
         yield f"Three-dimensional RMSE {stated.three_dimensional:.3f} m"
     distribution = stated.distribution
     area = "" if distribution.area is None else f" for {distribution.area:.3g} km2"
@@ -161,7 +162,7 @@ def _tested_text(stated: Statements, took: str) -> Iterator[str]:
     yield from (fill(f"Note: {note}", 90, subsequent_indent="    ") for note in stated.notes)
 
 
-def _predicted_text(stated: PredictedStatement) -> Iterator[str]:
+def _predicted_lines(stated: PredictedStatement) -> Iterator[str]:
     """Yield the lines of a predicted accuracy, as text to sign."""
     yield f"{stated.source}: no independent check points"
     yield ""
@@ -173,9 +174,9 @@ def _predicted_text(stated: PredictedStatement) -> Iterator[str]:
     yield "Date:                Signed:"
 
 
-def _or(value: float | None) -> str:
+def _value_or(value: float | None) -> str:
     return f"{'-':>10}" if value is None else f"{value:10.3f}"
 
 
-def _survey(value: float | None) -> str:
+def _survey_text(value: float | None) -> str:
     return "; survey not known" if value is None else f"; survey {value:.3f} m"

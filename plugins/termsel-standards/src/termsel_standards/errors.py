@@ -13,8 +13,8 @@ import numpy as np
 
 from termsel import Points, Result, TermselError
 from termsel.toolkit import FloatArray, read_text
-from termsel.toolkit.coordinates import in_metres
-from termsel.toolkit.models import OnGround, distances
+from termsel.toolkit.coordinates import offsets_in_metres
+from termsel.toolkit.models import OnGround, distance_figures
 
 AXES = ("x", "y", "z")
 SIGMAS = tuple(f"sigma_{axis}" for axis in AXES)
@@ -103,24 +103,25 @@ def errors_of(result: Result) -> GroundErrors:
     # Computed from the image at the surveyed heights, as a map has them.
     offsets = (fitted.locate(points.image, heights) - ground)[:, :2]
     crs = result.features.crs
-    metres = in_metres(crs, ground, offsets)
+    metres = offsets_in_metres(crs, ground, offsets)
     if metres is None or not np.isfinite(metres).all():
         raise TermselError("the errors on the ground are not known in metres",
                            hint="State the CRS of the ground coordinates when you run termsel.")
     # An exported fit may use the independent points: then the errors are other than those recorded.
     recorded = result.accuracy.ground if result.accuracy else None
-    if recorded and not isclose(recorded.total, distances(OnGround, metres).total, rel_tol=1e-6):
+    if recorded and not isclose(
+            recorded.total, distance_figures(OnGround, metres).total, rel_tol=1e-6):
         raise TermselError("the fit has used the independent points, so they do not test it",
                            hint="Give the result as it was run, not as it is exported.")
     origin = ground[0, :2]
-    positions = in_metres(crs, ground, ground[:, :2] - origin)
+    positions = offsets_in_metres(crs, ground, ground[:, :2] - origin)
     area = None
     if result.features.image_size is not None:
         # The corners of the image, at the mean height of the points.
         lines, samples = (float(extent) - 1.0 for extent in result.features.image_size)
         corners = np.array([[0.0, 0.0], [0.0, samples], [lines, samples], [lines, 0.0]])
         corner_ground = fitted.locate(corners, np.full(4, float(np.nan_to_num(heights).mean())))
-        area = in_metres(crs, corner_ground, corner_ground[:, :2] - origin)
+        area = offsets_in_metres(crs, corner_ground, corner_ground[:, :2] - origin)
         area = area if area is not None and np.isfinite(area).all() else None
     if positions is None:
         positions = np.full_like(metres, np.nan)
@@ -131,14 +132,14 @@ def errors_of(result: Result) -> GroundErrors:
 
 def _survey_of(points: Points) -> FloatArray:
     """Return standard deviations of the survey (n, 2) [m] in x and y; NaN if not stated."""
-    columns = [_sigmas(points.attributes.get(name, [""] * len(points)), name, points.ids)
+    columns = [_parse_sigmas(points.attributes.get(name, [""] * len(points)), name, points.ids)
                for name in SIGMAS[:2]]
     # Points have the columns only where their survey is known; blank cells are unknown, too.
     return np.column_stack(columns)
 
 
-def _sigmas(cells: Iterable[Any], name: str, ids: Sequence[str], file: Path | None = None,
-            ) -> FloatArray:
+def _parse_sigmas(cells: Iterable[Any], name: str, ids: Sequence[str], file: Path | None = None,
+                  ) -> FloatArray:
     """Return standard deviations [m] of cells, NaN for blank ones.
 
     Raises TermselError for a negative one, or no number.
@@ -220,7 +221,7 @@ def read_errors(path: Path | str) -> GroundErrors:
     ids = tuple(row.get("id", "").strip() or str(i) for i, row in enumerate(rows, 1))
     # A column of heights that is all blank is none.
     axes = AXES if any(row.get("dz", "").strip() for row in rows) else AXES[:2]
-    errors = _columns(path, rows, [f"d{axis}" for axis in axes])
+    errors = _parse_columns(path, rows, [f"d{axis}" for axis in axes])
     if np.isnan(errors).any():
         row, column = np.argwhere(np.isnan(errors))[0].tolist()
         raise TermselError("this cell is blank", file=path, line=row + 2,
@@ -229,12 +230,14 @@ def read_errors(path: Path | str) -> GroundErrors:
     survey = []
     for axis in axes:
         name = f"sigma_{axis}"
-        survey.append(_sigmas([row.get(name, "") for row in rows], name, ids, path))
-    return GroundErrors(ids, errors, np.column_stack(survey), _columns(path, rows, ["x", "y"]),
+        survey.append(_parse_sigmas([row.get(name, "") for row in rows], name, ids, path))
+    return GroundErrors(ids, errors, np.column_stack(survey),
+                        _parse_columns(path, rows, ["x", "y"]),
                         source=str(path))
 
 
-def _columns(path: Path, rows: Sequence[Mapping[str, str]], names: Sequence[str]) -> FloatArray:
+def _parse_columns(path: Path, rows: Sequence[Mapping[str, str]],
+                   names: Sequence[str]) -> FloatArray:
     """Return the numbers (n, columns) of some columns of a table's rows; NaN for blank cells."""
     values = []
     for line, row in enumerate(rows, 2):

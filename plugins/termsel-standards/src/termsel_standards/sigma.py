@@ -13,9 +13,19 @@ import numpy as np
 
 from termsel import Result, TermselError, open_raster, require_replaceable
 from termsel.toolkit import FloatArray, picture_for, say_difference
-from termsel.toolkit.coordinates import horizontal, in_metres, is_geographic, nearest
+from termsel.toolkit.coordinates import (
+    horizontal_crs,
+    is_geographic,
+    nearest_longitudes,
+    offsets_in_metres,
+)
 from termsel.toolkit.files import MapGrid, accuracy_tags, grid_of_image, map_crs, surface_of
-from termsel.toolkit.models import FAR_OUTSIDE, outside, require_tiff_name, write_cog
+from termsel.toolkit.models import (
+    FAR_OUTSIDE,
+    distance_outside_control,
+    require_tiff_name,
+    write_cog,
+)
 
 log = logging.getLogger(__name__)
 
@@ -123,7 +133,7 @@ def write_sigma(
     if image is not None:
         result = result.of_image(picture_for(result, image).size)
     level = float(result.fit.ground_box()[0][2]) if height is None else height
-    grid = _grid(result, like_map, bounds, resolution, crs, heights=(dem, level))
+    grid = _choose_grid(result, like_map, bounds, resolution, crs, heights=(dem, level))
     with surface_of(dem, result.features.crs, level) as surface:
         tags = accuracy_tags(of_run, say_difference(result.features, result.project, surface))
         nodes = _Nodes.of(result, grid, surface)
@@ -151,9 +161,9 @@ def write_sigma(
     return nodes.error
 
 
-def _grid(result: Result, like_map: Path | str | None, bounds: Sequence[float] | None,
-          resolution: float | None, crs: str | None,
-          heights: tuple[Path | str | None, float]) -> MapGrid:
+def _choose_grid(result: Result, like_map: Path | str | None, bounds: Sequence[float] | None,
+                 resolution: float | None, crs: str | None,
+                 heights: tuple[Path | str | None, float]) -> MapGrid:
     """Return the pixels of the raster: of a map, or of bounds, or of the image's extent.
 
     Without a resolution it has some `_USUAL` pixels along its longer side. Raises TermselError for
@@ -182,7 +192,7 @@ def _grid(result: Result, like_map: Path | str | None, bounds: Sequence[float] |
         bounds = image_grid.bounds
     west, south, east, north = bounds
     if not (all(map(isfinite, bounds)) and west < east and south < north):
-        raise _no_area(bounds)
+        raise _no_area_error(bounds)
     if resolution is None:
         resolution = float(f"{max(east - west, north - south) / _USUAL:.1g}")
     samples, lines = (max(round(extent / resolution), 1) for extent in (east - west, north - south))
@@ -244,27 +254,27 @@ class _Nodes:
                                hint="Give a raster that covers the map.")
         low = known_heights.min()
         high = known_heights.max()
-        levels = np.array([low]) if flat or low == high else _axis(low, high, _LEVELS)
-        closest = np.nanmin(outside(control, tested_ground))
+        levels = np.array([low]) if flat or low == high else _axis_nodes(low, high, _LEVELS)
+        closest = np.nanmin(distance_outside_control(control, tested_ground))
         if FAR_OUTSIDE < closest < np.inf:
             raise TermselError("all of this map is far outside the control, and the model is not "
                                "valid there",
                                hint="Give --bounds in the CRS of the raster, west, south, east and "
                                     "north.")
-        truth = _sigma(result, tested_ground)
+        truth = _sigma_at(result, tested_ground)
         if not np.isfinite(truth).any():
             raise TermselError("the uncertainty of this model is not known anywhere on this map",
                                hint="The control determines the model without redundancy, or the "
                                     "map is elsewhere. Give more control, or other --bounds.")
         intervals = _FIRST
         while True:
-            x = _axis(west, east, intervals)
-            y = _axis(south, north, intervals)
+            x = _axis_nodes(west, east, intervals)
+            y = _axis_nodes(south, north, intervals)
             mesh = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
             ground = np.repeat(to_ground(mesh), len(levels), axis=0)
             ground[:, 2] = np.tile(levels, len(mesh))
             # Squares are the smoother: those of polynomials are polynomials.
-            squares = _sigma(result, ground).T.reshape(4, len(x), len(y), len(levels)) ** 2
+            squares = _sigma_at(result, ground).T.reshape(4, len(x), len(y), len(levels)) ** 2
             order = 3 if np.isfinite(squares).all() else 1
             # Splines need all nodes; where some have no value, a line between two does.
             table = squares
@@ -319,13 +329,13 @@ class _Nodes:
         if self.flat:
             # Heights of the ground say nothing of a plane model.
             ground[:, 2] = np.nan
-        distance = outside(self.control, ground)
+        distance = distance_outside_control(self.control, ground)
         bands[4] = np.where(np.isfinite(distance), distance > 0, np.nan)
         bands[:, ~np.isfinite(bands[:4]).all(axis=0)] = np.nan
         return bands.reshape(len(BANDS), window.height, window.width)
 
 
-def _no_area(bounds: Sequence[float]) -> TermselError:
+def _no_area_error(bounds: Sequence[float]) -> TermselError:
     """Return the error for bounds that enclose no area, with those that were probably meant."""
     west, south, east, north = bounds
     reasons = []
@@ -343,7 +353,7 @@ def _no_area(bounds: Sequence[float]) -> TermselError:
                              f"{remedy}.")
 
 
-def _axis(low: float, high: float, intervals: int) -> FloatArray:
+def _axis_nodes(low: float, high: float, intervals: int) -> FloatArray:
     """Return nodes from one end to the other in so many intervals, and `_AROUND` beyond either."""
     step = (high - low) / intervals
     return np.asarray(low + step * np.arange(-_AROUND, intervals + _AROUND + 1))
@@ -355,7 +365,7 @@ def _to_ground(crs: str, control_crs: str, control: FloatArray) -> Callable[[Flo
     """
     from pyproj import Transformer
 
-    turn = Transformer.from_crs(crs, horizontal(control_crs), always_xy=True)
+    turn = Transformer.from_crs(crs, horizontal_crs(control_crs), always_xy=True)
     turns = is_geographic(control_crs)
     middle = float(control[:, 0].min() + control[:, 0].max()) / 2
 
@@ -364,12 +374,13 @@ def _to_ground(crs: str, control_crs: str, control: FloatArray) -> Callable[[Flo
         x, y = turn.transform(xy[:, 0], xy[:, 1])
         x, y = (np.where(np.isfinite(values), values, np.nan) for values in (x, y))
         # Longitudes are periodic: those next to the control are meant.
-        return np.column_stack([nearest(x, middle) if turns else x, y, np.zeros(len(xy))])
+        return np.column_stack(
+            [nearest_longitudes(x, middle) if turns else x, y, np.zeros(len(xy))])
 
     return to_ground
 
 
-def _sigma(result: Result, ground: FloatArray) -> FloatArray:
+def _sigma_at(result: Result, ground: FloatArray) -> FloatArray:
     """Return sigma of line and sample [px], east and north [m], at ground places (n, 3): (n, 4).
 
     NaN where any is not known; raises TermselError if the ground is not in metres.
@@ -387,7 +398,7 @@ def _sigma(result: Result, ground: FloatArray) -> FloatArray:
         # The inverse of [lx ly; sx sy], with the errors of line and of sample independent.
         east = np.hypot(of_image[:, 0] * sy, of_image[:, 1] * ly) / np.abs(determinant)
         north = np.hypot(of_image[:, 0] * sx, of_image[:, 1] * lx) / np.abs(determinant)
-        metres = in_metres(result.features.crs, ground, np.column_stack([east, north]))
+        metres = offsets_in_metres(result.features.crs, ground, np.column_stack([east, north]))
     if metres is None:
         raise TermselError("the uncertainty on the ground is not known in metres",
                            hint="State the CRS of the ground coordinates when you run termsel.")

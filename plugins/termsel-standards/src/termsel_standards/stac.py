@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 from termsel import Option, Result, TermselError, Writer
 from termsel.toolkit import write_text
-from termsel.toolkit.coordinates import LOCAL, horizontal
+from termsel.toolkit.coordinates import LOCAL, horizontal_crs
 from termsel_standards.outline import outline_of
 from termsel_standards.quality.report import file_sha256
 
@@ -61,9 +61,9 @@ class StacItem(Writer):
         # A bbox of STAC is west, south, east and north.
         outline = outline_of(result)
         box = [*outline.min(axis=0).tolist(), *outline.max(axis=0).tolist()]
-        code = horizontal(result.features.crs)
+        code = horizontal_crs(result.features.crs)
         properties: dict[str, Any] = {
-            "datetime": _time(self.options["date"]) or created, "created": created,
+            "datetime": _rfc3339_time(self.options["date"]) or created, "created": created,
             "proj:code": code if _AUTHORITY.fullmatch(code) else None,
             "processing:software": {"termsel": result.versions.get("termsel", "")},
             "processing:lineage": f"{result.model} by {result.solver}, fitted to "
@@ -71,7 +71,7 @@ class StacItem(Writer):
         if result.accuracy and result.accuracy.ground:
             # Of the run: the exported fit may have used the independent points.
             properties["accuracy:geometric_rmse"] = result.accuracy.ground.total
-        asset = self._asset()
+        asset = self._image_asset()
         item = {
             "type": "Feature", "stac_version": VERSION,
             "stac_extensions": _extensions_of([*properties, *asset]),
@@ -80,7 +80,7 @@ class StacItem(Writer):
             "properties": properties, "links": [], "assets": {"image": asset} if asset else {}}
         write_text(path, json.dumps(item, indent=2, ensure_ascii=False) + "\n")
 
-    def _asset(self) -> dict[str, Any]:
+    def _image_asset(self) -> dict[str, Any]:
         """Return the image as an asset: address, size and checksum; {} if neither is given."""
         image = self.options["image"]
         href = self.options["href"]
@@ -98,7 +98,7 @@ def _extensions_of(fields: list[str]) -> list[str]:
     return [uri for prefix, uri in EXTENSIONS.items() if prefix in prefixes]
 
 
-def _time(date: str) -> str:
+def _rfc3339_time(date: str) -> str:
     """Return a date as RFC 3339 has it, in UTC; "" of "". Raises TermselError if it is no date."""
     if not date:
         return ""

@@ -8,9 +8,15 @@ from math import ceil, floor, hypot, log10
 import numpy as np
 from scipy import stats
 
-from termsel.toolkit import FloatArray, counted
+from termsel.toolkit import FloatArray, count_in_words
 from termsel.toolkit.files import Prediction
-from termsel.toolkit.models import ASPRS_POINTS, NSSDA_POINTS, OnGround, distances, nssda
+from termsel.toolkit.models import (
+    ASPRS_POINTS,
+    NSSDA_POINTS,
+    OnGround,
+    distance_figures,
+    nssda_accuracy,
+)
 from termsel_standards.errors import GroundErrors
 
 ASPRS = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2, " \
@@ -234,13 +240,13 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
     """
     errors = ground_errors.errors
     n, axes = errors.shape
-    components = tuple(_component(name, errors[:, i])
+    components = tuple(_component_figures(name, errors[:, i])
                        for i, name in enumerate(("east", "north", "up")[:axes]))
     away = np.linalg.norm(errors[:, :2], axis=1)
-    figures = distances(OnGround, errors[:, :2])
+    figures = distance_figures(OnGround, errors[:, :2])
     # ASPRS 2024: RMSE^2 against the check points plus RMSE^2 of their survey.
-    survey_horizontal = _survey(ground_errors.survey[:, :2])
-    survey_vertical = _survey(ground_errors.survey[:, 2:]) if axes > 2 else None
+    survey_horizontal = _survey_rmse(ground_errors.survey[:, :2])
+    survey_vertical = _survey_rmse(ground_errors.survey[:, 2:]) if axes > 2 else None
     # Where the survey is not known it is left out, and a note says so.
     with_survey = hypot(figures.total, survey_horizontal or 0.0)
     vertical = components[2].rmse if axes > 2 else None
@@ -248,26 +254,28 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
     distribution = distribution_of(ground_errors)
     # Every figure has a statement, or says why none can be made.
     flat = "not stated, as no heights were tested"
-    by_nssda = nssda(n, figures)
-    too_few = f"{counted(n, 'independent point')}, at least {NSSDA_POINTS} needed"
-    horizontal = _asprs("horizontal", n, with_survey, horizontal_class)
+    by_nssda = nssda_accuracy(n, figures)
+    too_few = f"{count_in_words(n, 'independent point')}, at least {NSSDA_POINTS} needed"
+    horizontal = _asprs_statement("horizontal", n, with_survey, horizontal_class)
     if survey_horizontal is not None and survey_horizontal > IMPLAUSIBLE * figures.total:
         horizontal = Statement("ASPRS horizontal", with_survey, "not stated, as the error stated "
                                "for the survey is larger than the errors found, which contain it")
     statements = (
         horizontal,
-        _asprs("vertical", n, height, vertical_class),
-        _asprs("three-dimensional", n, None if height is None else hypot(with_survey, height),
-               None),
+        _asprs_statement("vertical", n, height, vertical_class),
+        _asprs_statement("three-dimensional", n, None if height is None
+                         else hypot(with_survey, height),
+                         None),
         Statement("ASPRS vegetated vertical", None, flat if height is None else
                   "not stated, as it is not known which check points are under vegetation"),
         Statement("NSSDA horizontal", by_nssda.value,
                   f"not stated: {by_nssda.reason}" if by_nssda.value is None else
-                  f"Tested {_size(by_nssda.value)} meters horizontal accuracy at 95% "
+                  f"Tested {_size_text(by_nssda.value)} meters horizontal accuracy at 95% "
                   "confidence level"),
         _nssda_vertical(vertical, too_few if n < NSSDA_POINTS else None))
-    notes = _notes(ground_errors, figures.total, survey_horizontal, distribution, components,
-                   (horizontal_class, vertical_class))
+    notes = _limiting_notes(ground_errors, figures.total, survey_horizontal, distribution,
+                            components,
+                            (horizontal_class, vertical_class))
     return Statements(
         source=ground_errors.source, components=components, horizontal=figures.total,
         ce90=figures.ce90, ce95=float(np.quantile(away, 0.95)), vertical=vertical,
@@ -277,7 +285,7 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
         distribution=distribution, statements=statements, notes=tuple(notes))
 
 
-def _component(name: str, errors: FloatArray) -> Component:
+def _component_figures(name: str, errors: FloatArray) -> Component:
     """Return the figures of the errors (n,) along one axis [m]."""
     n = len(errors)
     size = np.abs(errors)
@@ -291,7 +299,7 @@ def _component(name: str, errors: FloatArray) -> Component:
         maximum=float(size.max()), normal=normal)
 
 
-def _survey(sigma: FloatArray) -> float | None:
+def _survey_rmse(sigma: FloatArray) -> float | None:
     """Return the RMSE [m] of the survey by its standard deviations (n, d); None if any is unknown.
     """
     if np.isnan(sigma).any():
@@ -310,8 +318,8 @@ _WORDS = {
 """Class and figure in the statements of ASPRS."""
 
 
-def _asprs(direction: str, points: int, value: float | None,
-           stated_class: float | None) -> Statement:
+def _asprs_statement(direction: str, points: int, value: float | None,
+                     stated_class: float | None) -> Statement:
     """Return the statement of ASPRS on a RMSE [m]; it says why, if none can be made.
 
     `direction` is horizontal or vertical, `stated_class` the class to test [m], None for the least.
@@ -323,17 +331,17 @@ def _asprs(direction: str, points: int, value: float | None,
     class_ = class_of(value) if stated_class is None else stated_class
     kind, figure_words = _WORDS[direction]
     if value > class_:
-        return Statement(name, value, f"not stated, as {_centimetres(value)} is above the "
-                         f"{_centimetres(class_)} of the class")
-    figure = "The " + figure_words.format(_centimetres(value))
+        return Statement(name, value, f"not stated, as {_in_statement_unit(value)} is above the "
+                         f"{_in_statement_unit(class_)} of the class")
+    figure = "The " + figure_words.format(_in_statement_unit(value))
     # With 30 points or more the full statement, else the one for a reduced number.
     if points >= ASPRS_POINTS:
         return Statement(name, value, f"This data set was tested to meet {ASPRS} for a "
-                         f"{_centimetres(class_)} {kind}. {figure}")
+                         f"{_in_statement_unit(class_)} {kind}. {figure}")
     return Statement(
         name, value, f"This data set was tested as required by {ASPRS}. Although the Standards "
         f"call for a minimum of thirty (30) checkpoints, this test was performed using ONLY "
-        f"{points} checkpoints. This data set was produced to meet a {_centimetres(class_)} "
+        f"{points} checkpoints. This data set was produced to meet a {_in_statement_unit(class_)} "
         f"{kind}. {figure} using the reduced number of checkpoints")
 
 
@@ -353,7 +361,8 @@ def _nssda_vertical(vertical: float | None, too_few: str | None) -> Statement:
         return Statement("NSSDA vertical", None, "not stated, as no heights were tested"
                          if vertical is None else f"not stated: {too_few}")
     value = VERTICAL * vertical
-    return Statement("NSSDA vertical", value, f"Tested {_size(value)} meters vertical accuracy "
+    return Statement("NSSDA vertical", value,
+                     f"Tested {_size_text(value)} meters vertical accuracy "
                      "at 95% confidence level")
 
 
@@ -388,10 +397,10 @@ def distribution_of(ground_errors: GroundErrors) -> Distribution:
                         float(separations.min()) / diagonal if n > 1 and diagonal > 0 else None)
 
 
-def _notes(ground_errors: GroundErrors, total: float, survey: float | None,
-           distribution: Distribution,
-           components: tuple[Component, ...],
-           classes: tuple[float | None, float | None]) -> list[str]:
+def _limiting_notes(ground_errors: GroundErrors, total: float, survey: float | None,
+                    distribution: Distribution,
+                    components: tuple[Component, ...],
+                    classes: tuple[float | None, float | None]) -> list[str]:
     """Return sentences on what limits the figures: points, blunders, the survey.
 
     [] if nothing does.
@@ -400,7 +409,7 @@ def _notes(ground_errors: GroundErrors, total: float, survey: float | None,
     # With fewer the statement says it.
     if ASPRS_POINTS <= len(ground_errors.ids) < distribution.required:
         notes.append(f"ASPRS asks for {distribution.required} check points for this area; this is "
-                     f"a test by {counted(len(ground_errors.ids), 'check point')}.")
+                     f"a test by {count_in_words(len(ground_errors.ids), 'check point')}.")
     if ground_errors.blunders:
         notes.append(f"{', '.join(ground_errors.blunders)}: all other features contradict "
                      f"{'it' if len(ground_errors.blunders) == 1 else 'them'}. Look at the image "
@@ -409,8 +418,10 @@ def _notes(ground_errors: GroundErrors, total: float, survey: float | None,
         notes.append("The error of the survey is not known and not included: give columns sigma_x "
                      "and sigma_y, or --survey-sigma.")
     elif survey > IMPLAUSIBLE * total:
-        notes.append(f"The survey is said to be off by {_size(survey)} m, and the errors found are "
-                     f"{_size(total)} m. Check --survey-sigma or the columns sigma_x and sigma_y: "
+        notes.append(f"The survey is said to be off by {_size_text(survey)} m, and the errors "
+                     "found are "
+                     f"{_size_text(total)} m. Check --survey-sigma or the columns sigma_x and "
+                     "sigma_y: "
                      "they are in metres.")
     elif survey > total / 2:
         notes.append("The check points are not twice as accurate as what they test.")
@@ -430,10 +441,10 @@ def _notes(ground_errors: GroundErrors, total: float, survey: float | None,
     return notes
 
 
-def _centimetres(value: float) -> str:
+def _in_statement_unit(value: float) -> str:
     """Return a length [m] in the unit of the statements of ASPRS."""
-    return f"{_size(100 * value)} cm"
+    return f"{_size_text(100 * value)} cm"
 
 
-def _size(value: float) -> str:
+def _size_text(value: float) -> str:
     return f"{value:.3g}" if value < 999.5 else f"{value:.0f}"

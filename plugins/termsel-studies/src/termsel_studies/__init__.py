@@ -18,15 +18,22 @@ if TYPE_CHECKING:
     import click
 
     from termsel.toolkit import Part
-    from termsel_studies.frequencies import Stability, stability
-    from termsel_studies.report import report, summary
+    from termsel_studies.frequencies import Stability, selection_frequencies
+    from termsel_studies.report import report, study_summary
 
 # What only a finished study needs is not imported for `termsel run`.
 __getattr__, _, _ = lazy_loader.attach(__name__, submod_attrs={
-    "cluster": ["on_cluster"], "frequencies": ["Stability", "stability"],
-    "outlines": ["map_of"], "report": ["report", "summary"]})
+    "cluster": ["run_on_cluster"], "frequencies": ["Stability", "selection_frequencies"],
+    "outlines": ["map_of"], "report": ["report", "study_summary"]})
 
-__all__ = ["Stability", "map_of", "on_cluster", "report", "stability", "summary"]
+__all__ = [
+    "Stability",
+    "map_of",
+    "report",
+    "run_on_cluster",
+    "selection_frequencies",
+    "study_summary",
+]
 
 
 @hookimpl
@@ -43,9 +50,11 @@ def termsel_parts() -> Iterable[Part]:
     from termsel.toolkit import Part
     from termsel.toolkit.studies import StudyOutput
     from termsel_studies import ioh
-    from termsel_studies.cluster import on_cluster
+    from termsel_studies.cluster import run_on_cluster
     from termsel_studies.outlines import map_of
-    from termsel_studies.report import FILES, report, summary, write
+    from termsel_studies.report import FILES, report, study_summary, write
 
-    return [Part("scheduler", on_cluster), Part("study", StudyOutput((ioh.IOH_FOLDER,), ioh.write)),
-            Part("study-map", map_of), Part("study", StudyOutput(FILES, write, summary, report))]
+    return [Part("scheduler", run_on_cluster),
+            Part("study", StudyOutput((ioh.IOH_FOLDER,), ioh.write)),
+            Part("study-map", map_of),
+            Part("study", StudyOutput(FILES, write, study_summary, report))]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from termsel.toolkit import counted
+from termsel.toolkit import count_in_words
 from termsel.toolkit.studies import MEASURES, Row
 from termsel_studies.groups import Groups
 from termsel_studies.significance import (
@@ -15,14 +15,14 @@ from termsel_studies.significance import (
     effect_size_interval,
     may_be_chance,
 )
-from termsel_studies.summaries import quantiles
+from termsel_studies.summaries import quantiles_with_infinity
 
 _MOST_NAMED = 6
 """Methods without runs on an instance that are named one by one."""
 _SIZES = ((0.71, "large"), (0.64, "medium"), (0.56, "small"))
 
 
-def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> list[str]:
+def valid_claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> list[str]:
     """Return sentences on what may be claimed, and what not; with few instances no comparison."""
     measure = groups.measure
     if groups.measure == "fitness":
@@ -37,7 +37,7 @@ def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> li
     elif comparison is None:
         sentences += _claim_of_single(groups)
     else:
-        sentences += _over_instances(comparison)
+        sentences += _claims_over_instances(comparison)
         # Tests take instances for independent of each other, which splits of the same data are not.
         if len({row["split"] for row in rows}) > 1:
             sentences.append("Splits of the same data are not independent of each other, so p is "
@@ -45,12 +45,13 @@ def claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> li
     failed = sum(row["state"] not in ("done", "waiting") for row in rows)
     if failed:
         sentences.append(f"Without a result, and counted as worst: {failed} of "
-                         f"{counted(len(rows), 'run')}.")
+                         f"{count_in_words(len(rows), 'run')}.")
     n_unproven = sum(
         (row.get("solver") or "").split(",")[0] == "exact" and row["state"] == "done"
         and not row.get("proven") and row.get("optimum") is None for row in rows)
     if n_unproven:
-        sentences.append(f"Not proven: {counted(n_unproven, 'run')} of exact ended before the "
+        sentences.append(f"Not proven: {count_in_words(n_unproven, 'run')} of exact ended before "
+                         "the "
                          "optimum was proven, so a better selection may exist.")
     if groups.measure == "fitness":
         sentences.append("The fitness chose the selections, so it is not the accuracy: compare the "
@@ -64,13 +65,13 @@ def _claim_of_single(groups: Groups) -> list[str]:
     total = len(groups.instances)
     if number:
         of_all = "" if number == total else f"{number} of "
-        sentences = [f"All methods ran on {of_all}{counted(total, 'instance')}; a test over "
+        sentences = [f"All methods ran on {of_all}{count_in_words(total, 'instance')}; a test over "
                      f"instances needs at least {MIN_INSTANCES}. What follows is valid for "
                      f"{'this one' if number == 1 else 'these'} alone."]
     else:
         sentences = ["No instance was run with all methods, so nothing is compared."]
     if number < total:
-        sentences.append(_missing_runs(groups))
+        sentences.append(_missing_runs_sentence(groups))
     for name in groups.common:
         by_method = groups.instances[name]
         # A single run, such as one of a solver without chance, says nothing of the next one.
@@ -78,15 +79,16 @@ def _claim_of_single(groups: Groups) -> list[str]:
         if len(repeated) < 2:
             continue
         # The best is compared with each of the others, run by run.
-        best = min(repeated, key=lambda method: quantiles(by_method[method].values, (0.5,)))
-        words = [_advantage(by_method[best].values, rival, by_method[rival].values)
+        best = min(repeated,
+                   key=lambda method: quantiles_with_infinity(by_method[method].values, (0.5,)))
+        words = [_advantage_in_words(by_method[best].values, rival, by_method[rival].values)
                  for rival in repeated if rival != best]
         sentences.append(f"On {name}, {best} has the lowest median of the methods with several "
                          f"runs. Its advantage by A12 [95 % interval] is {', '.join(words)}.")
     return sentences
 
 
-def _advantage(values: Sequence[float], rival: str, of_rival: Sequence[float]) -> str:
+def _advantage_in_words(values: Sequence[float], rival: str, of_rival: Sequence[float]) -> str:
     """Return in words how probably a method beats another, and whether that may be chance."""
     size = effect_size(values, of_rival)
     low, high = effect_size_interval(size, len(values), len(of_rival))
@@ -97,7 +99,7 @@ def _advantage(values: Sequence[float], rival: str, of_rival: Sequence[float]) -
             f"{doubt})")
 
 
-def _missing_runs(groups: Groups) -> str:
+def _missing_runs_sentence(groups: Groups) -> str:
     """Return a sentence on which methods have no runs on which instances."""
     missing = []
     for name, by_method in groups.instances.items():
@@ -113,7 +115,7 @@ def size_in_words(value: float) -> str:
     return next((size for limit, size in _SIZES if max(value, 1 - value) >= limit), "negligible")
 
 
-def _over_instances(comparison: Comparison) -> list[str]:
+def _claims_over_instances(comparison: Comparison) -> list[str]:
     """Return sentences on what may be claimed over all instances, by corrected tests."""
     sentences = []
     if comparison.p is not None:
@@ -132,7 +134,8 @@ def _over_instances(comparison: Comparison) -> list[str]:
                          f"p = {pair.corrected:.2g}).")
     n_unproven = len(comparison.pairs) - len(proven)
     if n_unproven:
-        sentences.append(f"Of {counted(n_unproven, 'pair')} no difference may be claimed. That "
+        sentences.append(f"Of {count_in_words(n_unproven, 'pair')} no difference may be claimed. "
+                         "That "
                          "does not show that they are equally good.")
     sentences.append("This is valid for instances like these, with these options and budgets.")
     return sentences

@@ -13,8 +13,8 @@ from urllib.parse import urlsplit
 
 from termsel import FeatureSet, TermselError
 from termsel.toolkit import registry
-from termsel.toolkit.runs import versions
-from termsel.toolkit.studies import AHEAD, DIED, Cell, Outcome, Stop, do, failed
+from termsel.toolkit.runs import package_versions
+from termsel.toolkit.studies import AHEAD, DIED, Cell, Outcome, Stop, do, failed_outcome
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -31,8 +31,8 @@ _MOST_LOSSES = 5
 """Times in a row that a scheduler may be lost before any further cell is finished."""
 
 
-def on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: Stop,
-               address: str, plugins: Mapping[str, str]) -> Iterator[Outcome]:
+def run_on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: Stop,
+                   address: str, plugins: Mapping[str, str]) -> Iterator[Outcome]:
     """Yield the outcomes of cells, run by the workers of a scheduler, as they end.
 
     `termsel.compare` calls it if ``scheduler`` is given.
@@ -65,7 +65,7 @@ def on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: 
     >>> study = termsel.compare(problems=["poly-terms"], solvers=["random"], seeds=range(20),
     ...                         scheduler="tcp://host:8786")  # doctest: +SKIP
     """
-    required = {**versions(), **plugins}
+    required = {**package_versions(), **plugins}
     waiting = deque(cells)
     fruitless = 0
     while waiting and not stop():
@@ -151,7 +151,7 @@ def require_alike(required: Mapping[str, str], installed: Mapping[str, str | Non
 def versions_here(names: tuple[str, ...]) -> dict[str, str | None]:
     """Return the versions of packages and plugins in this process by name; None if not installed.
     """
-    packages: dict[str, Any] = versions()
+    packages: dict[str, Any] = package_versions()
     plugins = {plugin.distribution: plugin.version for plugin in registry().plugins}
     return {name: packages.get(name, plugins.get(name)) for name in names}
 
@@ -193,12 +193,12 @@ def _submit_cells(client: Client, waiting: deque[Cell], running: dict[Future, Ce
             yield future.result()
         elif isinstance(error, KilledWorker):
             # It was tried on several workers.
-            yield failed(cell.key, DIED)
+            yield failed_outcome(cell.key, DIED)
         # An error of termsel, such as other versions on a worker, ends the study.
         elif isinstance(error, TermselError):
             raise error
         else:
-            yield failed(cell.key, f"{type(error).__name__}: {error}")
+            yield failed_outcome(cell.key, f"{type(error).__name__}: {error}")
 
 
 def _keep(features: FeatureSet) -> FeatureSet:

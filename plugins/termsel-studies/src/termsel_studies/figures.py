@@ -21,14 +21,20 @@ from termsel.toolkit.charts import (
     spread_scale,
     with_unit,
 )
-from termsel_studies.groups import Groups, group, length
+from termsel_studies.groups import Groups, evaluations_of_run, group
 from termsel_studies.significance import (
     Comparison,
     compare_methods,
     medians_of,
     performance_profile,
 )
-from termsel_studies.summaries import bands, ecdf, hit, optimum_of, targets_of
+from termsel_studies.summaries import (
+    effort_to_target,
+    optimum_of,
+    quartiles_by_budget,
+    success_curve,
+    targets_of,
+)
 
 _DASHES = ([1, 0], [6, 3], [2, 2])
 
@@ -50,7 +56,8 @@ def figures_of(study: Study) -> list[Figure]:
     # Without a trace nothing is known of the time that a run took to its best value.
     figures = []
     if any(record.trace for record in groups.records()):
-        figures += [running_times(groups, 0), running_times(groups, 2), convergence(groups)]
+        figures += [
+            running_time_chart(groups, 0), running_time_chart(groups, 2), convergence_chart(groups)]
     values = medians_of(groups)
     # Ratios to the best one require that it has a result, and that nothing is below zero.
     if len(values) > 1 and len(groups.methods) > 1 and np.isfinite(values).any(axis=1).all() \
@@ -62,7 +69,7 @@ def figures_of(study: Study) -> list[Figure]:
     return figures
 
 
-def running_times(groups: Groups, column: int) -> Figure:
+def running_time_chart(groups: Groups, column: int) -> Figure:
     """Return the ECDF of evaluations (column 0) or CPU seconds (2) over all targets."""
     rows: list[dict[str, Any]] = []
     last = 0.0
@@ -73,8 +80,9 @@ def running_times(groups: Groups, column: int) -> Figure:
                 continue
             optimum = optimum_of(by_method.values(), groups.measure)
             for target in targets_of(optimum, by_method.values()):
-                hits += [hit(record.trace, target, column) for record in by_method[method].records]
-        budgets, shares = ecdf(hits)
+                hits += [effort_to_target(record.trace, target, column)
+                         for record in by_method[method].records]
+        budgets, shares = success_curve(hits)
         # A logarithmic axis has no zero.
         rows += [{"method": method, "budget": max(budget, 1e-4), "share": share}
                  for budget, share in zip(budgets, shares, strict=True)]
@@ -111,14 +119,14 @@ def _share_chart(rows: list[dict[str, Any]], methods: tuple[str, ...], x_field: 
         **_styles_by_method(methods)).properties(width=WIDTH, height=0.55 * WIDTH)
 
 
-def convergence(groups: Groups) -> Figure:
+def convergence_chart(groups: Groups) -> Figure:
     """Return the best value by evaluations, median and quartiles, a panel an instance."""
     alt = require_altair()
     rows: list[dict[str, Any]] = []
     for instance in list(groups.instances)[:_MOST_PANELS]:
         runs_of = groups.instances[instance]
         records = chain.from_iterable(runs.records for runs in runs_of.values())
-        longest = max(length(record.figures) for record in records)
+        longest = max(evaluations_of_run(record.figures) for record in records)
         for method, runs in runs_of.items():
             traces = [record.trace for record in runs.records]
             first = min((trace[0][0] for trace in traces if trace), default=longest)
@@ -127,7 +135,7 @@ def convergence(groups: Groups) -> Figure:
                                              _BUDGETS_DRAWN).round())
             rows += [{"instance": instance, "method": method, "evaluations": budget, "low": low,
                       "median": median, "high": high}
-                     for budget, low, median, high in bands(traces, budgets.tolist())
+                     for budget, low, median, high in quartiles_by_budget(traces, budgets.tolist())
                      if math.isfinite(high)]
     by_method = _styles_by_method(groups.methods)
     ends_of_bands = [row["low"] for row in rows] + [row["high"] for row in rows]
@@ -171,7 +179,7 @@ def critical_differences(comparison: Comparison) -> Figure:
     names = [comparison.methods[i] for i in order]
     ranks = [comparison.ranks[i] for i in order]
     # Demšar 2006, J. Mach. Learn. Res. 7, figure 1.
-    ends = alike(ranks, comparison.difference)
+    ends = runs_of_alike_ranks(ranks, comparison.difference)
     axis = alt.X("rank:Q", title="mean rank; 1 is best", scale=alt.Scale(
         domain=[1, len(names)], nice=False))
     row = alt.Y("row:O", axis=None, sort=None)
@@ -192,7 +200,7 @@ def critical_differences(comparison: Comparison) -> Figure:
                   f"differ by less than {comparison.difference:.2f}.", drawn)
 
 
-def alike(ranks: list[float], difference: float) -> list[tuple[float, float]]:
+def runs_of_alike_ranks(ranks: list[float], difference: float) -> list[tuple[float, float]]:
     """Return the longest runs of sorted ranks that are not distinguished, as first and last rank.
 
     They differ by less than the critical difference; [] if all are distinguished.

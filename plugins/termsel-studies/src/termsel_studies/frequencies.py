@@ -14,27 +14,27 @@ from termsel.toolkit import (
     FloatArray,
     Progress,
     as_plain_data,
+    make_scaling,
     one_blas_thread,
-    scaling_of,
 )
 from termsel.toolkit.models import (
     Rmse,
     Rmses,
-    figures,
+    find_twins,
     guard_points,
-    in_role,
     pole_margin,
     pole_violation,
+    restrict_to_control,
+    rmse_by_role,
     rmse_record,
     select,
-    twins,
 )
 from termsel.toolkit.runs import (
     notebook_observer,
-    recommended,
     request_of,
     take_pending_interrupt,
     task_of,
+    with_recommended_member,
 )
 from termsel.toolkit.searches import Observer
 
@@ -85,7 +85,7 @@ class Stability:
 
 
 @one_blas_thread
-def stability(
+def selection_frequencies(
     problem: str,
     *,
     repeats: int = 20,
@@ -149,8 +149,9 @@ def stability(
 
     Examples
     --------
-    >>> from termsel_studies import stability
-    >>> found = stability("poly-terms", repeats=3, evaluations=200, options={"degree": 2})
+    >>> from termsel_studies import selection_frequencies
+    >>> found = selection_frequencies("poly-terms", repeats=3, evaluations=200,
+    ...                               options={"degree": 2})
     >>> found.selections.shape
     (3, 12)
     """
@@ -190,7 +191,7 @@ def stability(
             # A search that was interrupted is no selection like the others.
             interrupted = outcome.interrupted
             if not interrupted:
-                genes = recommended(redrawn, outcome).genes
+                genes = with_recommended_member(redrawn, outcome).genes
                 rows.append(np.isin(task.model.terms, redrawn.problem.decode(genes).terms))
         except KeyboardInterrupt:
             interrupted = True
@@ -233,7 +234,7 @@ def _with_drawn_roles(task: Task, rng: np.random.Generator) -> FeatureSet:
     if n_control:
         movable = np.flatnonzero(np.isin(roles, ("control", "check")))
         # Points of one place move together: one of them would give the other away.
-        group = twins(points.ground[movable])
+        group = find_twins(points.ground[movable])
         order = np.argsort(rng.permutation(group.max() + 1)[group], kind="stable")
         # Without selection points there is nothing to exchange: half of the control is left out.
         n_kept = n_control if n_check else n_control // 2
@@ -256,7 +257,7 @@ def _fit_terms(task: Task, is_stable: BoolArray) -> tuple[bool, dict[str, Rmse |
     """
     control_and_check = task.observations.together
     axis = task.model.axis
-    scaling = scaling_of(control_and_check)
+    scaling = make_scaling(control_and_check)
     # A model needs terms for line and for sample.
     if not is_stable[axis == 0].any() or not is_stable[axis == 1].any():
         return False, {}
@@ -270,4 +271,4 @@ def _fit_terms(task: Task, is_stable: BoolArray) -> tuple[bool, dict[str, Rmse |
             task.model, fitted.adjustment.coefficients[None], guard,
             pole_margin(scaling.points(control_and_check.points))).any():
         return False, {}
-    return True, figures(in_role(fitted, task.observations), task.observations)
+    return True, rmse_by_role(restrict_to_control(fitted, task.observations), task.observations)

@@ -54,7 +54,7 @@ def front_figures(groups: Groups) -> list[FrontFigures]:
                       if row.get("proven") and record.front]
         reference = non_dominated(np.vstack(exact or all_fronts))
         for method, several in fronts.items():
-            figures = np.array([indicators(front, reference) for front in several])
+            figures = np.array([front_indicators(front, reference) for front in several])
             volume, distance = np.median(figures, axis=0)
             figures_of_fronts.append(FrontFigures(instance, method, float(volume), float(distance),
                                                   "proven" if exact else "all runs"))
@@ -71,7 +71,7 @@ def non_dominated(points: FloatArray) -> FloatArray:
     return np.asarray(points[~better.any(axis=0)])
 
 
-def indicators(front: FloatArray, reference: FloatArray) -> tuple[float, float]:
+def front_indicators(front: FloatArray, reference: FloatArray) -> tuple[float, float]:
     """Return hypervolume and IGD+ of a front (n, objectives), scaled by a reference front.
 
     Lower is better. The reference spans 0 to 1 in each objective; the reference point of the

@@ -69,11 +69,11 @@ def group(rows: Sequence[Row], records: Mapping[str, CellRecord],
     # model where each problem has its own.
     method: tuple[str, ...] = ("solver",) if measure == "fitness" else METHOD
     instance = (*INSTANCE, *(("model", "criterion") if measure == "fitness" else ()))
-    of_method = _varying(rows, method, INSTANCE)
+    of_method = _varying_labels(rows, method, INSTANCE)
     of_instance: list[str] = []
     # Without what others show already, as the model that a problem has.
     for label in instance:
-        if label in _varying(rows, instance, of_instance):
+        if label in _varying_labels(rows, instance, of_instance):
             of_instance.append(label)
     instances: dict[str, dict[str, Runs]] = {}
     for row in rows:
@@ -89,7 +89,7 @@ def group(rows: Sequence[Row], records: Mapping[str, CellRecord],
     return Groups(measure, instances, tuple(methods))
 
 
-def length(figures: Mapping[str, Any]) -> float:
+def evaluations_of_run(figures: Mapping[str, Any]) -> float:
     """Return the evaluations of a run by its figures, those of the local refinement included."""
     return float(figures.get("evaluations") or 0)
 
@@ -98,27 +98,27 @@ def _measure(rows: Sequence[Row]) -> str:
     """Return the measure by which rows are compared if none is given: fitness or independent."""
     # Methods that differ in the solver alone minimise the same fitness, whatever model and
     # criterion each problem has.
-    only_solvers = _varying(rows, METHOD, INSTANCE) == ["solver"]
+    only_solvers = _varying_labels(rows, METHOD, INSTANCE) == ["solver"]
     return "fitness" if only_solvers and all(row["strategy"] == "as-asked" for row in rows) \
         else "independent"
 
 
-def _varying(rows: Sequence[Row], labels: Sequence[str],
-             given_labels: Sequence[str] = ()) -> list[str]:
+def _varying_labels(rows: Sequence[Row], labels: Sequence[str],
+                    given_labels: Sequence[str] = ()) -> list[str]:
     """Return the labels that distinguish rows, of those rows that are alike in other labels.
 
     The first or last one where none does.
     """
     # A label varies where it splits rows that are alike in the other ones.
-    groups_of_rows = {_values(row, given_labels) for row in rows}
+    groups_of_rows = {_label_values(row, given_labels) for row in rows}
     varying = []
     for label in labels:
-        if len({_values(row, (*given_labels, label)) for row in rows}) > len(groups_of_rows):
+        if len({_label_values(row, (*given_labels, label)) for row in rows}) > len(groups_of_rows):
             varying.append(label)
     return varying or [labels[-1] if labels[-1] == "solver" else labels[0]]
 
 
-def _values(row: Row, labels: Sequence[str]) -> tuple[Any, ...]:
+def _label_values(row: Row, labels: Sequence[str]) -> tuple[Any, ...]:
     return tuple(row[label] for label in labels)
 
 

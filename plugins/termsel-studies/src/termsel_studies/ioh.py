@@ -11,7 +11,7 @@ from typing import Any
 from termsel import Study, __version__
 from termsel.toolkit import write_text
 from termsel.toolkit.studies import CellRecord, file_word
-from termsel_studies.groups import Groups, group, length
+from termsel_studies.groups import Groups, evaluations_of_run, group
 
 IOH_FOLDER = "ioh"
 
@@ -31,7 +31,7 @@ def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
     """
     # De Nobel, Ye, Vermetten, Wang, Doerr and Bäck 2024, IOHexperimenter, Evol. Comput. 32(3); a
     # run begins with the row of its first evaluation.
-    folders = _folders(groups.methods)
+    folders = _folder_names(groups.methods)
     for number, (instance, by_method) in enumerate(groups.instances.items(), 1):
         file_name = file_word(instance, "all")
         # Methods of an instance search the same genome; a run that failed does not show its size.
@@ -41,9 +41,9 @@ def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
             folder = folders[method]
             stem = f"IOHprofiler_f{number}_{file_name}"
             data = f"data_f{number}_{file_name}/{stem}.dat"
-            yield f"{folder}/{data}", _data(runs.records)
+            yield f"{folder}/{data}", _improvements_text(runs.records)
             yield f"{folder}/{stem}.json", json.dumps(
-                _description(number, instance, method, dimension, runs.records, data),
+                _method_description(number, instance, method, dimension, runs.records, data),
                 indent=1) + "\n"
 
 
@@ -59,7 +59,7 @@ def write(study: Study, folder: Path) -> list[Path]:
     return [folder / IOH_FOLDER] if files else []
 
 
-def _data(records: list[CellRecord]) -> str:
+def _improvements_text(records: list[CellRecord]) -> str:
     """Return the improvements of all runs as text, each run from evaluation 1 to its last one."""
     lines = ["evaluations raw_y"]
     for number, record in enumerate(records):
@@ -67,34 +67,34 @@ def _data(records: list[CellRecord]) -> str:
         # though that is of another run.
         points = {1: WORST + number, **{int(point[0]): point[1] for point in record.trace}}
         # A run ends with the number of its evaluations, though the last improved nothing.
-        points.setdefault(_evaluations(record), _best_found(record, number)[1])
+        points.setdefault(_evaluations_of_run(record), _best_of_run(record, number)[1])
         lines += [f"{evaluations} {value:.17g}" for evaluations, value in points.items()]
     return "\n".join(lines) + "\n"
 
 
-def _evaluations(record: CellRecord) -> int:
+def _evaluations_of_run(record: CellRecord) -> int:
     """Return the evaluations of a run; 1 where it failed before it could show."""
-    return int(max([1, length(record.figures), *(point[0] for point in record.trace)]))
+    return int(max([1, evaluations_of_run(record.figures), *(point[0] for point in record.trace)]))
 
 
-def _best_found(record: CellRecord, number: int) -> tuple[int, float]:
+def _best_of_run(record: CellRecord, number: int) -> tuple[int, float]:
     """Return the evaluation that found the best value of the number-th run, and that value.
 
     A run that found none has a value worse than any.
     """
     if not record.trace:
-        return _evaluations(record), WORST + number
+        return _evaluations_of_run(record), WORST + number
     evaluation, value, _seconds = record.trace[-1]
     return int(evaluation), value
 
 
-def _description(number: int, instance: str, method: str, dimension: int,
-                 records: list[CellRecord], data: str) -> dict[str, Any]:
+def _method_description(number: int, instance: str, method: str, dimension: int,
+                        records: list[CellRecord], data: str) -> dict[str, Any]:
     """Return the description of one method on one instance, as IOHanalyzer reads it."""
     described = []
     for number, record in enumerate(records):
-        evaluation, value = _best_found(record, number)
-        described.append({"instance": 1, "evals": _evaluations(record),
+        evaluation, value = _best_of_run(record, number)
+        described.append({"instance": 1, "evals": _evaluations_of_run(record),
                           "best": {"evals": evaluation, "y": value, "x": []}})
     return {
         "version": FORMAT, "suite": "termsel", "function_id": number, "function_name": instance,
@@ -104,7 +104,7 @@ def _description(number: int, instance: str, method: str, dimension: int,
         "scenarios": [{"dimension": dimension, "path": data, "runs": described}]}
 
 
-def _folders(methods: Iterable[str]) -> dict[str, str]:
+def _folder_names(methods: Iterable[str]) -> dict[str, str]:
     """Return a folder name of its own for each method, different without regard to capitals."""
     folders: dict[str, str] = {}
     used_names: set[str] = set()

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from termsel import Study, TermselError, read_result
-from termsel.toolkit import requires
-from termsel.toolkit.coordinates import horizontal
+from termsel.toolkit import require_import
+from termsel.toolkit.coordinates import horizontal_crs
 from termsel.toolkit.studies import IMAGES, folders_of
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def map_of(study: Study) -> gpd.GeoDataFrame:
     if study.folder is None:
         raise TermselError("this study was run without a folder, so its images are not kept",
                            hint="Pass out= to termsel.compare.")
-    with requires("maps of images require", "geopandas", "geopandas"):
+    with require_import("maps of images require", "geopandas", "geopandas"):
         import geopandas as gpd
         import shapely
     folders = folders_of(study.cells)
@@ -57,7 +57,7 @@ def map_of(study: Study) -> gpd.GeoDataFrame:
     for key in (row["cell"] for row in rows if row["state"] == "done" and row["cell"] in folders):
         features = read_result(study.folder / IMAGES / folders[key]).features
         positions = features.ground_vertices()[:, :2]
-        hulls[key] = horizontal(features.crs), shapely.multipoints(positions).convex_hull
+        hulls[key] = horizontal_crs(features.crs), shapely.multipoints(positions).convex_hull
     # Where some images have a CRS, those without one have no place on the map.
     has_crs = any(crs for crs, _ in hulls.values())
     outlines = {key: gpd.GeoSeries([outline], crs=crs).to_crs(LONGITUDE_LATITUDE)[0]

@@ -6,26 +6,26 @@ import math
 from typing import Any
 
 from termsel import Study, TableBlock
-from termsel.toolkit import printable
+from termsel.toolkit import make_printable
 from termsel.toolkit.charts import label_of
 from termsel.toolkit.files import markdown_text
 from termsel.toolkit.studies import (
     Row,
     count_of_verdicts,
+    ground_rmse_text,
     image_name,
     image_table,
     independent_rmse,
-    metres,
-    own_notes,
-    predicted_rmse,
+    notes_on_image,
+    predicted_rmse_text,
     usual_notes,
     usual_notes_in_words,
 )
-from termsel_studies.claims import claims
+from termsel_studies.claims import valid_claims
 from termsel_studies.fronts import front_figures
 from termsel_studies.groups import Groups, group
 from termsel_studies.significance import compare_methods, effect_size, medians_of
-from termsel_studies.summaries import Summary, summaries
+from termsel_studies.summaries import Summary, summarise_runs
 
 
 def remarks_of(study: Study) -> list[str]:
@@ -44,13 +44,13 @@ def tables_of(study: Study, *, brief: bool = False) -> tuple[list[TableBlock], l
     """
     rows = study.rows
     images = [row for row in rows if row["strategy"] == "auto"]
-    tables = [image_table(images) if brief else _images(images)]
+    tables = [image_table(images) if brief else _image_table(images)]
     if study.spec.strategies == ("auto",):
         return [table for table in tables if table.rows], []
     groups = group(rows, study.records, study.spec.measure)
     # Tests are of medians, one a method and instance.
     comparison = compare_methods(groups.methods, medians_of(groups))
-    figures = summaries(groups)
+    figures = summarise_runs(groups)
     for name in groups.instances:
         of_instance = [figure for figure in figures if figure.instance == name]
         tables.append((_main_figures if brief else _table_of_instance)(groups, name, of_instance))
@@ -77,10 +77,10 @@ def tables_of(study: Study, *, brief: bool = False) -> tuple[list[TableBlock], l
     tables.append(TableBlock("Runs without a result", ("run", "state", "reason"), [
         (_row_in_words(row), row["state"], row["reason"]) for row in rows
         if row["state"] in ("failed", "infeasible")]))
-    return [table for table in tables if table.rows], claims(groups, comparison, rows)
+    return [table for table in tables if table.rows], valid_claims(groups, comparison, rows)
 
 
-def _images(rows: list[Row]) -> TableBlock:
+def _image_table(rows: list[Row]) -> TableBlock:
     """Return a table with a row for each image; columns that are empty for all are left out."""
     usual = usual_notes(rows)
     header = ("image", "verdict", "reason", "model", "RMSE [px]", "RMSE [m]", "ICP RMSE [px]",
@@ -89,11 +89,11 @@ def _images(rows: list[Row]) -> TableBlock:
     for row in rows:
         model = label_of(row["chosen"]) if row["chosen"] else row["state"]
         lines.append((image_name(row), row["verdict"] or row["state"], row["why"] or "",
-                      model, predicted_rmse(row), metres(row),
+                      model, predicted_rmse_text(row), ground_rmse_text(row),
                       independent_rmse(row),
                       ", ".join(row["blunders"] or ()),
                       str(row["without_height"] or ""), row["place"] or "",
-                      own_notes(row, usual)))
+                      notes_on_image(row, usual)))
     # A column that is empty for all images would only make the others narrow.
     shown = [i for i in range(len(header)) if any(line[i] for line in lines)]
     return TableBlock(count_of_verdicts(rows), tuple(header[i] for i in shown),
@@ -120,15 +120,17 @@ def _table_of_instance(groups: Groups, name: str, figures: list[Summary]) -> Tab
             else f"{figure.finished} of {figure.runs}"
         effect = "" if figure.method == best else \
             f"{effect_size(runs_of[best].values, runs_of[figure.method].values):.2f}"
-        row = [figure.method, runs, *(shown(value, 4) for value in figure.quartiles), effect]
+        row = [figure.method, runs, *(format_number(value, 4) for value in figure.quartiles),
+               effect]
         if optimum is not None:
             low, high = figure.interval
             row += [f"{figure.reached} of {figure.runs}", f"{100 * low:.0f} to {100 * high:.0f} %",
-                    shown(figure.expected, 0)]
+                    format_number(figure.expected, 0)]
         if shows_independent:
-            row.append(shown(figure.independent, 3))
-        rows.append((*row, shown(figure.evaluations, 0), shown(figure.cpu_seconds, 2)))
-    return TableBlock(_title(name, optimum), tuple(header), rows)
+            row.append(format_number(figure.independent, 3))
+        rows.append((*row, format_number(figure.evaluations, 0),
+                     format_number(figure.cpu_seconds, 2)))
+    return TableBlock(_title_of_study(name, optimum), tuple(header), rows)
 
 
 def _main_figures(groups: Groups, name: str, figures: list[Summary]) -> TableBlock:
@@ -139,16 +141,16 @@ def _main_figures(groups: Groups, name: str, figures: list[Summary]) -> TableBlo
     header += [] if groups.measure == "independent" else ["ICP RMSE [px]"]
     rows = []
     for figure in figures:
-        _, low, median, high, _ = (shown(value, 3) for value in figure.quartiles)
+        _, low, median, high, _ = (format_number(value, 3) for value in figure.quartiles)
         row = [figure.method, f"{median} [{low}-{high}]"]
-        row += [f"{figure.reached} of {figure.runs}", shown(figure.expected, 0)] \
+        row += [f"{figure.reached} of {figure.runs}", format_number(figure.expected, 0)] \
             if optimum is not None else [str(figure.finished)]
-        row += [] if groups.measure == "independent" else [shown(figure.independent, 3)]
+        row += [] if groups.measure == "independent" else [format_number(figure.independent, 3)]
         rows.append(tuple(row))
-    return TableBlock(_title(name, optimum), tuple(header), rows)
+    return TableBlock(_title_of_study(name, optimum), tuple(header), rows)
 
 
-def _title(name: str, optimum: float | None) -> str:
+def _title_of_study(name: str, optimum: float | None) -> str:
     return name if optimum is None else f"{name}: proven optimum {optimum:.4f}"
 
 
@@ -158,21 +160,21 @@ def _row_in_words(row: Row) -> str:
                      if row[name] not in ("", None))
 
 
-def shown(value: float | None, digits: int) -> str:
+def format_number(value: float | None, digits: int) -> str:
     """Return a number for a table; blank if there is none, and a sign for infinity."""
     if value is None:
         return ""
     return f"{value:.{digits}f}" if math.isfinite(value) else "∞"
 
 
-def markdown(study: Study) -> str:
+def study_as_markdown(study: Study) -> str:
     """Return all tables of a study, and its valid claims, as Markdown."""
     tables, sentences = tables_of(study)
     remarks = [f"- {markdown_text(remark)}" for remark in remarks_of(study)]
     paragraphs = [f"# {markdown_text(study.spec.title or 'Study')}\n"]
     if remarks:
         paragraphs.append("\n".join(remarks) + "\n")
-    paragraphs += map(section, tables)
+    paragraphs += map(table_as_markdown, tables)
     if sentences:
         paragraphs.append("## What may be claimed\n")
         paragraphs.append("\n".join(f"- {markdown_text(sentence)}" for sentence in sentences)
@@ -180,7 +182,7 @@ def markdown(study: Study) -> str:
     return "\n".join(paragraphs)
 
 
-def section(table: TableBlock, depth: int = 2) -> str:
+def table_as_markdown(table: TableBlock, depth: int = 2) -> str:
     """Return a table with its heading as Markdown."""
     # Numbers to the right, all else to the left; the first column is names.
     marks = ["---", *("---:" if _is_numeric(table, i) else "---"
@@ -202,22 +204,23 @@ _LATEX = {"\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"
           "∞": r"$\infty$"}
 
 
-def latex(study: Study) -> str:
+def study_as_latex(study: Study) -> str:
     """Return all tables of a study as LaTeX, for the package booktabs."""
     environments = []
     for table in tables_of(study)[0]:
         columns = "".join("r" if i and _is_numeric(table, i) else "l"
                           for i in range(len(table.columns)))
-        lines = [" & ".join(map(_tex, row)) + r" \\" for row in (table.columns, *table.rows)]
+        lines = [" & ".join(map(_escape_latex, row)) + r" \\"
+                 for row in (table.columns, *table.rows)]
         environments.append("\n".join([
-            r"\begin{table}", rf"\caption{{{_tex(table.caption)}}}",
+            r"\begin{table}", rf"\caption{{{_escape_latex(table.caption)}}}",
             rf"\begin{{tabular}}{{{columns}}}", r"\toprule", lines[0], r"\midrule", *lines[1:],
             r"\bottomrule", r"\end{tabular}", r"\end{table}", ""]))
     return "\n".join(environments)
 
 
-def _tex(text: Any) -> str:
+def _escape_latex(text: Any) -> str:
     """Return a text for LaTeX: commands escaped, white space as one blank."""
-    words = printable(" ".join(str(text).split()))
+    words = make_printable(" ".join(str(text).split()))
     # Signs that LaTeX takes for commands; all white space is one blank.
     return "".join(_LATEX.get(sign, sign) for sign in words)

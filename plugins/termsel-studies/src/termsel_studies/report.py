@@ -9,11 +9,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from termsel import Study, TermselError, read_result
-from termsel.toolkit import counted, write_text
-from termsel.toolkit.charts import Document, Figure, Section, page, save, text_of, with_theme
+from termsel.toolkit import count_in_words, write_text
+from termsel.toolkit.charts import Document, Figure, Section, render_page, save, text_of, with_theme
 from termsel.toolkit.studies import IMAGES, folders_of, image_reasons
 from termsel_studies.figures import figures_of
-from termsel_studies.pages import latex, markdown, remarks_of, tables_of
+from termsel_studies.pages import remarks_of, study_as_latex, study_as_markdown, tables_of
 from termsel_studies.small import small_map
 
 log = logging.getLogger(__name__)
@@ -56,11 +56,11 @@ def report(study: Study, charts: list[Figure] | None = None) -> str:
     >>> report(study).startswith("<!DOCTYPE html>")
     True
     """
-    return page(_document(study, figures_of(study) if charts is None else charts,
-                          thumbnails(study)))
+    return render_page(_study_document(
+        study, figures_of(study) if charts is None else charts, residual_thumbnails(study)))
 
 
-def summary(study: Study) -> str:
+def study_summary(study: Study) -> str:
     """Return the valid claims on a study, and its main figures, as text.
 
     Parameters
@@ -77,14 +77,14 @@ def summary(study: Study) -> str:
     >>> from termsel_studies import summary
     >>> study = termsel.compare(problems=["poly-terms"], solvers=["random"], seeds=[1],
     ...                         budget={"evaluations": 100})
-    >>> "random" in summary(study)
+    >>> "random" in study_summary(study)
     True
     """
-    return text_of(_document(study, [], {}, brief=True))
+    return text_of(_study_document(study, [], {}, brief=True))
 
 
-def _document(study: Study, charts: list[Figure], pictures: dict[str, str], *,
-              brief: bool = False) -> Document:
+def _study_document(study: Study, charts: list[
+        Figure], pictures: dict[str, str], *, brief: bool = False) -> Document:
     """Return the page of a study; `pictures` are drawings of images by the key of their cell.
 
     If brief, its tables are short, and it has the reasons of images.
@@ -105,14 +105,14 @@ def _document(study: Study, charts: list[Figure], pictures: dict[str, str], *,
         Section("Charts", tuple(charts)))
     only_images = study.spec.strategies == ("auto",)
     done = len(study.records)
-    number = counted(len(study.cells), "image" if only_images else "run")
+    number = count_in_words(len(study.cells), "image" if only_images else "run")
     return Document(study.spec.title or "Study",
                     # A table or section without content is left out.
                     number if study.complete else f"{done} of {number} finished", (),
                     tuple(section for section in sections if section.blocks))
 
 
-def thumbnails(study: Study) -> dict[str, str]:
+def residual_thumbnails(study: Study) -> dict[str, str]:
     """Return small drawings (SVG) of the residuals of finished images, by the key of their cell.
 
     In place of a drawing that cannot be made is why, as text; {} without a folder.
@@ -138,7 +138,8 @@ def write(study: Study, folder: Path) -> list[Path]:
     is told by a warning, and takes nothing else along.
     """
     written = []
-    for name, text in {"summary.md": markdown(study), "summary.tex": latex(study)}.items():
+    for name, text in {"summary.md": study_as_markdown(study),
+                       "summary.tex": study_as_latex(study)}.items():
         write_text(folder / name, text)
         written.append(folder / name)
     drawn = find_spec("altair") and find_spec("vl_convert")

@@ -11,7 +11,7 @@ import numpy as np
 
 from termsel.toolkit import FloatArray
 from termsel_studies.groups import Groups
-from termsel_studies.summaries import quantiles
+from termsel_studies.summaries import quantiles_with_infinity
 
 SIGNIFICANCE = 0.05
 """Significance level of all tests."""
@@ -62,7 +62,8 @@ def medians_of(groups: Groups) -> FloatArray:
     medians = np.empty((len(groups.common), len(groups.methods)))
     for i, name in enumerate(groups.common):
         for j, method in enumerate(groups.methods):
-            medians[i, j] = quantiles(groups.instances[name][method].values, (0.5,))[0]
+            medians[
+                i, j] = quantiles_with_infinity(groups.instances[name][method].values, (0.5,))[0]
     return medians
 
 
@@ -87,9 +88,9 @@ def compare_methods(methods: Sequence[str], values: FloatArray) -> Comparison | 
             *rankdata(values, axis=1).T))
         difference = critical_difference(number, instances)
     # Every pair of methods, by Wilcoxon's test over the instances.
-    tested = [(i, j, *signed_rank(values[:, i], values[:, j]))
+    tested = [(i, j, *signed_rank_test(values[:, i], values[:, j]))
               for i, j in combinations(range(number), 2)]
-    corrected = holm([p_value for _, _, p_value, _ in tested])
+    corrected = holm_correction([p_value for _, _, p_value, _ in tested])
     pairs = []
     for (i, j, p_value, lower), after in zip(tested, corrected, strict=True):
         wins = int((values[:, i] < values[:, j]).sum())
@@ -101,7 +102,7 @@ def compare_methods(methods: Sequence[str], values: FloatArray) -> Comparison | 
         statistic=statistic, p=p, difference=difference, pairs=tuple(pairs))
 
 
-def signed_rank(first: FloatArray, second: FloatArray) -> tuple[float, bool]:
+def signed_rank_test(first: FloatArray, second: FloatArray) -> tuple[float, bool]:
     """Return the two-sided p of Wilcoxon's test of pairs (n,), and whether `first` is lower.
 
     A method without a result is infinite, and worse than any; p is 1 if no pair differs.
@@ -122,7 +123,7 @@ def signed_rank(first: FloatArray, second: FloatArray) -> tuple[float, bool]:
     return float(wilcoxon(difference).pvalue), lower
 
 
-def holm(p_values: Sequence[float]) -> list[float]:
+def holm_correction(p_values: Sequence[float]) -> list[float]:
     """Return p-values corrected for their number, in their order (Holm 1979, Scand. J. Stat. 6(2)).
     """
     order = np.argsort(p_values, kind="stable")

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from termsel.toolkit import counted
-from termsel.toolkit.charts import BLUNDER, EDGE, INK, ROLE_COLOURS, View, nice
+from termsel.toolkit import count_in_words
+from termsel.toolkit.charts import BLUNDER, EDGE, INK, ROLE_COLOURS, View, nice_number
 
 WIDE = 120
 """Width and largest height of the drawing [px of the screen]."""
@@ -43,13 +43,13 @@ def small_map(view: View) -> str:
     for row in rows[:MAX_ARROWS]:
         x = (row["sample"] - first_sample) * pixel
         y = (row["line"] - first_line) * pixel
-        arrows[row["role"]].append(_arrow(x, y, row, longer))
+        arrows[row["role"]].append(_arrow_path(x, y, row, longer))
         if row["blunder"]:
             rings.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" fill="none" '
                          f'stroke="{BLUNDER}" stroke-width="1.4"/>')
     drawn = "".join(f'<path d="{"".join(paths)}" fill="none" stroke="{ROLE_COLOURS[role]}"/>'
                     for role, paths in arrows.items() if paths)
-    description = (f"{counted(view.count, 'residual')}, the largest "
+    description = (f"{count_in_words(view.count, 'residual')}, the largest "
                    f"{max(lengths, default=0.0):.3g} px")
     return ('<svg xmlns="http://www.w3.org/2000/svg" '
             f'width="{wide + 2:.0f}" height="{high + _BELOW:.0f}" '
@@ -58,10 +58,10 @@ def small_map(view: View) -> str:
             # A drawing within a drawing clips what is longer.
             f'fill="none" stroke="{EDGE}"/><svg width="{wide:.1f}" height="{high:.1f}">'
             f'{drawn}{"".join(rings)}</svg>'
-            f"{_bar(high, longer, wide)}</svg>")
+            f"{_scale_bar(high, longer, wide)}</svg>")
 
 
-def _arrow(x: float, y: float, row: dict[str, Any], longer: float) -> str:
+def _arrow_path(x: float, y: float, row: dict[str, Any], longer: float) -> str:
     """Return the path of an arrow from x, y that shows a residual `longer` times, clipped if huge.
     """
     longer = min(longer, 2.0 * WIDE / max(row["distance"], 1e-300))
@@ -73,11 +73,11 @@ def _arrow(x: float, y: float, row: dict[str, Any], longer: float) -> str:
     return f"M{x:.1f} {y:.1f}l{dx:.1f} {dy:.1f}{head}"
 
 
-def _bar(high: float, longer: float, wide: float) -> str:
+def _scale_bar(high: float, longer: float, wide: float) -> str:
     """Return the scale bar of the residuals as SVG; "" if they are not drawn."""
     if not longer:
         return ""
-    length = nice(0.4 * wide / longer)
+    length = nice_number(0.4 * wide / longer)
     return (f'<path d="M0 {high + 9:.1f}h{length * longer:.1f}" stroke="{INK}" '
             f'stroke-width="2"/><text x="{length * longer + 4:.1f}" y="{high + 12.5:.1f}" '
             f'font-size="10" fill="{INK}">{length:g} px</text>')

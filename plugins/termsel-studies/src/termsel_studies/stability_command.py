@@ -68,7 +68,7 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
         echo("Note: the strategy auto searches for no terms. Each repetition runs the problem's "
              "solver instead.", err=True)
     with search_bar(problem, run_settings.quiet) as observe:
-        repeated = module.stability(
+        repeated = module.selection_frequencies(
             problem, repeats=repeats, threshold=threshold, features=features, options=options,
             dataset=run_settings.dataset, model=run_settings.model, solver=run_settings.solver,
             criterion=run_settings.criterion, **run_settings.budget,

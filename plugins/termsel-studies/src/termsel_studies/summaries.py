@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from termsel.toolkit.searches import TIE
-from termsel_studies.groups import Groups, Runs, length
+from termsel_studies.groups import Groups, Runs, evaluations_of_run
 
 _HUGE = 1e300
 """Stands for infinity where quantiles are interpolated."""
@@ -42,12 +42,13 @@ class Summary:
     cpu_seconds: float | None
 
 
-def summaries(groups: Groups) -> list[Summary]:
+def summarise_runs(groups: Groups) -> list[Summary]:
     """Return the figures of every method on every instance."""
     figures = []
     for instance, by_method in groups.instances.items():
         optimum = optimum_of(by_method.values(), groups.measure)
-        figures += [_summary(instance, method, runs, optimum) for method, runs in by_method.items()]
+        figures += [_summarise_method(
+            instance, method, runs, optimum) for method, runs in by_method.items()]
     return figures
 
 
@@ -61,7 +62,7 @@ def optimum_of(runs: Any, measure: str) -> float | None:
     return min(optima) if optima and measure == "fitness" else None
 
 
-def _summary(instance: str, method: str, runs: Runs, optimum: float | None) -> Summary:
+def _summarise_method(instance: str, method: str, runs: Runs, optimum: float | None) -> Summary:
     """Return the summary of one method's runs on one instance: quartiles, and how soon it succeeds.
 
     Success is None without a proven optimum.
@@ -70,34 +71,36 @@ def _summary(instance: str, method: str, runs: Runs, optimum: float | None) -> S
     expected = None
     interval = (0.0, 0.0)
     if optimum is not None:
-        target = reachable(optimum)
+        target = reachable_value(optimum)
         reached = sum(value <= target for value in runs.values)
-        interval = wilson(reached, len(runs.values))
-        hits = [hit(record.trace, target) if value <= target else math.inf
+        interval = wilson_interval(reached, len(runs.values))
+        hits = [effort_to_target(record.trace, target) if value <= target else math.inf
                 for record, value in zip(runs.records, runs.values, strict=True)]
-        expected = expected_running_time(hits, [length(record.figures) for record in runs.records])
+        expected = expected_running_time(hits,
+                                         [evaluations_of_run(record.figures)
+                                          for record in runs.records])
     return Summary(
         instance=instance, method=method, runs=len(runs.values),
         finished=sum(row["state"] == "done" for row in runs.rows),
-        quartiles=quantiles(runs.values, (0, 0.25, 0.5, 0.75, 1)), optimum=optimum,
+        quartiles=quantiles_with_infinity(runs.values, (0, 0.25, 0.5, 0.75, 1)), optimum=optimum,
         reached=reached, interval=interval, expected=expected,
-        independent=_median(runs.rows, "independent"),
-        evaluations=_median(runs.rows, "evaluations"),
-        cpu_seconds=_median(runs.rows, "cpu_seconds"))
+        independent=_median_of(runs.rows, "independent"),
+        evaluations=_median_of(runs.rows, "evaluations"),
+        cpu_seconds=_median_of(runs.rows, "cpu_seconds"))
 
 
-def reachable(optimum: float) -> float:
+def reachable_value(optimum: float) -> float:
     """Return the largest value at which an optimum counts as reached, as rounding differs."""
     return optimum + TIE * abs(optimum)
 
 
-def _median(rows: Sequence[Mapping[str, Any]], name: str) -> float | None:
+def _median_of(rows: Sequence[Mapping[str, Any]], name: str) -> float | None:
     """Return the median of a figure of rows; None if no row has it."""
     values = [row[name] for row in rows if row.get(name) is not None]
     return float(np.median(values)) if values else None
 
 
-def quantiles(values: Sequence[float], shares: Sequence[float]) -> list[float]:
+def quantiles_with_infinity(values: Sequence[float], shares: Sequence[float]) -> list[float]:
     """Return the quantiles at shares (0 to 1) of values, some of which may be infinite."""
     finite = np.minimum(np.asarray(values, dtype=float), _HUGE)
     # Interpolated between a value and infinity, which here is large but finite.
@@ -105,7 +108,7 @@ def quantiles(values: Sequence[float], shares: Sequence[float]) -> list[float]:
             for value in np.quantile(finite, shares)]
 
 
-def wilson(successes: int, runs: int, level: float = 0.95) -> tuple[float, float]:
+def wilson_interval(successes: int, runs: int, level: float = 0.95) -> tuple[float, float]:
     """Return the confidence interval of the share of successes (Wilson 1927), 0 to 1."""
     from scipy.stats import binomtest
 
@@ -114,7 +117,7 @@ def wilson(successes: int, runs: int, level: float = 0.95) -> tuple[float, float
     return float(interval.low), float(interval.high)
 
 
-def hit(trace: Sequence[Sequence[float]], target: float, column: int = 0) -> float:
+def effort_to_target(trace: Sequence[Sequence[float]], target: float, column: int = 0) -> float:
     """Return evaluations (column 0) or CPU seconds (2) until a target is reached, or infinity."""
     return next((float(point[column]) for point in trace if point[1] <= target), math.inf)
 
@@ -132,7 +135,7 @@ def expected_running_time(hits: Sequence[float], lengths: Sequence[float]) -> fl
     return total / successes if successes else math.inf
 
 
-def ecdf(hits: Sequence[float]) -> tuple[list[float], list[float]]:
+def success_curve(hits: Sequence[float]) -> tuple[list[float], list[float]]:
     """Return the finite moments of `hits`, sorted, and the share of all that is reached by each."""
     steps = {moment: (i + 1) / len(hits)
              for i, moment in enumerate(sorted(filter(math.isfinite, hits)))}
@@ -160,12 +163,12 @@ def _best_within(trace: Sequence[Sequence[float]], budget: float) -> float:
     return min((point[1] for point in trace if point[0] <= budget), default=math.inf)
 
 
-def bands(traces: Sequence[Sequence[Sequence[float]]], budgets: Sequence[float]
-          ) -> list[tuple[float, float, float, float]]:
+def quartiles_by_budget(traces: Sequence[Sequence[Sequence[float]]], budgets: Sequence[float]
+                        ) -> list[tuple[float, float, float, float]]:
     """Return each budget [evaluations] with the quartiles of the runs' best values within it."""
     rows = []
     for budget in budgets:
         values = [_best_within(trace, budget) for trace in traces]
-        lower, median, upper = quantiles(values, (0.25, 0.5, 0.75))
+        lower, median, upper = quantiles_with_infinity(values, (0.25, 0.5, 0.75))
         rows.append((float(budget), lower, median, upper))
     return rows

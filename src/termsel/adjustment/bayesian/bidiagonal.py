@@ -24,7 +24,7 @@ from functools import partial
 
 import numpy as np
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 from termsel.data.features import FloatArray, IntArray
 
 ROWS_PER_LOG = 8
@@ -34,7 +34,7 @@ POINTS_AT_ONCE = 128
 """Points that are worked on together: what is read again stays in a cache."""
 
 # Nothing is allocated, and sums are taken in the order in which they are written.
-_compiled = partial(compiled, _nrt=False)
+_compiled = partial(compile_lazily, _nrt=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Bidiagonal:
     below: FloatArray  # (m, g): below the diagonal, and a last number of no meaning
 
 
-def bidiagonal(matrix: FloatArray, scales: FloatArray) -> Bidiagonal:
+def bidiagonal_forms(matrix: FloatArray, scales: FloatArray) -> Bidiagonal:
     """Return the bidiagonal forms of a matrix (m, k), m <= k, whose columns have scales (g, k)."""
     m = len(matrix)
     count = len(scales)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 from termsel.adjustment.fused import fused
 from termsel.data.coordinates.crs import EARTH, body_of, metres_per_unit
 from termsel.data.coordinates.metres import is_in_degrees, plan_of
@@ -111,7 +111,7 @@ def east_north_up(scaling: Scaling, crs: str,
     return offsets, np.nan
 
 
-_compiled = partial(compiled, _nrt=False)
+_compiled = partial(compile_lazily, _nrt=False)
 _inlined = partial(_compiled, forceinline=True)
 
 
@@ -126,8 +126,9 @@ class _Flights(NamedTuple):
     pole: FloatArray     # (c, 3)
 
 
-def _flights(rng: np.random.Generator, heading: FloatArray, latitude: float, tilt: FloatArray,
-             toward: FloatArray, altitude: FloatArray) -> _Flights:
+def _simulate_flights(rng: np.random.Generator, heading: FloatArray, latitude: float,
+                      tilt: FloatArray,
+                      toward: FloatArray, altitude: FloatArray) -> _Flights:
     """Return flights seen from the middle under angles from the vertical, in a direction [rad]."""
     lat = np.radians(
         # Latitudes that are not known are drawn as all else is.
@@ -158,9 +159,9 @@ def scanner_views(positions: FloatArray, azimuth: float,
     altitude, tilt, toward = (rng.uniform(0.0, 1.0, n) for _ in range(3))
     yaw, rate, change = (scale * rng.standard_normal((n, 3))
                          for scale in (CAMERA_YAW, ATTITUDE_RATE, ATTITUDE_RATE_CHANGE))
-    flights = _flights(rng, azimuth + yaw[:, 0], latitude, tilt * SCANNER_INCIDENCE,
-                       toward * 2 * np.pi, ORBIT_ALTITUDES[0] + altitude *
-                       (ORBIT_ALTITUDES[1] - ORBIT_ALTITUDES[0]))
+    flights = _simulate_flights(rng, azimuth + yaw[:, 0], latitude, tilt * SCANNER_INCIDENCE,
+                                toward * 2 * np.pi, ORBIT_ALTITUDES[0] + altitude *
+                                (ORBIT_ALTITUDES[1] - ORBIT_ALTITUDES[0]))
     ray = flights.ray
     x = np.broadcast_to([np.sin(azimuth), np.cos(azimuth), 0.0], (n, 3))
     # The line of the scan, at right angles to the ray.
@@ -188,7 +189,7 @@ def radar_views(positions: FloatArray, azimuth: float, latitude: float, *,
     n = N_CAMERAS // 2
     altitude, tilt = (rng.uniform(0.0, 1.0, n) for _ in range(2))
     heading = azimuth + CAMERA_YAW * rng.standard_normal(n)
-    flights = _flights(rng, heading, latitude, RADAR_INCIDENCE[0] + tilt *
+    flights = _simulate_flights(rng, heading, latitude, RADAR_INCIDENCE[0] + tilt *
                        (RADAR_INCIDENCE[1] - RADAR_INCIDENCE[0]), heading +
                        (-0.5 if right else 0.5) * np.pi, ORBIT_ALTITUDES[0] + altitude *
                        (ORBIT_ALTITUDES[1] - ORBIT_ALTITUDES[0]))

@@ -44,16 +44,16 @@ from termsel.adjustment.bayesian.kernels import (
 from termsel.adjustment.bayesian.posterior import (
     MAX_LOG_RATIO,
     Posterior,
-    normalized,
+    normalise_probabilities,
     polynomial_posterior,
-    posterior,
-    posteriors,
     predict_positions,
+    solve_posterior,
+    solve_posteriors,
 )
 from termsel.adjustment.bayesian.shrinkage import MIN_REDUNDANCY
 from termsel.adjustment.equations import weights_of
 from termsel.data.features import FloatArray, IntArray, Points
-from termsel.data.monomials import Exponents, graded_exponents, monomials
+from termsel.data.monomials import Exponents, evaluate_monomials, graded_exponents
 from termsel.data.view import Measurements
 
 # How much likelier each point is as a blunder than as a right one, given all others.
@@ -204,7 +204,8 @@ class GaussianProcess:
     def probabilities(self) -> FloatArray:
         """Probability of each of the s solutions, (s,)."""
         # Evidence by the sum of evidences, of which only ratios are known.
-        return normalized(np.array([solution.log_evidence for solution in self.solutions]))[0]
+        return normalise_probabilities(np.array([solution.log_evidence
+                                                 for solution in self.solutions]))[0]
 
     @property
     def probability(self) -> float:
@@ -251,7 +252,7 @@ class GaussianProcess:
             # What is believed beforehand is the logarithm less that of the evidence of the points.
             logs[i] = (solution.log_evidence - solution.posterior.cells.log_evidence
                        + prediction.log_evidence)
-        shares = normalized(logs)[0]                                                  # (p, n)
+        shares = normalise_probabilities(logs)[0]  # (p, n)
 
         def mean(values: Iterable[FloatArray]) -> FloatArray:
             return np.asarray(np.einsum("pn,pn...->n...", shares, np.array(list(values))))
@@ -271,7 +272,7 @@ class GaussianProcess:
     def predict(self, ground: FloatArray) -> FloatArray:
         """Return line and sample of places, shape (m, 2)."""
         polynomial, fields = self._coefficients
-        columns = monomials(ground, self.exponents)
+        columns = evaluate_monomials(ground, self.exponents)
         image = columns @ polynomial
         # Fields live in the image: the distance between points there is what shows how alike they
         # are.
@@ -279,13 +280,14 @@ class GaussianProcess:
         for start in range(0, len(ground), GROUND_BATCH):
             batch = slice(start, start + GROUND_BATCH)
             for lengths, weights in fields:
-                image[batch] += _covariances(positions[batch], self.knots, lengths) @ weights
+                image[batch] += _covariances_with_knots(
+                    positions[batch], self.knots, lengths) @ weights
         return np.asarray(image)
 
     def spread(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the variance of the prediction, shape (m, 2), and that of the noise, (2,)."""
         n_affine = len(self.to_image)
-        columns = monomials(ground, self.exponents)
+        columns = evaluate_monomials(ground, self.exponents)
         positions = columns[:, :n_affine] @ self.to_image
         shares = []
         predictions = []
@@ -298,7 +300,7 @@ class GaussianProcess:
             if solution.lengths is not None:
                 # Away from the knots the field has a variance that their covariances do not span.
                 field = spanned[:, columns.shape[1]:]
-                prior = _variances(positions, self.knots, solution.lengths)
+                prior = _field_variances(positions, self.knots, solution.lengths)
                 unspanned = (np.square(solution.posterior.scales[:, -1:])
                              * np.maximum(prior - (field**2).sum(axis=1), 0.0))
             shares.append(share)
@@ -323,7 +325,7 @@ class GaussianProcess:
         total = np.zeros((terms, 2))
         affine_targets = np.zeros_like(self.points.image)
         fields = []
-        columns = monomials(self.points.ground, self.exponents)
+        columns = evaluate_monomials(self.points.ground, self.exponents)
         positions = columns[:, :lead] @ self.to_image
         for share, solution in self._likely_solutions:
             shrunk = np.stack([solution.posterior.mean(axis)[0] for axis in (0, 1)], axis=1)
@@ -365,7 +367,7 @@ def _cached_gaussian_process(measurements: Measurements,
     exponents = graded_exponents(FIELD_DEGREE, variables)
     order = np.array(exponents).sum(axis=1)
     shrunk = np.array(exponents)[order > 1]
-    columns = monomials(points.ground, exponents)
+    columns = evaluate_monomials(points.ground, exponents)
     to_image = _affine_to_image(points, exponents[:variables + 1])
     positions = columns[:, :variables + 1] @ to_image
     # Of many points a hundred knots, spread evenly: a field between them is smooth.
@@ -387,7 +389,7 @@ def _cached_gaussian_process(measurements: Measurements,
         whitenings = [_whitening_matrix(knots, lengths) for lengths in batch]
         shrunken = np.array([_columns_with_field(own, positions, knots, lengths, whitening)
                              for lengths, whitening in zip(batch, whitenings, strict=True)])
-        grids = posteriors(lead, shrunken, points.image, weights, scales, len(shrunk))
+        grids = solve_posteriors(lead, shrunken, points.image, weights, scales, len(shrunk))
         if grids is None:
             return None
         solutions += map(_solutions_of, grids, batch, whitenings)
@@ -398,7 +400,7 @@ def _cached_gaussian_process(measurements: Measurements,
                 solutions[i] = replace(solution, grid=None)
     if spline_weight > 0.0:  # next to affine functions alone, all of one scale
         whitening = _whitening_matrix(knots, SPLINE_LENGTHS)
-        grids = posteriors(
+        grids = solve_posteriors(
             lead, _columns_with_field(own, positions, knots, SPLINE_LENGTHS,
                                       whitening)[None], points.image,
             weights, np.repeat([[0.0, 1.0]], [len(shrunk), len(whitening)], axis=1), len(shrunk))
@@ -407,8 +409,8 @@ def _cached_gaussian_process(measurements: Measurements,
         solutions.append(_solutions_of(grids[0], SPLINE_LENGTHS, whitening, spline_weight))
     # Where a spline is a course of its own, so is the affine image that it would smooth.
     if spline_weight > 0.0:
-        affine = posterior(columns, points.image, order, weights, np.zeros((1, len(shrunk))),
-                           len(points))
+        affine = solve_posterior(
+            columns, points.image, order, weights, np.zeros((1, len(shrunk))), len(points))
         assert affine is not None
         prior = _prior_probability(None) * spline_weight
         solutions.insert(1, FieldSolutions(affine, affine.cells.log_evidence + np.log(prior), None,
@@ -460,7 +462,7 @@ def _affine_to_image(points: Points, linear: Exponents) -> FloatArray:
     Distances between places are taken in the image: there sheets shrink and scanners shake, and
     line and sample have one unit. The exponents (f) are those of an affine function.
     """
-    return np.asarray(np.linalg.lstsq(monomials(points.ground, linear), points.image)[0])
+    return np.asarray(np.linalg.lstsq(evaluate_monomials(points.ground, linear), points.image)[0])
 
 
 def _prior_probability(lengths: tuple[float, float] | None) -> float:
@@ -484,7 +486,7 @@ def _columns_with_field(columns: FloatArray, positions: FloatArray, knots: Float
     if lengths is None:
         return columns
     return np.concatenate(
-        [columns, _covariances(positions, knots, lengths) @ whitening.T], axis=1)
+        [columns, _covariances_with_knots(positions, knots, lengths) @ whitening.T], axis=1)
 
 
 def _whitening_matrix(knots: FloatArray, lengths: tuple[float, float] | None) -> FloatArray:
@@ -494,7 +496,7 @@ def _whitening_matrix(knots: FloatArray, lengths: tuple[float, float] | None) ->
     """
     if lengths is None:
         return np.empty((0, 0))
-    covariances = _covariances(knots, knots, lengths)
+    covariances = _covariances_with_knots(knots, knots, lengths)
     if lengths != SPLINE_LENGTHS:
         # K = L L': coefficients by L^-1 are independent with variance one.
         return np.asarray(np.linalg.inv(np.linalg.cholesky(
@@ -504,8 +506,8 @@ def _whitening_matrix(knots: FloatArray, lengths: tuple[float, float] | None) ->
     return np.asarray((vectors[:, spanned] / np.sqrt(values[spanned])).T)
 
 
-def _covariances(positions: FloatArray, knots: FloatArray,
-                 lengths: tuple[float, float]) -> FloatArray:
+def _covariances_with_knots(positions: FloatArray, knots: FloatArray,
+                            lengths: tuple[float, float]) -> FloatArray:
     """Return covariances of places with knots, shape (m, k)."""
     if lengths != SPLINE_LENGTHS:
         # Matern with nu = 3/2: (1 + r) exp(-r), r = sqrt(3) times the distance by lengths.
@@ -518,8 +520,8 @@ def _covariances(positions: FloatArray, knots: FloatArray,
     return spline_field(knots).covariances(positions)
 
 
-def _variances(positions: FloatArray, knots: FloatArray,
-               lengths: tuple[float, float]) -> FloatArray:
+def _field_variances(positions: FloatArray, knots: FloatArray,
+                     lengths: tuple[float, float]) -> FloatArray:
     """Return variances of places, (m,)."""
     if lengths != SPLINE_LENGTHS:
         return np.ones(len(positions))

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from termsel.adjustment.compiled import compiled, is_compiled
+from termsel.adjustment.compiled import compile_lazily, is_compiled
 from termsel.data.features import FloatArray, IntArray
 
 MIN_POINTS = 5
@@ -32,7 +32,7 @@ POINTS_AT_ONCE, CELLS_AT_ONCE = 64, 8
 """Points and cells that are worked on together: what is read again stays in a cache."""
 
 # Nothing is allocated. Sums may be taken in any order. `max` would be compiled on its own.
-_compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "nsz", "nnan"})
+_compiled = partial(compile_lazily, _nrt=False, fastmath={"reassoc", "contract", "nsz", "nnan"})
 _inlined = partial(_compiled, forceinline=True)
 
 

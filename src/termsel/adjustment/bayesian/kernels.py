@@ -80,14 +80,14 @@ class SplineColumns:
         self._affine_fit = np.zeros((3, 0))
         if self.root is not None:
             self._affine_fit = np.linalg.pinv(_affine_columns(self.knots)) @ (
-                kernel(self.knots, self.knots) @ self.root)
+                spline_kernel(self.knots, self.knots) @ self.root)
 
     def __call__(self, positions: FloatArray) -> FloatArray:
         """Return the columns at places, shape (m, k)."""
         if self.root is None:
-            return kernel(positions, self.knots)
+            return spline_kernel(positions, self.knots)
         affine = _affine_columns(positions)
-        kernels = kernel(positions, self.knots)
+        kernels = spline_kernel(positions, self.knots)
         columns = kernels @ self.root if self._triangle is None else self._triangle.times(kernels)
         return np.asarray(columns - affine @ self._affine_fit)
 
@@ -110,7 +110,7 @@ class SplineColumns:
         def at(positions: FloatArray) -> FloatArray:
             values = np.empty((len(positions), coefficients.shape[1]))
             for batch in batches_of(len(positions)):
-                values[batch] = kernel(positions[batch], self.knots) @ kernel_coefficients
+                values[batch] = spline_kernel(positions[batch], self.knots) @ kernel_coefficients
                 values[batch] -= _affine_columns(positions[batch]) @ affine_coefficients
             return values
 
@@ -120,7 +120,7 @@ class SplineColumns:
         """Return the transposed columns at places times factors (m, a) of them, shape (k, a)."""
         kernel_sums = np.zeros((len(self.knots), factors.shape[1]))
         for batch in batches_of(len(positions)):
-            kernel_sums += kernel(positions[batch], self.knots).T @ factors[batch]
+            kernel_sums += spline_kernel(positions[batch], self.knots).T @ factors[batch]
         if self.root is None:
             return kernel_sums
         affine_sums = _affine_columns(positions).T @ factors
@@ -141,7 +141,7 @@ class SplineColumns:
         if self.root is None:
             # Universal kriging: the kernel at distance 0, which is 0, less right' system^-1 right.
             system = np.zeros((n + f, n + f))
-            system[:n, :n] = kernel(positions, positions) + np.diag(smoothing / w**2)
+            system[:n, :n] = spline_kernel(positions, positions) + np.diag(smoothing / w**2)
             system[:n, n:] = point_columns
             system[n:, :n] = point_columns.T
             right = np.concatenate([field, columns], axis=1)
@@ -168,7 +168,7 @@ def _affine_columns(positions: FloatArray) -> FloatArray:
     return np.column_stack([np.ones(len(positions)), positions])
 
 
-def kernel(a: FloatArray, b: FloatArray) -> FloatArray:
+def spline_kernel(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return r^2 log r of the distances r between places, shape (len(a), len(b))."""
     squares = squared_distances(a, b)
     # In place, as these are the largest arrays; 0 log 0 is 0.
@@ -204,7 +204,7 @@ class SplineField:
     def covariances(self, positions: FloatArray) -> FloatArray:
         """Return covariances of places with the knots, shape (m, k)."""
         affine = _affine_columns(positions)
-        residuals = kernel(positions, self.knots) - affine @ (self.to_affine @ self.kernels)
+        residuals = spline_kernel(positions, self.knots) - affine @ (self.to_affine @ self.kernels)
         return np.asarray(residuals @ self.residual_maker / self.unit)
 
     def variances(self, positions: FloatArray) -> FloatArray:
@@ -225,7 +225,7 @@ def _cached_spline_field(coordinates: bytes) -> SplineField:
     to_affine = np.asarray(np.linalg.pinv(affine), dtype=np.float64)
     # A spline has no variance of affine functions: they are projected out of its kernel.
     residual_maker = np.eye(len(knots)) - affine @ to_affine
-    kernels = kernel(knots, knots)
+    kernels = spline_kernel(knots, knots)
     unit = float(np.trace(residual_maker @ kernels) / len(knots))
     return SplineField(knots, to_affine, residual_maker, kernels, unit)
 
@@ -234,8 +234,8 @@ def residual_variance(positions: FloatArray, knots: FloatArray) -> FloatArray:
     """Return the variance at places (n, 2) of the field less its affine fit at the knots, (n,)."""
     affine, knot_affine = (_affine_columns(one) for one in (positions, knots))
     fitted = affine @ np.linalg.pinv(knot_affine)
-    return np.asarray((fitted * (fitted @ kernel(knots, knots)
-                                 - 2 * kernel(positions, knots))).sum(axis=1))
+    return np.asarray((fitted * (fitted @ spline_kernel(knots, knots)
+                                 - 2 * spline_kernel(positions, knots))).sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,7 +260,7 @@ class _InverseTriangle:
 
 def _inverse_triangle(knots: FloatArray) -> _InverseTriangle | None:
     """Return the root by Cholesky's factors; None where rounding would show, as of close knots."""
-    kernels = kernel(knots, knots)
+    kernels = spline_kernel(knots, knots)
     reflections = Reflections.of(_affine_columns(knots))
     free = reflections.from_right(reflections.transposed(kernels))[N_AFFINE:, N_AFFINE:]
     try:
@@ -269,7 +269,7 @@ def _inverse_triangle(knots: FloatArray) -> _InverseTriangle | None:
         return None
     # No eigenvalue of what is left of the kernels is less than 1 / |L^-1|^2, the sum of squares.
     largest = max(float(np.linalg.norm(free)), float(np.abs(kernels).max()))
-    if 1.0 <= EIGENVALUE_JITTER * largest * (inverse**2).sum():
+    if EIGENVALUE_JITTER * largest * (inverse**2).sum() >= 1.0:
         return None
     inverse = np.tril(inverse)
     rows = np.vstack([np.zeros((N_AFFINE, len(inverse))), inverse.T])
@@ -280,7 +280,7 @@ def spline_root(knots: FloatArray) -> FloatArray:
     """Return B (k, c): the kernels' coefficients B u have the spline's covariance if u is white."""
     affine = _affine_columns(knots)
     residual_maker = np.eye(len(knots)) - affine @ np.linalg.pinv(affine)
-    kernels = kernel(knots, knots)
+    kernels = spline_kernel(knots, knots)
     values, vectors = np.linalg.eigh(residual_maker @ kernels @ residual_maker)
     # What affine functions fit has no variance but rounding.
     spanned = values > EIGENVALUE_JITTER * max(values.max(), np.abs(kernels).max())

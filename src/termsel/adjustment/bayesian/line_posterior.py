@@ -19,7 +19,7 @@ from termsel.adjustment.bayesian.posterior import (
     MAX_LOG_RATIO,
     NO_NOISE,
     TYPICAL_SIZE,
-    normalized,
+    normalise_probabilities,
     scales_of,
 )
 from termsel.adjustment.bayesian.shrinkage import MIN_REDUNDANCY
@@ -70,7 +70,7 @@ class LinePosterior:
     @cached_property
     def share(self) -> FloatArray:
         """Probability of each solution, shape (c,)."""
-        return normalized(self.log_factor - self.freedom / 2 * np.log(self.square))[0]
+        return normalise_probabilities(self.log_factor - self.freedom / 2 * np.log(self.square))[0]
 
     @property
     def noise(self) -> float:
@@ -100,8 +100,9 @@ class LinePosterior:
         quadratic = (held_out * fitted).sum(axis=1)
         other_squares = np.maximum(self.square[:, None] - quadratic,
                                    MIN_REDUNDANCY * self.square[:, None])
-        share, _ = normalized(self.log_factor[:, None] - 0.5 * np.log(determinant)
-                              - (self.freedom - rows.shape[1]) / 2 * np.log(other_squares))
+        share, _ = normalise_probabilities(self.log_factor[:, None] - 0.5 * np.log(determinant)
+                                           - (self.freedom
+                                              - rows.shape[1]) / 2 * np.log(other_squares))
         return held_out, share, other_squares, quadratic
 
     def predictions(self, weights: FloatArray) -> FeaturePredictions:
@@ -126,7 +127,7 @@ class LinePosterior:
                 if in_use:
                     freedom = self.freedom - rows.shape[1]
                     variance = other_squares / freedom
-                    widest = 1.0 / _eigenvalue(redundancy, smallest=True)
+                    widest = 1.0 / _extreme_eigenvalue(redundancy, smallest=True)
                 else:
                     weight = weights[feature]
                     identity = np.eye(rows.shape[1])[:, :, None]
@@ -137,7 +138,7 @@ class LinePosterior:
                     share = self.share[:, None]
                     freedom = self.freedom
                     variance = self.square[:, None] / freedom
-                    widest = _eigenvalue(covariance)
+                    widest = _extreme_eigenvalue(covariance)
                 statistic = quadratic / rows.shape[1] / variance
                 errors[rows] = np.einsum("cf,crf->fr", np.broadcast_to(
                     share, statistic.shape), held_out)
@@ -163,7 +164,7 @@ def _solve_by_cholesky(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatA
     return x, determinant
 
 
-def _eigenvalue(a: FloatArray, *, smallest: bool = False) -> FloatArray:
+def _extreme_eigenvalue(a: FloatArray, *, smallest: bool = False) -> FloatArray:
     """Return the largest or the least eigenvalue of symmetric matrices (..., r, r, f)."""
     if a.shape[-2] != 2:
         return np.asarray(np.linalg.eigvalsh(np.moveaxis(a, -1, -3))[..., 0 if smallest else -1])
@@ -224,7 +225,7 @@ def line_posterior(equations: Equations, exponents: Exponents, draws: int,
     # Without any one feature the affine terms are still to be determined.
     lead = q[:, :count]
     if (np.abs(np.diag(r))[:count] <= TOLERANCE * np.linalg.norm(A[:, free], axis=0)).any() or min(
-            _eigenvalue(_redundancy_matrices(lead, rows), smallest=True).min()
+            _extreme_eigenvalue(_redundancy_matrices(lead, rows), smallest=True).min()
             for _, rows in by_row_count) < TOLERANCE:
         return None
     # Of line and of sample: the geometric mean of both sizes is that of the grid.

@@ -38,11 +38,11 @@ from termsel.adjustment.bayesian.posterior import (
     PRIOR_SIZES,
     Posterior,
     log_prior_of_sizes,
-    normalized,
+    normalise_probabilities,
 )
 from termsel.data.features import BoolArray, FloatArray, IntArray
 from termsel.data.fit_data import PARALLAX
-from termsel.data.monomials import Exponents, monomials
+from termsel.data.monomials import Exponents, evaluate_monomials
 
 Views: TypeAlias = Callable[[FloatArray, float, float], tuple[FloatArray, ...]]
 
@@ -186,7 +186,7 @@ def _cached_views(views: Views, positions: bytes, scaled: bytes, exponents: Expo
     plane = np.column_stack([np.ones(len(places)), places[:, :2]])
     to_slopes = np.linalg.pinv(plane)[1:]
     to_coefficients = np.linalg.pinv(
-        monomials(np.frombuffer(scaled).reshape(-1, 3), exponents))[N_FREE:]
+        evaluate_monomials(np.frombuffer(scaled).reshape(-1, 3), exponents))[N_FREE:]
     # Fewer cameras than coefficients have a covariance of too low a rank.
     return [(to_slopes @ seen, np.ascontiguousarray((to_coefficients @ seen).swapaxes(1, 2)))
             for seen in views(places, np.radians(azimuth), latitude)
@@ -241,7 +241,7 @@ class CameraSolutions:
         self._precision = 1.0 / (np.maximum(values, 0.0)[:, None] + noise)           # (p, a, r)
         beyond_mean = (equations.target - priors.means @ columns.T)[priors.view]
         self._along = (beyond_mean[:, None] @ self._u)[:, 0]                            # (p, r)
-        noise_share = normalized(
+        noise_share = normalise_probabilities(
             -0.5 * (np.log(NOISE_GRID / NOISE_MEDIAN) / NOISE_LOG_DEVIATION) ** 2)[0]
         squares = (self._precision @ self._along[..., None] ** 2)[..., 0]
         self._logs = np.log(noise_share) - 0.5 * (
@@ -249,7 +249,7 @@ class CameraSolutions:
             - np.log(np.abs(np.diag(equations.lead))).sum() + np.log(priors.share)[:, None]
         # Minus half of n log 2 pi + log det + v' S^-1 v, with the priors of noise and of the views.
         # Of each prior: the logarithm of its marginal likelihood, and how likely each noise is.
-        self.share, self.log_evidence = normalized(self._logs.T)
+        self.share, self.log_evidence = normalise_probabilities(self._logs.T)
         self.share = self.share.T                                                       # (p, a)
 
     def __len__(self) -> int:
@@ -287,7 +287,7 @@ class CameraSolutions:
                            of_line * right_sample - of_both * right_line]) / determinant
         logs = self._logs[..., None] + np.log(2 * np.pi) - 0.5 * np.log(determinant) \
             + 0.5 * (errors[0] * right_line + errors[1] * right_sample)
-        share, log_each = normalized(logs.swapaxes(0, 1))
+        share, log_each = normalise_probabilities(logs.swapaxes(0, 1))
         mean = np.einsum("apn,xpan->pnx", share, errors)
         return log_each, mean / self._equations.weights
 

@@ -30,7 +30,7 @@ from termsel.adjustment.bayesian.shrinkage import (
     shrinkage_of,
 )
 from termsel.data.features import FloatArray, IntArray
-from termsel.data.monomials import Exponents, monomials
+from termsel.data.monomials import Exponents, evaluate_monomials
 
 PRIOR_SIZES = np.append(0.0, 10.0 ** np.arange(-0.5, 5.5, 0.5))
 """Standard deviations of quadratic coefficients by that of the noise: 0, which is the affine model,
@@ -243,12 +243,12 @@ def _grid_cells(line: AxisEvidence, sample: AxisEvidence, freedom: int, noise: f
     log_posterior[0, 0, 0] = max(log_posterior[0, 0, 0], log_affine)
     group, line_size, sample_size = np.nonzero(
         log_posterior > log_posterior.max() - MAX_LOG_RATIO)
-    share, log_total = normalized(log_posterior[group, line_size, sample_size])
+    share, log_total = normalise_probabilities(log_posterior[group, line_size, sample_size])
     return GridCells((group * count + line_size, group * count + sample_size), share,
                      float(log_total))
 
 
-def normalized(logarithm: FloatArray) -> tuple[FloatArray, FloatArray]:
+def normalise_probabilities(logarithm: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return probabilities (p, ...) from logarithms but for a constant, and the log of their sum.
 
     The probabilities add up to 1 along the first axis, which the sum lacks.
@@ -365,8 +365,9 @@ class Posterior:
                                   np.full(count, self.cells.log_evidence))
 
 
-def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: FloatArray | None,
-              scales: FloatArray, in_use: int, *, affine: bool = False) -> Posterior | None:
+def solve_posterior(columns: FloatArray, image: FloatArray, order: IntArray,
+                    weights: FloatArray | None,
+                    scales: FloatArray, in_use: int, *, affine: bool = False) -> Posterior | None:
     """Return all solutions for points; None if all but any one do not determine the affine terms.
 
     The columns (n, k) are monomials of the scaled ground positions, affine ones first, of some
@@ -376,15 +377,15 @@ def posterior(columns: FloatArray, image: FloatArray, order: IntArray, weights: 
     on.
     """
     free = order < 2
-    solutions = posteriors(columns[:, free], columns[None, :, ~free], image, weights, scales,
-                           scales.shape[1], in_use=in_use, affine=affine)
+    solutions = solve_posteriors(columns[:, free], columns[None, :, ~free], image, weights, scales,
+                                 scales.shape[1], in_use=in_use, affine=affine)
     return None if solutions is None else solutions[0]
 
 
-def posteriors(free_columns: FloatArray, shrunken: FloatArray, image: FloatArray,
-               weights: FloatArray | None, scales: FloatArray, n_own: int, *,
-               in_use: int | None = None, affine: bool = False) -> list[Posterior] | None:
-    """Return all solutions as `posterior` does, for d systems with the same free columns (n, f).
+def solve_posteriors(free_columns: FloatArray, shrunken: FloatArray, image: FloatArray,
+                     weights: FloatArray | None, scales: FloatArray, n_own: int, *,
+                     in_use: int | None = None, affine: bool = False) -> list[Posterior] | None:
+    """Return all solutions as `solve_posterior` does, for d systems with equal free columns (n, f).
 
     The shrunken columns are (d, n, k). After the first few, which may be all, each system has one
     scale for all others in a group. None with fewer than four degrees of freedom, or dependent
@@ -425,10 +426,11 @@ def posteriors(free_columns: FloatArray, shrunken: FloatArray, image: FloatArray
 
 def polynomial_posterior(ground: FloatArray, image: FloatArray, exponents: Exponents,
                          weights: FloatArray | None) -> Posterior | None:
-    """Return all solutions of a polynomial for points that are all in use (see `posterior`).
+    """Return all solutions of a polynomial for points that are all in use (see `solve_posterior`).
 
     The ground (n, 3) is scaled to [-1, 1], the image is (n, 2), of the k exponents affine ones come
-    first; the equations are multiplied by the weights (n, 2), if any. None as for `posterior`.
+    first; the equations are multiplied by the weights (n, 2), if any. None as for
+    `solve_posterior`.
     """
     return _cached_polynomial_posterior(ground.tobytes(), image.tobytes(), exponents,
                                         None if weights is None else weights.tobytes())
@@ -444,9 +446,10 @@ def _cached_polynomial_posterior(ground: bytes, image: bytes, exponents: Exponen
     powers = np.array(exponents)
     order = powers.sum(axis=1)
     measured = np.frombuffer(image).reshape(-1, 2)
-    return posterior(monomials(np.frombuffer(ground).reshape(-1, 3), exponents), measured, order,
-                     None if weights is None else np.frombuffer(weights).reshape(-1, 2),
-                     scales_of(powers[order > 1]), len(measured), affine=True)
+    return solve_posterior(evaluate_monomials(np.frombuffer(ground).reshape(-1, 3), exponents),
+                           measured, order,
+                           None if weights is None else np.frombuffer(weights).reshape(-1, 2),
+                           scales_of(powers[order > 1]), len(measured), affine=True)
 
 
 # What a posterior foresees at any place: line and sample, and how uncertain they are.
@@ -479,7 +482,7 @@ def predict_positions(posterior: Posterior, free: FloatArray, shrunken: FloatArr
     The columns there are (m, f) of those that are not shrunken, and (m, k) of the others. Of what
     no column spans comes the variance for size 1, (g, m), for each group of scales.
     """
-    noise = float(posterior.cells.share @ _noises(posterior))
+    noise = float(posterior.cells.share @ _expected_noise_variances(posterior))
     count = free.shape[1] + shrunken.shape[1]
     image, variance = np.zeros((2, len(free), 2))
     factors = np.zeros((len(free), 2, 2 * count))
@@ -498,7 +501,7 @@ def predict_positions(posterior: Posterior, free: FloatArray, shrunken: FloatArr
     return PredictedPositions(image, variance + (factors**2).sum(axis=2), factors, noise)
 
 
-def _noises(posterior: Posterior) -> FloatArray:
+def _expected_noise_variances(posterior: Posterior) -> FloatArray:
     """Return the expected variance of the noise, which is inverse gamma distributed, (c,)."""
     return np.asarray(posterior.square / (posterior.freedom - 2))
 
@@ -512,8 +515,9 @@ def _coefficient_moments(posterior: Posterior,
     the coefficients, (k,) and (k, k).
     """
     solutions = posterior.solutions[axis]
+    cells = posterior.cells
     weight = np.asarray(np.bincount(
-        posterior.cells.solutions[axis], posterior.cells.share * _noises(posterior),
+        cells.solutions[axis], cells.share * _expected_noise_variances(posterior),
         len(posterior.evidence[axis].square)), dtype=np.float64).reshape(len(posterior.scales), -1)
     design = posterior.designs[axis]
     k = posterior.scales.shape[1]

@@ -13,13 +13,13 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from termsel.adjustment.bayesian.bidiagonal import Bidiagonal, BidiagonalSolutions, bidiagonal
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.bayesian.bidiagonal import Bidiagonal, BidiagonalSolutions, bidiagonal_forms
+from termsel.adjustment.compiled import compile_lazily
 from termsel.adjustment.solve import TOLERANCE
 from termsel.data.features import FloatArray, IntArray
 
 # Nothing is allocated, and sums are taken in the order in which they are written.
-_compiled = partial(compiled, _nrt=False)
+_compiled = partial(compile_lazily, _nrt=False)
 
 # Orthogonal columns of tall matrices.
 
@@ -31,7 +31,7 @@ CORRECTABLE = 1e-2
 rounding error: it squares this distance to begin with, and is exact by its own Cholesky factor."""
 
 
-def orthogonal(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+def orthogonal_factors(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return Q and R of a matrix, as `numpy.linalg.qr` does, up to signs.
 
     Of tall matrices by Cholesky's method, twice: the first Q has an error of the square of the
@@ -110,7 +110,7 @@ class Design:
     @cached_property
     def forms(self) -> Bidiagonal:
         """The bidiagonal forms of the shrunken columns under the scales of each group."""
-        return bidiagonal(self.shrunken, self.scales)
+        return bidiagonal_forms(self.shrunken, self.scales)
 
     def decomposed(self, groups: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return singular values (g, r) and right singular vectors (g, r, k) of the scaled columns.
@@ -148,7 +148,7 @@ def designs_of(free_columns: FloatArray, shrunken: FloatArray, scales: FloatArra
     else:  # free columns first: q of the others is then without them
         factors = []
         for columns in shrunken:
-            q, r = orthogonal(np.concatenate([free_columns, columns], axis=1))
+            q, r = orthogonal_factors(np.concatenate([free_columns, columns], axis=1))
             factors.append((q, r[:f, :f], r[:, f:]))
     q, triangle, _ = factors[0]
     if (np.abs(np.diag(triangle)) <= TOLERANCE * np.linalg.norm(free_columns, axis=0)).any() \

@@ -35,7 +35,7 @@ from termsel.adjustment.bayesian.kernels import (
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.solve import TOLERANCE
 from termsel.data.features import FloatArray, Points
-from termsel.data.monomials import graded_exponents, monomials
+from termsel.data.monomials import evaluate_monomials, graded_exponents
 from termsel.data.view import Measurements
 
 AFFINE_EXPONENTS = graded_exponents(1, 2)
@@ -91,8 +91,8 @@ class ThinPlates:
 
     def predict(self, ground: FloatArray) -> FloatArray:
         """Return line and sample of places, shape (m, 2)."""
-        return np.asarray(
-            monomials(ground, AFFINE_EXPONENTS) @ self._affine_coefficients + self._field(ground))
+        affine = evaluate_monomials(ground, AFFINE_EXPONENTS) @ self._affine_coefficients
+        return np.asarray(affine + self._field_at(ground))
 
     def spread(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the variance of the prediction at places (m, 3), (m, 2), and of the noise, (2,).
@@ -101,9 +101,9 @@ class ThinPlates:
         """
         variance = np.empty((len(ground), 2))
         noise = np.empty(2)
-        point_columns = monomials(self.points.ground, AFFINE_EXPONENTS)
+        point_columns = evaluate_monomials(self.points.ground, AFFINE_EXPONENTS)
         n, f = point_columns.shape
-        columns = monomials(ground, AFFINE_EXPONENTS)
+        columns = evaluate_monomials(ground, AFFINE_EXPONENTS)
         positions = ground[:, :2] * self.units
         for axis, (smoothing, spline, w) in enumerate(zip(
                 self.smoothing, self.splines, weights_of(self.points).T, strict=True)):
@@ -124,15 +124,15 @@ class ThinPlates:
         w = np.stack([axis.weights for axis in self.splines], axis=1) * weights_of(self.points)
         return self.field_columns.coefficients(self._positions, w)
 
-    def _field(self, ground: FloatArray) -> FloatArray:
+    def _field_at(self, ground: FloatArray) -> FloatArray:
         """Return the field at places, shape (m, 2)."""
         return self.field_columns.times(ground[:, :2] * self.units, self._coefficients)
 
     @cached_property
     def _affine_coefficients(self) -> FloatArray:
         """Coefficients of the affine functions, shape (3, 2)."""
-        columns = monomials(self.points.ground, AFFINE_EXPONENTS)
-        local = self._field(self.points.ground)
+        columns = evaluate_monomials(self.points.ground, AFFINE_EXPONENTS)
+        local = self._field_at(self.points.ground)
         coefficients = np.empty((len(AFFINE_EXPONENTS), 2))
         for axis, (spline, smoothing, w) in enumerate(zip(
                 self.splines, self.smoothing, weights_of(self.points).T, strict=True)):
@@ -162,7 +162,7 @@ def _cached_splines(measurements: Measurements, units: tuple[float, float],
     They are cached, since one fit asks for them many times.
     """
     points = measurements.points
-    affine_columns = monomials(points.ground, AFFINE_EXPONENTS)
+    affine_columns = evaluate_monomials(points.ground, AFFINE_EXPONENTS)
     positions = points.ground[:, :2] * units
     field_columns = SplineColumns(positions, all_knots=smoothing == 0)
     smoothings = SMOOTHINGS if smoothing is None else np.array([smoothing])
@@ -172,7 +172,7 @@ def _cached_splines(measurements: Measurements, units: tuple[float, float],
     # If line and sample have equal weights, one factorisation serves both; else each has its own.
     for columns in (slice(0, 2),) if equal_weights else (slice(0, 1), slice(1, 2)):
         w = weights[:, columns.start]
-        basis = _basis(affine_columns * w[:, None], positions, w, field_columns)
+        basis = _eigenvectors_of_splines(affine_columns * w[:, None], positions, w, field_columns)
         if basis is None:
             return None
         axes += _axis_splines(basis, points.image[:, columns] * w[:, None], smoothings, criterion)
@@ -195,8 +195,8 @@ class _Basis:
         return int(len(self.q) - self.q.shape[1] - len(self.values))
 
 
-def _basis(lead: FloatArray, positions: FloatArray, weights: FloatArray,
-           field_columns: SplineColumns) -> _Basis | None:
+def _eigenvectors_of_splines(lead: FloatArray, positions: FloatArray, weights: FloatArray,
+                             field_columns: SplineColumns) -> _Basis | None:
     """Return the eigenvectors, or None if the points do not determine an affine function.
 
     `lead` (n, f) are the weighted affine columns of the points, at `positions` (n, 2) in units of

@@ -346,7 +346,7 @@ def with_files(files: Sequence[Path], arguments: Mapping[str, Any]) -> dict[str,
         if kind == "image" and options["dem"] is None and _holds_heights(path):
             kind = "dem"
         if options[kind] is not None:
-            raise _two_of_one_kind(kind, options[kind], path)
+            raise _two_of_one_kind_error(kind, options[kind], path)
         options[kind] = path
     # Of an image alone, the control points are those that it holds.
     names = ("points", "lines", "areas", "dataset", "problem")
@@ -356,7 +356,7 @@ def with_files(files: Sequence[Path], arguments: Mapping[str, Any]) -> dict[str,
     return options
 
 
-def _two_of_one_kind(kind: str, first: Path, second: Path) -> TermselError:
+def _two_of_one_kind_error(kind: str, first: Path, second: Path) -> TermselError:
     """Return the error for two files of one kind."""
     for path in (first, second):
         if path.is_dir():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from html import escape
 
-from termsel.core.errors import cut, printable
+from termsel.core.errors import cut, make_printable
 
 _MAX_VALUE_LENGTH = 160
 """Characters of a value."""
@@ -22,7 +22,7 @@ class Glance:
 
     def __repr__(self) -> str:
         title, rows = self._glance()
-        return "\n".join([f"<{_value(title)}>", *(f"  {name}: {_value(value)}"
+        return "\n".join([f"<{_short_value(title)}>", *(f"  {name}: {_short_value(value)}"
                                           for name, value in rows.items())])
 
     def _repr_html_(self) -> str:
@@ -30,10 +30,10 @@ class Glance:
         title, rows = self._glance()
         cells = "".join(
             f"<tr><th style='text-align:left'>{escape(name)}</th>"
-            f"<td style='text-align:left'>{escape(_value(value))}</td></tr>"
+            f"<td style='text-align:left'>{escape(_short_value(value))}</td></tr>"
             for name, value in rows.items())
-        return f"<div><strong>{escape(_value(title))}</strong><table>{cells}</table></div>"
+        return f"<div><strong>{escape(_short_value(title))}</strong><table>{cells}</table></div>"
 
 
-def _value(text: str) -> str:
-    return printable(cut(text, _MAX_VALUE_LENGTH), keep="")
+def _short_value(text: str) -> str:
+    return make_printable(cut(text, _MAX_VALUE_LENGTH), keep="")

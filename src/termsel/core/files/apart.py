@@ -48,7 +48,7 @@ _too_much: dict[tuple[object, ...], TermselError] = {}
 """Files, as they were, that took too much."""
 
 
-def apart(work: Callable[..., Answer], path: Path, *arguments: Any) -> Answer:
+def call_apart(work: Callable[..., Answer], path: Path, *arguments: Any) -> Answer:
     """Return the value of a function, called in another process with a file and further values.
 
     Raises
@@ -64,7 +64,7 @@ def apart(work: Callable[..., Answer], path: Path, *arguments: Any) -> Answer:
     # something false of itself.
     memory = _MEMORY + _MEMORY_A_BYTE * size
     seconds = _SECONDS + _SECONDS_A_BYTE * size
-    helper = _helper(allowed_drivers(), remote_allowed())
+    helper = _vector_helper(allowed_drivers(), remote_allowed())
     question = (work.__module__, work.__name__, (path, *arguments), memory, seconds)
     # Several readers look at a file before one reads it.
     file_state = (str(path.absolute()), size, state and state.st_mtime_ns)
@@ -88,7 +88,7 @@ def apart(work: Callable[..., Answer], path: Path, *arguments: Any) -> Answer:
 
 
 @cache
-def _helper(drivers: tuple[str, ...], remote: bool) -> Helper:
+def _vector_helper(drivers: tuple[str, ...], remote: bool) -> Helper:
     """Return the process that reads vector files with such drivers, started once."""
     with ExitStack() as stack:
         if remote:
@@ -101,7 +101,7 @@ def _helper(drivers: tuple[str, ...], remote: bool) -> Helper:
 
 
 @contextmanager
-def answering(drivers: tuple[str, ...], remote: bool) -> Iterator[BinaryIO]:
+def answer_channel(drivers: tuple[str, ...], remote: bool) -> Iterator[BinaryIO]:
     """Yield where a new process writes its answers; GDAL may use the drivers, and read elsewhere.
 
     Ctrl-C is for the process that asks.
@@ -120,7 +120,7 @@ def answering(drivers: tuple[str, ...], remote: bool) -> Iterator[BinaryIO]:
 
 def serve(drivers: tuple[str, ...] = (), remote: bool = False) -> None:
     """Answer the questions that come on stdin, in a new process."""
-    with answering(drivers, remote) as answers:
+    with answer_channel(drivers, remote) as answers:
         while True:
             try:
                 module, name, values, memory, seconds = pickle.load(sys.stdin.buffer)
@@ -129,7 +129,7 @@ def serve(drivers: tuple[str, ...] = (), remote: bool = False) -> None:
             work = getattr(import_module(module), name)
             answer: Any
             try:
-                _limit(memory, seconds)
+                _limit_process(memory, seconds)
                 answer = work(*values)
             except (TermselError, MemoryError) as error:
                 answer = error
@@ -137,7 +137,7 @@ def serve(drivers: tuple[str, ...] = (), remote: bool = False) -> None:
             answers.flush()
 
 
-def _limit(memory: int, seconds: float) -> None:
+def _limit_process(memory: int, seconds: float) -> None:
     """Limit memory [bytes] and CPU time of this process from now on; only on Linux."""
     if sys.platform != "linux":
         return

@@ -61,12 +61,12 @@ def sync(path: Path) -> None:
     """Wait until the content of a file, or the names in a folder, are on the disk."""
     if path.is_dir():
         with suppress(OSError):  # some disks have no such thing for folders, nor has Windows
-            _sync(path, os.O_RDONLY)
+            _sync_descriptor(path, os.O_RDONLY)
         return
-    _sync(path, os.O_RDWR if sys.platform == "win32" else os.O_RDONLY)
+    _sync_descriptor(path, os.O_RDWR if sys.platform == "win32" else os.O_RDONLY)
 
 
-def _sync(path: Path, mode: int) -> None:
+def _sync_descriptor(path: Path, mode: int) -> None:
     """Wait until a file or folder is on the disk."""
     descriptor = os.open(path, mode)
     try:
@@ -150,20 +150,20 @@ def new_folder(folder: Path) -> Iterator[Path]:
 def _make_folder(parent: Path) -> Path:
     """Make a private folder with a name of this process in a folder, and return it."""
     _remove_left(parent)  # processes that were killed leave theirs behind
-    folder = parent / f"{_PREFIX}{_here()}-{os.getpid()}-{secrets.token_hex(6)}"
+    folder = parent / f"{_PREFIX}{_machine_word()}-{os.getpid()}-{secrets.token_hex(6)}"
     folder.mkdir(mode=0o700)
     return folder
 
 
 def _remove_left(parent: Path) -> None:
     """Remove the private folders of processes of this user that have ended."""
-    for folder in parent.glob(f"{_PREFIX}{_here()}-*-*"):
+    for folder in parent.glob(f"{_PREFIX}{_machine_word()}-*-*"):
         process = folder.name.split("-")[2]
         if process.isdecimal() and not _is_running(int(process)):
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def _here() -> str:
+def _machine_word() -> str:
     """Return a word for this machine: elsewhere process numbers mean other processes."""
     try:
         space = os.readlink("/proc/self/ns/pid")  # containers may share a disk and a name

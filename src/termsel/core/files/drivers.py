@@ -171,7 +171,7 @@ def gdal_options() -> dict[str, str]:
     return dict(_HARMLESS) if remote_allowed() else {**_HARMLESS, **_NO_REQUESTS}
 
 
-def skipped() -> str:
+def skipped_drivers() -> str:
     """Return the drivers that are off, as the variable GDAL_SKIP takes them."""
     # Both kinds, as a process has one list of drivers.
     working = {*raster_drivers(), *vector_drivers(), *WORKING_DRIVERS}
@@ -187,7 +187,7 @@ def program_environment(before: Mapping[str, str]) -> dict[str, str]:
     # A host in no_proxy would be asked without the proxy that refuses all.
     environment = {key: value for key, value in before.items()
                    if key.casefold() != "no_proxy"} | gdal_options() | {
-        "GDAL_SKIP": skipped()}
+        "GDAL_SKIP": skipped_drivers()}
     return environment if remote_allowed() else environment | PROGRAM_ENVIRONMENT
 
 
@@ -220,7 +220,7 @@ def drivers_are_off() -> bool:
 
 
 @contextmanager
-def own_drivers() -> Iterator[None]:
+def keep_own_drivers_only() -> Iterator[None]:
     """Turn the other drivers off for good, in a process of termsel, while GDAL is being loaded.
 
     In a program or notebook of the user, GDAL stays as it is.
@@ -230,7 +230,7 @@ def own_drivers() -> Iterator[None]:
         return
     # GDAL reads them once, when it registers its drivers.
     before = {key: os.environ.get(key) for key in ("GDAL_SKIP", "OGR_SKIP", "GDAL_CACHEMAX")}
-    os.environ["GDAL_SKIP"] = os.environ["OGR_SKIP"] = skipped()
+    os.environ["GDAL_SKIP"] = os.environ["OGR_SKIP"] = skipped_drivers()
     # By default GDAL takes a twentieth of the machine's memory.
     os.environ.setdefault("GDAL_CACHEMAX", "256")
     try:

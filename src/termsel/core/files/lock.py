@@ -38,7 +38,7 @@ def lock_folder(folder: Path,
             file.write(f"process {os.getpid()} on {platform.node() or 'this machine'} since "
                        f"{time.strftime('%Y-%m-%d %H:%M:%S')}".encode())
         except OSError as error:  # the disk is full
-            raise _unwritable(folder, error) from error
+            raise _unwritable_error(folder, error) from error
         yield
 
 
@@ -49,7 +49,7 @@ def _hold_lock(folder: Path, hint: str) -> Iterator[FileIO]:
     for i in range(5):
         if i:
             time.sleep(0.1)
-        with _opened_lock(folder, "a+b") as file:
+        with _open_lock(folder, "a+b") as file:
             if not _take_lock_of_folder(file, folder):
                 continue
             # A lock on a removed file would exclude nobody.
@@ -60,7 +60,7 @@ def _hold_lock(folder: Path, hint: str) -> Iterator[FileIO]:
             finally:
                 _remove(file, folder / LOCK)
             return
-    raise TermselError(f"{holder(folder) or 'another process'} is at work in this folder",
+    raise TermselError(f"{lock_holder(folder) or 'another process'} is at work in this folder",
                        file=folder, hint=hint)
 
 
@@ -87,11 +87,11 @@ def end_turn(file: FileIO) -> None:
     file.close()
 
 
-def holder(folder: Path) -> str | None:
+def lock_holder(folder: Path) -> str | None:
     """Return who is at work in a folder: process, machine and since when; None if nobody is."""
     if not path_inside(folder, LOCK).exists():
         return None
-    with _opened_lock(folder, "r+b") as file:
+    with _open_lock(folder, "r+b") as file:
         if _take_lock_of_folder(file, folder):
             return None
         # Held by another process: it wrote its name at the beginning.
@@ -100,13 +100,13 @@ def holder(folder: Path) -> str | None:
 
 
 @contextmanager
-def _opened_lock(folder: Path, mode: Literal["a+b", "r+b"]) -> Iterator[FileIO]:
+def _open_lock(folder: Path, mode: Literal["a+b", "r+b"]) -> Iterator[FileIO]:
     """Yield the open file of a folder's lock; a link in its place is not followed."""
     try:
         file = open(folder / LOCK, mode, buffering=0,  # noqa: SIM115 (closed below)
                     opener=open_inside)
     except OSError as error:
-        raise _unwritable(folder, error) from error
+        raise _unwritable_error(folder, error) from error
     try:
         yield file
     finally:
@@ -118,7 +118,7 @@ def _take_lock_of_folder(file: FileIO, folder: Path) -> bool:
     try:
         return _try_lock(file)
     except OSError as error:
-        raise _unwritable(folder, error) from error
+        raise _unwritable_error(folder, error) from error
 
 
 def _try_lock(file: FileIO) -> bool:
@@ -133,7 +133,7 @@ def _try_lock(file: FileIO) -> bool:
     return True
 
 
-def _unwritable(folder: Path, error: OSError) -> TermselError:
+def _unwritable_error(folder: Path, error: OSError) -> TermselError:
     return TermselError(f"cannot write to the folder: {error.strerror or error}", file=folder,
                         hint="Choose another --out.")
 

@@ -40,7 +40,7 @@ _ADDRESS = re.compile(r"(https?|ftp|s3|gs):/+", re.IGNORECASE)
 """How addresses begin; a path of Python has made one slash of two."""
 
 
-def no_such_file(path: Path | str) -> TermselError:
+def no_such_file_error(path: Path | str) -> TermselError:
     """Return the error for a file that is not there, or that is an address on a server."""
     address = _ADDRESS.match(str(path))
     if address:

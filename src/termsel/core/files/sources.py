@@ -165,7 +165,7 @@ def foreign_format(head: bytes) -> str:
     return next((name for mark, name in _FOREIGN if mark.search(head[:_HEAD_BYTES])), "")
 
 
-def refused_format(path: object, head: bytes, of: object = None) -> TermselError:
+def refused_format_error(path: object, head: bytes, of: object = None) -> TermselError:
     """Return the error for a file of a driver that is off."""
     name = foreign_format(head)
     # What is known is named, so that whoever trusts the file can turn its driver on.
@@ -257,7 +257,7 @@ class _Chain:
         if name.lstrip()[:1] == "<":
             self.reads[name] = self._require_named_in_text(name, "", depth)
         elif name.lstrip()[:1] == "{":
-            raise refused_format(name, name.encode(), self.start)
+            raise refused_format_error(name, name.encode(), self.start)
         elif name.casefold().startswith("vrt://"):
             self.reads[name] = self.require(name[6:].partition("?")[0], stated, depth + 1)
         elif subdataset := _SUBDATASET.fullmatch(name):
@@ -318,7 +318,7 @@ class _Chain:
             return
         if allowed_drivers() and not driver:  # what the user trusts may begin in any way
             return
-        raise refused_format(path, head, self.start)
+        raise refused_format_error(path, head, self.start)
 
     def _require_neighbours(self, path: Path, depth: int) -> None:
         """Require the overviews, masks and auxiliary files that GDAL would open as well."""
@@ -330,7 +330,7 @@ class _Chain:
             elif not neighbour.is_dir():
                 require_regular(neighbour, self.start)
                 if name.endswith(_TEXTS) and neighbour.stat().st_size > _LARGEST_XML:
-                    raise self._too_large(str(neighbour))
+                    raise self._too_large_error(str(neighbour))
             if name.endswith(".aux.xml"):
                 self._require_auxiliary_xml(neighbour, depth)
         for entry in _special_entries(str(path.parent)):
@@ -351,7 +351,7 @@ class _Chain:
     def _decode_xml(self, content: bytes, name: str) -> str:
         """Return the text of XML, which has to be UTF-8 and not too long."""
         if len(content) > _LARGEST_XML:
-            raise self._too_large(name)
+            raise self._too_large_error(name)
         try:
             return content.decode("utf-8-sig")
         except UnicodeDecodeError:
@@ -366,7 +366,7 @@ class _Chain:
             return 1  # GDAL says that there is none
         require_regular(archive, self.start)
         self._require_members_near(name, archive, member, depth)
-        content = _content(name, archive, member)
+        content = _read_archive_member(name, archive, member)
         if content is None:
             raise self.error(f"there is no raster {cut(name, 100)!r}", "Check the name.")
         if _is_virtual(content[:_HEAD_BYTES]):
@@ -379,7 +379,7 @@ class _Chain:
     def _require_members_near(self, name: str, archive: Path, member: str, depth: int) -> None:
         """Require the files of an archive that GDAL would open next to one in it, as on the disk.
         """
-        members = _members(name, archive)
+        members = _list_archive(name, archive)
         if members is None:  # a single file, next to which are those of the disk
             self._require_neighbours(archive, depth)
             return
@@ -397,7 +397,7 @@ class _Chain:
             if lower_name.endswith((".ovr", ".msk", ".aux", ".rrd")):
                 self.require(f"{prefix}/{other_member}", str(other_member), depth + 1)
             elif lower_name.endswith(".aux.xml"):
-                content = _content(name, archive, str(other_member)) or b""
+                content = _read_archive_member(name, archive, str(other_member)) or b""
                 folder = str(PurePosixPath(f"{prefix}/{other_member}").parent)
                 if content.strip():
                     self._require_named_in_text(self._decode_xml(content, str(other_member)),
@@ -408,13 +408,13 @@ class _Chain:
         """Require all that a virtual raster or auxiliary XML names; return the reads."""
         # Entities can expand to any size, and name files.
         if "<!DOCTYPE" in text or "<!ENTITY" in text:
-            raise self._not_plain()
+            raise self._not_plain_error()
         try:
             root = ElementTree.fromstring(text.lstrip())
         except (ElementTree.ParseError, ValueError):
-            raise self._not_plain() from None
+            raise self._not_plain_error() from None
         if expected and root.tag.casefold() != expected:
-            raise refused_format(self.start, text.encode()[:_HEAD_BYTES])
+            raise refused_format_error(self.start, text.encode()[:_HEAD_BYTES])
         self._refuse_code(root)
         for element in root.iter():
             for stated in (element.text or "", *element.attrib.values()):
@@ -446,11 +446,11 @@ class _Chain:
                 raise self.error("a virtual raster with code in Python is not opened",
                                  "Convert it: gdal_translate FILE map.tif.")
 
-    def _too_large(self, name: str) -> TermselError:
+    def _too_large_error(self, name: str) -> TermselError:
         return self.error(f"{cut(name, 100)} has more than {_LARGEST_XML >> 20} MiB of text",
                           "Convert it: gdal_translate FILE map.tif.")
 
-    def _not_plain(self) -> TermselError:
+    def _not_plain_error(self) -> TermselError:
         return self.error("the XML of this raster, or of a file that it names, is not well-formed",
                           "Write it again by gdal_translate or gdalbuildvrt.")
 
@@ -466,7 +466,7 @@ def _neighbour_beginnings(raster: PurePath) -> tuple[str, ...]:
 def _names_next_to(path: Path) -> Iterator[str]:
     """Yield the names of files in a raster's folder that are its name with another ending."""
     beginnings = _neighbour_beginnings(path)
-    for entry in _entries(str(path.parent)):
+    for entry in _list_folder(str(path.parent)):
         # Without regard to case, as GDAL tries both, and some file systems do not distinguish them.
         if entry.casefold().startswith(beginnings) and entry != path.name:
             yield entry
@@ -538,14 +538,14 @@ def _cached_entries(folder: str, changed: int) -> tuple[str, ...]:  # noqa: ARG0
 
 def _special_entries(folder: str) -> Iterator[str]:
     """Yield the pipes and devices in a folder that have the names of such texts."""
-    for entry in _entries(folder):
+    for entry in _list_folder(folder):
         if entry.casefold().endswith(_TEXTS):
             path = os.path.join(folder, entry)
             if not os.path.isfile(path) and not os.path.isdir(path) and os.path.exists(path):
                 yield entry
 
 
-def _entries(folder: str) -> tuple[str, ...]:
+def _list_folder(folder: str) -> tuple[str, ...]:
     """Return the names in a folder."""
     folder = folder or "."
     try:
@@ -581,7 +581,7 @@ def _archive_and_member(name: str) -> tuple[Path | None, str]:
     return None, ""
 
 
-def _members(name: str, archive: Path) -> list[str] | None:
+def _list_archive(name: str, archive: Path) -> list[str] | None:
     """Return the files in an archive as GDAL calls them; None where it is one compressed file."""
     if name.startswith("/vsigzip/"):
         return None
@@ -598,7 +598,7 @@ def _members(name: str, archive: Path) -> list[str] | None:
     return [posixpath.normpath(entry.replace("\\", "/")).lstrip("/") for entry in names]
 
 
-def _content(name: str, archive: Path, member: str) -> bytes | None:
+def _read_archive_member(name: str, archive: Path, member: str) -> bytes | None:
     """Return the beginning of a file in an archive; all of it if it is a virtual raster.
 
     None if the archive cannot be read, or has no such file.

@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from xml.etree import ElementTree
 from xml.sax.saxutils import escape, quoteattr
 
-from termsel.core.errors import printable
+from termsel.core.errors import make_printable
 
 _FORMULA = re.compile(r"'*\s*[=+\-@\uff1d\uff0b\uff0d\uff20\ufe62\ufe63\ufe66\ufe6b]")
 """How a formula begins, in characters of full width and small ones as well."""
@@ -28,13 +28,13 @@ _MARKDOWN = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "|": r"\|", "
                            "[": r"\[", "]": r"\]"})
 
 
-def guarded(text: str) -> str:
-    """Return a cell that no spreadsheet takes for a formula, as `unguarded` takes it back."""
+def guard_cell(text: str) -> str:
+    """Return a cell that no spreadsheet takes for a formula, as `unguard_cell` takes it back."""
     # A spreadsheet runs text that begins with = + - or @, unless an apostrophe is in front of it.
     return f"'{text}" if _FORMULA.match(text) and not is_number(text) else text
 
 
-def unguarded(text: str) -> str:
+def unguard_cell(text: str) -> str:
     """Return a cell without the apostrophe that guards it."""
     return text[1:] if text[:1] == "'" and _FORMULA.match(text) else text
 
@@ -53,14 +53,14 @@ def csv_table(rows: Iterable[Iterable[object]]) -> str:
     page = io.StringIO()
     writer = csv.writer(page, lineterminator="\n")
     for row in rows:
-        writer.writerow([guarded(printable(cell)) if isinstance(cell, str) else cell
+        writer.writerow([guard_cell(make_printable(cell)) if isinstance(cell, str) else cell
                          for cell in row])
     return page.getvalue()
 
 
 def cell_text(text: str) -> str:
     """Return text as a cell of a table whose cells commas, semicolons or tabs separate: guarded."""
-    text = guarded(printable(text))
+    text = guard_cell(make_printable(text))
     # Unquoted, a line that begins with # would be a comment; csv.writer does not quote it.
     return '"' + text.replace('"', '""') + '"' if _QUOTED.search(text) else text
 
@@ -97,4 +97,4 @@ def is_xml_text(text: str) -> bool:
 
 def markdown_text(text: str) -> str:
     """Return text on one line of Markdown that shows it: no HTML, link or control character."""
-    return " ".join(printable(" ".join(text.split())).translate(_MARKDOWN).split())
+    return " ".join(make_printable(" ".join(text.split())).translate(_MARKDOWN).split())

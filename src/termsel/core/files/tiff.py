@@ -58,16 +58,16 @@ def metadata_of_tiff(file: BinaryIO) -> bytes | None:
             if tag == _METADATA:
                 # Text that is no longer than its place is written there.
                 small = length <= struct.calcsize(layout.offset)
-                return b"" if small else _bytes(file, value, length)
+                return b"" if small else _read_bytes(file, value, length)
     except (struct.error, OverflowError):  # cut off
         return None
     return b"" if len(table) == count * size else None
 
 
 def _number(file: BinaryIO, offset: int, form: str) -> int:
-    return int(struct.unpack(form, _bytes(file, offset, struct.calcsize(form)))[0])
+    return int(struct.unpack(form, _read_bytes(file, offset, struct.calcsize(form)))[0])
 
 
-def _bytes(file: BinaryIO, offset: int, length: int) -> bytes:
+def _read_bytes(file: BinaryIO, offset: int, length: int) -> bytes:
     file.seek(offset)
     return file.read(min(length, _MAX_METADATA))

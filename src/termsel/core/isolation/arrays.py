@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 
-def of_shape(value: Any, shape: tuple[int, ...], *, finite: bool = True,
-             verb: str = "returned") -> str | None:
+def difference_from_shape(value: Any, shape: tuple[int, ...], *, finite: bool = True,
+                          verb: str = "returned") -> str | None:
     """Return how a value differs from an array of numbers of a shape; None if it does not.
 
     In the shape -1 stands for any length. The message begins with `verb`, such as "returned".
@@ -36,12 +36,12 @@ def _list_in_words(shape: tuple[int, ...]) -> str:
     return f"{sizes[0]}," if len(sizes) == 1 else ", ".join(sizes)
 
 
-def returns(expected: type) -> Callable[..., str | None]:
+def returns_type(expected: type) -> Callable[..., str | None]:
     """Return a check, for `Guarded`, that a method returns an object of a type."""
-    return lambda _object, value, *_args: of_type(value, expected)
+    return lambda _object, value, *_args: difference_from_type(value, expected)
 
 
-def of_type(value: Any, expected: type) -> str | None:
+def difference_from_type(value: Any, expected: type) -> str | None:
     """Return how an object differs from the type expected, None if it does not."""
     if isinstance(value, expected):
         return None

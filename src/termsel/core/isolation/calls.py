@@ -55,7 +55,7 @@ class Guarded:
         # Properties that termsel reads, although it declares no check of them.
         guards = dict.fromkeys(name for name, value in vars(cls).items()
                                if isinstance(value, property) and _is_own(cls, name))
-        for name, check in {**guards, **_guards(cls)}.items():
+        for name, check in {**guards, **_guards_by_method(cls)}.items():
             method = cls.__dict__.get(name)
             if isinstance(method, property) and method.fget is not None:
                 setattr(cls, name, property(_guard_of(name, method.fget, check), method.fset,
@@ -77,7 +77,7 @@ def _is_own(cls: type, name: str) -> bool:
                for base in cls.__mro__ if package_of(base) == OWN)
 
 
-def _guards(cls: type) -> dict[str, Check | None]:
+def _guards_by_method(cls: type) -> dict[str, Check | None]:
     """Return the checks of a class and all its bases by method; None for one without a check."""
     guards: dict[str, Check | None] = {}
     # From the most general class on: a subclass may replace a check.

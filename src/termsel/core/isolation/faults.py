@@ -42,7 +42,7 @@ def code_of(package: str) -> Iterator[None]:
 
 
 @contextmanager
-def own_code() -> Iterator[None]:
+def mark_own_errors() -> Iterator[None]:
     """Run a block of termsel's own that a plugin calls; errors of it are marked as termsel's."""
     caller = _package.get()
     token = _package.set(None)
@@ -64,21 +64,21 @@ def is_marked(error: BaseException) -> bool:
 @contextmanager
 def surroundings_kept() -> Iterator[None]:
     """Put the working folder and the filters of warnings back after a block."""
-    folder = _folder()
+    folder = _working_folder()
     filters = list(warnings.filters)
     try:
         yield
     finally:
         # Else an import that changes them would send the files of a result elsewhere, or turn
         # warnings of termsel into errors.
-        if folder is not None and _folder() != folder:
+        if folder is not None and _working_folder() != folder:
             os.chdir(folder)
         if warnings.filters != filters:
             warnings.resetwarnings()  # shows Python that they changed
             warnings.filters[:] = filters  # type: ignore[index]
 
 
-def _folder() -> str | None:
+def _working_folder() -> str | None:
     """Return the working folder; None if it was deleted."""
     try:
         return os.getcwd()
@@ -90,8 +90,8 @@ class TooSlow(Exception):
     """Code was not done in its time; its thread goes on until the program ends."""
 
 
-def within(seconds: float, call: Callable[[], T], *, soon: float = 0.0,
-           tell: Callable[[], None] = lambda: None) -> T:
+def call_within(seconds: float, call: Callable[[], T], *, soon: float = 0.0,
+                tell: Callable[[], None] = lambda: None) -> T:
     """Return the value of a call in a thread of its own; raise TooSlow after `seconds`.
 
     Ctrl-C ends the waiting. After `soon` seconds `tell` is called once.
@@ -178,7 +178,7 @@ def name_of(definition: Any) -> str:
     return f"{getattr(cls, 'kind', '')} {shown_name} of {distribution}".strip()
 
 
-def named_function(kind: str, function: Any) -> str:
+def function_in_words(kind: str, function: Any) -> str:
     """Return the name of a function in messages, such as "objective 'spread' of termsel-demo 1.0".
     """
     return f"{kind} of {distribution_of(package_of(function))}"

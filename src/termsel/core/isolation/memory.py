@@ -27,7 +27,7 @@ def out_of_memory(error: MemoryError) -> TermselError:
     required = float(size["amount"]) * _UNITS.get(size["unit"], 0.0) if size else 0.0
     array = _ARRAY.search(message)
     shape = [int(length) for length in array["shape"].split(",") if length.strip()] if array else []
-    free = _free()
+    free = _free_bytes()
     problem = "there is not enough memory"
     if shape and required:
         lengths = " x ".join(f"{length:,}" for length in shape)
@@ -45,7 +45,7 @@ def out_of_memory(error: MemoryError) -> TermselError:
     return TermselError(problem, hint=hint)
 
 
-def _free() -> float | None:
+def _free_bytes() -> float | None:
     """Return the bytes that this process can still have; None where that is not known."""
     limits = [value for value in (_free_memory_of_machine(), _memory_below_limit())
               if value is not None]

@@ -24,8 +24,8 @@ class Part:
     slot : str
         "study": a `StudyOutput`, what is made of a study. "study-map": what makes a map of its
         images, called as `termsel_studies.map_of`. "scheduler": what runs cells, called as
-        `termsel_studies.on_cluster`. "certificate": what makes the writer of a certificate, called
-        as `termsel_bench.certificate.certifier`. "reading": options of reading, as
+        `termsel_studies.run_on_cluster`. "certificate": what makes the writer of a certificate,
+        called as `termsel_bench.certificate.certificate_maker`. "reading": options of reading, as
         `termsel_cameras.known.reading.CameraOptions` has them.
     value : object
         What the slot takes.
@@ -39,7 +39,7 @@ sources: list[Callable[[], Iterable[Part]]] = []
 """What gives the parts of plugins: the registry, which lies above this room, adds itself."""
 
 
-def parts(slot: str) -> list[Any]:
+def values_of_slot(slot: str) -> list[Any]:
     """Return the values that packages give for a slot; [] if no installed package does."""
     values: list[Any] = []
     for source in sources:
@@ -47,18 +47,18 @@ def parts(slot: str) -> list[Any]:
     return values
 
 
-def part(slot: str, purpose: str) -> Any:
+def value_of_slot(slot: str, purpose: str) -> Any:
     """Return the value that a package gives for a slot, the first of several.
 
     Raises TermselError if none does; `purpose` has its verb, such as "a certificate requires".
     """
     # Of several the first: plugins are in the order in which they were loaded.
-    if extensions := parts(slot):
+    if extensions := values_of_slot(slot):
         return extensions[0]
-    raise missing(slot, purpose)
+    raise missing_package_error(slot, purpose)
 
 
-def missing(slot: str, purpose: str) -> TermselError:
+def missing_package_error(slot: str, purpose: str) -> TermselError:
     """Return the error that says which package a slot lacks; `purpose` has its verb."""
     package = package_of_name(slot)
     state, remedy = lack_of(package)
@@ -84,19 +84,19 @@ LEFT_OUT = f"is installed, but left out by the variable {PLUGINS_VARIABLE}"
 def is_left_out(package: str) -> bool:
     """Return whether a package is installed, but left out by a variable of the environment."""
     chosen = chosen_packages()
-    return bool(package) and chosen is not None and canonical(package) not in chosen \
+    return bool(package) and chosen is not None and canonical_name(package) not in chosen \
         and _is_installed(package)
 
 
 def chosen_packages() -> set[str] | None:
-    """Return the packages that the variable lists, each as `canonical` spells it; None if unset."""
+    """Return the packages that the variable lists, spelt by `canonical_name`; None if unset."""
     listed = os.environ.get(PLUGINS_VARIABLE)
     if listed is None:
         return None
-    return {canonical(name) for name in listed.split(",") if name.strip()}
+    return {canonical_name(name) for name in listed.split(",") if name.strip()}
 
 
-def canonical(distribution: str) -> str:
+def canonical_name(distribution: str) -> str:
     """Return the one spelling of a distribution's name for "A.B", "a-b" and "a_b"."""
     return re.sub(r"[-_.]+", "-", distribution.strip()).lower()
 

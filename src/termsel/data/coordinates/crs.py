@@ -20,7 +20,7 @@ from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
-from termsel.core.errors import GIS, TermselError, requires
+from termsel.core.errors import GIS, TermselError, require_import
 from termsel.core.files.names import refuse_grids
 from termsel.data.coordinates.wgs84 import ECCENTRICITY, SEMI_MAJOR, FloatArray
 
@@ -116,7 +116,7 @@ def normalise(crs: str) -> str:
             return name
     elif other_code := _OTHER_CODE.fullmatch(text):
         name = f"{other_code[1].upper()}:{int(other_code[2])}"
-        with requires(f"the CRS {name} requires", "pyproj", GIS):
+        with require_import(f"the CRS {name} requires", "pyproj", GIS):
             import pyproj  # noqa: F401 - whether it is there
         _with_pyproj(name)
         return name
@@ -184,7 +184,7 @@ def _crs_of_proj_string(text: str) -> str:
             return f"EPSG:32{7 if 'south' in words else 6}{int(zone):02d}"
     if "proj" not in words or _NO_CRS.search(text):
         return ""
-    with requires("a CRS as a string of PROJ requires", "pyproj", GIS):
+    with require_import("a CRS as a string of PROJ requires", "pyproj", GIS):
         import pyproj  # noqa: F401 - whether it is there
     known = _with_pyproj(text if "+type=crs" in text else f"{text} +type=crs")
     assert known is not None  # pyproj is there
@@ -206,7 +206,7 @@ def _crs_of_listed_name(text: str) -> str:
         return ""
     # PROJ takes a name that is near one for it: only the whole name counts.
     names = [known.name, esri[1] if esri else ""]
-    if _letters(text) not in map(_letters, names):
+    if _letters_and_digits(text) not in map(_letters_and_digits, names):
         return _code_of_former_name(text)
     return normalise(_code_or_text(str(known.to_wkt())))
 
@@ -230,7 +230,7 @@ def _code_of_former_name(text: str) -> str:
     return normalise(f"EPSG:{codes.pop()}") if len(codes) == 1 else ""
 
 
-def _letters(name: str) -> str:
+def _letters_and_digits(name: str) -> str:
     """Return the letters and digits of a name: NAD83 / UTM zone 11N is NAD83_UTM_zone_11N."""
     return re.sub(r"[\W_]", "", name.casefold())
 
@@ -289,13 +289,13 @@ def has_ellipsoidal_metres(crs: str) -> bool:
 
 
 def to_wgs84(crs: str) -> Transformation:
-    """Return the `transformation` to WGS84 longitude, latitude and ellipsoidal height."""
-    return transformation(crs, "EPSG:4979")
+    """Return the `transformation_between` to WGS84 longitude, latitude and ellipsoidal height."""
+    return transformation_between(crs, "EPSG:4979")
 
 
 @lru_cache
-def transformation(source: str, target: str, *, strict: bool = True,
-                   for_fit: bool = False) -> Transformation:
+def transformation_between(source: str, target: str, *, strict: bool = True,
+                           for_fit: bool = False) -> Transformation:
     """Return a function that transforms ground coordinates (n, 3) from one CRS to another.
 
     If a CRS has no vertical datum, heights are taken as ellipsoidal, unknown ones as 0; places of
@@ -310,20 +310,22 @@ def transformation(source: str, target: str, *, strict: bool = True,
     # EPSG:4326 and EPSG:4979 differ by what they say of heights, not by any number.
     if source == target or WGS84.issuperset((source, target)):
         return np.asarray
-    into = "longitude and latitude" if target in WGS84 else short(target)
+    into = "longitude and latitude" if target in WGS84 else short_crs_name(target)
     if LOCAL in (source, target):
         raise TermselError(f"plane coordinates without a CRS cannot be transformed to {into}",
                            hint="State the CRS of the ground coordinates.")
-    with requires(f"the transformation of {short(source)} to {into} requires", "pyproj", GIS):
+    with require_import(
+            f"the transformation of {short_crs_name(source)} to {into} requires", "pyproj", GIS):
         from pyproj import Transformer
         from pyproj.exceptions import ProjError
 
-    failure = f"coordinates in {short(source)} cannot be transformed to {into}"
+    failure = f"coordinates in {short_crs_name(source)} cannot be transformed to {into}"
     parsed = [_with_pyproj(name) for name in (source, target)]
     source_body = body_of(source)
     target_body = body_of(target)
     if source_body != target_body:
-        raise TermselError(f"{short(source)} is on {source_body}, and {short(target)} on "
+        raise TermselError(f"{short_crs_name(source)} is on {source_body}, and "
+                           f"{short_crs_name(target)} on "
                            f"{target_body}",
                            hint="Formats of WGS84, such as RPCs and GeoJSON, are for the Earth. "
                                 "gcp-grid-vrt and geolocation-vrt keep the CRS.")
@@ -373,7 +375,7 @@ def _has_no_datum(crs: CRS) -> bool:
 @lru_cache
 def _say_no_datum(name: str) -> None:
     """Say once that a datum is taken for another."""
-    shown = short(name)
+    shown = short_crs_name(name)
     # PROJ calls what has no name of its own unknown, such as strings of PROJ.
     called = "" if _UNNAMED.fullmatch(shown) else f" {shown}"
     log.warning("Note: the CRS%s has an ellipsoid and no datum. Its longitudes and latitudes are "
@@ -449,7 +451,7 @@ def height_reference(crs: str) -> str:
     parsed = None if plane else _with_pyproj(name)
     stated = "" if parsed is None else vertical_datum(parsed)
     body = body_of(name)
-    return stated or f"not stated by {short(name)}; taken as ellipsoidal" + (
+    return stated or f"not stated by {short_crs_name(name)}; taken as ellipsoidal" + (
         "" if body == EARTH else f", above the sphere or ellipsoid of {body}")
 
 
@@ -464,7 +466,7 @@ def vertical_datum(crs: CRS) -> str:
     return f"ellipsoidal ({crs.name if crs.geodetic_crs is None else crs.geodetic_crs.name})"
 
 
-def horizontal(crs: str) -> str:
+def horizontal_crs(crs: str) -> str:
     """Return a CRS without its heights, as files of plane coordinates state it; "" for none."""
     name = normalise(crs)
     if name == LOCAL:
@@ -480,7 +482,7 @@ def horizontal(crs: str) -> str:
 def with_stated_heights(crs: str, stated: str) -> str:
     """Return another CRS if it is this one with heights, else this one: in feet, for example."""
     return normalise(stated) if height_axis_unit(crs) is None \
-        and horizontal(stated) == horizontal(crs) else normalise(crs)
+        and horizontal_crs(stated) == horizontal_crs(crs) else normalise(crs)
 
 
 @lru_cache  # an error is not kept with what raised it
@@ -496,7 +498,7 @@ def _missing_grids(source: CRS, target: CRS) -> tuple[str, ...]:
     return tuple(dict.fromkeys(grid.short_name for grid in grids if not grid.available))
 
 
-def short(crs: str) -> str:
+def short_crs_name(crs: str) -> str:
     """Return a CRS as messages name it: WKT is long, so they say the name in it."""
     name = _QUOTED_NAME.match(crs)
     return name[1] if name else crs if len(crs) <= 40 else f"{crs[:40]}..."
@@ -538,11 +540,11 @@ def _with_pyproj(crs: str) -> CRS | None:
         import pyproj  # noqa: F401 - whether it is there
     except ImportError:
         return None
-    return _parsed_by_pyproj(crs)
+    return _parse_with_pyproj(crs)
 
 
 @lru_cache
-def _parsed_by_pyproj(crs: str) -> CRS:
+def _parse_with_pyproj(crs: str) -> CRS:
     """Return the CRS by pyproj; cached, as that takes 10 ms and a run asks a hundred times.
 
     Raises TermselError for a CRS that does not exist, or that termsel does not take.
@@ -554,7 +556,7 @@ def _parsed_by_pyproj(crs: str) -> CRS:
     try:
         parsed = CRS.from_user_input(crs)
     except CRSError:
-        raise TermselError(f"CRS {short(crs)!r} does not exist or cannot be read",
+        raise TermselError(f"CRS {short_crs_name(crs)!r} does not exist or cannot be read",
                            hint=f"Examples: {EXAMPLES}.") from None
     if parsed.is_geographic or parsed.is_projected or parsed.is_geocentric or parsed.is_engineering:
         # The usual order of termsel's x and y turns westings round for nobody.
@@ -563,5 +565,5 @@ def _parsed_by_pyproj(crs: str) -> CRS:
                                "the east", hint="Transform the ground coordinates to a CRS whose "
                                f"longitudes grow to the east, such as {crs[:-2]}00.")
         return parsed
-    raise TermselError(f"CRS {short(crs)!r} ({parsed.name}) has no horizontal coordinates",
+    raise TermselError(f"CRS {short_crs_name(crs)!r} ({parsed.name}) has no horizontal coordinates",
                        hint=f"Examples: {EXAMPLES}.")

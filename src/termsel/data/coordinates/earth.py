@@ -14,19 +14,19 @@ from termsel.data.coordinates.crs import (
     area_of_use,
     body_of,
     geodetic_of,
-    horizontal,
+    horizontal_crs,
     is_geocentric,
     is_geographic,
     kind_of,
     normalise,
-    short,
-    transformation,
+    short_crs_name,
+    transformation_between,
 )
-from termsel.data.coordinates.longitudes import continuous
-from termsel.data.coordinates.metres import in_metres, metric_crs
+from termsel.data.coordinates.longitudes import unwrap_longitudes
+from termsel.data.coordinates.metres import metric_crs, offsets_in_metres
 from termsel.data.coordinates.places import lattice_of
 from termsel.data.features import FeatureSet, FloatArray
-from termsel.data.record.chances import median
+from termsel.data.record.chances import median_of
 
 log = logging.getLogger(__name__)
 
@@ -47,12 +47,12 @@ def place_of(features: FeatureSet) -> str:
     middle = degrees_of(features.crs, ground) if len(ground) else None
     if middle is None:
         return ""
-    degrees = in_words(middle)
+    degrees = position_in_words(middle)
     body = body_of(features.crs)
     return degrees if body == EARTH else f"{degrees} on {body}"
 
 
-def in_words(position: tuple[float, float]) -> str:
+def position_in_words(position: tuple[float, float]) -> str:
     """Return longitude and latitude [deg] as words, such as "34.8 N, 48.5 E"."""
     lon, lat = (round(degrees, 1) for degrees in position)
     return f"{abs(lat):.1f} {'N' if lat >= 0 else 'S'}, {abs(lon):.1f} {'E' if lon >= 0 else 'W'}"
@@ -61,12 +61,12 @@ def in_words(position: tuple[float, float]) -> str:
 def say_turned(features: FeatureSet) -> None:
     """Say so where axes look swapped, or where lines or samples are counted the other way."""
     if note := note_on_turned(features):
-        log.warning("%s: %s", "Warning" if swapped_axes(features) else "Note", note)
+        log.warning("%s: %s", "Warning" if find_swapped_axes(features) else "Note", note)
 
 
 def note_on_turned(features: FeatureSet) -> str:
     """Return a note where axes look swapped or are counted the other way; "" where they are not."""
-    if doubt := swapped_axes(features):
+    if doubt := find_swapped_axes(features):
         exchanging, exchanging_others = _exchange_option(doubt)
         location = place_of(features)
         standing = f" As they stand, x and y are near {location}." if location else ""
@@ -86,7 +86,7 @@ def note_on_turned(features: FeatureSet) -> str:
     return ""
 
 
-def unknown_crs(features: FeatureSet, may_turn: bool) -> TermselError:
+def unknown_crs_error(features: FeatureSet, may_turn: bool) -> TermselError:
     """Return the error for features without a CRS, with what --crs could say where they show.
 
     Where axes look swapped and `may_turn`, it says which option exchanges them, too.
@@ -106,18 +106,18 @@ def unknown_crs(features: FeatureSet, may_turn: bool) -> TermselError:
     error.hint = f"{error.hint} They look like degrees: --crs {crs}."
     impossible = ("x and y look swapped: no latitude is beyond 90"
                   if np.abs(plane[:, 1]).max() > 90 else "")
-    if may_turn and (doubt := impossible or swapped_axes(replace(features, crs=crs))):
+    if may_turn and (doubt := impossible or find_swapped_axes(replace(features, crs=crs))):
         error.options["--set"] = _exchange_option(doubt)[0]
         error.hint = f"{error.hint} {doubt[0].upper()}{doubt[1:]}."
     return error
 
 
 def _exchange_option(doubt: str) -> tuple[str, ...]:
-    """Return the --set option that exchanges what `swapped_axes` names, then that of the others."""
+    """Return the --set option that exchanges what `find_swapped_axes` names, then the other."""
     return ("swapped=xy", "swapped=line-sample")[::-1 if doubt[0] == "l" else 1]
 
 
-def swapped_axes(features: FeatureSet) -> str:
+def find_swapped_axes(features: FeatureSet) -> str:
     """Return which axes look swapped, and why; "" if none do.
 
     A mirror image about an axis is none: maps may count lines upwards, and radar images show what
@@ -134,7 +134,7 @@ def swapped_axes(features: FeatureSet) -> str:
     if area is not None and exchanged is not None and is_inside(exchanged, area, 0.0) \
             and (as_they_stand is None or not is_inside(as_they_stand, area, _AREA_MARGIN)):
         return (f"x and y look swapped: exchanged, they lie in the area of "
-                f"{short(features.crs)}, and not as they stand")
+                f"{short_crs_name(features.crs)}, and not as they stand")
     # A mirror image of the ground about a diagonal: exchanging makes it the view from above.
     turn = _rotation_to_east_north_up(features)
     if turn is None or np.linalg.det(turn) >= 0 or not _is_diagonal(turn):
@@ -149,7 +149,7 @@ def is_mirrored(features: FeatureSet) -> bool | None:
     The determinant of the matrix from ground to image says so, of three points on no line already.
     Whether this is right depends on how the image is counted: others of its kind show.
     """
-    turn = _matrix(features, MIRRORED)
+    turn = _rotation_matrix(features, MIRRORED)
     return None if turn is None else bool(np.linalg.det(turn) < 0)
 
 
@@ -167,10 +167,10 @@ def _rotation_to_east_north_up(features: FeatureSet) -> FloatArray | None:
     """
     if kind_of(normalise(features.crs)) not in ("geographic", "projected"):
         return None
-    return _matrix(features, _TELLING)
+    return _rotation_matrix(features, _TELLING)
 
 
-def _matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
+def _rotation_matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
     """Return the matrix of `_rotation_to_east_north_up` in any CRS, (2, 2).
 
     None for fewer than `fewest` features, or features at one place of the image.
@@ -181,7 +181,7 @@ def _matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
         return None
     ground = features.ground_vertices()[:, :2]
     from_middle = ground - ground.mean(axis=0)
-    metres = in_metres(features.crs, ground, from_middle)
+    metres = offsets_in_metres(features.crs, ground, from_middle)
     design = np.column_stack([from_middle if metres is None else metres, np.ones(len(ground))])
     # Both sides are scaled to about one: metres of a scene and a column of ones differ by 1e4.
     design[:, :2] /= max(float(np.abs(design[:, :2]).max()), np.finfo(float).tiny)
@@ -229,8 +229,9 @@ def zone_of_utm_instead(crs: str, features: FeatureSet) -> str:
             or not -80 <= middle[1] <= 84:
         return ""
     west, south, east, north = area
-    return (f"{short(crs)} is for the area from {in_words((west, south))} to "
-            f"{in_words((east, north))}, but the map is at {in_words(middle)}: --crs "
+    return (f"{short_crs_name(crs)} is for the area from {position_in_words((west, south))} to "
+            f"{position_in_words((east, north))}, but the map is at {position_in_words(middle)}: "
+            "--crs "
             f"{metric_crs(features.crs, *middle)} is the zone of UTM there")
 
 
@@ -252,14 +253,14 @@ def degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
     """
     try:
         if is_geographic(crs):
-            lon = float(median(continuous(ground[:, 0])))
-            lat = float(median(ground[:, 1]))
+            lon = float(median_of(unwrap_longitudes(ground[:, 0])))
+            lat = float(median_of(ground[:, 1]))
         else:
             # Medians, as one wild coordinate must not move the scene.
-            middle = median(np.nan_to_num(ground).T)[None]
+            middle = median_of(np.nan_to_num(ground).T)[None]
             geodetic = geodetic_of(crs)
-            turn = transformation(crs, geodetic) if is_geocentric(crs) else transformation(
-                horizontal(crs), horizontal(geodetic), strict=False)
+            turn = transformation_between(crs, geodetic) if is_geocentric(crs) else \
+                transformation_between(horizontal_crs(crs), horizontal_crs(geodetic), strict=False)
             lon, lat = turn(middle)[0, :2].tolist()
     except TermselError:  # without a CRS or without pyproj nothing shows
         return None

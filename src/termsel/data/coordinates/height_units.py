@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.core.errors import GIS, requires
+from termsel.core.errors import GIS, require_import
 from termsel.data.coordinates.crs import (
     LOCAL,
     height_axis_unit,
@@ -69,7 +69,7 @@ def with_height_unit(crs: str, unit: str) -> str:
     current = height_axis_unit(name)
     if np.isclose(UNITS[unit], 1.0 if current is None else current, rtol=_SAME, atol=0.0):
         return name
-    with requires("heights in feet require", "pyproj", GIS):
+    with require_import("heights in feet require", "pyproj", GIS):
         from pyproj import CRS
     parsed = CRS.from_user_input(name)
     # pyproj has no function for this: the CRS is written as JSON, altered there and read again.

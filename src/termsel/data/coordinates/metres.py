@@ -13,17 +13,17 @@ from termsel.data.coordinates.crs import (
     body_of,
     ellipsoid_of,
     geodetic_of,
-    horizontal,
+    horizontal_crs,
     is_geocentric,
     is_geographic,
     metres_per_height,
     metres_per_unit,
-    transformation,
+    transformation_between,
 )
 from termsel.data.features import FloatArray
 
 
-def in_metres(crs: str, positions: FloatArray, offsets: FloatArray) -> FloatArray | None:
+def offsets_in_metres(crs: str, positions: FloatArray, offsets: FloatArray) -> FloatArray | None:
     """Return offsets (n, 2) to east and north of positions in metres; None if the unit is unknown.
     """
     if _kind_and_units(crs)[0]:
@@ -56,7 +56,7 @@ def plan_of(crs: str, ground: FloatArray) -> FloatArray | None:
     if crs and _kind_and_units(crs)[1]:
         return None
     plan = ground[:, :2] - ground[:, :2].mean(axis=0)
-    metres = in_metres(crs, ground, plan) if crs else None
+    metres = offsets_in_metres(crs, ground, plan) if crs else None
     return plan if metres is None else metres
 
 
@@ -151,15 +151,15 @@ def is_polar(positions: FloatArray) -> bool:
     return bool(nearest > POLAR and turning) or bool(lat.max() > 84.0 or lat.min() < -80.0)
 
 
-def for_warping(ground: FloatArray, crs: str) -> tuple[FloatArray, str]:
+def ground_for_warping(ground: FloatArray, crs: str) -> tuple[FloatArray, str]:
     """Return ground coordinates (..., 3), and the CRS without heights, for GDAL's warper."""
     # It does not find places whose longitudes go on beyond 180 degrees: these come in UTM.
     if not is_geographic(crs) or not (np.abs(ground[..., 0]) > 180.0).any():
-        return ground, horizontal(crs)
+        return ground, horizontal_crs(crs)
     lon, lat = (float(np.nanmin(ground[..., i]) + np.nanmax(ground[..., i])) / 2 for i in (0, 1))
     zone = metric_crs(crs, lon, lat)
     # GDAL takes heights as they are, and blank places as no places.
-    turned = transformation(horizontal(crs), zone)(ground.reshape(-1, 3))
+    turned = transformation_between(horizontal_crs(crs), zone)(ground.reshape(-1, 3))
     turned[:, 2] = ground[..., 2].ravel()
     turned[np.isnan(ground[..., 0]).ravel()] = np.nan
     return turned.reshape(ground.shape), zone

@@ -39,7 +39,7 @@ def spatial_order(xy: ArrayLike) -> IntArray:
     return order
 
 
-def centres(control: FeatureSet) -> FloatArray:
+def feature_centres(control: FeatureSet) -> FloatArray:
     """Return the image position of each feature, the middle for lines, shape (f, 2)."""
     lines = control.lines
     return np.concatenate([control.points.image, lines.by_feature(lines.image.mean(axis=1))])
@@ -52,13 +52,13 @@ def ground_centres(control: FeatureSet) -> FloatArray:
                            lines.by_feature(lines.ground[..., :2].mean(axis=1))])
 
 
-def beyond(control: FloatArray, positions: FloatArray) -> FloatArray:
+def distance_beyond_hull(control: FloatArray, positions: FloatArray) -> FloatArray:
     """Return how far positions (m, 2) are outside the convex hull of the control (n, 2), (m,).
 
     The largest distance from a side of the hull, divided by the longer side of the control's box; 0
     inside, infinite if the control has no hull.
     """
-    corners = control[hull(control)]
+    corners = control[convex_hull(control)]
     if not len(corners):
         return np.full(len(positions), np.inf)
     sides = np.roll(corners, -1, axis=0) - corners
@@ -69,7 +69,7 @@ def beyond(control: FloatArray, positions: FloatArray) -> FloatArray:
         return np.asarray(np.maximum(outside, 0.0) / np.ptp(control, axis=0).max())
 
 
-def hull(positions: FloatArray) -> list[int]:
+def convex_hull(positions: FloatArray) -> list[int]:
     """Return the corners of the convex hull of positions (n, 2), against the clock.
 
     None where all lie on one line.
@@ -182,7 +182,7 @@ def lattice_of(points: Points) -> Lattice | None:
         return None
     lattice = Lattice(line, column)
     noise = _noise_along_lines(points, lattice)
-    return lattice if noise is None or noise <= np.hypot(SMOOTH, _rounding(points)) else None
+    return lattice if noise is None or noise <= np.hypot(SMOOTH, _storage_noise(points)) else None
 
 
 def _ranks_of_values(values: FloatArray) -> IntArray:
@@ -210,10 +210,10 @@ def _noise_along_lines(points: Points, lattice: Lattice) -> float | None:
     freedom = len(runs) - np.linalg.matrix_rank(columns)
     # Of noise that is independent in all points the weights, whose squares sum to 1, leave as much.
     noise = np.sqrt((residuals**2).sum(axis=0) / freedom)
-    return _in_pixels(points, noise)
+    return _ground_noise_in_pixels(points, noise)
 
 
-def _rounding(points: Points) -> float:
+def _storage_noise(points: Points) -> float:
     """Return the noise [px] of places that are stored in 32 bits; 0 of more precise ones.
 
     Degrees in 32 bits are up to half a metre from the next.
@@ -224,10 +224,10 @@ def _rounding(points: Points) -> float:
         return 0.0
     # Rounding errors are even between half a step less and more: of the variance step^2 / 12.
     steps = np.spacing(np.abs(single).max(axis=0)).astype(np.float64)
-    return (_in_pixels(points, steps / np.sqrt(12.0)) or 0.0) * _MARGIN
+    return (_ground_noise_in_pixels(points, steps / np.sqrt(12.0)) or 0.0) * _MARGIN
 
 
-def _in_pixels(points: Points, noise: FloatArray) -> float | None:
+def _ground_noise_in_pixels(points: Points, noise: FloatArray) -> float | None:
     """Return noise of x and of y on the ground as that of line or sample [px], None of a line."""
     # The affine map from the image to the ground turns noise on the ground into pixels.
     columns = np.column_stack([np.ones(len(points)), points.image])

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from termsel.core.errors import TermselError, counted, first_of
+from termsel.core.errors import TermselError, count_in_words, first_names_in_words
 from termsel.data.coordinates.crs import (
     UTM,
     area_of_use,
@@ -14,8 +14,8 @@ from termsel.data.coordinates.crs import (
     ellipsoid_of,
     kind_of,
     normalise,
-    short,
-    transformation,
+    short_crs_name,
+    transformation_between,
 )
 from termsel.data.coordinates.earth import degrees_of, is_inside
 from termsel.data.coordinates.metres import is_in_degrees
@@ -68,13 +68,15 @@ def _check_distance(ground: FloatArray, features: FeatureSet, crs: str) -> None:
     if not is_far.any():
         return
     first = int(np.argmax(is_far))
-    name, column = _vertex(features, first, 0)
+    name, column = _name_vertex(features, first, 0)
     look_like_degrees = bool((np.abs(ground[:, :2]) <= (360, 90)).all())
     hint = "These look like longitude, latitude and height: state --crs EPSG:4979." \
         if look_like_degrees else "x, y and z must be metres from the centre."
     raise TermselError(
-        f"{_values(ground, name, first)}, z = {ground[first, 2]:.10g} is {distance[first]:.5g} m "
-        f"from the centre of {body_of(crs)}, from which {short(crs)} counts; its surface is "
+        f"{_coordinate_values(ground, name, first)}, z = {ground[first, 2]:.10g} is "
+        f"{distance[first]:.5g} m "
+        f"from the centre of {body_of(crs)}, from which {short_crs_name(crs)} counts; its surface "
+        "is "
         f"{radius:.5g} m away", ids=[name], column=column, hint=hint)
 
 
@@ -86,7 +88,8 @@ def _hint_of_degrees(xy: FloatArray, features: FeatureSet) -> str:
     hint = "x must be longitude and y latitude, in degrees."
     in_metres = len(np.unique(features.vertex_feature[are_metres]))
     if in_metres > 1:
-        hint = (f"{hint} {in_metres} of {counted(len(features), 'row')} look like metres, as of "
+        hint = (f"{hint} {in_metres} of {count_in_words(len(features), 'row')} look like metres, "
+                "as of "
                 "UTM: transform them to degrees.")
     return hint
 
@@ -103,7 +106,8 @@ def _hint_of_utm(xy: FloatArray, features: FeatureSet, zone: int, low: tuple[flo
         outside = len(np.unique(features.vertex_feature[is_outside]))
         rows = "this row" if outside == 1 else f"these {outside} rows"
         inside = len(features) - outside
-        return (f"The other {counted(inside, 'row')} {'is' if inside == 1 else 'are'} within the "
+        return (f"The other {count_in_words(inside, 'row')} {'is' if inside == 1 else 'are'} "
+                "within the "
                 f"zone: is there a digit too many? Correct {rows}.")
     if (xy[:, 0] // 1e6 == zone).all():
         crs = _WITH_ZONE.get(zone)
@@ -131,17 +135,19 @@ def _check_metres(xy: FloatArray, features: FeatureSet, crs: str) -> None:
             return
         n = len(np.unique(features.vertex_feature[degrees]))
         verb = "looks" if n == 1 else "look"
-        problem = f"{n} of {counted(len(features), 'feature')} {verb} like degrees"
+        problem = f"{n} of {count_in_words(len(features), 'feature')} {verb} like degrees"
         hint = "Transform these features to the CRS of the others, or remove them."
     else:
         problem = "the ground coordinates look like degrees"
-        hint = (f"Where {short(crs)} is stated, in the file or by --crs, state EPSG:4979 for "
+        hint = (f"Where {short_crs_name(crs)} is stated, in the file or by --crs, state EPSG:4979 "
+                "for "
                 "longitude, latitude and ellipsoidal height, or local for plane coordinates "
                 "without a CRS.")
     first = int(np.argmax(degrees))
-    name, column = _vertex(features, first, 0)
+    name, column = _name_vertex(features, first, 0)
     raise TermselError(
-        f"{problem}, but {short(crs)} is a projected CRS: {_values(xy, name, first)}", ids=[name],
+        f"{problem}, but {short_crs_name(crs)} is a projected CRS: "
+        f"{_coordinate_values(xy, name, first)}", ids=[name],
         column=column, hint=hint)
 
 
@@ -162,12 +168,12 @@ def _check_range(xy: FloatArray, features: FeatureSet, low: tuple[float, float],
         hint = f"x and y look swapped: --set swapped=xy exchanges them. {hint}"
     elif not outside(xy[is_outside][:, ::-1]).any():
         hint = f"Perhaps x and y are swapped there. {hint}"
-    name, column = _vertex(features, first, int(np.argmax(beyond(xy)[first])))
-    raise TermselError(f"{_values(xy, name, first)} {problem}", hint=hint, ids=[name],
+    name, column = _name_vertex(features, first, int(np.argmax(beyond(xy)[first])))
+    raise TermselError(f"{_coordinate_values(xy, name, first)} {problem}", hint=hint, ids=[name],
                        column=column)
 
 
-def _vertex(features: FeatureSet, i: int, axis: int) -> tuple[str, str]:
+def _name_vertex(features: FeatureSet, i: int, axis: int) -> tuple[str, str]:
     """Return the id of the feature of the i-th ground vertex, and its coordinate, such as "x2"."""
     # Vertices are those of points, then two of each line.
     of_line = i - len(features.points)
@@ -175,7 +181,7 @@ def _vertex(features: FeatureSet, i: int, axis: int) -> tuple[str, str]:
     return features.ids[int(features.vertex_feature[i])], f"{'xy'[axis]}{end}"
 
 
-def _values(xy: FloatArray, name: str, i: int) -> str:
+def _coordinate_values(xy: FloatArray, name: str, i: int) -> str:
     return f"feature {name!r} with x = {xy[i, 0]:.10g}, y = {xy[i, 1]:.10g}"
 
 
@@ -242,7 +248,7 @@ def note_on_mixed(features: FeatureSet) -> str:
                     "pixels.")
     if len(points) < MIN_AFFINE_POINTS or not features.crs:
         return ""
-    return (_note_on_kilometres(features) or _two_zones(features) or _note_on_minutes(features)
+    return (_note_on_kilometres(features) or _two_zones_note(features) or _note_on_minutes(features)
             or _note_on_heights_in_kilometres(features))
 
 
@@ -264,7 +270,8 @@ def _note_on_kilometres(features: FeatureSet) -> str:
     extent_in_image = np.linalg.norm(np.ptp(points.image, axis=0))
     if _is_in_area(points.ground, crs, area, 0.0) and extent > _SMALLEST_PIXEL * extent_in_image:
         return ""
-    return (f"x and y look like kilometres: times 1,000 they are in the area of {short(crs)}. "
+    return ("x and y look like kilometres: times 1,000 they are in the area of "
+            f"{short_crs_name(crs)}. "
             "Write them in metres, or end the names of their columns in km, such as x_km and "
             "y_km.")
 
@@ -316,7 +323,7 @@ def _note_on_heights_in_kilometres(features: FeatureSet) -> str:
             "name of their column in km, such as z_km.")
 
 
-def _two_zones(features: FeatureSet) -> str:
+def _two_zones_note(features: FeatureSet) -> str:
     """Return a note on points that look as if they were in the next zone of UTM; "" if none do."""
     crs = normalise(features.crs)
     match = UTM.fullmatch(crs)
@@ -332,7 +339,7 @@ def _two_zones(features: FeatureSet) -> str:
         read = ground.copy()
         try:
             # The far group read as of the next zone, in the coordinates of this one.
-            turned = transformation(f"{crs[:-2]}{neighbour:02}", crs)(ground[far])
+            turned = transformation_between(f"{crs[:-2]}{neighbour:02}", crs)(ground[far])
         except TermselError:  # nothing can be where these coordinates are in that zone
             continue
         read[far, :2] = turned[:, :2]
@@ -341,7 +348,8 @@ def _two_zones(features: FeatureSet) -> str:
             # Which of the two is the zone of the CRS, the coordinates do not show.
             direction = "west" if neighbour < zone else "east"
             return (f"{len(ids)} of {len(features.points)} points look as if they were in the zone "
-                    f"of UTM {direction} of that of the others: {first_of(ids, MAX_POINTS_NAMED)}. "
+                    f"of UTM {direction} of that of the others: "
+                    f"{first_names_in_words(ids, MAX_POINTS_NAMED)}. "
                     "Transform them into one zone, and state its CRS.")
     return ""
 

@@ -43,7 +43,7 @@ def from_ecef(position: FloatArray) -> FloatArray:
     return np.stack([np.degrees(np.arctan2(y, x)), np.degrees(lat), height], axis=-1)
 
 
-def vertical(ground: FloatArray) -> FloatArray:
+def vertical_directions(ground: FloatArray) -> FloatArray:
     """Return the unit normals of the ellipsoid, Earth-fixed, shape (n, 3)."""
     lon = np.radians(ground[:, 0])
     lat = np.radians(ground[:, 1])

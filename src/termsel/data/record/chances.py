@@ -23,7 +23,7 @@ MAX_SECANTS = 60
 """Most secants to a quantile: rounding may keep the last ones from meeting `QUANTILE_STEP`."""
 
 
-def quantile(values: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+def quantile_of(values: NDArray[np.float64], share: float) -> NDArray[np.float64]:
     """Return the quantile of values along their last axis, (...), as `numpy.quantile` does.
 
     `share`, 0 to 1, of the values is below it; NaN if a value is. numpy's imports numpy.ma, which
@@ -41,7 +41,7 @@ def quantile(values: NDArray[np.float64], share: float) -> NDArray[np.float64]:
     return np.asarray(np.where(np.isnan(ordered[..., -1]), np.nan, between))
 
 
-def median(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def median_of(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the median of values along their last axis, (...), as `numpy.median` does.
 
     It is NaN of no values, and if a value is.
@@ -105,11 +105,11 @@ def t_beyond(t: float, freedom: float) -> float:
     # P(|T| > t) = I_x(freedom / 2, 1 / 2) (26.5.27); the fraction converges fast for x below (a +
     # 1) / (a + b + 2), else the complement is computed.
     x = freedom / (freedom + t * t)
-    return _beta(x, 1 - x, freedom / 2, 0.5) if x < (freedom + 2) / (freedom + 5) \
-        else 1 - _beta(1 - x, x, 0.5, freedom / 2)
+    return _incomplete_beta(x, 1 - x, freedom / 2, 0.5) if x < (freedom + 2) / (freedom + 5) \
+        else 1 - _incomplete_beta(1 - x, x, 0.5, freedom / 2)
 
 
-def _beta(x: float, complement: float, a: float, b: float) -> float:
+def _incomplete_beta(x: float, complement: float, a: float, b: float) -> float:
     """Return the incomplete beta function of x = 1 - `complement` by its continued fraction."""
     if x == 0.0:
         return 0.0

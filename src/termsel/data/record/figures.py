@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import UNSET, Meta, UnsetType, field
 
-from termsel.core.errors import counted
+from termsel.core.errors import count_in_words
 from termsel.data.record.chances import chi_squared_quantile, t_quantile
 
 # What all parts of a record have in common: their kinds of values, and their JSON.
@@ -72,7 +72,7 @@ TOO_FEW = "which is too few"
 """What the judgement of a search says whose evaluations were too few to find a selection."""
 
 EXACTLY = "the model exactly"
-"""What `determined_exactly` ends with."""
+"""What `is_determined_exactly` ends with."""
 
 MANY_INDEPENDENT = 20
 """Number of independent points below which the predicted RMSE is shown before theirs: it varies
@@ -82,9 +82,9 @@ SIGNIFICANT = 0.05
 """Chance below which a coefficient is called significant."""
 
 
-def determined_exactly(number: int, noun: str) -> str:
+def is_determined_exactly(number: int, noun: str) -> str:
     """Return that as many features determine all coefficients, so that no errors are left over."""
-    return f"{counted(number, noun)} determine{'s' if number == 1 else ''} {EXACTLY}"
+    return f"{count_in_words(number, noun)} determine{'s' if number == 1 else ''} {EXACTLY}"
 
 
 def rmse_interval(total: float, freedom: float) -> tuple[float, float]:

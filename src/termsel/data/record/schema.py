@@ -25,7 +25,7 @@ def json_schema() -> dict[str, Any]:
         definition.pop("title")
         definition["description"] = (of_name[name].__doc__ or "").partition("\n")[0]
         # The description comes first, so that a reader of the schema sees it first.
-        docs = _descriptions(of_name[name])
+        docs = _field_descriptions(of_name[name])
         for key, content in definition["properties"].items():
             definition["properties"][key] = {"description": docs[key], **content}
     root_schema = definitions.pop(root["$ref"].rpartition("/")[2])
@@ -41,7 +41,7 @@ def _all_subclasses(kind: type[RecordPart]) -> list[type[RecordPart]]:
     return classes
 
 
-def _descriptions(kind: type[RecordPart]) -> dict[str, str]:
+def _field_descriptions(kind: type[RecordPart]) -> dict[str, str]:
     """Return the docstrings of the fields of a part, those inherited too, by their keys in JSON."""
     (body,) = ast.parse(inspect.getsource(kind)).body
     assert isinstance(body, ast.ClassDef)
@@ -49,7 +49,7 @@ def _descriptions(kind: type[RecordPart]) -> dict[str, str]:
     by_key: dict[str, str] = {}
     for base in kind.__bases__:
         if base is not RecordPart:
-            by_key |= _descriptions(base)
+            by_key |= _field_descriptions(base)
     # The docstring of a field is the expression that follows it in the body of the class.
     for field, doc in zip(body.body, body.body[1:], strict=False):
         if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):

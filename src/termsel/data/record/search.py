@@ -115,7 +115,7 @@ RPC_UNUSED = "The RPC is not used"
 _UNUSED = re.compile(r"The [^:.]* is not used: ")
 
 
-def stated_and_unused(notes: Iterable[str]) -> list[str]:
+def clauses_on_unused_data(notes: Iterable[str]) -> list[str]:
     """Return the first sentences of notes that a stated camera or orbit is not used, as clauses."""
     sentences = [note.partition(". ")[0] for note in notes
                  if _UNUSED.match(note) and not note.startswith(RPC_UNUSED)]

@@ -13,7 +13,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name_error
 
 Aliases = Mapping[str, tuple[str, ...]]
 """Names that the column of each meaning may have."""
@@ -82,7 +82,7 @@ def is_in_kilometres(name: str) -> bool:
     return _KILOMETRES.search(name.strip()) is not None
 
 
-def folded(name: str) -> str:
+def fold_name(name: str) -> str:
     """Return a name without accents, signs and capitals."""
     # The stroke of ł is no accent to Unicode.
     letters = unicodedata.normalize("NFKD", name.casefold().replace("ł", "l"))
@@ -94,7 +94,7 @@ def folded(name: str) -> str:
 def _folded_forms(name: str) -> tuple[str, str]:
     """Return a column's name folded with and without its unit: Line (px) is "linepx" and "line"."""
     normal = unicodedata.normalize("NFKC", name.strip().casefold())
-    return folded(normal), folded(_UNIT.sub("", normal))
+    return fold_name(normal), fold_name(_UNIT.sub("", normal))
 
 
 @lru_cache(100)
@@ -107,11 +107,11 @@ def _names_by_meaning(aliases: tuple[tuple[str, tuple[str, ...]], ...],
         # Readers of other programs' tables have meanings of these names, too, and no further names.
         is_own = plain_names == (POINTS | LINES).get(meaning)
         further = frozenset(f"{name}{end}" for name in _FURTHER.get(base, ()) if is_own)
-        names[meaning] = (frozenset(map(folded, plain_names)), further)
+        names[meaning] = (frozenset(map(fold_name, plain_names)), further)
     return names, frozenset().union(*chain.from_iterable(names.values()))
 
 
-def matches(header: Sequence[str], aliases: Aliases) -> dict[str, list[int]]:
+def columns_by_meaning(header: Sequence[str], aliases: Aliases) -> dict[str, list[int]]:
     """Return the columns that could hold each meaning, by their names."""
     names_of, all_names = _names_by_meaning(tuple(
         (meaning, tuple(names)) for meaning, names in aliases.items()))
@@ -176,7 +176,7 @@ def parse_columns(text: str) -> dict[str, str]:
                                hint="Write meaning=name or meaning=number, such as "
                                     "--columns x=Rechtswert,line=4.")
         if meaning not in meanings:
-            raise unknown_name("meaning of a column", meaning, meanings)
+            raise unknown_name_error("meaning of a column", meaning, meanings)
         if meaning in columns:
             raise TermselError(f"the column of {meaning} is declared twice",
                                hint="Declare it once.")
@@ -184,7 +184,7 @@ def parse_columns(text: str) -> dict[str, str]:
     return columns
 
 
-def declared(header: Sequence[str], columns: Mapping[str, str]) -> dict[str, int]:
+def find_declared_columns(header: Sequence[str], columns: Mapping[str, str]) -> dict[str, int]:
     """Return the columns that the user declares by name, or number from 1, and this table has."""
     names = [name.strip().casefold() for name in header]
     numbers = {}
@@ -236,7 +236,7 @@ def decimal_signs(columns: Mapping[str, Sequence[str]], stated: str = "", *,
     column contradict each other.
     """
     # "." or "," where cells show, "three" or "" where they leave it open, None without any sign.
-    evidence = {name: _sign(name, cells, points_only) for name, cells in columns.items()}
+    evidence = {name: _decimal_sign(name, cells, points_only) for name, cells in columns.items()}
     certain = {sign for sign in evidence.values() if sign in (POINT, COMMA)}
     open_sign = stated or (certain.pop() if len(certain) == 1 else "")
     signs = {name: sign if sign in (POINT, COMMA) else POINT if sign is None else
@@ -245,7 +245,7 @@ def decimal_signs(columns: Mapping[str, Sequence[str]], stated: str = "", *,
                    if (open_sign and sign == "") or (open_sign == COMMA and sign == _THREE)]
 
 
-def _sign(name: str, cells: Sequence[str], points_only: bool) -> str | None:
+def _decimal_sign(name: str, cells: Sequence[str], points_only: bool) -> str | None:
     """Return the decimal sign of a column, or how open it is; None where it has no such sign."""
     joined = "".join(cells)
     commas = COMMA in joined
@@ -315,7 +315,7 @@ def _number_of_cell(row: int, cell: str, sign: str, may_be_blank: bool, angle: s
     try:
         value = float(digits.replace(COMMA, POINT) if sign == COMMA else digits)
     except ValueError:
-        if angle and (degrees := _degrees(row, text, angle)) is not None:
+        if angle and (degrees := _parse_degrees(row, text, angle)) is not None:
             return degrees
         raise BadCell(row, f"{text!r} is not a number", "Write a plain number such as 12.5."
                       ) from None
@@ -328,7 +328,7 @@ def _number_of_cell(row: int, cell: str, sign: str, may_be_blank: bool, angle: s
     return value
 
 
-def _degrees(row: int, text: str, angle: str) -> float | None:
+def _parse_degrees(row: int, text: str, angle: str) -> float | None:
     """Return an angle in degrees, such as of 10°59'28.7"E; None where the text is none."""
     match = _ANGLE.fullmatch(text)
     if match is None:

@@ -15,9 +15,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from termsel.core.display import Glance
-from termsel.core.errors import TermselError, cut, is_printable, printable, requires, unknown_name
+from termsel.core.errors import (
+    TermselError,
+    cut,
+    is_printable,
+    make_printable,
+    require_import,
+    unknown_name_error,
+)
 from termsel.data.arrays import FloatArray
-from termsel.data.coordinates.crs import horizontal
+from termsel.data.coordinates.crs import horizontal_crs
 from termsel.data.tables.columns import TAKEN
 
 # Ids, coordinates and deviations that every reader, plugin and program takes.
@@ -213,7 +220,7 @@ def as_attributes(attributes: Mapping[str, Iterable[Any]], n: int, *reserved: st
             raise TermselError(f"two columns of attributes have the name {name!r}",
                                hint="Upper and lower case count as the same.")
         rows = [] if isinstance(values, str) or not isinstance(values, Iterable) \
-            else list(map(_cell, values))
+            else list(map(_cell_text, values))
         if len(rows) != n:
             raise TermselError(f"the attributes {name!r} have {len(rows)} values for {n} rows",
                                hint="Give a list with a value for each.")
@@ -230,10 +237,10 @@ def text_array(cells: Sequence[str]) -> TextArray:
     return array
 
 
-def _cell(value: Any) -> str:
+def _cell_text(value: Any) -> str:
     if not isinstance(value, str) and str(value) in _UNKNOWN:
         return ""
-    return cut(printable(str(value).replace("\r\n", "\n")).strip(), MAX_TEXT)
+    return cut(make_printable(str(value).replace("\r\n", "\n")).strip(), MAX_TEXT)
 
 
 def rows_at(attributes: Attributes, index: NDArray[Any] | slice) -> Attributes:
@@ -246,7 +253,7 @@ def rows_at(attributes: Attributes, index: NDArray[Any] | slice) -> Attributes:
 
 def join_attributes(first: Attributes, n: int, second: Attributes, m: int) -> dict[str, TextArray]:
     """Return the columns of both tables, (n + m,), "" where one of them has no such column."""
-    return {name: np.concatenate([_column(first, name, n), _column(second, name, m)])
+    return {name: np.concatenate([_column_text(first, name, n), _column_text(second, name, m)])
             for name in distinct_names([*first, *second])}
 
 
@@ -258,13 +265,13 @@ def distinct_names(names: Iterable[str]) -> list[str]:
     return list(first_spelling.values())
 
 
-def _column(table: Attributes, name: str, rows: int) -> TextArray:
+def _column_text(table: Attributes, name: str, rows: int) -> TextArray:
     """Return a column of a table, (rows,), whatever its case; "" in each row if there is none."""
     return next((cells for key, cells in table.items() if key.casefold() == name.casefold()),
                 np.full(rows, "", dtype=object))
 
 
-def alike(rows: Sequence[Mapping[str, str]]) -> dict[str, str]:
+def common_attributes(rows: Sequence[Mapping[str, str]]) -> dict[str, str]:
     """Return the attributes that all rows have in common, by column; "" where their text differs.
     """
     common = dict(rows[0]) if rows else {}
@@ -285,16 +292,17 @@ def columns_of(rows: Sequence[Mapping[str, str]]) -> dict[str, TextArray]:
     return columns
 
 
-def all_rows(tables: Sequence[Attributes], rows: Sequence[int], name: str) -> TextArray:
+def stack_columns(tables: Sequence[Attributes], rows: Sequence[int], name: str) -> TextArray:
     """Return a column of several tables one after another, (n,); `rows` are the rows of each.
 
     Raises TermselError if none of them has it.
     """
     names = distinct_names(chain.from_iterable(tables))
     if name.casefold() not in map(str.casefold, names):
-        raise unknown_name("column of attributes", name, names,
-                           "It is a further column of the file of the features.")
-    return np.concatenate([_column(table, name, n) for table, n in zip(tables, rows, strict=True)])
+        raise unknown_name_error("column of attributes", name, names,
+                                 "It is a further column of the file of the features.")
+    return np.concatenate([_column_text(table, name, n) for table,
+                           n in zip(tables, rows, strict=True)])
 
 
 def as_numbers(cells: TextArray, ids: Sequence[str], name: str) -> FloatArray:
@@ -332,13 +340,13 @@ class Framed:
 
     def to_pandas(self) -> Any:
         """Return a pandas DataFrame with a row for each."""
-        with requires("tables require", "pandas", "pandas"):
+        with require_import("tables require", "pandas", "pandas"):
             from pandas import DataFrame
         return DataFrame(dict(self._columns()))
 
     def to_geopandas(self, crs: str = "local") -> Any:
         """Return a geopandas GeoDataFrame with the place of each on the ground, in that CRS."""
-        with requires("maps of features require", "geopandas", "geopandas"):
+        with require_import("maps of features require", "geopandas", "geopandas"):
             import shapely
             from geopandas import GeoDataFrame
         # Without all heights the shapes are plane ones: GIS programs take NaN for no geometry.
@@ -346,7 +354,7 @@ class Framed:
         flat = bool(np.isnan(positions[..., 2]).any())
         at = positions[..., :2] if flat else positions
         shapes = shapely.points(at) if positions.ndim == 2 else shapely.linestrings(at)
-        return GeoDataFrame(dict(self._columns()), geometry=shapes, crs=horizontal(crs) or None)
+        return GeoDataFrame(dict(self._columns()), geometry=shapes, crs=horizontal_crs(crs) or None)
 
 
 class Tabular(Glance, Framed):
@@ -413,7 +421,7 @@ class Tabular(Glance, Framed):
             elif value is not None:
                 value = value[rows]
             fields_at_rows[name] = value
-        return unchecked(self, **fields_at_rows)
+        return replace_unchecked(self, **fields_at_rows)
 
     def join(self, further: Self) -> Self:
         """Return the rows of both; unknown standard deviations are the median of the known."""
@@ -431,7 +439,7 @@ class Tabular(Glance, Framed):
         fields = self._with_rows_of(further)
         # All rows, as arrays that nobody can write to: a table that is checked makes these itself.
         fields["attributes"] = rows_at(fields["attributes"], slice(None))
-        return unchecked(self, **fields)
+        return replace_unchecked(self, **fields)
 
     def _with_rows_of(self, further: Self) -> dict[str, Any]:
         """Return the fields of the rows of both."""
@@ -473,7 +481,7 @@ def rows_of(ids: Sequence[str], index: ArrayLike) -> NDArray[np.intp]:
     return np.asarray(rows)
 
 
-def unchecked(table: _Table, **changes: Any) -> _Table:
+def replace_unchecked(table: _Table, **changes: Any) -> _Table:
     """Return points or lines with some fields changed, without the checks of new ones."""
     # What was checked once holds for a part of them, and in other units. Fits make so many of these
     # that the checks took a quarter of their time.

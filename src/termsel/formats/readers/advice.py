@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel.core.errors import TermselError
-from termsel.data.coordinates.crs import short
+from termsel.data.coordinates.crs import short_crs_name
 from termsel.data.features import FloatArray
 from termsel.data.tables.columns import (
     COMMA,
@@ -17,10 +17,10 @@ from termsel.data.tables.columns import (
     POINTS,
     Aliases,
     BadCell,
+    columns_by_meaning,
     decimal_signs,
-    declared,
-    folded,
-    matches,
+    find_declared_columns,
+    fold_name,
     parse_columns,
     read_numbers,
 )
@@ -74,17 +74,17 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
     # Readings are of points: a table of lines has too many ways.
     if "line" not in aliases or "x" not in aliases:
         return error
-    scores = [i for i, name in enumerate(header) if folded(name) in _SCORES]
+    scores = [i for i, name in enumerate(header) if fold_name(name) in _SCORES]
     readings = []
     for meanings in _ways_to_take_names(header, known_columns):
-        for reading in _readings(rows, len(header), meanings, scores):
+        for reading in _possible_readings(rows, len(header), meanings, scores):
             readings.append({**reading, **meanings})
     readings = _by_axes_in_names(readings, header)
     numbers = _number_columns([row for row in rows[:_ROWS] if len(row) == len(header)])
     in_image = [reading for reading in readings if _is_in_an_image(numbers, reading)]
     complete = [reading for reading in in_image if reading.keys() >= _REQUIRED]
     if names_may_mislead and not any(_shows_ground(numbers, reading) for reading in complete):
-        by_numbers = [reading for reading in _readings(rows, len(header), {}, scores)
+        by_numbers = [reading for reading in _possible_readings(rows, len(header), {}, scores)
                       if _is_in_an_image(numbers, reading) and _shows_ground(numbers, reading)]
         if by_numbers:
             complete = by_numbers
@@ -167,8 +167,8 @@ def _are_two_images(numbers: Mapping[int, FloatArray], reading: Mapping[str, int
     return not _is_ground(numbers, pair) and all(bool(np.nanmin(numbers[i]) >= 0.0) for i in pair)
 
 
-def only_those_that_can_be_read(error: TermselError,
-                                can_be_read: Callable[[str], bool]) -> TermselError:
+def keep_readable_guesses(error: TermselError,
+                          can_be_read: Callable[[str], bool]) -> TermselError:
     """Return an error of guesses without those with which the file cannot be read.
 
     All stay where none can, as something else may be wrong.
@@ -264,7 +264,7 @@ def _read_so(row: Sequence[str], columns: Mapping[str, int]) -> str:
                      if meaning in columns and columns[meaning] < len(row))
 
 
-def unknown_table(path: Path, expected: str, columns: str) -> TermselError | None:
+def unknown_table_error(path: Path, expected: str, columns: str) -> TermselError | None:
     """Return the error for a file without a reader, None unless it is a table of numbers."""
     stated = parse_columns(columns)
     try:
@@ -276,7 +276,7 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
             and not counts_columns(row)]
     values = _number_columns(rows[1:])
     if len(rows) >= 2 and rows[0] and (
-            missing := _missing_pair(path, rows[0], list(values), expected)):
+            missing := _missing_pair_error(path, rows[0], list(values), expected)):
         return missing
     if len(rows) < 3 or len(values) < 4:
         return None if path.suffix.lower() not in _SPREADSHEETS else TermselError(
@@ -287,7 +287,8 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
     # A header has no numbers above columns of numbers.
     bare = any(i in _number_columns(rows[:1]) for i in values)
     header = [str(i + 1) for i in range(len(rows[0]))] if bare else rows[0]
-    by_name = {meaning: columns[0] for meaning, columns in matches(header, POINTS).items()
+    by_name = {meaning: columns[0] for meaning,
+               columns in columns_by_meaning(header, POINTS).items()
                if columns}
     message = "this table has no header that names its columns" if bare else \
         f"the header names too few columns that are known: {', '.join(map(str.strip, header))}"
@@ -296,18 +297,18 @@ def unknown_table(path: Path, expected: str, columns: str) -> TermselError | Non
     if crs := _crs_of(cells.comments):
         unnamed.what += f", and its first line is the CRS {crs}"
     return with_advice(unnamed, header, rows if bare else rows[1:],
-                       {**by_name, **declared(header, stated)}, POINTS,
+                       {**by_name, **find_declared_columns(header, stated)}, POINTS,
                        names_may_mislead=not stated)
 
 
-def _missing_pair(path: Path, header: Sequence[str], numeric: Sequence[int],
-                  expected: str) -> TermselError | None:
+def _missing_pair_error(path: Path, header: Sequence[str], numeric: Sequence[int],
+                        expected: str) -> TermselError | None:
     """Return the error for a table that has image coordinates or ground coordinates alone.
 
     None for other tables, and where two further columns hold numbers: these may be the other pair
     under names not known.
     """
-    by_name = matches(header, POINTS)
+    by_name = columns_by_meaning(header, POINTS)
     named = [meaning for meaning, columns in by_name.items() if set(columns) & set(numeric)]
     if len(numeric) - len(named) >= 2:
         return None
@@ -327,7 +328,7 @@ def _missing_pair(path: Path, header: Sequence[str], numeric: Sequence[int],
 def _crs_of(comments: Mapping[int, str]) -> str:
     """Return the CRS in the comment that stands for the first line of a file, "" for none."""
     crs = comments.get(1, "").partition("# crs:")[2].strip()
-    return short(crs) if crs else ""
+    return short_crs_name(crs) if crs else ""
 
 
 def _number_columns(rows: Sequence[Sequence[str]]) -> dict[int, FloatArray]:
@@ -355,8 +356,8 @@ def _axis_in_name(name: str) -> str:
     return "" if across == down else "across" if across else "down"
 
 
-def _readings(rows: Sequence[Sequence[str]], width: int, known_columns: Mapping[str, int],
-              scores: Collection[int] = ()) -> list[dict[str, int]]:
+def _possible_readings(rows: Sequence[Sequence[str]], width: int, known_columns: Mapping[str, int],
+                       scores: Collection[int] = ()) -> list[dict[str, int]]:
     """Return in which ways columns can be read whose meaning is not known, the likeliest first.
 
     Columns of `scores` have none. Flags and columns that hold one number are no coordinates; a
@@ -446,7 +447,7 @@ def _readings_of_one_pair(numbers: Mapping[int, FloatArray], values: Mapping[int
     if len(explained) != 2:
         return []
     pairs = {known: [found[name] for name in known], missing: explained}
-    upright = _upright(numbers, pairs[image], pairs[ground])
+    upright = _upright_columns(numbers, pairs[image], pairs[ground])
     names = missing if upright == image else missing[::-1]
     others = [i for i in values if i not in explained]
     heights = {"z": others[0]} if len(others) == 1 and "z" not in found else {}
@@ -496,7 +497,7 @@ def _readings_of_pairs(values: Mapping[int, FloatArray]) -> list[dict[str, int]]
         divisions = [ground_first, image_first]
     readings = []
     for image, ground in divisions:
-        names = _upright(values, image, ground)
+        names = _upright_columns(values, image, ground)
         mirrored = ("x", "y", "z"), ("y", "x", "z")
         for axes, order in zip(mirrored, (names, names[::-1]), strict=True):
             reading = dict(zip(axes, ground, strict=False)) | dict(zip(order, image, strict=True))
@@ -508,8 +509,8 @@ def _readings_of_pairs(values: Mapping[int, FloatArray]) -> list[dict[str, int]]
     return sorted(readings, key=lambda reading: reading["x"] > reading["y"])
 
 
-def _upright(values: Mapping[int, FloatArray], image: Sequence[int],
-             ground: Sequence[int]) -> tuple[str, str]:
+def _upright_columns(values: Mapping[int, FloatArray], image: Sequence[int],
+                     ground: Sequence[int]) -> tuple[str, str]:
     """Return the names of the columns of the image for which x, y is no mirror image of it."""
     table = [values[i] for i in (*ground[:2], *image)]
     if any(np.isnan(column).any() for column in table):

@@ -6,10 +6,10 @@ from itertools import pairwise
 
 from termsel.core.errors import TermselError
 from termsel.core.options import Option
-from termsel.data.areas import FORMS, Area, CornerError, boundary, centroids
+from termsel.data.areas import FORMS, Area, CornerError, boundary_lines, centroid_points
 from termsel.data.features import FeatureSet
 from termsel.data.tables.columns import COORDINATES, CORNER, USE
-from termsel.data.tables.tabular import alike
+from termsel.data.tables.tabular import common_attributes
 from termsel.formats.readers.tables import COLUMNS, Table, TableReader
 
 
@@ -46,15 +46,16 @@ class AreasCsv(TableReader):
                                       "Give it one role.")
             described = [{key: cells[row] for key, cells in attributes.items()} for row in corners]
             try:
-                areas.append(Area(name, image[corners], ground[corners], role, alike(described)))
+                areas.append(
+                    Area(name, image[corners], ground[corners], role, common_attributes(described)))
             # The corner, as it names a row of the file.
             except CornerError as error:
                 raise table.error(error.what, corners[error.corner],
                                   "line" if error.where == "image" else "x", error.hint) from error
         try:
             if self.options["areas_as"] == "boundary":
-                return FeatureSet(lines=boundary(areas), crs=table.crs)
-            return FeatureSet(centroids(areas), crs=table.crs)
+                return FeatureSet(lines=boundary_lines(areas), crs=table.crs)
+            return FeatureSet(centroid_points(areas), crs=table.crs)
         except TermselError as error:
             # Errors of several areas name one of them by its id.
             first = rows[error.ids[0]][0] if error.ids else 0

@@ -15,11 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from termsel.core.errors import TermselError, counted, requires
-from termsel.core.files.apart import apart
+from termsel.core.errors import TermselError, count_in_words, require_import
+from termsel.core.files.apart import call_apart
 from termsel.core.files.names import is_there
 from termsel.data.coordinates.crs import begins_as_crs, normalise
-from termsel.data.tables.columns import CENTRAL_EUROPEAN, FOREIGN, USE, Aliases, declared, matches
+from termsel.data.tables.columns import (
+    CENTRAL_EUROPEAN,
+    FOREIGN,
+    USE,
+    Aliases,
+    columns_by_meaning,
+    find_declared_columns,
+)
 from termsel.formats.base import read_data
 
 _DELIMITERS = (",", ";", "\t", "|", "")
@@ -74,18 +81,18 @@ def as_cell(value: Any) -> str:
     return str(value)
 
 
-def found_in(header: Sequence[str], aliases: Aliases, stated: Mapping[str, str]) -> int:
+def count_meanings(header: Sequence[str], aliases: Aliases, stated: Mapping[str, str]) -> int:
     """Return how many meanings of numbers a header names."""
     header = header[:WIDEST]  # a wider one is refused when it is read
-    named = declared(header, stated).keys() | {
-        meaning for meaning, columns in matches(header, aliases).items() if columns}
+    named = find_declared_columns(header, stated).keys() | {
+        meaning for meaning, columns in columns_by_meaning(header, aliases).items() if columns}
     # Roles and ids say nothing of which table it is.
     return len((named & aliases.keys()) - USE.keys())
 
 
 def header_row(rows: Sequence[Sequence[str]], aliases: Aliases, stated: Mapping[str, str]) -> int:
     """Return the row that names most columns, among the first ones; 0 where none names three."""
-    counts = [found_in(row, aliases, stated) for row in rows[:_SEARCHED]]
+    counts = [count_meanings(row, aliases, stated) for row in rows[:_SEARCHED]]
     best = max(counts, default=0)
     return counts.index(best) if best >= _FEWEST_NAMES else 0
 
@@ -96,14 +103,14 @@ def read_cells(path: Path, aliases: Aliases, stated: Mapping[str, str], layer: s
     data = read_data(path)
     # Spreadsheets are known by their first bytes, whatever their name.
     if data.startswith(_SHEETS):
-        return _sheet(path, aliases, stated, layer)
+        return _choose_sheet(path, aliases, stated, layer)
     text, encoding = decode(data, path)
     text = _with_header(text, aliases, stated)
     _refuse_wide(path, text)
     is_unicode = encoding.startswith("utf")
     notes = () if is_unicode else (
         f"the text of {path} is not UTF-8; it is read as {encoding}",)
-    cells = _rows_of_text(path, text, _delimiter(text, aliases, stated))
+    cells = _rows_of_text(path, text, _best_delimiter(text, aliases, stated))
     return replace(_without_crs_line(cells), notes=notes)
 
 
@@ -112,7 +119,7 @@ def first_rows(path: Path, head: bytes, aliases: Aliases,
     """Return the first rows of a file, none where it is no table."""
     if head.startswith(_SHEETS):
         try:
-            return _sheet(path, aliases, stated, None).rows if is_there(path) else []
+            return _choose_sheet(path, aliases, stated, None).rows if is_there(path) else []
         except TermselError:
             return []
     try:
@@ -123,7 +130,7 @@ def first_rows(path: Path, head: bytes, aliases: Aliases,
     if _XML_OR_JSON.match(text):
         return []
     text = _with_header(text, aliases, stated)
-    delimiter = _delimiter(text, aliases, stated)
+    delimiter = _best_delimiter(text, aliases, stated)
     return [_split_lines(line, delimiter) for line in _first_lines(text)]
 
 
@@ -190,7 +197,7 @@ def _with_header(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
     header = lines[first - 1].lstrip("# ")
     for delimiter in _delimiters_of(header):
         cells = _split_lines(header, delimiter)
-        if found_in(cells, aliases, stated) >= _FEWEST_NAMES \
+        if count_meanings(cells, aliases, stated) >= _FEWEST_NAMES \
                 and len(_split_lines(lines[first], delimiter)) == len(cells) \
                 and not any(_names_in(line, aliases, stated) >= _FEWEST_NAMES
                             for line in _first_lines(text)):
@@ -200,7 +207,7 @@ def _with_header(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
 
 def _names_in(line: str, aliases: Aliases, stated: Mapping[str, str]) -> int:
     """Return how many meanings a line names, by the separator by which it names most."""
-    return max(found_in(_split_lines(line, delimiter), aliases, stated)
+    return max(count_meanings(_split_lines(line, delimiter), aliases, stated)
                for delimiter in _delimiters_of(line))
 
 
@@ -220,7 +227,7 @@ def _split_lines(line: str, delimiter: str) -> list[str]:
         return []
 
 
-def _delimiter(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
+def _best_delimiter(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
     """Return the separator by which a line names most columns, or divides into most cells."""
     return _delimiter_of_lines(tuple(_first_lines(text)), tuple(
         (meaning, tuple(names)) for meaning, names in aliases.items()),
@@ -239,7 +246,7 @@ def _delimiter_of_lines(lines: tuple[str, ...], items: tuple[tuple[str, tuple[st
             cells = _split_lines(line, delimiter)
             # Most columns named, then the earliest line, then most cells.
             width = len(cells) if delimiter else 0
-            candidates.append((found_in(cells, aliases, stated), -i, width, delimiter))
+            candidates.append((count_meanings(cells, aliases, stated), -i, width, delimiter))
     best = max(candidates)
     if best[0] >= _FEWEST_NAMES:
         return best[-1]
@@ -300,18 +307,19 @@ def _without_crs_line(cells: Cells) -> Cells:
                    comments={**cells.comments, cells.lines[0]: f"# crs: {crs}"})
 
 
-def _sheet(path: Path, aliases: Aliases, stated: Mapping[str, str], layer: str | None) -> Cells:
+def _choose_sheet(path: Path, aliases: Aliases, stated: Mapping[str, str],
+                  layer: str | None) -> Cells:
     """Return the rows of a sheet of a spreadsheet: the first visible one that names columns."""
-    with requires("spreadsheets require", "python-calamine", '"termsel[tables]"', path):
+    with require_import("spreadsheets require", "python-calamine", '"termsel[tables]"', path):
         import python_calamine  # noqa: F401 (what the other process imports)
     # In a process of its own: a small file can claim billions of cells.
-    names, sheets = apart(_sheets, path, layer)
+    names, sheets = call_apart(_visible_sheets, path, layer)
     if not sheets:
         raise TermselError(f"the file has no sheet {layer!r}" if layer else "no sheet is visible",
                            file=path, hint=f"It has {', '.join(names) or 'hidden sheets alone'}.")
     with_header = []
     for name, (rows, _) in sheets.items():
-        counts = [found_in(row, aliases, stated) for row in rows[:_SEARCHED]]
+        counts = [count_meanings(row, aliases, stated) for row in rows[:_SEARCHED]]
         if max(counts, default=0) >= 3:
             with_header.append(name)
     sheet = (with_header or list(sheets))[0]
@@ -321,8 +329,8 @@ def _sheet(path: Path, aliases: Aliases, stated: Mapping[str, str], layer: str |
     return Cells(*sheets[sheet], notes=notes)
 
 
-def _sheets(path: Path, layer: str | None,
-            ) -> tuple[list[str], dict[str, tuple[list[list[str]], list[int]]]]:
+def _visible_sheets(path: Path, layer: str | None,
+                    ) -> tuple[list[str], dict[str, tuple[list[list[str]], list[int]]]]:
     """Return the names of the visible sheets, and the rows of the layer or of all of them.
 
     A sheet of a kilobyte can say that it has 17 billion cells: see `termsel.core.files.apart`.
@@ -335,7 +343,7 @@ def _sheets(path: Path, layer: str | None,
             names = [sheet.name for sheet in book.sheets_metadata
                      if sheet.visible == SheetVisibleEnum.Visible or sheet.name == layer]
             return names, {
-                name: _filled_rows(book.get_sheet_by_name(name).to_python(skip_empty_area=False))
+                name: _nonempty_rows(book.get_sheet_by_name(name).to_python(skip_empty_area=False))
                 for name in names if layer in (None, name)}
     except (CalamineError, OSError, ValueError) as error:
         reason = "it is damaged, or no spreadsheet" if "zip" in str(error).lower() else error
@@ -343,7 +351,7 @@ def _sheets(path: Path, layer: str | None,
                            hint="Save it again, or as CSV.") from None
 
 
-def _filled_rows(values: Sequence[Sequence[Any]]) -> tuple[list[list[str]], list[int]]:
+def _nonempty_rows(values: Sequence[Sequence[Any]]) -> tuple[list[list[str]], list[int]]:
     """Return the rows of a sheet that are not empty, and their numbers in it, from 1.
 
     All are as wide as the last column that any of them uses.
@@ -358,8 +366,8 @@ def _filled_rows(values: Sequence[Sequence[Any]]) -> tuple[list[list[str]], list
     return [row[:width] for row in rows], lines
 
 
-def of_records(records: Sequence[Mapping[str, Any]], row_name: str,
-               fixed: Mapping[str, str], numbers: Sequence[int] = ()) -> Cells:
+def rows_of_records(records: Sequence[Mapping[str, Any]], row_name: str,
+                    fixed: Mapping[str, str], numbers: Sequence[int] = ()) -> Cells:
     """Return records, such as the properties of features, as rows below a header.
 
     Values that are lists or objects are left out. `row_name` is what one record is called,
@@ -395,7 +403,7 @@ def without_header(cells: Cells, stated: Mapping[str, str]) -> Cells:
     titles = next((i for i, row in enumerate(cells.rows[:_SEARCHED])
                    if len(row) >= largest and not counts_columns(row)), 0)
     first = cells.rows[titles] if cells.rows else []
-    columns = declared(first, stated)
+    columns = find_declared_columns(first, stated)
     names = {name.strip().casefold() for name in first}
     by_number = [i for meaning, i in columns.items()
                  if meaning not in USE and stated[meaning].casefold() not in names]
@@ -404,7 +412,8 @@ def without_header(cells: Cells, stated: Mapping[str, str]) -> Cells:
         return cells
     header = [str(i + 1) for i in range(len(first))]
     title = " ".join(chain.from_iterable(cells.rows[:titles]))
-    above = f"{counted(titles, cells.row_name)} above the points left out as a title: {title}"
+    above = f"{count_in_words(titles, cells.row_name)} above the points left out as a " \
+            f"title: {title}"
     note = (above,) if titles else ()
     return replace(cells, rows=[header, *cells.rows[titles:]], lines=[0, *cells.lines[titles:]],
                    notes=(*cells.notes, *note))

@@ -21,7 +21,7 @@ from termsel.core.files.atomic import write_text
 from termsel.core.files.texts import cell_text
 from termsel.core.options import Option
 from termsel.data.features import FeatureSet, FloatArray, Lines, Points
-from termsel.data.tables.columns import LINES, POINTS, folded, parse_columns
+from termsel.data.tables.columns import LINES, POINTS, fold_name, parse_columns
 from termsel.data.tables.tabular import Attributes
 from termsel.formats.base import IMAGE_NAME, LARGEST_IMAGE, image_of
 from termsel.formats.readers.cells import header_row, read_cells
@@ -86,7 +86,7 @@ def _images_of(columns: Mapping[str, Sequence[str]]) -> list[str]:
     """
     for name, cells in columns.items():
         images = [str(cell).strip() for cell in cells]
-        if folded(name) in _IMAGES and 1 < len(set(images)) < len(images):
+        if fold_name(name) in _IMAGES and 1 < len(set(images)) < len(images):
             return images
     return []
 

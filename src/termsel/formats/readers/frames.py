@@ -8,7 +8,7 @@ from typing import Any
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet
 from termsel.data.tables.columns import LINES, POINTS, parse_columns
-from termsel.formats.readers.cells import found_in, of_records
+from termsel.formats.readers.cells import count_meanings, rows_of_records
 from termsel.formats.readers.csv_tables import LinesCsv
 from termsel.formats.readers.tables import points_of, table_of
 
@@ -23,20 +23,20 @@ def read_frame(frame: Any, columns: str = "", decimal: str | None = None) -> Fea
     The points of a GeoDataFrame are those of its geometry. Raises TermselError for anything that
     is no such table, or as for files.
     """
-    records, crs = _records(frame)
+    records, crs = _table_records(frame)
     if not records:
         raise TermselError("the table has no rows", hint="Give one row per feature.")
-    cells = of_records(records, "row", _GROUND)
+    cells = rows_of_records(records, "row", _GROUND)
     stated = parse_columns(columns)
     header = cells.rows[0]
     # Only lines have two ends in the image.
     ends = {meaning: LINES[meaning] for meaning in ("line1", "sample1", "line2", "sample2")}
-    if found_in(header, ends, stated) == len(ends):
+    if count_meanings(header, ends, stated) == len(ends):
         return LinesCsv().features(table_of(None, cells, LINES, stated, decimal, flat=True))
     return points_of(table_of(None, cells, POINTS, stated, decimal, flat=True), crs)
 
 
-def _records(frame: Any) -> tuple[list[dict[str, Any]], str]:
+def _table_records(frame: Any) -> tuple[list[dict[str, Any]], str]:
     """Return the rows of a table, with the positions of its geometry, and its CRS."""
     # A dict of columns: all values have a length, and are no text.
     if isinstance(frame, Mapping) and all(_is_column(column) for column in frame.values()):

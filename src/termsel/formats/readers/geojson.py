@@ -93,12 +93,12 @@ def read_geojson(path: Path, kinds: Mapping[str, int]) -> tuple[list[Feature], s
     if not collection["features"]:
         raise TermselError("the collection has no features", file=path,
                            hint="Export it again with its features.")
-    features = [_feature(path, number, item, kinds)
+    features = [_parse_feature(path, number, item, kinds)
                 for number, item in enumerate(collection["features"], 1)]
-    return features, _crs(path, collection.get("crs"))
+    return features, _crs_member(path, collection.get("crs"))
 
 
-def _feature(path: Path, number: int, item: Any, kinds: Mapping[str, int]) -> Feature:
+def _parse_feature(path: Path, number: int, item: Any, kinds: Mapping[str, int]) -> Feature:
     """Return a feature of the collection with its properties and vertices."""
     item = item if isinstance(item, dict) else {}
     # What is no object has no properties, and is refused by its geometry.
@@ -136,18 +136,18 @@ def numbers_at(value: Any, depth: int, lengths: tuple[int, ...]) -> bool:
     if depth:
         return bool(value) and all(numbers_at(item, depth - 1, lengths) for item in value)
     return len(value) in lengths and all(
-        isinstance(number, int | float) and not isinstance(number, bool) and _finite(number)
+        isinstance(number, int | float) and not isinstance(number, bool) and _require_finite(number)
         for number in value)
 
 
-def _finite(number: float) -> bool:
+def _require_finite(number: float) -> bool:
     try:
         return isfinite(number)
     except OverflowError:  # a whole number beyond any float
         return False
 
 
-def _crs(path: Path, member: Any) -> str:
+def _crs_member(path: Path, member: Any) -> str:
     """Return the CRS of the old member "crs"; "" where there is none."""
     try:
         # "crs" is not in RFC 7946; without one coordinates are WGS 84.

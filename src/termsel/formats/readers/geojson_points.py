@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from termsel.data.features import FeatureSet
-from termsel.data.tables.columns import POINTS, Aliases, matches, parse_columns
+from termsel.data.tables.columns import POINTS, Aliases, columns_by_meaning, parse_columns
 from termsel.formats.base import IMAGE_NAME, Reader, image_of, read_head
-from termsel.formats.readers.cells import of_records
+from termsel.formats.readers.cells import rows_of_records
 from termsel.formats.readers.geojson import (
     Feature,
     is_without_collection,
@@ -106,23 +106,23 @@ def table_of_places(path: Path, aliases: Aliases, stated: Mapping[str, str], *,
         return None
     records = []
     for feature in features:
-        vertex = _only_vertex(feature)
+        vertex = _require_one_vertex(feature)
         places = {name: value for name, value in zip(_GROUND.values(), vertex, strict=True)
                   if value == value}
         records.append({**feature.properties, **places})
     has_heights = any(_GROUND["z"] in record for record in records)
     fixed = {axis: name for axis, name in _GROUND.items() if axis in aliases}
     names = list(dict.fromkeys(chain.from_iterable(records)))
-    has_column_of_heights = "z" in stated or bool(matches(names, aliases).get("z"))
+    has_column_of_heights = "z" in stated or bool(columns_by_meaning(names, aliases).get("z"))
     if not has_heights and not has_column_of_heights and not flat and "z" in fixed:
         for record in records:  # so that the message is of the height and not of a column
             record[_GROUND["z"]] = nan
-    cells = of_records(records, "feature", fixed, [feature.number for feature in features])
+    cells = rows_of_records(records, "feature", fixed, [feature.number for feature in features])
     table = table_of(path, cells, aliases, stated, flat=flat)
     return replace(table, crs=crs or ("EPSG:4979" if has_heights else "EPSG:4326"))
 
 
-def _only_vertex(feature: Feature) -> list[float]:
+def _require_one_vertex(feature: Feature) -> list[float]:
     """Return the vertex of a point; raises TermselError for a feature of several."""
     if sum(map(len, feature.vertex_lists)) != 1:
         raise feature.error("it has several vertices, expected one point", "geometry",
@@ -150,26 +150,27 @@ def _table_of_features(path: Path, features: list[Feature], options: Mapping[str
                   if name not in _USED or name in stated.values()}
         # Columns that the user has named come before those of Orthority.
         if has_ji and not {"line", "sample"} & stated.keys():
-            record |= dict(zip(_OF_JI.values(), _ji(feature), strict=True))
+            record |= dict(zip(_OF_JI.values(), _sample_and_line(feature), strict=True))
         if feature.properties.get("sigma_px") is not None:
-            record |= dict(zip(_OF_SIGMA.values(), _sigma(feature), strict=True))
+            record |= dict(zip(_OF_SIGMA.values(), _stated_sigma(feature), strict=True))
         # A geometry without a height leaves that to a column of heights.
-        vertex = _only_vertex(feature)
+        vertex = _require_one_vertex(feature)
         record |= {name: value for name, value in zip(_GROUND.values(), vertex, strict=True)
                    if value == value}
         if has_id:
             record["id"] = feature.text("id") or f"P{feature.number}"
         records.append(record)
     names = list(dict.fromkeys(chain.from_iterable(records)))
-    if _GROUND["z"] not in names and "z" not in stated and not matches(names, POINTS)["z"]:
+    if _GROUND[
+            "z"] not in names and "z" not in stated and not columns_by_meaning(names, POINTS)["z"]:
         for record in records:  # heights that nothing shows are blank
             record[_GROUND["z"]] = nan
     numbers = [feature.number for feature in features]
-    cells = of_records(records, "feature", {**_GROUND, **_OF_JI, **_OF_SIGMA}, numbers)
+    cells = rows_of_records(records, "feature", {**_GROUND, **_OF_JI, **_OF_SIGMA}, numbers)
     return table_of(path, cells, POINTS, stated, options["decimal"])
 
 
-def _ji(feature: Feature) -> list[float]:
+def _sample_and_line(feature: Feature) -> list[float]:
     ji: Any = feature.pixels()
     if not numbers_at(ji, 0, (2,)):
         raise feature.error("it has no image coordinates", "ji",
@@ -177,7 +178,7 @@ def _ji(feature: Feature) -> list[float]:
     return list(ji)
 
 
-def _sigma(feature: Feature) -> list[float]:
+def _stated_sigma(feature: Feature) -> list[float]:
     """Return the standard deviations of sample and line."""
     value = feature.pixels("sigma_px")
     pair = value if isinstance(value, list) else [value, value]

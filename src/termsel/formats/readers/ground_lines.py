@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from termsel.core.errors import TermselError, first_of
+from termsel.core.errors import TermselError, first_names_in_words
 from termsel.core.options import Option
 from termsel.data.features import FeatureSet, FloatArray, Lines
 from termsel.data.tables.columns import LINES
-from termsel.data.tables.tabular import alike, columns_of
+from termsel.data.tables.tabular import columns_of, common_attributes
 from termsel.formats.base import Reader, error_in_file, read_head
 from termsel.formats.readers.geojson import Feature, numbers_at, read_geojson, sniff_geojson
 from termsel.formats.readers.tables import read_table
@@ -78,7 +78,7 @@ class VectorLines(Reader):
         return _join_image_lines(path, features, crs, **options)
 
 
-def _no_join(path: Path, join: str, names: list[str], has_image_lines: bool) -> TermselError:
+def _no_join_error(path: Path, join: str, names: list[str], has_image_lines: bool) -> TermselError:
     """Return the error for ground lines without the property that shows which is which."""
     known = f"Their properties are {', '.join(names)}. " if names else "They have no properties. "
     example = names[0] if len(names) == 1 else "PROPERTY"
@@ -98,7 +98,7 @@ def _join_image_lines(path: Path, features: list[Feature], crs: str, image_lines
     if not any(join in feature.properties for feature in features):
         names = list(dict.fromkeys(chain.from_iterable(
             feature.properties for feature in features)))
-        raise _no_join(path, join, names, image_lines is not None)
+        raise _no_join_error(path, join, names, image_lines is not None)
     ground: dict[str, list[FloatArray]] = {}
     described: dict[str, list[dict[str, str]]] = {}
     image = {} if image_lines is None else _read_image_lines(Path(image_lines))
@@ -111,14 +111,14 @@ def _join_image_lines(path: Path, features: list[Feature], crs: str, image_lines
             image.setdefault(name, []).extend(_image_lines_of_ji(feature))
         if name in image:
             ground.setdefault(name, []).extend(
-                _distinct(np.array(vertices)) for vertices in feature.vertex_lists)
+                _drop_repeated_vertices(np.array(vertices)) for vertices in feature.vertex_lists)
             described.setdefault(name, []).append(feature.attributes({join, "ji", "sigma"}))
     # An image line without ground is a mistake; a ground line without an image line was not
     # measured.
     missing = [name for name in image if name not in ground]
     if missing:
         raise TermselError(f"{len(missing)} of {len(image)} image lines have no ground line: "
-                           f"{first_of(missing)}", file=path, column=join,
+                           f"{first_names_in_words(missing)}", file=path, column=join,
                            hint="Check the ids, or choose their column with --set join=NAME.")
     idle = len({feature.text(join) for feature in features}) - len(image)
     if idle:
@@ -136,7 +136,7 @@ def _join_image_lines(path: Path, features: list[Feature], crs: str, image_lines
         except TermselError as error:
             raise error_in_file(error, path) from error
     # Pieces of one feature have one description, where theirs agree.
-    shared = {name: alike(rows) for name, rows in described.items()}
+    shared = {name: common_attributes(rows) for name, rows in described.items()}
     try:
         lines = Lines(tuple(ids), np.stack(images), np.stack(grounds),
                       attributes=columns_of([shared[name] for name in ids]))
@@ -174,7 +174,7 @@ def _pieces_of_feature(name: str, image: list[FloatArray], ground: list[FloatArr
     yield from zip(image, segments, strict=True)
 
 
-def _distinct(vertices: FloatArray) -> FloatArray:
+def _drop_repeated_vertices(vertices: FloatArray) -> FloatArray:
     """Return vertices (n, 3) without those at the X and Y of the previous one."""
     # A vertex that is there twice would give a segment without a direction.
     moved = (vertices[1:, :2] != vertices[:-1, :2]).any(axis=1)

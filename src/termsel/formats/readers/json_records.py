@@ -16,7 +16,7 @@ from termsel.core.errors import TermselError
 from termsel.core.options import Option
 from termsel.data.tables.columns import parse_columns
 from termsel.formats.base import IMAGE_NAME, error_in_file, parse_json, read_text
-from termsel.formats.readers.cells import Cells, found_in, of_records
+from termsel.formats.readers.cells import Cells, count_meanings, rows_of_records
 from termsel.formats.readers.csv_tables import PointsCsv, parts_of
 from termsel.formats.readers.tables import COLUMNS, Table, table_of
 
@@ -44,32 +44,32 @@ class PointsJson(PointsCsv):
         except ValueError:
             return False
         stated = parse_columns(self.options.get("columns", ""))
-        return found_in(list(record), self.aliases, stated) >= _FEWEST_NAMES
+        return count_meanings(list(record), self.aliases, stated) >= _FEWEST_NAMES
 
     def table(self, path: Path) -> Table:
         """Return the values of the objects by their meaning."""
         stated = parse_columns(self.options.get("columns", ""))
-        return table_of(path, self._cells(path), self.aliases, stated,
+        return table_of(path, self._object_cells(path), self.aliases, stated,
                         self.options.get("decimal"), flat=True)
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
         """Return the images of the list, where it has several, each of which is a part."""
-        header, *rows = self._cells(path).rows
+        header, *rows = self._object_cells(path).rows
         return parts_of(header, rows)
 
-    def _cells(self, path: Path) -> Cells:
+    def _object_cells(self, path: Path) -> Cells:
         """Return the objects of the longest list as rows below their names."""
         try:
             tree = parse_json(read_text(path), _HINT)
         except TermselError as error:
             raise error_in_file(error, path) from error
-        records = max(_lists(tree), key=len, default=[])
+        records = max(_lists_of_objects(tree), key=len, default=[])
         if not records:
             raise TermselError("this JSON has no list of objects", file=path, hint=_HINT)
-        return of_records([_with_own_attributes(record) for record in records], "object", {})
+        return rows_of_records([_with_own_attributes(record) for record in records], "object", {})
 
 
-def _lists(tree: object) -> Iterator[list[Mapping[str, Any]]]:
+def _lists_of_objects(tree: object) -> Iterator[list[Mapping[str, Any]]]:
     """Yield the lists of objects in JSON, at the top or in the objects there."""
     values = tree.values() if isinstance(tree, dict) else [tree]
     for value in values:

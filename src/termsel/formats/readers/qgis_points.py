@@ -15,7 +15,7 @@ import numpy as np
 from termsel.core.errors import TermselError
 from termsel.core.options import Option
 from termsel.data.features import FeatureSet, FloatArray
-from termsel.data.rasters import open_raster, positions
+from termsel.data.rasters import open_raster, pixel_positions
 from termsel.formats.image_origin import EDGE_MARGIN
 from termsel.formats.readers.tables import Table, TableReader
 
@@ -55,25 +55,26 @@ class QgisPoints(TableReader):
     def features(self, table: Table) -> FeatureSet:
         """Return the points; errors name file, line and column."""
         x, y = table.stack("x", "y").T
-        image, size = self._image(table)
+        image, size = self._image_positions(table)
         roles = [self.options["disabled"] if role else "" for role in table.roles()]
         ground = np.column_stack([x, y, np.full(len(x), np.nan)])
         return FeatureSet(table.points(image, ground, None, roles), crs=table.crs,
                           image_size=size)
 
-    def _image(self, table: Table) -> tuple[FloatArray, tuple[int, int] | None]:
+    def _image_positions(self, table: Table) -> tuple[FloatArray, tuple[int, int] | None]:
         """Return line and sample, (n, 2), and the size of the image, None if it is not known."""
         source = table.stack("source_x", "source_y")
         if self.options["downwards"]:
-            pixels = _pixels(source, downwards=True)
+            pixels = _source_pixels(source, downwards=True)
         elif self.options["raster"] is None:
             _refuse_layer(table, source)
-            pixels = _pixels(source)
+            pixels = _source_pixels(source)
         else:
-            return self._in_image(table, source)
+            return self._positions_in_image(table, source)
         return pixels, None
 
-    def _in_image(self, table: Table, source: FloatArray) -> tuple[FloatArray, tuple[int, int]]:
+    def _positions_in_image(
+            self, table: Table, source: FloatArray) -> tuple[FloatArray, tuple[int, int]]:
         """Return line and sample in the given image, (n, 2), and its size.
 
         The columns may hold map coordinates of the image, or pixels upwards or downwards. The
@@ -82,8 +83,8 @@ class QgisPoints(TableReader):
         with open_raster(Path(self.options["raster"])) as raster:
             size = raster.shape
             georeferenced = not raster.transform.is_identity
-            readings = [positions(raster, *source.T)] if georeferenced else []
-        readings += [_pixels(source), _pixels(source, downwards=True)]
+            readings = [pixel_positions(raster, *source.T)] if georeferenced else []
+        readings += [_source_pixels(source), _source_pixels(source, downwards=True)]
         inside = [_count_inside(pixels, size) for pixels in readings]
         if not max(inside) and _is_of_layer(source):
             raise TermselError(f"no point lies in the image {self.options['raster']}",
@@ -97,7 +98,7 @@ class QgisPoints(TableReader):
         return readings[best], size
 
 
-def _pixels(source: FloatArray, downwards: bool = False) -> FloatArray:
+def _source_pixels(source: FloatArray, downwards: bool = False) -> FloatArray:
     """Return line and sample (n, 2) of sourceX and sourceY that are pixels.
 
     Pixel edges are whole numbers: sample = x - 1/2, line = -y - 1/2, or y - 1/2 downwards.

@@ -16,8 +16,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from termsel.core.errors import TermselError, amount, cut, first_of
-from termsel.core.files.texts import unguarded
+from termsel.core.errors import TermselError, amount_in_words, cut, first_names_in_words
+from termsel.core.files.texts import unguard_cell
 from termsel.core.options import Option
 from termsel.data.coordinates.crs import normalise
 from termsel.data.features import ROLES, FeatureSet, FloatArray, Points
@@ -29,10 +29,10 @@ from termsel.data.tables.columns import (
     USE,
     Aliases,
     BadCell,
+    columns_by_meaning,
     decimal_signs,
-    declared,
+    find_declared_columns,
     is_in_kilometres,
-    matches,
     parse_columns,
     read_numbers,
 )
@@ -47,13 +47,13 @@ from termsel.formats.base import Reader, error_in_file
 from termsel.formats.readers.advice import EXPECTED, with_advice, with_both_readings
 from termsel.formats.readers.cells import (
     Cells,
+    count_meanings,
     first_rows,
-    found_in,
     header_row,
     read_cells,
     without_header,
 )
-from termsel.formats.repeated import averaged, is_averaging
+from termsel.formats.repeated import average_repeated, is_averaging
 
 # Cells by the meaning of their columns, with the place of every bad cell.
 
@@ -121,7 +121,7 @@ class Table:
             return [f"P{number}" for number in (
                 range(1, len(self.lines) + 1) if self.row_name == "line" else self.lines)]
         # Spreadsheets guard text against being read as a formula; that is taken off again.
-        names = [unguarded(cell.strip()) for cell in self.columns["id"]]
+        names = [unguard_cell(cell.strip()) for cell in self.columns["id"]]
         for row, name in enumerate(names):
             if wrong := reason_to_refuse_id(name):
                 raise self.error(f"the id {wrong}", row, "id", "Give every feature a short id of "
@@ -142,7 +142,7 @@ class Table:
         attributes = self.attributes
         try:
             if is_averaging():
-                first_rows, image, sigma = averaged(ids, image, ground, sigma, roles)
+                first_rows, image, sigma = average_repeated(ids, image, ground, sigma, roles)
                 ids = [ids[row] for row in first_rows]
                 roles = [roles[row] for row in first_rows]
                 ground = ground[first_rows]
@@ -197,10 +197,10 @@ class Table:
 
     def stack(self, *meanings: str, may_be_blank: bool = False) -> FloatArray:
         """Return columns of numbers side by side, (n, k); heights may always be blank."""
-        return np.column_stack([self._numbers(meaning, may_be_blank or meaning[0] == "z")
+        return np.column_stack([self._column_numbers(meaning, may_be_blank or meaning[0] == "z")
                                 for meaning in meanings])
 
-    def _numbers(self, meaning: str, may_be_blank: bool) -> FloatArray:
+    def _column_numbers(self, meaning: str, may_be_blank: bool) -> FloatArray:
         """Return the numbers of a column by its meaning, (n,); errors name line and column."""
         # A table without heights has none for any row.
         if meaning not in self.columns and meaning[0] == "z":
@@ -215,7 +215,7 @@ class Table:
         # What stands for none in rasters, such as -9999.
         voids = np.flatnonzero((meaning[0] == "z") & np.isin(numbers, VOID_HEIGHTS))
         if len(voids):
-            further = f", as in {amount(len(voids), 'row')}" if len(voids) > 1 else ""
+            further = f", as in {amount_in_words(len(voids), 'row')}" if len(voids) > 1 else ""
             raise self.error(f"{numbers[voids[0]]:.0f} is no height, but what rasters have where "
                              f"there is none{further}", int(voids[0]), meaning,
                              "Leave these cells blank, or correct them.")
@@ -267,10 +267,10 @@ def sniff_table(path: Path, head: bytes, aliases: Aliases, columns: str = "",
     if not rows:
         return False
     header = rows[header_row(rows, aliases, stated)]
-    stated_columns = declared(header, stated)
-    by_name = matches(header, aliases)
+    stated_columns = find_declared_columns(header, stated)
+    by_name = columns_by_meaning(header, aliases)
     # Two columns could be named x and y in any table; three are hardly a coincidence.
-    return (found_in(header, aliases, stated) >= 3
+    return (count_meanings(header, aliases, stated) >= 3
             and all(meaning in stated_columns or by_name[meaning] for meaning in required))
 
 
@@ -287,7 +287,7 @@ def _column_by_meaning(path: Path | None, line: int | None, header: Sequence[str
     Raises TermselError for a meaning whose column is missing, ambiguous, or stated to be another.
     """
     columns: dict[str, int] = {}
-    by_name = matches(header, aliases)
+    by_name = columns_by_meaning(header, aliases)
 
     def is_there(meaning: str) -> bool:
         return bool(by_name.get(meaning)) or meaning in stated
@@ -309,7 +309,7 @@ def _column_by_meaning(path: Path | None, line: int | None, header: Sequence[str
             # Of two columns of ids any will do.
             if len(candidates) > 1 and meaning != "id":
                 if not _exclude_each_other(rows, candidates):
-                    error = _ambiguous(path, line, header, meaning, candidates)
+                    error = _ambiguous_columns_error(path, line, header, meaning, candidates)
                     named = {name: [stated[name]] if name in stated else indices
                              for name, indices in by_name.items()}
                     raise with_both_readings(error, header, rows, named, aliases, fixed)
@@ -352,8 +352,9 @@ def _refuse_if_column_taken(path: Path | None, line: int | None, header: Sequenc
                      f"{meaning}=NAME. To exchange two columns name both.")
 
 
-def _ambiguous(path: Path | None, line: int | None, header: Sequence[str], meaning: str,
-               candidates: Sequence[int]) -> TermselError:
+def _ambiguous_columns_error(path: Path | None, line: int | None, header: Sequence[str],
+                             meaning: str,
+                             candidates: Sequence[int]) -> TermselError:
     """Return the error for several columns of one meaning."""
     names = " and ".join(repr(header[i].strip()) for i in candidates)
     return TermselError(f"columns {names} both mean {meaning}", file=path, line=line,
@@ -365,19 +366,19 @@ def _require_stated(path: Path | None, line: int | None, header: Sequence[str],
                     stated: Mapping[str, str], aliases: Aliases) -> None:
     """Raise TermselError for columns that --columns names and the header has not."""
     lost = {meaning: name for meaning, name in stated.items()
-            if meaning not in declared(header, stated)}
+            if meaning not in find_declared_columns(header, stated)}
     if not lost:
         return
     named = " and ".join(f"{name!r} for {meaning}" for meaning, name in lost.items())
     columns = "is no column" if len(lost) == 1 else "are no columns"
-    by_name = matches(header, aliases)
+    by_name = columns_by_meaning(header, aliases)
     remedy = " They have their usual names: leave --columns out." \
         if all(len(by_name.get(meaning, ())) == 1 for meaning in stated) else ""
     raise TermselError(f"there {columns} {named}", file=path, line=line,
-                       hint=f"The columns here are: {_listed(header)}.{remedy}")
+                       hint=f"The columns here are: {_list_header(header)}.{remedy}")
 
 
-def _listed(header: Sequence[str]) -> str:
+def _list_header(header: Sequence[str]) -> str:
     """Return the names of a header for a message, without the middle of a long list."""
     return cut(", ".join(cell.strip() for cell in header), _LONGEST_LIST)
 
@@ -386,13 +387,13 @@ _LONGEST_LIST = 400
 """Characters of a list of columns in a message."""
 
 
-def _ragged(path: Path | None, line: int, header: Sequence[str], row: Sequence[str],
-            delimiter: str | None) -> TermselError:
+def _ragged_row_error(path: Path | None, line: int, header: Sequence[str], row: Sequence[str],
+                      delimiter: str | None) -> TermselError:
     """Return the error for a row with fewer or more cells than the header."""
     if len(row) < len(header):
         missing = [cell.strip() for cell in header[len(row):]]
         return TermselError(f"the row ends after {len(row)} of {len(header)} cells, before "
-                            f"{first_of(missing, 4)}", file=path, line=line,
+                            f"{first_names_in_words(missing, 4)}", file=path, line=line,
                             hint="Complete it, or delete it.")
     comma = " If numbers have decimal commas, separate the columns by semicolons." \
         if delimiter == "," else ""
@@ -421,7 +422,7 @@ def _missing_column_error(path: Path | None, line: int | None, header: Sequence[
     blank = " Its cells may be blank." if meaning[0] == "z" else ""
     return TermselError(
         f"there is no column for {meaning}", file=path, line=line, column=meaning,
-        hint=f"The columns here are: {_listed(header)}. "
+        hint=f"The columns here are: {_list_header(header)}. "
              f"Accepted names: {', '.join(names)}, and others.{blank}")
 
 
@@ -518,7 +519,7 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
     if first:
         _require_rows_below(path, header, rows, line)
         log.info("Note: the header of %s is taken from line %s, below a title.", path, line)
-    given_columns = {**cells.fixed, **declared(header, stated)}
+    given_columns = {**cells.fixed, **find_declared_columns(header, stated)}
     _require_stated(path, line, header, stated, aliases)
     column_of = _column_by_meaning(path, line, header, rows, aliases, given_columns,
                                    cells.fixed.values(), flat=flat)
@@ -529,7 +530,7 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
         # The first bad row is named; the rest are likely bad for the same reason.
         i = next((i for i, row in enumerate(rows) if len(row) != width), None)
         if i is not None:
-            raise _ragged(path, lines[i], header, rows[i], cells.delimiter)
+            raise _ragged_row_error(path, lines[i], header, rows[i], cells.delimiter)
     # A row of units below the header has a text in each of these columns.
     numbers = [i for meaning, i in column_of.items() if meaning not in USE]
     if rows and not any(any(map(str.isdigit, rows[0][i])) for i in numbers) \
@@ -548,14 +549,14 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
         columns[meaning] = [row[i] for row in rows]
     table = Table(path, crs, column_names, columns, lines, row_name=cells.row_name,
                   image_size=_declared_size(cells.comments))
-    signs = _signs(table, decimal, points_only=cells.delimiter == ",")
+    signs = _decimal_signs(table, decimal, points_only=cells.delimiter == ",")
     if "id" in aliases and "id" not in column_of:
         log.info("Note: %s has no column of ids, so its rows are called P1, P2, ... in order.",
                  path or "the table")
     # Further columns are kept as texts: nobody has said what they mean.
     attributes = {}
-    for name, i in _further(header, {*column_of.values(), *cells.fixed.values()}).items():
-        texts = [unguarded(row[i].strip()) for row in rows]
+    for name, i in _attribute_columns(header, {*column_of.values(), *cells.fixed.values()}).items():
+        texts = [unguard_cell(row[i].strip()) for row in rows]
         # The file has decimal commas: then 1,5 is a number here, too.
         if COMMA in signs.values():
             texts = [text.replace(COMMA, POINT) if _DECIMAL_COMMA.fullmatch(text) else text
@@ -574,18 +575,18 @@ def _require_rows_below(path: Path | None, header: Sequence[str], rows: Sequence
                            line=line, hint=EXPECTED)
 
 
-def _further(header: Sequence[str], used: Collection[int]) -> dict[str, int]:
+def _attribute_columns(header: Sequence[str], used: Collection[int]) -> dict[str, int]:
     """Return the places of the columns that are attributes, by name; of several alike the first."""
     columns: dict[str, int] = {}
     for i, cell in enumerate(header):
-        name = unguarded(cell.strip())
+        name = unguard_cell(cell.strip())
         # Names that differ in case alone would be one column in a GeoPackage.
         if i not in used and is_free(name) and name.casefold() not in map(str.casefold, columns):
             columns[name] = i
     return columns
 
 
-def _signs(table: Table, decimal: str | None, *, points_only: bool) -> dict[str, str]:
+def _decimal_signs(table: Table, decimal: str | None, *, points_only: bool) -> dict[str, str]:
     """Return the decimal sign of each column of numbers; log how an open one was decided.
 
     Raises TermselError where nothing decides it.

@@ -16,8 +16,8 @@ from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
-from termsel.core.errors import GIS, TermselError, requires
-from termsel.core.files.apart import apart
+from termsel.core.errors import GIS, TermselError, require_import
+from termsel.core.files.apart import call_apart
 from termsel.core.files.atomic import private_folder
 from termsel.core.files.drivers import DRIVER_HINT, WORKING_DRIVERS, gdal_options, vector_drivers
 from termsel.core.files.names import is_there, refuse_grids, require_regular
@@ -54,7 +54,7 @@ def has_points(path: Path) -> bool:
         return False
     try:
         return is_there(path) and any(kind in POINT_KINDS
-                                      for kind in apart(_layers, path).values())
+                                      for kind in call_apart(_layer_geometries, path).values())
     except TermselError:
         return False
 
@@ -67,11 +67,11 @@ def open_layer(path: Path, layer: str | None, kinds: Container[str],
     """
     if read_head(path, "Expected a GeoPackage, Shapefile or FlatGeobuf.").lstrip()[:1] == b"{":
         read_text(path)  # lest GDAL quotes what is no text
-    with requires("this requires", "pyogrio and shapely", GIS, path):
+    with require_import("this requires", "pyogrio and shapely", GIS, path):
         import pyogrio.errors  # noqa: F401 (what the other process imports)
         from shapely import GEOSException, from_wkb
     # In a process of its own: GDAL may crash on a damaged file.
-    layers = apart(_layers, path)
+    layers = call_apart(_layer_geometries, path)
     if not layers:
         raise TermselError("the file has no layers", file=path,
                            hint="Check it in a GIS, or export it again.")
@@ -79,20 +79,20 @@ def open_layer(path: Path, layer: str | None, kinds: Container[str],
         # A layer of mixed geometries has the kind Unknown: the next best.
         layer = next((key for key, kind in layers.items() if kind in kinds),
                      next((key for key, kind in layers.items() if kind == "Unknown"), None))
-    meta, geometries, values = apart(_read_layer, path, layer, columns)
+    meta, geometries, values = call_apart(_read_layer, path, layer, columns)
     # A CRS may name grid files, which PROJ would open.
     refuse_grids(str(meta["crs"] or ""), path)
     try:
         return meta, None if geometries is None else from_wkb(geometries), values
     except GEOSException as error:
-        raise _unreadable(path, error) from error
+        raise _unreadable_error(path, error) from error
 
 
-def _layers(path: Path) -> dict[str, str]:
+def _layer_geometries(path: Path) -> dict[str, str]:
     """Return the kind of geometry of each layer, in the process that reads vector files."""
     from pyogrio import list_layers
 
-    with _by_allowed_drivers(path) as name:
+    with _name_for_drivers(path) as name:
         return {str(key): str(kind).split(" ")[0] for key, kind in list_layers(name)}
 
 
@@ -101,13 +101,13 @@ def _read_layer(path: Path, layer: str | None, columns: list[str] | None,
     """Return metadata of a layer, its geometries and its columns; called in GDAL's process."""
     from pyogrio.raw import read
 
-    with _by_allowed_drivers(path) as name:
+    with _name_for_drivers(path) as name:
         meta, _, geometries, values = read(name, layer=layer, columns=columns)
     return meta, geometries, list(values)
 
 
 @contextmanager
-def _by_allowed_drivers(path: Path) -> Iterator[Path]:
+def _name_for_drivers(path: Path) -> Iterator[Path]:
     """Yield a name in a private folder by which the drivers that are allowed read a vector file."""
     from pyogrio.errors import DataLayerError, DataSourceError
 
@@ -121,8 +121,8 @@ def _by_allowed_drivers(path: Path) -> Iterator[Path]:
     except (DataSourceError, DataLayerError, ValueError) as error:
         # pyogrio has no class of its own for this.
         if "not recognized as being in a supported file format" in str(error):
-            raise _foreign(path) from None
-        raise _unreadable(path, error) from None
+            raise _refused_driver_error(path) from None
+        raise _unreadable_error(path, error) from None
 
 
 def _turn_off_drivers() -> None:
@@ -183,7 +183,7 @@ def _refuse_queries(path: Path) -> None:
             virtual = [str(sql) for sql, in database.execute(
                 "SELECT sql FROM sqlite_master WHERE type = 'table' AND rootpage = 0")]
     except sqlite3.Error as error:
-        raise _unreadable(path, error) from None
+        raise _unreadable_error(path, error) from None
     for sql in virtual:
         if not _INDEX.match(sql):
             raise TermselError("this database has a virtual table, which may read any file",
@@ -191,7 +191,7 @@ def _refuse_queries(path: Path) -> None:
                                                "plain.gpkg FILE LAYER.")
 
 
-def _foreign(path: Path) -> TermselError:
+def _refused_driver_error(path: Path) -> TermselError:
     """Return the error for a file of a driver that is off."""
     with path.open("rb") as file:
         head = file.read(4096)
@@ -206,7 +206,7 @@ def _foreign(path: Path) -> TermselError:
     return TermselError(reason, file=path, hint=f"Convert it: ogr2ogr lines.gpkg FILE.{allowing}")
 
 
-def _unreadable(path: Path, error: Exception) -> TermselError:
+def _unreadable_error(path: Path, error: Exception) -> TermselError:
     return TermselError(f"GDAL cannot read this file: {error}", file=path,
                         hint="Export it again. A Shapefile needs its .shx and .dbf beside it.")
 

@@ -16,13 +16,13 @@ from termsel.core.files.names import is_there
 from termsel.core.files.texts import xml_text
 from termsel.core.options import COUNT, Option
 from termsel.data.coordinates.earth import place_of
-from termsel.data.coordinates.metres import for_warping
+from termsel.data.coordinates.metres import ground_for_warping
 from termsel.data.features import FloatArray, Points
 from termsel.data.rasters import require_rasterio, tiff_bytes
 from termsel.fitting.fit import Fit
 from termsel.fitting.sky import ground_where_held, refuse_sky, why_not_shown
 from termsel.formats.base import Writer
-from termsel.formats.deviation import by_splines, places_of, say_deviation
+from termsel.formats.deviation import fit_splines, places_of, say_deviation
 from termsel.formats.heights import Dem, say_difference, surface_of
 from termsel.formats.pictures import Picture
 from termsel.formats.vrt import IMAGE, picture_for, vrt_text
@@ -88,7 +88,7 @@ class GridWriter(Writer):
         """
 
 
-def _middles(grid: FloatArray) -> FloatArray:
+def _mesh_middles(grid: FloatArray) -> FloatArray:
     """Return the middles of some meshes of a grid, shape (n, last axis)."""
     middle = (grid[1:, 1:] + grid[:-1, 1:] + grid[1:, :-1] + grid[:-1, :-1]) / 4
     steps = [max(1, size // _COMPARED) for size in middle.shape[:2]]
@@ -113,7 +113,8 @@ class GcpGridVrt(GridWriter):
         refuse_sky(result.of_image(picture.size).fit, "a spline through GCPs")
         lines, samples = (np.linspace(0.0, size - 1.0, self.options["across"] + 1)
                           for size in picture.size)
-        ground, crs = for_warping(self.ground(result, lines, samples), result.fit.control.crs)
+        ground, crs = ground_for_warping(
+            self.ground(result, lines, samples), result.fit.control.crs)
         nodes = np.argwhere(np.isfinite(ground).all(axis=-1))
         gcps = Points(tuple(f"{i}-{j}" for i, j in nodes),
                       np.column_stack([lines[nodes[:, 0]], samples[nodes[:, 1]]]),
@@ -126,8 +127,8 @@ class GcpGridVrt(GridWriter):
         finite = np.isfinite(ground).all(axis=-1)
         if finite.sum() < 3:
             return
-        spline = by_splines(ground[finite][:, :2], image[finite])
-        between = ground_where_held(fitted, _middles(image), surface)
+        spline = fit_splines(ground[finite][:, :2], image[finite])
+        between = ground_where_held(fitted, _mesh_middles(image), surface)
         between = between[np.isfinite(between).all(axis=1)]
         say_deviation(self.name, fitted, between, spline(between), ", by gdalwarp -tps")
 
@@ -146,7 +147,7 @@ class GeolocationVrt(GridWriter):
 
     def files(self, path: Path) -> tuple[Path, ...]:
         """Return the VRT and the array next to it, under the name or names in use."""
-        arrays = _arrays(path)
+        arrays = _array_names(path)
         return path, *([array for array in arrays if is_there(array)] or arrays[:1])
 
     def write(self, result: Result, path: Path) -> None:
@@ -160,11 +161,12 @@ class GeolocationVrt(GridWriter):
         # Places beyond the edges, so that the outermost half pixels are inside.
         lines, samples = (np.arange(-step, size + 2 * step, step, dtype=np.float64)
                           for size in picture.size)
-        ground, crs = for_warping(self.ground(result, lines, samples), result.fit.control.crs)
+        ground, crs = ground_for_warping(
+            self.ground(result, lines, samples), result.fit.control.crs)
         # A VRT that is replaced keeps its array until the new VRT is in place, so that an interrupt
         # leaves no VRT with the array of another: where FILE_xy.tif is in use, the new array is
         # FILE_xy_2.tif, and the next one FILE_xy.tif again.
-        array, other_array = sorted(_arrays(path), key=lambda array: _names_array(array, path))
+        array, other_array = sorted(_array_names(path), key=lambda array: _names_array(array, path))
         replaced = _names_array(other_array, path)
         domain = {
             "X_DATASET": array.name, "X_BAND": "1",
@@ -192,8 +194,8 @@ class GeolocationVrt(GridWriter):
     def log_interpolation_error(self, fitted: Fit, image: FloatArray, ground: FloatArray,
                                 surface: Dem | float) -> None:
         """Log how far GDAL's interpolation between the nodes of the array is from the model."""
-        ground_between = _middles(ground)
-        image_between = _middles(image)
+        ground_between = _mesh_middles(ground)
+        image_between = _mesh_middles(image)
         # Middles next to a node without ground have none.
         finite = np.isfinite(ground_between).all(axis=1)
         ground_between = ground_between[finite]
@@ -205,7 +207,7 @@ class GeolocationVrt(GridWriter):
                       ", between the nodes of the array")
 
 
-def _arrays(path: Path) -> tuple[Path, Path]:
+def _array_names(path: Path) -> tuple[Path, Path]:
     """Return the two names that the array of a VRT may have."""
     return path.with_name(f"{path.stem}_xy.tif"), path.with_name(f"{path.stem}_xy_2.tif")
 

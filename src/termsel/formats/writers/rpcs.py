@@ -68,7 +68,7 @@ class RpcWriter(Writer):
         if image is not None:
             # An RPC is scaled to the size of its image, which files of points do not state.
             result = result.of_image(picture_for(result, image).size)
-        heights = self._heights()
+        heights = self._height_range()
         rpc = result.to_rpc(heights)
         text = self.text(rpc, result, path)
         with atomic_path(path) as temporary:
@@ -85,7 +85,7 @@ class RpcWriter(Writer):
                       + ("the heights of the control" if heights is None else
                          f"heights from {heights[0]:g} to {heights[1]:g}"))
 
-    def _heights(self) -> tuple[float, float] | None:
+    def _height_range(self) -> tuple[float, float] | None:
         """Return the least and the largest height of the option `heights`; None without it.
 
         Raises TermselError if these are no two numbers in this order.
@@ -115,7 +115,7 @@ class RpcWriter(Writer):
         vendors = []
         # GDAL looks for an RPB first, and takes it.
         if self.suffix == "_RPC.TXT":
-            candidates = [path.with_name(_stem(path, self.suffix) + ending)
+            candidates = [path.with_name(_file_stem(path, self.suffix) + ending)
                           for ending in (".RPB", ".rpb")]
             vendors = [candidate for candidate in candidates if is_there(candidate)]
         if vendors:
@@ -244,5 +244,5 @@ def _require_same_by_gdal(rpc: Rpc, image: Path) -> None:
             hint="The model is unusable near the edges of its ground: choose a simpler one.")
 
 
-def _stem(path: Path, suffix: str) -> str:
+def _file_stem(path: Path, suffix: str) -> str:
     return path.name[:-len(suffix)] if path.name.upper().endswith(suffix.upper()) else path.stem

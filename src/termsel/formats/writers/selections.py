@@ -12,8 +12,8 @@ import numpy as np
 from termsel.core.errors import TermselError
 from termsel.core.files.atomic import write_text
 from termsel.core.options import Option
-from termsel.data.coordinates.crs import horizontal
-from termsel.data.coordinates.metres import for_warping
+from termsel.data.coordinates.crs import horizontal_crs
+from termsel.data.coordinates.metres import ground_for_warping
 from termsel.data.features import BoolArray, FloatArray, Points
 from termsel.formats.base import Writer
 from termsel.formats.deviation import GDALWARP, QGIS, say_measured, say_nearest
@@ -42,20 +42,20 @@ def _features_in_adjustment(result: Result) -> set[str]:
     return {residual.id for residual in result.residuals if residual.used}
 
 
-def _chosen(result: Result) -> BoolArray:
+def _are_in_adjustment(result: Result) -> BoolArray:
     """Return which of all n points are in the adjustment, (n,)."""
     return np.isin(result.features.points.ids, list(_features_in_adjustment(result)))
 
 
 def chosen_points(result: Result) -> Points:
     """Return the points in the adjustment."""
-    return result.features.points.take(_chosen(result))
+    return result.features.points.take(_are_in_adjustment(result))
 
 
 def gcps_of(result: Result) -> tuple[Points, Points, str]:
     """Return the chosen points as measured, as GCPs with heights, and the CRS of these as WKT."""
     used = chosen_points(result)
-    ground, crs = for_warping(used.ground, result.features.crs)
+    ground, crs = ground_for_warping(used.ground, result.features.crs)
     # GDAL has no missing heights; it takes 0 for one that it does not need.
     return used, replace(used, ground=np.nan_to_num(ground)), crs
 
@@ -89,13 +89,13 @@ class QgisPointsWriter(SelectionWriter):
         points = result.features.points
         rows = []
         for (x, y, _), (line, sample), selected, (dl, ds) in zip(
-                points.ground.tolist(), points.image.tolist(), _chosen(result),
+                points.ground.tolist(), points.image.tolist(), _are_in_adjustment(result),
                 np.nan_to_num(_errors_of_points(result)).tolist(), strict=True):
             # Pixel edges are whole numbers. Of places y points up, of residuals down.
             values = (x, y, sample + 0.5, -line - 0.5, int(selected), -ds, -dl, math.hypot(dl, ds))
             rows.append(",".join(map(repr, values)))
-        crs = horizontal(result.features.crs)
-        declared = [f"#CRS: {wkt(crs)}"] if crs else []
+        crs = horizontal_crs(result.features.crs)
+        declared = [f"#CRS: {wkt_in_one_line(crs)}"] if crs else []
         write_text(path, "\n".join([
             *declared, "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual", *rows, ""]))
         used = chosen_points(result)
@@ -133,7 +133,7 @@ class PointsTable(SelectionWriter):
         """Write a table; control points that were not selected have 0 in the column enabled."""
         _require_accepted(self, result, path, _NO_POINTS)
         points = result.features.points
-        selected = _chosen(result)
+        selected = _are_in_adjustment(result)
         errors = _errors_of_points(result)
         # As measured, in the CRS as given, so that the table can be read again.
         header, measured = point_columns(points)
@@ -175,7 +175,7 @@ class LinesTable(Writer):
         say_measured(self.name)
 
 
-def wkt(crs: str) -> str:
+def wkt_in_one_line(crs: str) -> str:
     """Return the WKT of a CRS in one line; without pyproj as given."""
     try:
         from pyproj import CRS

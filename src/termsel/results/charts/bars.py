@@ -35,7 +35,7 @@ FLATTENED = 12.0
 """Times the median bar; a longer one would flatten the others, and is broken."""
 
 
-def worst_bars(view: View) -> Any:
+def bars_of_worst(view: View) -> Any:
     """Return the largest residuals as bars, the largest first; those beyond the axis are broken."""
     alt = require_altair()
     end = axis_end(view)
@@ -87,7 +87,7 @@ def axis_end(view: View) -> float:
     return 1.3 * longest_whole if distances and max(distances) > high > 0 else float("inf")
 
 
-def broken(view: View) -> str:
+def caption_on_breaks(view: View) -> str:
     """Return a caption on bars with a break, and on those of rejected features; "" without either.
     """
     sentences = []
@@ -104,7 +104,7 @@ def broken(view: View) -> str:
 def baseline_bars(view: View) -> Any:
     """Return the RMSE of this result and of all fits without a search, with intervals."""
     alt = require_altair()
-    rows, _ = shown_fits(view)
+    rows, _ = rows_of_fits(view)
     roles = {row["role"]: ROLE_COLOURS[row["role"]] for row in rows}
     # The result stands first, the others by what they reach.
     order = [THIS, *sorted({row["fit"] for row in rows} - {THIS}, key=_rmse_of(rows).__getitem__)]
@@ -137,7 +137,7 @@ def baseline_bars(view: View) -> Any:
     ).properties(width=WIDTH, height=1.55 * ROW * len(order))
 
 
-def shown_fits(view: View) -> tuple[list[Row], dict[str, float]]:
+def rows_of_fits(view: View) -> tuple[list[Row], dict[str, float]]:
     """Return the rows of the chart of all fits, and the RMSE [px] of fits that it leaves out.
 
     One fit that failed would stretch the axis over many powers of ten.
@@ -157,9 +157,9 @@ def _rmse_of(rows: list[Row]) -> dict[str, float]:
     return of_check | {row["fit"]: row["rmse"] for row in rows if row["role"] == "independent"}
 
 
-def unlike_others(view: View) -> str:
+def caption_on_others(view: View) -> str:
     """Return a caption on hollow symbols of the chart of all fits, and on fits left out; or ""."""
-    rows, failed = shown_fits(view)
+    rows, failed = rows_of_fits(view)
     sentences = []
     if any(row["note"] == "fitted" for row in rows):
         sentences.append("Hollow symbols: the fit used these selection points.")

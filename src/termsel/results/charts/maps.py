@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.data.coordinates.crs import is_geographic, short
+from termsel.data.coordinates.crs import is_geographic, short_crs_name
 from termsel.results.theme import (
     BLUNDER,
     EDGE,
@@ -22,7 +22,7 @@ from termsel.results.theme import (
     require_altair,
     role_legend,
 )
-from termsel.results.view import Row, View, nice
+from termsel.results.view import Row, View, nice_number
 
 LENGTH = 0.06
 """Of the median vector, in widths of the map."""
@@ -73,14 +73,14 @@ def image_extent(view: View) -> Extent:
     above = max(margin, (wide / WIDEST - high) / 2)
     # Of all residuals, not of a chosen member, so that members can be compared by their arrows.
     lengths = [float(np.hypot(row["dl"], row["ds"])) for row in view.in_image]
-    scale = _exaggeration(lengths, wide)
+    scale = _exaggeration_text(lengths, wide)
     longest = _longest_ordinary(lengths)
     ends = [(row["sample"] + scale * row["ds"], row["line"] + scale * row["dl"])
             for row, length in zip(view.in_image, lengths, strict=True)
             if length <= longest]
     return Extent(
-        _limits([left_sample - margin, right_sample + margin], [sample for sample, _ in ends]),
-        _limits([top - above, bottom + above], [line for _, line in ends]), scale)
+        _value_range([left_sample - margin, right_sample + margin], [sample for sample, _ in ends]),
+        _value_range([top - above, bottom + above], [line for _, line in ends]), scale)
 
 
 def ground_extent(view: View) -> Extent:
@@ -92,14 +92,14 @@ def ground_extent(view: View) -> Extent:
     margin = MAP_MARGIN * max(wide * view.flattening, tall)
     across = margin / view.flattening
     lengths = [float(np.hypot(row["dx"] * view.flattening, row["dy"])) for row in view.on_ground]
-    scale = _exaggeration(lengths, tall)
+    scale = _exaggeration_text(lengths, tall)
     longest = _longest_ordinary(lengths)
     ends = [(row["x"] + scale * row["dx"], row["y"] + scale * row["dy"])
             for row, length in zip(view.on_ground, lengths, strict=True)
             if length <= longest]
-    low, high = _limits([south, north + margin], [y for _, y in ends])
+    low, high = _value_range([south, north + margin], [y for _, y in ends])
     # The bar of the scale lies below all of them.
-    return Extent(_limits([west - across, east + across], [x for x, _ in ends]),
+    return Extent(_value_range([west - across, east + across], [x for x, _ in ends]),
                   (low - 2 * margin, high), scale)
 
 
@@ -108,7 +108,7 @@ def _longest_ordinary(lengths: list[float]) -> float:
     return ORDINARY * float(np.median(lengths)) if lengths else 0.0
 
 
-def _limits(values: list[float], more: list[float]) -> tuple[float, float]:
+def _value_range(values: list[float], more: list[float]) -> tuple[float, float]:
     """Return the least and the greatest of all values."""
     return min(*values, *more), max(*values, *more)
 
@@ -116,16 +116,16 @@ def _limits(values: list[float], more: list[float]) -> tuple[float, float]:
 def cut_in_image(view: View) -> str:
     """Return a caption on arrows over the image that leave the map; "" if none do."""
     cuts = image_extent(view).cuts(view.in_image, ("sample", "line"), ("ds", "dl"))
-    return _remark(view, cuts)
+    return _remark_on_map(view, cuts)
 
 
 def cut_on_ground(view: View) -> str:
     """Return a caption on arrows on the ground that leave the map; "" if none do."""
     cuts = ground_extent(view).cuts(view.on_ground, ("x", "y"), ("dx", "dy"))
-    return _remark(view, cuts)
+    return _remark_on_map(view, cuts)
 
 
-def _remark(view: View, cuts: bool) -> str:
+def _remark_on_map(view: View, cuts: bool) -> str:
     dashed = "Dashed arrows are longer than drawn: they would leave the chart." if cuts else ""
     return f"{dashed} {view.partly}".strip()
 
@@ -161,18 +161,18 @@ def image_map(view: View, image: str = "", rows: list[Row] | None = None,
     if view.lines:
         layers.append(alt.Chart(chart_rows(view.lines)).mark_rule(
             strokeWidth=1.8, strokeCap="round", opacity=0.55).encode(
-                color=_colour(view, rows),
+                color=_role_colour(view, rows),
                 strokeDash=alt.condition("datum.blunder", alt.value([4, 3]),
                                          alt.value([1, 0])),
                 tooltip=[alt.Tooltip("id:N", title="line")], **ends))
     layers += _residual_layers(view, rows, x, y, ("ds", "dl"), extent, downwards=True,
                                member=member)
     wide = max(right_sample - left_sample, 1.0)
-    length = nice(0.2 * wide / extent.scale)  # a pixel may be wider than the map
+    length = nice_number(0.2 * wide / extent.scale)  # a pixel may be wider than the map
     length = 1.0 if length > 1 and extent.scale > 0.02 * wide else length  # or too short to be seen
     below = extent.y[1] - 0.02 * (extent.y[1] - extent.y[0])
-    layers.append(_bar(left_sample, below, length, f"{length:g} px", "sample", "line", x, y))
-    return _map(layers, (extent.x[1] - extent.x[0]) / (extent.y[1] - extent.y[0]))
+    layers.append(_scale_bar(left_sample, below, length, f"{length:g} px", "sample", "line", x, y))
+    return _map_chart(layers, (extent.x[1] - extent.x[0]) / (extent.y[1] - extent.y[0]))
 
 
 def ground_map(view: View) -> Any:
@@ -181,7 +181,7 @@ def ground_map(view: View) -> Any:
     rows = view.on_ground
     west, _, east, _ = view.ground_box
     extent = ground_extent(view)
-    of_x, of_y = _axes(view)
+    of_x, of_y = _axis_titles(view)
     x = alt.X("x:Q", title=of_x, axis=alt.Axis(grid=False, tickCount=5),
               scale=alt.Scale(domain=list(extent.x), nice=False, zero=False))
     y = alt.Y("y:Q", title=of_y, axis=alt.Axis(grid=False, tickCount=6),
@@ -191,11 +191,11 @@ def ground_map(view: View) -> Any:
                               metres=view.units_per_metre is not None, flattening=view.flattening)
     if view.units_per_metre is not None:
         metre = view.units_per_metre / view.flattening
-        length = nice(0.2 * max(east - west, 1e-9) / (extent.scale * metre))
+        length = nice_number(0.2 * max(east - west, 1e-9) / (extent.scale * metre))
         below = extent.y[0] + 0.025 * (extent.y[1] - extent.y[0])
-        layers.append(_bar(west, below, length * metre, f"{length:g} m", "x", "y", x, y))
+        layers.append(_scale_bar(west, below, length * metre, f"{length:g} m", "x", "y", x, y))
     across = (extent.x[1] - extent.x[0]) * view.flattening
-    return _map(layers, across / (extent.y[1] - extent.y[0]))
+    return _map_chart(layers, across / (extent.y[1] - extent.y[0]))
 
 
 def sigma_map(view: View) -> Any:
@@ -223,10 +223,10 @@ def sigma_map(view: View) -> Any:
         alt.Chart(chart_rows(view.control)).mark_point(
             filled=True, size=26, color="white", stroke="black", strokeWidth=0.9,
             opacity=1).encode(x=x, y=y)]  # the colours below are the same on dark pages
-    return _map(layers, max(right_sample - left_sample, 1.0) / max(bottom - top, 1.0))
+    return _map_chart(layers, max(right_sample - left_sample, 1.0) / max(bottom - top, 1.0))
 
 
-def _map(layers: list[Any], aspect: float) -> Any:
+def _map_chart(layers: list[Any], aspect: float) -> Any:
     """Return layers as one chart of an aspect, width by height, at most WIDEST."""
     # A strip of one orbit may be a hundred times as long as wide; on the map it is cut to three.
     aspect = min(max(aspect, 0.4), WIDEST)
@@ -281,12 +281,12 @@ def _residual_layers(view: View, rows: list[Row], x: Any, y: Any, vector: tuple[
         # The angle of the wedge, clockwise from upwards, as Vega measures it.
         turn=f"atan2({flattening:.6g} * datum.{horizontal}, "
              f"{'-' if downwards else ''}datum.{vertical}) * 180 / PI")
-    colour = _colour(view, rows)
+    colour = _role_colour(view, rows)
     tooltip = [alt.Tooltip("id:N"), alt.Tooltip("role:N"),
                alt.Tooltip("distance:Q", title="residual [px]", format=".3g")]
     if metres:
         tooltip.append(alt.Tooltip("metres:Q", title="on the ground [m]", format=".3g"))
-    shape = alt.Shape("role:N", scale=legend_of(ROLE_SHAPES, _roles(view, rows)),
+    shape = alt.Shape("role:N", scale=legend_of(ROLE_SHAPES, _shown_roles(view, rows)),
                       legend=role_legend())
     shafts = base.mark_rule(strokeWidth=1.5, clip=True, aria=False).encode(
         x=x, y=y, x2="end_x:Q", y2="end_y:Q", color=colour,
@@ -339,8 +339,8 @@ def _share_to_rim(position: str, component: str, domain: tuple[float, float]) ->
             f"{length} < 0 ? ({low:.12g} - datum.{position}) / {length} : 1)")
 
 
-def _bar(x0: float, y0: float, length: float, text: str, at_x: str, at_y: str, x: Any, y: Any,
-         ) -> Any:
+def _scale_bar(x0: float, y0: float, length: float, text: str, at_x: str, at_y: str, x: Any, y: Any,
+               ) -> Any:
     """Return the bar that says how long a residual is drawn.
 
     It begins at `x0` and `y0` and stands for a residual of `length`, in units of the axes `x` and
@@ -357,14 +357,14 @@ def _bar(x0: float, y0: float, length: float, text: str, at_x: str, at_y: str, x
           for look in ({"color": GROUND, "stroke": GROUND, "strokeWidth": 4}, {"color": INK})))
 
 
-def _axes(view: View) -> tuple[str, str]:
+def _axis_titles(view: View) -> tuple[str, str]:
     """Return the names of both axes on the ground, with their unit if it is known."""
     crs = view.record.data.crs
     unit = view.units_per_metre
     if is_geographic(crs):
-        return f"longitude [°], {short(crs)}", "latitude [°]"
+        return f"longitude [°], {short_crs_name(crs)}", "latitude [°]"
     of = " [unit not known]" if unit is None else " [m]" if unit == 1 else f" [{1 / unit:.4g} m]"
-    return f"x{of}, {short(crs)}", f"y{of}"
+    return f"x{of}, {short_crs_name(crs)}", f"y{of}"
 
 
 def _with_field(channel: Any, field: str) -> Any:
@@ -374,7 +374,7 @@ def _with_field(channel: Any, field: str) -> Any:
     return channel_of_field
 
 
-def _roles(view: View, rows: list[Row]) -> set[str]:
+def _shown_roles(view: View, rows: list[Row]) -> set[str]:
     """Return the roles that a map shows, "left out" among them if members of a front differ."""
     present = {row["role"] for row in (*rows, *view.lines)}
     # Of members of a front, control points in use by some are left out by others.
@@ -383,13 +383,13 @@ def _roles(view: View, rows: list[Row]) -> set[str]:
     return present
 
 
-def _colour(view: View, rows: list[Row]) -> Any:
+def _role_colour(view: View, rows: list[Row]) -> Any:
     alt = require_altair()
-    return alt.Color("role:N", scale=legend_of(ROLE_COLOURS, _roles(view, rows)),
+    return alt.Color("role:N", scale=legend_of(ROLE_COLOURS, _shown_roles(view, rows)),
                      legend=alt.Legend(symbolStrokeWidth=0, symbolOpacity=1, labelExpr=ROLE_LABELS))
 
 
-def _exaggeration(lengths: list[float], wide: float) -> float:
+def _exaggeration_text(lengths: list[float], wide: float) -> float:
     # The median, as a blunder would make all others invisible.
     median = float(np.median(lengths)) if lengths else 0.0
-    return nice(LENGTH * wide / median) if median > VECTOR_ROUNDING * wide else 1.0
+    return nice_number(LENGTH * wide / median) if median > VECTOR_ROUNDING * wide else 1.0

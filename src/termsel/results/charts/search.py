@@ -7,7 +7,7 @@ from typing import Any
 
 from termsel.data.record.search import HistoryRow
 from termsel.results.charts.maps import image_map
-from termsel.results.sizes import counted_by, recommended, size_of
+from termsel.results.sizes import noun_of_members, recommended_member, size_of
 from termsel.results.theme import (
     CHECK,
     CONTROL,
@@ -31,13 +31,13 @@ AREAS = 4000
 _IN_PIXELS = ("check-rmse", "kfold", "press", "median", "huber")
 
 
-def front(view: View) -> Any:
+def front_chart(view: View) -> Any:
     """Return the front: RMSE of check and independent points against terms or features."""
     alt = require_altair()
     rows = front_rows(view)
     # The axis of sizes has whole numbers only.
-    size = counted_by(view.record.front)
-    member = choice(view)
+    size = noun_of_members(view.record.front)
+    member = member_choice(view)
     scale, kind = spread_scale([row["rmse"] for row in rows], zero=False)
     base = alt.Chart(chart_rows(rows)).encode(
         x=alt.X("size:Q", title=size, scale=alt.Scale(zero=False, padding=14),
@@ -62,9 +62,9 @@ def front(view: View) -> Any:
     ).properties(width=WIDTH, height=0.5 * WIDTH)
 
 
-def members(view: View, image: str = "") -> Any:
+def member_residuals(view: View, image: str = "") -> Any:
     """Return the residuals of the member of the front that is chosen."""
-    return image_map(view, image, view.members, choice(view))
+    return image_map(view, image, view.members, member_choice(view))
 
 
 def front_rows(view: View) -> list[Row]:
@@ -80,7 +80,7 @@ def front_rows(view: View) -> list[Row]:
     return rows
 
 
-def choice(view: View) -> Any:
+def member_choice(view: View) -> Any:
     """Return the choice of a member, at first the recommended one."""
     # There is always one member chosen, so that the map below is never empty.
     return require_altair().selection_point(
@@ -89,10 +89,10 @@ def choice(view: View) -> Any:
 
 
 def _mark_recommended(view: View) -> int:
-    return recommended(view.record.front, view.record.selection) or 0
+    return recommended_member(view.record.front, view.record.selection) or 0
 
 
-def convergence(view: View) -> Any:
+def convergence_chart(view: View) -> Any:
     """Return a chart of the population's best and median, and of its infeasible share."""
     alt = require_altair()
     history = evenly_spaced(view.record.history, MAX_GENERATIONS_SHOWN)
@@ -136,7 +136,7 @@ def refinement_remark(view: View) -> str:
             f"{refining:,} more, which are not drawn.") if refining > 0 else ""
 
 
-def empires(view: View) -> Any:
+def empires_chart(view: View) -> Any:
     """Return how many countries each empire of the ICA has, as bands of the population."""
     alt = require_altair()
     counted = [generation for generation in view.record.history if generation.empires]

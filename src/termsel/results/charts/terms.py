@@ -110,7 +110,7 @@ def frequency_rows(view: View) -> list[Row]:
                    for term, share in shares.items() if share), key=lambda row: -row["share"])
 
 
-def no_frequencies(view: View) -> str:
+def why_no_frequencies(view: View) -> str:
     """Return why a result does not show how often terms are selected; "" if it does."""
     if view.record.stability:
         return ""

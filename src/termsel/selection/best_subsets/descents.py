@@ -9,9 +9,14 @@ import numpy as np
 
 from termsel.data.features import FloatArray, IntArray
 from termsel.selection.best_subsets.columns.kernels import RSS
-from termsel.selection.best_subsets.columns.system import BITS, Masks, SubtreeNode, better
+from termsel.selection.best_subsets.columns.system import (
+    BITS,
+    Masks,
+    SubtreeNode,
+    better_of_each_size,
+)
 from termsel.selection.best_subsets.score_systems import ScoreSystems
-from termsel.selection.best_subsets.splicing import best_by_splicing, tells_changes
+from termsel.selection.best_subsets.splicing import find_best_by_splicing, tells_changes
 
 _RESTARTS = 8  # of the descent
 _KICKS = 16  # restarts around the best that may fail in a row
@@ -20,7 +25,7 @@ _WORTH = 1 << 15  # subsets that branch and bound decides in the time of one nod
 _ORDER_ROUNDING = 1e-9  # a subset reached in another order differs by less
 
 
-def descents(systems: ScoreSystems) -> Iterator[tuple[FloatArray, Masks]]:
+def descend_through_subsets(systems: ScoreSystems) -> Iterator[tuple[FloatArray, Masks]]:
     """Yield scores and masks, (k + 1,), of ever better subsets of every size.
 
     Descents add, drop and swap columns. They begin with no column, with random subsets, and then
@@ -51,7 +56,7 @@ def descents(systems: ScoreSystems) -> Iterator[tuple[FloatArray, Masks]]:
         reached, reached_masks, walked_nodes = _descend_from(systems, start_columns)
         nodes += walked_nodes
         failures[reached < (1.0 - _ORDER_ROUNDING) * best] = 0
-        best, masks = better(best, masks, reached, reached_masks)
+        best, masks = better_of_each_size(best, masks, reached, reached_masks)
         yield best, masks
 
 
@@ -84,7 +89,7 @@ def _descend_from(systems: ScoreSystems, starts: list[IntArray]) -> tuple[FloatA
             nodes += len(changes)
             improved = None
             if tells_changes(systems):
-                improved = best_by_splicing(systems, mask, best, masks, infeasible)
+                improved = find_best_by_splicing(systems, mask, best, masks, infeasible)
             if improved is not None:
                 best, masks = improved
                 continue

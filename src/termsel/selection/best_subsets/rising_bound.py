@@ -16,7 +16,12 @@ import numpy as np
 
 from termsel.data.features import FloatArray
 from termsel.selection.best_subsets.columns.kernels import LINEAR, RATIONAL
-from termsel.selection.best_subsets.columns.system import Masks, NodeResult, SubtreeNode, better
+from termsel.selection.best_subsets.columns.system import (
+    Masks,
+    NodeResult,
+    SubtreeNode,
+    better_of_each_size,
+)
 from termsel.selection.best_subsets.score_systems import ScoreSystems
 
 _SHARES = {LINEAR: (0.5, 0.7, 0.9, 0.991), RATIONAL: (0.3,)}
@@ -29,8 +34,8 @@ _NODES_IN_PROGRESS = 16  # at once, whatever the number of workers
 _STATE = 64  # nodes between two states: a second or so
 
 
-def rising_bounds(systems: ScoreSystems, best: FloatArray, masks: Masks, node_subsets: int,
-                  workers: int) -> Iterator[tuple[FloatArray, Masks, float]]:
+def raise_bound(systems: ScoreSystems, best: FloatArray, masks: Masks, node_subsets: int,
+                workers: int) -> Iterator[tuple[FloatArray, Masks, float]]:
     """Yield better subsets, and a score: only subsets that are found already score less.
 
     Best score and mask of each size so far are (k + 1,); a node is walked that has at most
@@ -63,7 +68,7 @@ def rising_bounds(systems: ScoreSystems, best: FloatArray, masks: Masks, node_su
                 result = pending.popleft().result()
                 # The limit itself is no subset's score.
                 scores = np.where(result.best < limit, result.best, np.inf)
-                best, masks = better(best, masks, scores, result.masks)
+                best, masks = better_of_each_size(best, masks, scores, result.masks)
                 decided_nodes += 1
                 if decided_nodes % _STATE == 0:
                     yield best, masks, lower_bound

@@ -10,15 +10,15 @@ import numpy as np
 
 from termsel.adjustment.compiled import is_compiled
 from termsel.adjustment.solve import TOLERANCE
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name_error
 from termsel.data.features import BoolArray, FloatArray, IntArray
-from termsel.selection.best_subsets.bounds.branch import branch
+from termsel.selection.best_subsets.bounds.branch import decide_branch
 from termsel.selection.best_subsets.bounds.check_errors import decide_block
-from termsel.selection.best_subsets.bounds.closed import first_closed
-from termsel.selection.best_subsets.bounds.held_out import least_held_out
+from termsel.selection.best_subsets.bounds.closed import first_closed_by_parts
+from termsel.selection.best_subsets.bounds.held_out import held_out_lower_bound
 from termsel.selection.best_subsets.bounds.poles import node_bound
 from termsel.selection.best_subsets.bounds.residuals import branch_residuals
-from termsel.selection.best_subsets.bounds.shares import largest_shares
+from termsel.selection.best_subsets.bounds.shares import largest_denominator_shares
 from termsel.selection.best_subsets.bounds.trees import BOUND_ROUNDING, Tree, tree_of
 from termsel.selection.best_subsets.columns.arrays import (
     CheckSpace,
@@ -29,11 +29,17 @@ from termsel.selection.best_subsets.columns.arrays import (
     position_of,
     vectors_of,
 )
-from termsel.selection.best_subsets.columns.kernels import LINEAR, PRESS, RATIONAL, RSS, walk
+from termsel.selection.best_subsets.columns.kernels import (
+    LINEAR,
+    PRESS,
+    RATIONAL,
+    RSS,
+    enumerate_subsets,
+)
 from termsel.selection.best_subsets.columns.reduction import (
     fewer_rows,
-    ordered_by_gain,
-    ordered_by_halves,
+    order_by_gain,
+    order_by_halves,
     triangle_of,
 )
 from termsel.selection.best_subsets.columns.system import (
@@ -184,15 +190,16 @@ class ScoreSystems:
         position = position_of(depths, BITS[node.used].sum(), _counts_of_subsets(n, limits.room))
         pruned = 0
         if self.holds_out:
-            pruned = branch(self.kind, vectors, limits, records, position, check=None,
-                            work=np.empty((height, rows)))
+            pruned = decide_branch(self.kind, vectors, limits, records, position, check=None,
+                                   work=np.empty((height, rows)))
         elif self.branches and self.kind != RSS:
-            pruned = branch(self.kind, vectors, limits, records, position,
-                            check=self._space(vectors), work=None)
+            pruned = decide_branch(self.kind, vectors, limits, records, position,
+                                   check=self._space(vectors), work=None)
         else:
             one_target = vectors.share[0].size == n + 1
-            walk(self.kind, vectors, limits, records, position,
-                 single=None if one_target else False, press=True if self.kind == PRESS else None)
+            enumerate_subsets(self.kind, vectors, limits, records, position,
+                              single=None if one_target else False,
+                              press=True if self.kind == PRESS else None)
         return NodeResult(best, masks, pruned)
 
     def _walk_residuals(self, node: SubtreeNode, best: FloatArray, masks: Masks) -> NodeResult:
@@ -234,7 +241,7 @@ class ScoreSystems:
             return replace(node, lower_bound=incumbent)
         vectors, limits, _ = prepared
         if self.holds_out:
-            bound = min(incumbent, least_held_out(vectors))
+            bound = min(incumbent, held_out_lower_bound(vectors))
         else:
             bound = min(self._descendants_bound(node, vectors, limits, incumbent),
                         self._score_of_used_columns(node, vectors, limits))
@@ -255,8 +262,8 @@ class ScoreSystems:
                            incumbent: float) -> float:
         """Return a lower bound of the scores of all subsets with more columns than those in use.
 
-        `first_closed` shows only whether all of them score more than some value: bisection finds
-        the largest such value, at most the incumbent's score.
+        `first_closed_by_parts` shows only whether all of them score more than some value: bisection
+        finds the largest such value, at most the incumbent's score.
         """
         n = len(node.candidates)
         space = self._space(vectors)
@@ -264,7 +271,7 @@ class ScoreSystems:
 
         def all_score_more(value: float) -> bool:
             limit = value + limits.slack - limits.offset
-            return limit <= 0.0 or first_closed(
+            return limit <= 0.0 or first_closed_by_parts(
                 vectors.top[0, 0], vectors.extra[0, 0], 0, n, limit=limit, upper=upper.copy(),
                 rational=self.kind == RATIONAL, space=space.bound) == 0
 
@@ -310,7 +317,8 @@ class ScoreSystems:
         columns = np.concatenate([self.everything.used, self.everything.candidates])
         c = len(rows.extra) // 2
         if self.everything.count > PROGRAMMED and c <= _PROGRAMS:
-            return largest_shares(rows.extra[c:, columns], rows.guard[:, columns], self.margin)
+            return largest_denominator_shares(
+                rows.extra[c:, columns], rows.guard[:, columns], self.margin)
         # No positive denominator is above its sum with the others, and that not below the least.
         return np.append(np.ones(c), 1.0 / (self.margin * c))
 
@@ -390,7 +398,7 @@ def score_systems(system: SubsetSystem, score: str, folds: Sequence[IntArray],
     contradict each other.
     """
     if score not in SCORES:
-        raise unknown_name("score", score, SCORES)
+        raise unknown_name_error("score", score, SCORES)
     k = system.design.shape[1]
     forced = _mask_or_no_column(system.forced, k)
     forbidden = _mask_or_no_column(system.forbidden, k)
@@ -407,10 +415,10 @@ def score_systems(system: SubsetSystem, score: str, folds: Sequence[IntArray],
     systems, times_held_out = _rows_of_systems(system, score, kind, folds)
     if score != "check":
         control = np.column_stack([system.design, system.target])
-        candidates = ordered_by_gain(control, used, candidates, k)
+        candidates = order_by_gain(control, used, candidates, k)
     elif rational:
-        below = _denominators(system.denominator, system.design, k)
-        candidates = ordered_by_halves(candidates, np.asarray(below[:, :k].any(axis=0)))
+        below = _denominator_rows(system.denominator, system.design, k)
+        candidates = order_by_halves(candidates, np.asarray(below[:, :k].any(axis=0)))
     room = len(candidates)
     if max_terms is not None:
         room = min(room, max_terms - len(used))
@@ -435,8 +443,8 @@ def _rows_of_systems(system: SubsetSystem, score: str, kind: int,
     """
     k = system.design.shape[1]
     control = np.column_stack([system.design, system.target])
-    guard = _denominators(system.guard_denominator, control[:0], k)
-    denominators = _denominators(system.denominator, control, k)
+    guard = _denominator_rows(system.guard_denominator, control[:0], k)
+    denominators = _denominator_rows(system.denominator, control, k)
     times_held_out = 1
     every_row = np.ones(len(control), dtype=bool)
     # Of each system: its rows of control, rows of errors, and their denominators.
@@ -445,7 +453,7 @@ def _rows_of_systems(system: SubsetSystem, score: str, kind: int,
         if system.check_design is None or system.check_target is None:
             raise ValueError("score 'check' requires check_design and check_target")
         errors = np.column_stack([system.check_design, system.check_target])
-        adjustments = [(every_row, errors, _denominators(system.check_denominator, errors, k))]
+        adjustments = [(every_row, errors, _denominator_rows(system.check_denominator, errors, k))]
     elif score == "kfold":
         if not len(folds):
             raise ValueError("score 'kfold' requires folds")
@@ -462,7 +470,7 @@ def _rows_of_systems(system: SubsetSystem, score: str, kind: int,
         if kind == RATIONAL:  # made equally high by rows without error
             blank = np.zeros((height - len(errors), control.shape[1]))
             extra = np.concatenate([errors, blank, error_denominators,
-                                    _denominators(None, blank, k)])
+                                    _denominator_rows(None, blank, k)])
         else:
             extra = denominators if kind == PRESS else errors
         # A scaled system has the same solutions; its residuals are those of the bound.
@@ -474,7 +482,7 @@ def _rows_of_systems(system: SubsetSystem, score: str, kind: int,
     return systems, times_held_out
 
 
-def _denominators(linear: FloatArray | None, rows: FloatArray, k: int) -> FloatArray:
+def _denominator_rows(linear: FloatArray | None, rows: FloatArray, k: int) -> FloatArray:
     """Return rows [denominator, -1 of each target]; the denominator is 1 if none is given.
 
     With the coefficients x and -1 for the target such a row gives -(1 + denominator x).

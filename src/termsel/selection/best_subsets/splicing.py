@@ -23,7 +23,7 @@ ROUNDING = 1e-9
 """A subset reached in another order differs by less."""
 
 
-def best_by_splicing(systems: ScoreSystems, mask: int, best: FloatArray, masks: Masks,
+def find_best_by_splicing(systems: ScoreSystems, mask: int, best: FloatArray, masks: Masks,
             infeasible: set[bytes]) -> tuple[FloatArray, Masks] | None:
     """Return the best score and mask of each size, (k + 1,) each, after all changes of a subset.
 
@@ -35,7 +35,7 @@ def best_by_splicing(systems: ScoreSystems, mask: int, best: FloatArray, masks: 
     inside = (BITS[systems.everything.candidates] & np.uint64(mask)) != 0
     members = systems.everything.candidates[inside]
     outsiders = systems.everything.candidates[~inside]
-    scores = _scores(systems, used, members, outsiders)
+    scores = _scores_after_changes(systems, used, members, outsiders)
     if scores is None:
         return None
     if len(members) >= systems.everything.room:
@@ -65,15 +65,17 @@ def best_by_splicing(systems: ScoreSystems, mask: int, best: FloatArray, masks: 
 
 
 def tells_changes(systems: ScoreSystems) -> bool:
-    """Return whether `best_by_splicing` knows the score: residuals, or check errors of one target.
+    """Return whether `find_best_by_splicing` knows the score.
+
+    It does of residuals, and of check errors if there is one target.
     """
     one_target = systems.systems[0].control.shape[1] == systems.k + 1
     return systems.kind == RSS or (systems.kind in (LINEAR, RATIONAL) and one_target
                                    and len(systems.systems) == 1)
 
 
-def _scores(systems: ScoreSystems, used: IntArray, members: IntArray,
-            outsiders: IntArray) -> FloatArray | None:
+def _scores_after_changes(systems: ScoreSystems, used: IntArray, members: IntArray,
+                          outsiders: IntArray) -> FloatArray | None:
     """Return the scores (1 + members, 1 + outsiders) after each change.
 
     Row 0 keeps all members, the others drop one each; column 0 adds none, so that [0, 0] is the

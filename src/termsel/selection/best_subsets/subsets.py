@@ -34,10 +34,10 @@ from termsel.selection.best_subsets.columns.system import (
     NodeResult,
     SubsetSystem,
     SubtreeNode,
-    better,
+    better_of_each_size,
 )
-from termsel.selection.best_subsets.descents import descents
-from termsel.selection.best_subsets.rising_bound import rising_bounds
+from termsel.selection.best_subsets.descents import descend_through_subsets
+from termsel.selection.best_subsets.rising_bound import raise_bound
 from termsel.selection.best_subsets.score_systems import ScoreSystems, score_systems
 
 log = logging.getLogger(__name__)
@@ -129,8 +129,8 @@ def search(
         tight = score in ("check", "rss")
         node_subsets = _BOUNDED_SUBSETS if tight else _BOUNDED_SUBSETS // _LOOSER
     if long_search and score == "check":
-        for best, masks, lower_bound in rising_bounds(systems, incumbents.best, incumbents.masks,
-                                                      node_subsets, workers):
+        for best, masks, lower_bound in raise_bound(
+                systems, incumbents.best, incumbents.masks, node_subsets, workers):
             incumbents.best = best
             incumbents.masks = masks
             root = replace(systems.everything, lower_bound=lower_bound)
@@ -146,7 +146,7 @@ class _Incumbents:
     def __init__(self, systems: ScoreSystems) -> None:
         self.systems = systems
         # (k + 1,) each: the least score of a size, and its columns (bit j: column j).
-        self.best, self.masks = _no_subsets(systems.k)
+        self.best, self.masks = _undecided_subsets(systems.k)
         self.closed_sizes = 0  # all subsets with fewer columns are decided
         self.scored = 0  # subsets that are decided by their scores
         self.pruned = 0  # subsets that are decided by a bound
@@ -167,8 +167,9 @@ class _Incumbents:
 def _improve_by_descents(incumbents: _Incumbents) -> Iterator[SubsetResult]:
     """Improve the incumbents by descents, and decide the sizes of few columns."""
     systems = incumbents.systems
-    for descent, (best, masks) in enumerate(descents(systems)):
-        incumbents.best, incumbents.masks = better(incumbents.best, incumbents.masks, best, masks)
+    for descent, (best, masks) in enumerate(descend_through_subsets(systems)):
+        incumbents.best, incumbents.masks = better_of_each_size(
+            incumbents.best, incumbents.masks, best, masks)
         yield incumbents.result([systems.everything])
         # Those of few columns take a second. Descents by residuals take a tenth, others several,
         # and all subsets hours.
@@ -233,8 +234,9 @@ def _take_improvement(incumbents: _Incumbents, node: SubtreeNode, result: NodeRe
     scores[0] = result.best[0]
     scores[:incumbents.closed_sizes] = np.inf
     improved = bool((scores < incumbents.best).any())
-    incumbents.best, incumbents.masks = better(incumbents.best, incumbents.masks, scores,
-                                               result.masks)
+    incumbents.best, incumbents.masks = better_of_each_size(incumbents.best, incumbents.masks,
+                                                            scores,
+                                                            result.masks)
     incumbents.scored += node.count - result.pruned
     incumbents.pruned += result.pruned
     return improved
@@ -264,7 +266,7 @@ def estimate_seconds(
     seconds = []
     for _ in range(2):  # the first may have to compile
         start = time.perf_counter()
-        systems.walk(node, *_no_subsets(systems.k))
+        systems.walk(node, *_undecided_subsets(systems.k))
         seconds.append(time.perf_counter() - start)
     return min(seconds) / node.count * systems.everything.count / workers
 
@@ -328,6 +330,6 @@ def _competitive_scores(cost: Cost, best: FloatArray, largest: float) -> FloatAr
     return np.where(figures > lowest_figures, high, best)
 
 
-def _no_subsets(k: int) -> tuple[FloatArray, Masks]:
+def _undecided_subsets(k: int) -> tuple[FloatArray, Masks]:
     """Return scores and masks, (k + 1,), before anything is decided: infinite, and empty."""
     return np.full(k + 1, np.inf), np.zeros(k + 1, dtype=np.uint64)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from termsel.core.isolation.arrays import of_shape
+from termsel.core.isolation.arrays import difference_from_shape
 from termsel.core.isolation.calls import Check
 from termsel.core.options import Configurable
 from termsel.data.features import (
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 def _score_fault(_criterion: Criterion, value: Any, fits: Fits) -> str | None:
     """Return how figures of merit are at fault, such as a wrong shape; None if they are not."""
-    return of_shape(value, (len(fits.terms),), finite=False)
+    return difference_from_shape(value, (len(fits.terms),), finite=False)
 
 
 class Criterion(Configurable, ABC):

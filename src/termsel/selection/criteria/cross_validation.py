@@ -10,8 +10,8 @@ import numpy as np
 from termsel.adjustment.leave_out import leave_one_out, solve_parts
 from termsel.core.options import COUNT, SEED, Option
 from termsel.data.coordinates.places import spatial_order
-from termsel.data.features import FeatureSet, FloatArray, IntArray, Lines, Points, no_lines
-from termsel.data.roles import twins
+from termsel.data.features import FeatureSet, FloatArray, IntArray, Lines, Points, empty_lines
+from termsel.data.roles import find_twins
 from termsel.fitting.losses import LOSS, SQUARES, THRESHOLD
 from termsel.fitting.population import Fits
 from termsel.selection.criteria.base import Criterion
@@ -63,7 +63,7 @@ class Press(_LeftOut):
         used = fits.in_use
         n = used.shape[1]
         squares = np.empty((p, n))
-        groups = _groups(fits.control, fits.lines)
+        groups = _groups_of_twins(fits.control, fits.lines)
         step = max(1, _SOLUTIONS // (n * k))
         # A solution for each feature and individual: as many individuals at once as memory allows.
         for start in range(0, p, step):
@@ -83,7 +83,7 @@ class Press(_LeftOut):
 
     def subset_folds(self, control: Points) -> tuple[IntArray, ...]:
         """Return each point with its twins, as indices; () without twins."""
-        groups = _groups(control, no_lines())
+        groups = _groups_of_twins(control, empty_lines())
         return groups if len(groups) < len(control) else ()
 
 
@@ -128,7 +128,7 @@ class KFold(_LeftOut):
         xy = np.concatenate([points.ground[:, :2],
                              lines.by_feature(lines.ground[:, :, :2].mean(axis=1))])
         rng = np.random.default_rng(self.options["fold_seed"])
-        groups = _groups(points, lines)
+        groups = _groups_of_twins(points, lines)
         xy = xy[[group[0] for group in groups]]
         repeats = self.options["repeats"]
         folds = min(self.options["folds"], len(xy))
@@ -145,7 +145,7 @@ class KFold(_LeftOut):
 
     def subset_folds(self, control: Points) -> tuple[IntArray, ...]:
         """Return the folds of control points."""
-        return self.folds(control, no_lines())
+        return self.folds(control, empty_lines())
 
 
 def _fold_errors(fits: Fits, fold: IntArray) -> FloatArray:
@@ -158,10 +158,10 @@ def _fold_errors(fits: Fits, fold: IntArray) -> FloatArray:
 
 
 @lru_cache(maxsize=4)  # a search asks again and again
-def _groups(points: Points, lines: Lines) -> tuple[IntArray, ...]:
+def _groups_of_twins(points: Points, lines: Lines) -> tuple[IntArray, ...]:
     """Return the indices of each feature and its twins, points before lines, by their first ones.
     """
-    labels = twins(points.ground)
+    labels = find_twins(points.ground)
     n = len(FeatureSet(points, lines))
     labels = np.concatenate([labels, np.arange(len(labels), n)])
     # Lines have no twins: each has a label of its own. Groups are runs of equal labels.

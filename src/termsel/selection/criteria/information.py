@@ -71,7 +71,8 @@ class Ebic(Criterion):
             first = columns[np.unique(genes[columns], return_index=True)[1]]
             first = first[optional[first]]
             # Systems that share genes have a common variance: their squares are pooled.
-            rss = np.sum([_rss(system, fits.coefficients[:, system.columns]) for system in systems],
+            rss = np.sum([_residual_sums(system, fits.coefficients[:, system.columns])
+                          for system in systems],
                          axis=0)
             total += self._criterion_of_system(rss,
                                                sum(len(system.equations.b) for system in systems),
@@ -113,6 +114,6 @@ def _chosen_together(systems: tuple[IndependentPart, ...],
     return [(system,) for system in systems]
 
 
-def _rss(system: IndependentPart, coefficients: FloatArray) -> FloatArray:
+def _residual_sums(system: IndependentPart, coefficients: FloatArray) -> FloatArray:
     """Return residual sums of squares, shape (p,)."""
     return np.asarray(((system.equations.b - coefficients @ system.equations.A.T)**2).sum(axis=1))

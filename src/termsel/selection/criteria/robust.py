@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from termsel.data.features import FloatArray
-from termsel.fitting.losses import HUBER, MEDIAN, THRESHOLD, figure
+from termsel.fitting.losses import HUBER, MEDIAN, THRESHOLD, rmse_like_figure
 from termsel.fitting.population import Fits
 from termsel.selection.criteria.base import Criterion
 
@@ -15,7 +15,7 @@ def _robust_figure(fits: Fits, loss: str, threshold: float = THRESHOLD.default) 
     # Beyond a pole errors may overflow; the figure then is infinite.
     with np.errstate(over="ignore", invalid="ignore"):
         distances = np.hypot(fits.check_errors[..., 0], fits.check_errors[..., 1])
-    return figure(distances, np.ones_like(distances), loss, threshold)
+    return rmse_like_figure(distances, np.ones_like(distances), loss, threshold)
 
 
 class Median(Criterion):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from termsel.core.errors import TermselError
-from termsel.core.isolation.arrays import of_shape, of_type
+from termsel.core.isolation.arrays import difference_from_shape, difference_from_type
 from termsel.core.isolation.calls import Check, Guarded
 from termsel.data.features import FeatureSet, FloatArray, IntArray, Points
 from termsel.data.record.search import SelectionRecord
@@ -130,9 +130,10 @@ def evaluation_fault(problem: Problem, value: Any, genes: Genes, *_near: Any,
     """Return how the evaluation of a population is at fault; None if it is not."""
     n = len(genes)
     names = problem.objectives
-    return (of_type(value, Evaluation)
-            or of_shape(value.objectives, (n, len(names)), verb="returned as objectives")
-            or of_shape(value.violation, (n,), verb="returned as violation"))
+    return (difference_from_type(value, Evaluation)
+            or difference_from_shape(
+                value.objectives, (n, len(names)), verb="returned as objectives")
+            or difference_from_shape(value.violation, (n,), verb="returned as violation"))
 
 
 def _is_number(value: Any) -> bool:
@@ -142,7 +143,7 @@ def _is_number(value: Any) -> bool:
 def _selection_fault(_problem: Problem, value: Any, *_args: Any) -> str | None:
     """Return how a decoded selection is at fault; None if it is not."""
     # A record of the run takes names, and values that JSON has.
-    fault = of_type(value, Selection)
+    fault = difference_from_type(value, Selection)
     if fault is None:
         for attribute, names in (("terms", value.terms), ("features", value.features)):
             if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
@@ -170,7 +171,7 @@ def _moves_fault(problem: Problem, value: Any, *_args: Any) -> str | None:
 
 
 def _design_fault(problem: Problem, value: Any) -> str | None:
-    return of_shape(value, (-1, problem.genome.size))
+    return difference_from_shape(value, (-1, problem.genome.size))
 
 
 class Problem(Guarded, ABC):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from termsel.adjustment.leave_out import IndependentPart
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name_error
 from termsel.core.options import Option
 from termsel.data.features import BoolArray, FloatArray, IntArray
 from termsel.models.terms import Term
@@ -37,7 +37,7 @@ TERM_OPTIONS = (
 """Options of problems that select terms."""
 
 
-def listed(value: str | None) -> list[str]:
+def split_names(value: str | None) -> list[str]:
     """Return the names in the value of an option, which are separated by commas."""
     names = map(str.strip, (value or "").split(","))
     return [name for name in names if name]
@@ -56,22 +56,22 @@ def without_heights(names: tuple[str, ...], options: Mapping[str, Any]) -> dict[
                                                       if name not in height_terms)}
     if "force_off" not in options:
         return {}
-    forced_on = set(listed(options["force_on"]))
+    forced_on = set(split_names(options["force_on"]))
     # A term may be asked for by its own name, by that of both axes, or by its monomial.
     remaining = {term.shared for name, term in height_terms.items()
                  if forced_on & {name, str(term.shared), term.column}}
     off = [str(term.shared) for term in height_terms.values() if term.shared not in remaining]
-    return {"force_off": ",".join(dict.fromkeys([*listed(options["force_off"]), *off]))}
+    return {"force_off": ",".join(dict.fromkeys([*split_names(options["force_off"]), *off]))}
 
 
-def forced(value: str | None, labels: tuple[str, ...], ids: tuple[str, ...]) -> list[str]:
+def forced_labels(value: str | None, labels: tuple[str, ...], ids: tuple[str, ...]) -> list[str]:
     """Return the labels of the genes that the value of an option names.
 
     Labels are those of all genes of terms, such as "line.num:X", or "num:X" for both axes; ids
     those of all features that are selected. Raises TermselError for a name that none has.
     """
     genes: list[str] = []
-    for name in listed(value):
+    for name in split_names(value):
         named = [label for label, term in zip(labels, map(Term.parse, labels), strict=True)
                  if name in (label, str(term.shared), term.column)]
         named += [feature_id for feature_id in ids if feature_id == name]
@@ -81,12 +81,12 @@ def forced(value: str | None, labels: tuple[str, ...], ids: tuple[str, ...]) -> 
                 kinds.append("term")
             if ids:
                 kinds.append("feature")
-            raise unknown_name(" or ".join(kinds), name, (*labels, *ids))
+            raise unknown_name_error(" or ".join(kinds), name, (*labels, *ids))
         genes += named
     return genes
 
 
-def parents(names: tuple[str, ...]) -> tuple[IntArray, IntArray]:
+def parent_pairs(names: tuple[str, ...]) -> tuple[IntArray, IntArray]:
     """Return pairs of terms, the second a monomial of one power less in the first's part.
 
     Names are of all terms (see `termsel.Term.parents`).
@@ -101,7 +101,7 @@ def parents(names: tuple[str, ...]) -> tuple[IntArray, IntArray]:
     return children, parents_of_children
 
 
-def orphans(terms: BoolArray, pairs: tuple[IntArray, IntArray]) -> FloatArray:
+def count_orphans(terms: BoolArray, pairs: tuple[IntArray, IntArray]) -> FloatArray:
     """Return how many terms in use lack a parent, each counted for every one, shape (p,)."""
     child, parent = pairs
     return np.asarray((terms[:, child] & ~terms[:, parent]).sum(axis=1), dtype=np.float64)
@@ -112,7 +112,7 @@ MAX_SHARE = 2 / 3
 redundant."""
 
 
-def most_terms(equations: IntArray, share: float, freedom: int = 1) -> IntArray:
+def largest_term_share(equations: IntArray, share: float, freedom: int = 1) -> IntArray:
     """Return the most terms that numbers of equations (s,) support, as a share of them, (s,).
 
     At least `freedom` degrees of freedom remain.
@@ -123,12 +123,13 @@ def most_terms(equations: IntArray, share: float, freedom: int = 1) -> IntArray:
     return np.asarray(np.minimum(supported, equations - freedom))
 
 
-def excess(systems: tuple[IndependentPart, ...], terms: BoolArray, features: BoolArray | None,
-           share: float, freedom: int = 1) -> FloatArray:
+def count_excess_terms(systems: tuple[IndependentPart, ...], terms: BoolArray,
+                       features: BoolArray | None,
+                       share: float, freedom: int = 1) -> FloatArray:
     """Return how many terms are in use beyond those that the equations support, shape (p,).
 
     Each part supports its own terms, (p, k), or (1, k) if all have the same. Features (p, f) are
-    all in use by default. Share and freedom are those of `most_terms`.
+    all in use by default. Share and freedom are those of `largest_term_share`.
     """
     total: FloatArray = np.zeros(len(terms))
     for system in systems:
@@ -139,19 +140,20 @@ def excess(systems: tuple[IndependentPart, ...], terms: BoolArray, features: Boo
         rows = np.asarray(rows_of_feature.sum() if features is None
                           else features @ rows_of_feature.astype(np.float64), dtype=np.intp)
         n_terms = terms[:, system.columns].sum(axis=1)
-        total = total + np.maximum(n_terms - most_terms(rows, share, freedom), 0)
+        total = total + np.maximum(n_terms - largest_term_share(rows, share, freedom), 0)
     return total
 
 
-def capped(segments: Iterable[Bits], gene_of_term: IntArray, systems: tuple[IndependentPart, ...],
-           share: float) -> list[Bits]:
+def cap_segments(segments: Iterable[Bits], gene_of_term: IntArray,
+                 systems: tuple[IndependentPart, ...],
+                 share: float) -> list[Bits]:
     """Return the segments of terms with a maximum that no selection without excess is above.
 
     Segments are all those of terms, in the order of the genes. Raises TermselError if one may not
     have any term.
     """
-    # This keeps a search from most of what `excess` would count, which is more where several
-    # segments share equations, or features are selected too.
+    # This keeps a search from most of what `count_excess_terms` would count, which is more where
+    # several segments share equations, or features are selected too.
     limited = []
     start = 0
     for segment in segments:
@@ -163,7 +165,7 @@ def capped(segments: Iterable[Bits], gene_of_term: IntArray, systems: tuple[Inde
             # A gene of a shared mask switches a column in each axis, one of a mask per axis in one.
             if columns.any():
                 equations = len(system.equations.b)
-                supported = int(most_terms(np.array(equations), share))
+                supported = int(largest_term_share(np.array(equations), share))
                 # Genes of no column here are free; the others switch as many as the fewest do.
                 maximum = min(maximum, int((columns == 0).sum())
                            + supported // columns[columns > 0].min())

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 from termsel.data.features import BoolArray, FloatArray
 
 
-@compiled
-def _areas(x: FloatArray, y: FloatArray, masks: BoolArray, areas: FloatArray) -> None:
+@compile_lazily
+def _fill_hull_areas(x: FloatArray, y: FloatArray, masks: BoolArray, areas: FloatArray) -> None:
     """Write the area of the hull of each selection of points in ascending order of x, then y."""
     hull = np.empty(2 * len(x) + 1, dtype=np.intp)
     for individual in range(len(masks)):
@@ -50,7 +50,7 @@ def hull_areas(points: FloatArray, masks: BoolArray) -> FloatArray:
     # Products of coordinates far from the origin would lose digits.
     centred = np.ascontiguousarray((points - points.mean(axis=0))[order].T)
     areas = np.zeros(len(masks))
-    _areas(centred[0], centred[1], np.ascontiguousarray(masks[:, order]), areas)
+    _fill_hull_areas(centred[0], centred[1], np.ascontiguousarray(masks[:, order]), areas)
     return areas
 
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.core.isolation.arrays import of_shape
+from termsel.core.isolation.arrays import difference_from_shape
 from termsel.core.isolation.calls import Check, Guarded
 from termsel.data.features import FloatArray
 
@@ -47,7 +47,7 @@ class Named:
 
 def _genes_fault(segment: CustomSegment, value: Any, *_args: Any) -> str | None:
     """Return how genes that a method of a segment returned are at fault; None if they are not."""
-    fault = of_shape(value, (-1, segment.size))
+    fault = difference_from_shape(value, (-1, segment.size))
     if fault is None and (genes_fault := segment.fault(value)):
         return f"returned genes that {genes_fault}"
     return fault
@@ -90,7 +90,7 @@ class CustomSegment(Named, Guarded):
     guards: ClassVar[Mapping[str, Check | None]] = {
         "random": _genes_fault, "mutated": _genes_fault, "steps": _genes_fault,
         "unlocked": _genes_fault, "crossed": _pair_fault, "value": None, "fault": None,
-        "repaired": lambda segment, value, *_: of_shape(value, (-1, segment.size))}
+        "repaired": lambda segment, value, *_: difference_from_shape(value, (-1, segment.size))}
 
     @property
     def keys(self) -> int:

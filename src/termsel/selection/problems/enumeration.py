@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from termsel.adjustment.equations import Equations, row_axes
-from termsel.adjustment.solve import ROUNDING, by_size
+from termsel.adjustment.solve import ROUNDING, replace_rounding_by_size
 from termsel.core.errors import TermselError
 from termsel.data.features import (
     BoolArray,
@@ -18,7 +18,7 @@ from termsel.data.features import (
     FloatArray,
     IntArray,
     Points,
-    no_lines,
+    empty_lines,
 )
 from termsel.models.base import LINE, SAMPLE
 from termsel.models.quotient import RationalModel
@@ -44,17 +44,19 @@ def enumerable_parts(inputs: ProblemData, equations: Equations, genome: Genome,
     model = inputs.model
     criterion = inputs.criterion
     if not isinstance(model, RationalModel):
-        raise _not_enumerable(f"model {model.name!r} is not a RationalModel")
+        raise _not_enumerable_error(f"model {model.name!r} is not a RationalModel")
     if model.weighted:
-        raise _not_enumerable("weighted=true gives each selection equations of its own")
+        raise _not_enumerable_error("weighted=true gives each selection equations of its own")
     if not criterion.subset_score:
-        raise _not_enumerable(f"criterion {criterion.name!r} is no sum over check or control rows")
+        raise _not_enumerable_error(f"criterion {criterion.name!r} is no sum over check or "
+                                    "control rows")
     axis = model.axis
     if (row_axes(equations.A, axis) == 2).any() or (axis == 2).any():
-        raise _not_enumerable("lines or a shared denominator couple the axes")
+        raise _not_enumerable_error("lines or a shared denominator couple the axes")
     if equations.prior is not None:
-        raise _not_enumerable(f"model {model.name!r} has pseudo-observations, which are no rows "
-                              "of the control (--set ridge=0 removes them)")
+        raise _not_enumerable_error(f"model {model.name!r} has pseudo-observations, which are no "
+                                    "rows "
+                                    "of the control (--set ridge=0 removes them)")
     _refuse_other_errors(inputs)
     # parents[i, j]: term i is selected only with term j.
     parents = np.zeros((len(axis), len(axis)), dtype=bool)
@@ -96,7 +98,8 @@ def _cost_by_size(scores: FloatArray, cost: Callable[[FloatArray], FloatArray], 
     Scores up to `rounding` count by their size, each term as a share, as where `SelectionProblem`
     evaluates them: there roots of sums over the parts are judged.
     """
-    return cost(by_size(scores, rounding, share * np.arange(len(scores), dtype=np.float64)))
+    return cost(replace_rounding_by_size(scores, rounding,
+                                         share * np.arange(len(scores), dtype=np.float64)))
 
 
 def _refuse_other_errors(inputs: ProblemData) -> None:
@@ -106,13 +109,13 @@ def _refuse_other_errors(inputs: ProblemData) -> None:
     if inputs.criterion.subset_score not in ("press", "kfold"):
         return
     if points.sigma is not None and np.ptp(points.sigma) > 0:
-        raise _not_enumerable(f"standard deviations weight the rows, but {name!r} is in px")
+        raise _not_enumerable_error(f"standard deviations weight the rows, but {name!r} is in px")
     if inputs.model.corrects:
-        raise _not_enumerable(f"model {inputs.model.name!r} corrects its predictions by the "
-                              f"control; {name!r} would need a correction for every fold")
+        raise _not_enumerable_error(f"model {inputs.model.name!r} corrects its predictions by the "
+                                    f"control; {name!r} would need a correction for every fold")
 
 
-def _not_enumerable(why: str) -> TermselError:
+def _not_enumerable_error(why: str) -> TermselError:
     return TermselError(f"this solver needs one linear system per axis: {why}",
                         hint="Choose another solver, such as --solver ga or --solver swap.")
 
@@ -148,7 +151,8 @@ def _with_check(system: SubsetSystem, model: RationalModel, inputs: ProblemData,
     A = check_equations.A
     b = check_equations.b
     if weights is None and model.corrects:
-        raise _not_enumerable(f"the second step of model {model.name!r} is not linear in its terms")
+        raise _not_enumerable_error(f"the second step of model {model.name!r} is not linear in "
+                                    "its terms")
     if weights is not None:
         # The correction is linear in the residuals of the control, hence in the unknowns.
         control_equations = _axis_of_points(model, points, image_axis)
@@ -161,7 +165,7 @@ def _with_check(system: SubsetSystem, model: RationalModel, inputs: ProblemData,
 def _axis_of_points(model: RationalModel, points: Points, image_axis: int) -> Equations:
     """Return the unweighted equations of points for one axis."""
     # Without standard deviations, hence without weights: errors are in px.
-    bare = FeatureSet(Points(points.ids, points.image, points.ground), no_lines())
+    bare = FeatureSet(Points(points.ids, points.image, points.ground), empty_lines())
     rows = model.equations(bare)
     return rows.take(np.arange(len(rows.b)) % 2 == image_axis, model.axis == image_axis)
 
@@ -184,8 +188,8 @@ def _merge(axis_systems: list[SubsetSystem], genes: list[IntArray]) -> SubsetSys
     same_columns = (np.array_equal(genes[0], genes[1]) and line.denominator is None
              and np.array_equal(line.design, sample.design))
     if not same_columns:
-        raise _not_enumerable("with a shared mask, line and sample must have the same "
-                              "columns and no denominators; use --set mask=per-axis")
+        raise _not_enumerable_error("with a shared mask, line and sample must have the same "
+                                    "columns and no denominators; use --set mask=per-axis")
     # Both have the same columns: two targets, whose squares add up.
     check_target = (None if line.check_target is None or sample.check_target is None
                     else np.concatenate([line.check_target, sample.check_target], axis=1))

@@ -10,7 +10,7 @@ from termsel.adjustment.leave_out import IndependentPart
 from termsel.data.features import BoolArray, FloatArray
 from termsel.selection.best_subsets.features.walk import RowSystem
 from termsel.selection.criteria.base import CheckRmse
-from termsel.selection.problems.constraints import most_terms
+from termsel.selection.problems.constraints import largest_term_share
 
 if TYPE_CHECKING:
     from termsel.selection.problems.base import ProblemData
@@ -21,12 +21,12 @@ def row_systems(inputs: ProblemData, independent: tuple[IndependentPart, ...], t
     """Return the systems of a selection of features, in px; none where no selection can be scored.
 
     The parts are of the control, with all terms of the model, of which some are in use (k,); share
-    and freedom are those of `most_terms`.
+    and freedom are those of `largest_term_share`.
     """
     # A walk scores by the check RMSE, of image positions that are linear in the terms.
     if type(inputs.criterion).score is not CheckRmse.score:
         return ()
-    linear = _linear(inputs)
+    linear = _linearised_selection_points(inputs)
     if linear is None:
         return ()
     constant, columns = linear
@@ -54,11 +54,11 @@ def row_systems(inputs: ProblemData, independent: tuple[IndependentPart, ...], t
 def _fewest_rows(terms: int, rows: int, share: float, freedom: int) -> int:
     """Return the fewest equations, up to `rows`, that support a number of terms; else rows + 1."""
     # The number of supported terms rises with the rows: the first that is enough.
-    supported = most_terms(np.arange(rows + 1), share, freedom)
+    supported = largest_term_share(np.arange(rows + 1), share, freedom)
     return int(np.searchsorted(supported, terms))
 
 
-def _linear(inputs: ProblemData) -> tuple[FloatArray, FloatArray] | None:
+def _linearised_selection_points(inputs: ProblemData) -> tuple[FloatArray, FloatArray] | None:
     """Return the selection points' image positions for terms of 0, and their change by each term.
 
     They are raveled, of shape (2 c,) and (2 c, k). None where they are not linear.

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name_error
 from termsel.data.features import BoolArray
 from termsel.selection.problems.segments import AnySegment, Bits, Genes, Subset
 
@@ -42,7 +42,7 @@ class Genome:
     def __init__(self, segments: Iterable[AnySegment], *, on: Iterable[str] = (),
                  off: Iterable[str] = ()) -> None:
         self.segments = tuple(segments)
-        self._slices = _slices([(s.name, s.size) for s in self.segments])
+        self._slices = _segment_slices([(s.name, s.size) for s in self.segments])
         if len(self._slices) < len(self.segments):
             raise TermselError("two segments of a genome have the same name: "
                                + ", ".join(s.name for s in self.segments))
@@ -50,11 +50,11 @@ class Genome:
         for segment in self.segments:
             labels += segment.labels
         self.labels = tuple(labels)
-        self._of_labels = _slices([(s.name, len(s.labels)) for s in self.segments])
+        self._of_labels = _segment_slices([(s.name, len(s.labels)) for s in self.segments])
         self.size = sum(s.size for s in self.segments)
-        self.dtype = _dtype(self.segments)
-        self.on = self._mark(on)
-        self.off = self._mark(off)
+        self.dtype = _common_dtype(self.segments)
+        self.on = self._mask_of_labels(on)
+        self.off = self._mask_of_labels(off)
         # What is forced belongs to labels, not to genes: a `Subset` has fewer genes than labels.
         self.free = ~(self.on | self.off)
         on_and_off = self.on & self.off
@@ -83,7 +83,7 @@ class Genome:
         return [(s, self._of_labels[s.name]) for s in self.segments
                 if isinstance(s, Bits | Subset)]
 
-    def _mark(self, labels: Iterable[str]) -> BoolArray:
+    def _mask_of_labels(self, labels: Iterable[str]) -> BoolArray:
         """Return which labels are named, shape (number of labels,); refuse names that none has."""
         marked = np.zeros(len(self.labels), dtype=bool)
         labels = list(labels)
@@ -95,7 +95,7 @@ class Genome:
                 label_index.update(zip(segment.labels, numbers, strict=True))
         for label in labels:
             if label not in label_index:
-                raise unknown_name("gene", label, label_index)
+                raise unknown_name_error("gene", label, label_index)
             marked[label_index[label]] = True
         return marked
 
@@ -225,7 +225,7 @@ def _keep_count(genes: BoolArray, segment: Bits | Subset, free: BoolArray,
         individual[rng.permutation(movable)[:n_switched]] = short
 
 
-def _slices(sizes: Iterable[tuple[str, int]]) -> dict[str, slice]:
+def _segment_slices(sizes: Iterable[tuple[str, int]]) -> dict[str, slice]:
     """Return where each segment is, one after the other."""
     slices = {}
     start = 0
@@ -235,7 +235,7 @@ def _slices(sizes: Iterable[tuple[str, int]]) -> dict[str, slice]:
     return slices
 
 
-def _dtype(segments: Iterable[AnySegment]) -> np.dtype[Any]:
+def _common_dtype(segments: Iterable[AnySegment]) -> np.dtype[Any]:
     """Return the dtype that holds all segments: bool, whole or real numbers."""
     # The widest of them holds all: bits, whole numbers, real numbers.
     kinds = {s.dtype for s in segments}

@@ -9,14 +9,14 @@ import numpy as np
 
 from termsel.adjustment.equations import Equations
 from termsel.adjustment.leave_out import IndependentPart
-from termsel.core.isolation.arrays import of_shape
+from termsel.core.isolation.arrays import difference_from_shape
 from termsel.core.isolation.faults import (
     attribute_errors_to,
     fault_of_method,
+    function_in_words,
     is_own,
-    named_function,
 )
-from termsel.data.coordinates.places import centres
+from termsel.data.coordinates.places import feature_centres
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
 from termsel.selection.problems.coverage import uncovered_share
 
@@ -115,18 +115,18 @@ def log_condition(selected: PopulationSelection) -> FloatArray:
 _SINGULAR = 16.0
 
 
-def uncovered(selected: PopulationSelection) -> FloatArray:
+def uncovered_outside_hull(selected: PopulationSelection) -> FloatArray:
     """Return the share of the image outside the hull of the selected features, (p,), 0 to 1."""
-    return uncovered_share(centres(selected.control), selected.features)
+    return uncovered_share(feature_centres(selected.control), selected.features)
 
 
-def unevenness(selected: PopulationSelection) -> FloatArray:
+def unevenness_of_selections(selected: PopulationSelection) -> FloatArray:
     """Return the unevenness of the selected features, (p,): 0 if equally far from the nearest.
 
     The coefficient of variation of the distances to the nearest selected neighbour in the image; 1
     for fewer than three features. termsel's own measure.
     """
-    positions = centres(selected.control)
+    positions = feature_centres(selected.control)
     distance = np.linalg.norm(positions[:, None] - positions[None], axis=2)
     # No feature is its own neighbour.
     np.fill_diagonal(distance, np.inf)
@@ -161,16 +161,16 @@ class Objective:
     score: Callable[[PopulationSelection], FloatArray]
 
 
-def scored(objective: Objective, selected: PopulationSelection) -> FloatArray:
+def figures_of_objective(objective: Objective, selected: PopulationSelection) -> FloatArray:
     """Return the figures of an objective, (p,), one finite number for each individual.
 
     Raises PluginFault, naming the plugin, for others.
     """
     score = objective.score
-    called = "" if is_own(score) else named_function(f"objective {objective.name!r}", score)
+    called = "" if is_own(score) else function_in_words(f"objective {objective.name!r}", score)
     with attribute_errors_to(score, "score", name=called):
         figures = score(selected)
-    if fault := of_shape(figures, (len(selected.terms),)):
+    if fault := difference_from_shape(figures, (len(selected.terms),)):
         raise fault_of_method(score, "score", fault, name=called)
     return figures
 
@@ -180,6 +180,6 @@ OBJECTIVES = tuple(Objective(score.__name__, summary, score) for score, summary 
     (n_features, "Number of control features in use."),
     (max_correlation, "Largest correlation of two columns in use."),
     (log_condition, "Logarithm of the condition number."),
-    (uncovered, "Share of the image outside the hull of the features in use."),
-    (unevenness, "Unevenness of the distances between the features in use.")))
+    (uncovered_outside_hull, "Share of the image outside the hull of the features in use."),
+    (unevenness_of_selections, "Unevenness of the distances between the features in use.")))
 """Built-in objectives next to the criterion."""

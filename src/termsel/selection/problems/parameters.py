@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name_error
 from termsel.core.options import Option
 from termsel.data.features import select
 from termsel.selection.problems.base import Evaluation, Problem, ProblemData, Selection
@@ -61,9 +61,9 @@ class ParameterProblem(Problem):
         self.parameters = tuple(parameters)
         for name in self.parameters:
             if name not in options:
-                raise unknown_name("option", name, options,
-                                   f"The problem needs a model with this option, and "
-                                   f"{inputs.model.name!r} has none.")
+                raise unknown_name_error("option", name, options,
+                                         f"The problem needs a model with this option, and "
+                                         f"{inputs.model.name!r} has none.")
         self._base = base = SelectionProblem(inputs, terms=True, features=False, mask=mask)
         self.objectives = base.objectives
         segments: list[AnySegment] = [segment_of(options[name]) for name in self.parameters]
@@ -95,9 +95,9 @@ class ParameterProblem(Problem):
         """Return the terms in use and the values of the parameters."""
         problem = self._selection_at(genes[self._n_terms:])
         selection = problem.decode(self._genes_of_terms(genes[None], problem))
-        return replace(selection, parameters=self._values(genes[self._n_terms:]))
+        return replace(selection, parameters=self._values_by_name(genes[self._n_terms:]))
 
-    def _values(self, genes: Genes) -> dict[str, Any]:
+    def _values_by_name(self, genes: Genes) -> dict[str, Any]:
         """Return the parameters that genes stand for, by name."""
         # The genome shows values of whole chromosomes; those of terms play no part.
         all_genes = np.concatenate([np.zeros(self._n_terms, dtype=genes.dtype), genes])
@@ -111,7 +111,7 @@ class ParameterProblem(Problem):
             # Each holds the equations of its model: they are made again rather than kept for ever.
             if len(self._known) >= _MAX_CACHED:
                 self._known.clear()
-            model = self.inputs.model.with_parameters(self._values(genes))
+            model = self.inputs.model.with_parameters(self._values_by_name(genes))
             if self._selects_terms:
                 self._known[key] = self._base.with_model(model)
             else:

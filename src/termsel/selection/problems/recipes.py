@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name_error
 from termsel.core.options import COUNT, Option
 from termsel.selection.problems.base import Problem, ProblemData
 from termsel.selection.problems.constraints import FORCE_OPTIONS, TERM_OPTIONS
@@ -190,7 +190,7 @@ def with_defaults(declared: tuple[Option, ...], **defaults: Any) -> tuple[Option
     options = {option.name: option for option in declared}
     for name, default in defaults.items():
         if name not in options:
-            raise unknown_name("option", name, options)
+            raise unknown_name_error("option", name, options)
         # A text that shows the usual default would be wrong of this one.
         options[name] = replace(options[name], default=default,
                                 doc=_USUAL.sub("", options[name].doc))

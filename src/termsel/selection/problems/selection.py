@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from termsel.adjustment.leave_out import independent_parts, solve_parts
-from termsel.adjustment.solve import ROUNDING, by_size
-from termsel.core.errors import TermselError, unknown_name
-from termsel.data.coordinates.places import centres
+from termsel.adjustment.solve import ROUNDING, replace_rounding_by_size
+from termsel.core.errors import TermselError, unknown_name_error
+from termsel.data.coordinates.places import feature_centres
 from termsel.data.features import BoolArray, FloatArray, IntArray, select
-from termsel.fitting.least_squares import first_order
+from termsel.fitting.least_squares import first_order_equations
 from termsel.fitting.population import Fits
 from termsel.models.base import LINE, SAMPLE, SensorModel
 from termsel.models.quotient import RationalModel, guard_points, pole_margin, pole_violation
@@ -27,10 +27,17 @@ from termsel.selection.problems.base import (
     ProblemData,
     Selection,
 )
-from termsel.selection.problems.constraints import capped, excess, forced, listed, orphans, parents
+from termsel.selection.problems.constraints import (
+    cap_segments,
+    count_excess_terms,
+    count_orphans,
+    forced_labels,
+    parent_pairs,
+    split_names,
+)
 from termsel.selection.problems.coverage import uncovered_share
 from termsel.selection.problems.genome import Genome
-from termsel.selection.problems.objectives import PopulationSelection, scored
+from termsel.selection.problems.objectives import PopulationSelection, figures_of_objective
 from termsel.selection.problems.segments import AnySegment, Bits, Genes, Subset
 
 if TYPE_CHECKING:
@@ -76,7 +83,7 @@ class SelectionProblem(Problem):
         # The criterion comes first: by it solvers of one objective rank.
         further = [objective.name for objective in inputs.objectives]
         self.objectives = (inputs.criterion.name, *further)
-        self.equations = first_order(model, control)
+        self.equations = first_order_equations(model, control)
         if _iterated_model(inputs) and not inputs.criterion.needs_check:
             raise TermselError("weighted=true judges selections by selection points",
                                hint="Choose --criterion check-rmse.")
@@ -91,7 +98,7 @@ class SelectionProblem(Problem):
         self._share = 1.0 if share is None else float(share)
         if terms:
             term_segments, self._gene_of_term = _term_segments(names, model.axis, mask)
-            segments += (capped(term_segments, self._gene_of_term, self._parts, self._share)
+            segments += (cap_segments(term_segments, self._gene_of_term, self._parts, self._share)
                          if self._share < 1 else term_segments)
         # Genes of terms come first, those of features after them.
         self._n_term_genes = sum(len(s.labels) for s in segments)
@@ -113,9 +120,10 @@ class SelectionProblem(Problem):
             if segment.name != "features":
                 labels += segment.labels
         ids = control.ids if features else ()
-        self.genome = Genome(segments, on=forced(inputs.options.get("force_on"), labels, ids),
-                             off=forced(inputs.options.get("force_off"), labels, ids))
-        self._pairs = parents(names) if inputs.options.get("hierarchy") else None
+        self.genome = Genome(segments,
+                             on=forced_labels(inputs.options.get("force_on"), labels, ids),
+                             off=forced_labels(inputs.options.get("force_off"), labels, ids))
+        self._pairs = parent_pairs(names) if inputs.options.get("hierarchy") else None
         self._require_solvable(terms)
 
     def frozen(self, labels_on: BoolArray, frozen_labels: BoolArray) -> SelectionProblem:
@@ -139,7 +147,7 @@ class SelectionProblem(Problem):
         off = np.where(frozen_labels, ~labels_on, genome.off)
         problem.genome = Genome(segments, on=select(genome.labels, on),
                                 off=select(genome.labels, off))
-        if frozen_labels[:self._n_term_genes].all() and excess(
+        if frozen_labels[:self._n_term_genes].all() and count_excess_terms(
                 self._parts, self._masks(labels_on[None])[0], None, self._share).any():
             problem._share = 1.0
         return problem
@@ -163,7 +171,7 @@ class SelectionProblem(Problem):
                                hint="Choose a problem that searches these options alone.")
         problem = copy(self)
         problem.inputs = replace(self.inputs, model=model)
-        problem.equations = first_order(model, self.inputs.control)
+        problem.equations = first_order_equations(model, self.inputs.control)
         problem._parts = independent_parts(problem.equations, model.axis)
         return problem
 
@@ -229,12 +237,13 @@ class SelectionProblem(Problem):
                 None if features is None else features[determined])
         # Where terms are not selected all individuals have the same: one row stands for all.
         differing = terms[:1] if self._gene_of_term is None else terms
-        violation += excess(self._parts, differing, features, self._share, self._least_freedom)
+        violation += count_excess_terms(
+            self._parts, differing, features, self._share, self._least_freedom)
         violation += self._empty_axes(differing)
         violation += pole_violation(inputs.model, coefficients, self._guard, self._margin)
-        violation += self._lacking_spread(features)
+        violation += self._excess_uncovered(features)
         if self._pairs is not None:
-            violation += orphans(terms, self._pairs)
+            violation += count_orphans(terms, self._pairs)
         # A figure of what is not determined, or has a pole in the scene, would mean nothing.
         feasible = violation == 0
         score = np.full(len(genes), WORST)
@@ -250,19 +259,20 @@ class SelectionProblem(Problem):
             if inputs.criterion.is_rmse or inputs.criterion.in_px:
                 # What is rounding of the data is ordered by the share of genes that are on.
                 share = self.genome.chosen(genes[feasible]).mean(axis=1)
-                score[feasible] = by_size(score[feasible], ROUNDING * inputs.pixels, np.sqrt(share))
+                score[feasible] = replace_rounding_by_size(score[feasible],
+                                                           ROUNDING * inputs.pixels, np.sqrt(share))
         # Objectives are finite, always: what has no figure is infeasible, with the worst one.
         violation[~np.isfinite(score)] = 1.0
         score = np.minimum(np.nan_to_num(score, nan=WORST, posinf=WORST), WORST)
         return Evaluation(self._all_objectives(score, terms, features), violation)
 
-    def _lacking_spread(self, features: BoolArray | None) -> FloatArray | float:
+    def _excess_uncovered(self, features: BoolArray | None) -> FloatArray | float:
         """Return how far the uncovered share of the image exceeds its limit, (p,); 0.0 without one.
         """
         max_uncovered = self.inputs.options.get("max_uncovered")
         if features is None or max_uncovered is None:
             return 0.0
-        share = uncovered_share(centres(self.inputs.control), features)
+        share = uncovered_share(feature_centres(self.inputs.control), features)
         return np.asarray(np.maximum(share - max_uncovered, 0.0))
 
     def _all_objectives(self, score: FloatArray, terms: BoolArray,
@@ -274,7 +284,8 @@ class SelectionProblem(Problem):
         if features is None:
             features = np.ones((len(terms), len(control)), dtype=bool)
         selected = PopulationSelection(self.equations, self._parts, control, terms, features)
-        further = [scored(objective, selected) for objective in self.inputs.objectives]
+        further = [figures_of_objective(objective, selected)
+                   for objective in self.inputs.objectives]
         return np.column_stack([score, *further])
 
     def masks(self, genes: Genes) -> tuple[BoolArray, BoolArray | None]:
@@ -368,10 +379,10 @@ def _iterated_model(inputs: ProblemData) -> RationalModel | None:
 def _terms_in_use(inputs: ProblemData) -> BoolArray:
     """Return which terms are in use where they are not selected, shape (k,)."""
     names = inputs.model.terms
-    selected = listed(inputs.options.get("terms"))
+    selected = split_names(inputs.options.get("terms"))
     for name in selected:
         if name not in names:
-            raise unknown_name("term", name, names)
+            raise unknown_name_error("term", name, names)
     return np.array([not selected or name in selected for name in names])
 
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from termsel.core.isolation.arrays import of_type
+from termsel.core.isolation.arrays import difference_from_type
 from termsel.core.isolation.calls import Check
 from termsel.core.options import Configurable
 from termsel.selection.problems.base import Evaluation, Problem, evaluation_fault
@@ -52,7 +52,7 @@ class Generation:
 
 def _generation_fault(_solver: Solver, value: Any, problem: Problem, *_args: Any) -> str | None:
     """Return how a generation is at fault, such as an index below 0; None if it is not."""
-    fault = of_type(value, Generation)
+    fault = difference_from_type(value, Generation)
     if fault is not None:
         return fault.replace("returned", "yielded")
     if not isinstance(value.index, int) or isinstance(value.index, bool) or value.index < 0:

@@ -167,7 +167,7 @@ class Stage:
             n = len(values) // columns
             # The digest of the selections shows whether this is the same search.
             if n == 0 or len(values) % columns or n > len(keys) \
-                    or line.digest != _digest(keys[:n]):
+                    or line.digest != _checksum_of_state(keys[:n]):
                 raise self._error_for_other_search()
             # The last population of a smaller budget was cut short: it is evaluated as a whole.
             if n < len(keys):
@@ -206,7 +206,7 @@ class Stage:
         # machine.
         values = np.column_stack([evaluation.objectives, evaluation.violation]).astype("<f8")
         now = time.perf_counter()
-        self._unwritten.append(_Line(self._number, _digest(keys), values.tobytes(),
+        self._unwritten.append(_Line(self._number, _checksum_of_state(keys), values.tobytes(),
                                      now - self._start))
         # A search may make hundreds of populations a second.
         if now - self._written > _WRITE_SECONDS:
@@ -233,7 +233,7 @@ def require_resumable(solver: Solver) -> None:
                            "evaluation", hint="Leave the checkpoint out.")
 
 
-def _digest(keys: Sequence[bytes]) -> str:
+def _checksum_of_state(keys: Sequence[bytes]) -> str:
     return b64encode(blake2b(b"".join(keys), digest_size=12).digest()).decode()
 
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from termsel.adjustment.solve import significant
+from termsel.adjustment.solve import round_to_nine_digits
 from termsel.core.errors import TermselError
-from termsel.core.isolation.faults import fault_of_method, own_code
+from termsel.core.isolation.faults import fault_of_method, mark_own_errors
 from termsel.data.features import FloatArray
-from termsel.data.record.chances import median
+from termsel.data.record.chances import median_of
 from termsel.data.record.search import HistoryRow
 from termsel.selection.problems.base import Evaluation, Problem, ProblemAround, evaluation_fault
 from termsel.selection.problems.genome import Genome
@@ -86,7 +86,7 @@ class Ledger(ProblemAround):
 
         Raises BudgetSpent when the budget ends.
         """
-        with own_code():
+        with mark_own_errors():
             return self._evaluate(genes)
 
     def evaluate_near(self, genes: Genes, near: Genes) -> Evaluation:
@@ -94,7 +94,7 @@ class Ledger(ProblemAround):
 
         See `Problem.evaluate_near`.
         """
-        with own_code():
+        with mark_own_errors():
             return self._evaluate(genes, near)
 
     def _evaluate(self, genes: Genes, near: Genes | None = None) -> Evaluation:
@@ -134,7 +134,7 @@ class Ledger(ProblemAround):
         feasible = generation.evaluation.violation == 0
         scores = generation.evaluation.objectives[feasible, 0]
         return HistoryRow(self.count, None if self.best[0] else self.best[1],
-                          float(median(scores)) if len(scores) else None, float(feasible.mean()),
+                          float(median_of(scores)) if len(scores) else None, float(feasible.mean()),
                           tuple(map(int, generation.details.get("empires", ()))))
 
     def front(self) -> list[Genes]:
@@ -156,7 +156,7 @@ class Ledger(ProblemAround):
         # A front is made of all individuals; of one objective the best is remembered apart.
         if len(self.objectives) == 1 and len(self._row_of) > _KNOWN:
             self._row_of = {}
-        keys = _keys(genes)
+        keys = _keys_of_individuals(genes)
         start = len(self._row_of)
         # Twins within the population are evaluated once.
         unknown_keys = dict.fromkeys(key for key in keys if key not in self._row_of)
@@ -219,7 +219,8 @@ class Ledger(ProblemAround):
         """
         if self.solver is not None and not self.solver.uses_chance:
             return evaluation
-        return Evaluation(significant(evaluation.objectives), significant(evaluation.violation))
+        return Evaluation(round_to_nine_digits(evaluation.objectives),
+                          round_to_nine_digits(evaluation.violation))
 
     def _remember(self, genes: Genes, compared: Evaluation, objectives: FloatArray) -> None:
         """Keep the best individual, and the least feasible value of each objective.
@@ -240,7 +241,7 @@ class Ledger(ProblemAround):
             self.best_objectives = objectives[first].copy()
 
 
-def _keys(genes: Genes) -> list[bytes]:
+def _keys_of_individuals(genes: Genes) -> list[bytes]:
     """Return a key for each individual; equal individuals alone have equal keys."""
     # Eight bits a byte; numbers byte by byte, of which 0 and -0 are the same number.
     rows = np.ascontiguousarray(np.packbits(genes, axis=1) if genes.dtype == np.bool_

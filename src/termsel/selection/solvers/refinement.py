@@ -8,7 +8,7 @@ from termsel.core.errors import TermselError
 from termsel.data.record.search import Polish
 from termsel.selection.problems.base import Evaluation
 from termsel.selection.solvers.base import Generation
-from termsel.selection.solvers.heuristics.swap import climb, moves
+from termsel.selection.solvers.heuristics.swap import climb, improving_moves
 from termsel.selection.solvers.ledger import BudgetSpent, Ledger
 from termsel.selection.solvers.observers import Observers
 
@@ -82,7 +82,7 @@ def _widen(ledger: Ledger, max_evaluations: int) -> None:
             return
         for genes in new:
             expanded.add(genes.tobytes())
-            for around in moves(genes, ledger):
+            for around in improving_moves(genes, ledger):
                 if ledger.count + len(around) > max_evaluations:
                     return
                 ledger.evaluate(around)

@@ -21,7 +21,7 @@ from termsel.selection.problems.base import Evaluation, Problem
 from termsel.selection.problems.genome import Genome
 from termsel.selection.problems.segments import Genes
 from termsel.selection.solvers.base import Generation, Solver
-from termsel.selection.solvers.bridges.silence import heard
+from termsel.selection.solvers.bridges.silence import warn_of_silence
 from termsel.selection.solvers.budget import (
     EVALUATIONS,
     IDLE,
@@ -238,7 +238,7 @@ def search(
         reached = generation or Generation(0, np.zeros((1, problem.genome.size), dtype=bool), NONE)
         told.tell(ledger.progress(reached, budget.share(reached, ledger), activity))
 
-    running = heard(solver.generations(ledger, rng), solver, ledger, tell)
+    running = warn_of_silence(solver.generations(ledger, rng), solver, ledger, tell)
     try:
         # Closing lets a solver that is not run to its end free what it holds.
         with closing(_until_spent(running)) as yielded:
@@ -320,11 +320,11 @@ def require_able(problem: Problem, solver: Solver,
     # Both must fit: how many objectives there are, and every type of gene.
     types = {type(segment) for segment in problem.genome.segments}
     objectives_fit = solver.min_objectives <= n_objectives <= solver.max_objectives
-    if objectives_fit and _handles(solver, types):
+    if objectives_fit and _can_handle(solver, types):
         return
     able = [alternative.name for alternative in other_solvers()
             if alternative.min_objectives <= n_objectives <= alternative.max_objectives
-            and _handles(alternative, types)]
+            and _can_handle(alternative, types)]
     # A solver may take other objectives by its options: then it is not advised against itself.
     itself = solver.name in able  # with other options
     able = [name for name in able if name != solver.name]
@@ -344,7 +344,7 @@ def require_able(problem: Problem, solver: Solver,
         f"are {type(segment).__name__}", hint=others_hint)
 
 
-def _handles(solver: Solver | type[Solver], types: Iterable[type]) -> bool:
+def _can_handle(solver: Solver | type[Solver], types: Iterable[type]) -> bool:
     return all(issubclass(segment_type, tuple(solver.segments)) for segment_type in types)
 
 

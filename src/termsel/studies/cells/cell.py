@@ -9,20 +9,20 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
 
-from termsel.core.errors import TermselError, unknown_name
-from termsel.core.isolation.parts import canonical, own_packages
+from termsel.core.errors import TermselError, unknown_name_error
+from termsel.core.isolation.parts import canonical_name, own_packages
 from termsel.core.options import Configurable, Option
 from termsel.plugins.hookspecs import PROJECT
 from termsel.plugins.registry import SESSION, registry
 from termsel.results.extras import Measure
 from termsel.runs.choosing import uses_auto
 from termsel.runs.request import DATA_OPTIONS, Request, auto_of, problem_for, request_of
-from termsel.runs.task import LEAST, Task, checked, observe, with_shares
+from termsel.runs.task import LEAST, Task, observe, with_problem_built, with_shares
 from termsel.selection.solvers.base import Solver
 from termsel.selection.solvers.budget import SEARCH_OPTIONS
-from termsel.studies.cells.identity import made_of
+from termsel.studies.cells.identity import checksum_of_code
 from termsel.studies.cells.table import LABELS, columns_of
-from termsel.studies.plan.data import Data, of_dataset
+from termsel.studies.plan.data import Data, data_of_dataset
 from termsel.studies.plan.spec import STRATEGIES, PartSpec, Spec
 
 MOST_KINDS, MOST_CELLS = 1000, 500_000
@@ -64,7 +64,7 @@ def cells_of(spec: Spec, data: list[Data]) -> list[Cell]:
     kinds = _Kinds(spec)
     cells = []
     for problem in spec.problems or (None,):
-        data_sets = list(data) or [_own_data(spec, problem)]
+        data_sets = list(data) or [_data_of_problem(spec, problem)]
         # Each problem has a data set of its own, for studies that name none.
         for data_set in data_sets:
             # Without a problem the features say what it is: points, or lines as well.
@@ -105,7 +105,7 @@ def _require_few(spec: Spec, data: int) -> None:
                                hint="Divide it into several studies.")
 
 
-def _own_data(spec: Spec, problem: PartSpec | None) -> Data:
+def _data_of_problem(spec: Spec, problem: PartSpec | None) -> Data:
     """Return the data set of a problem, for a study that names no data."""
     if problem is None:
         raise spec.places.error(("data",), "the study names neither data nor a problem",
@@ -114,7 +114,7 @@ def _own_data(spec: Spec, problem: PartSpec | None) -> Data:
         recipe = registry().taken("problems", problem.thing or problem.name)
     except TermselError as error:
         raise spec.places.error(problem.path, error.what, error.hint) from error
-    return of_dataset(recipe.dataset)
+    return data_of_dataset(recipe.dataset)
 
 
 def _cells_of_data(spec: Spec, kinds: _Kinds, problem: PartSpec | None, name: str | None,
@@ -144,7 +144,7 @@ def _cells_of_data(spec: Spec, kinds: _Kinds, problem: PartSpec | None, name: st
             # Without chance every seed has the same result.
             seeds = spec.seeds if kind.chance else spec.seeds[:1]
             for seed in seeds:
-                yield _cell(spec, strategy, specs, kind, data, split=split, seed=seed)
+                yield _make_cell(spec, strategy, specs, kind, data, split=split, seed=seed)
 
 
 def _draws_roles(options: Mapping[str, Any], data: Data) -> bool:
@@ -210,22 +210,22 @@ class _Kinds:
                 continue
             # First without options, to learn which parts there are and what they declare.
             without_options = self._request_of_run(strategy, specs, data_set, {})
-            options = self._options(strategy, specs, without_options)
+            options = self._options_by_part(strategy, specs, without_options)
             request = self._request_of_run(strategy, specs, data_set, options)
-            checksums = {role: made_of(getattr(request, role))
+            checksums = {role: checksum_of_code(getattr(request, role))
                          for role in ("recipe", "model", "criterion", "solver", "then")}
             if strategy == "auto":
-                checksums["methods"] = made_of(
-                    list(auto_of(_thing_or_name(specs.get("method"))).methods))
+                checksums["methods"] = checksum_of_code(
+                    list(auto_of(_resolve_method(specs.get("method"))).methods))
             # The code of a measure is part of what the column says.
             if measures:
-                checksums["measures"] = made_of([measure.compute for measure in measures])
+                checksums["measures"] = checksum_of_code([measure.compute for measure in measures])
             solver: Solver = request.solver
             try:
                 observations = observe(with_shares(request, auto=strategy == "auto"),
                                        LEAST if strategy == "auto" else 3)
                 if strategy != "auto":
-                    checked(Task(request, observations))
+                    with_problem_built(Task(request, observations))
             except TermselError as error:
                 first = first or error
                 continue
@@ -257,7 +257,7 @@ class _Kinds:
                 uses_auto("auto", recipe, [f"the option {key}" for key in problem.options])
                 method = {"criterion": "press", "solver": "all-terms"}
             named_problem = names.pop("problem")
-            return _without_certificate(request_of(
+            return _require_no_certificate(request_of(
                 named_problem, **{**names, **method}, features=data.features, source=data.source,
                 options=options))
         except TermselError as error:
@@ -268,7 +268,7 @@ class _Kinds:
         if method is None:
             return
         try:
-            auto_of(_thing_or_name(method))
+            auto_of(_resolve_method(method))
         except TermselError as error:
             raise self._spec.places.error(method.path, error.what, error.hint) from error
 
@@ -286,8 +286,8 @@ class _Kinds:
         problem = specs["problem"]
         return self._spec.places.error(problem.path if problem else (), error.what, error.hint)
 
-    def _options(self, strategy: str, specs: Mapping[str, PartSpec | None],
-                 request: Request) -> dict[str, Any]:
+    def _options_by_part(self, strategy: str, specs: Mapping[str, PartSpec | None],
+                         request: Request) -> dict[str, Any]:
         """Return the options of each part, and those for every cell that some part has."""
         declared: dict[str, tuple[Option, ...]] = {"data": DATA_OPTIONS}
         if strategy != "auto":
@@ -328,7 +328,7 @@ class _Kinds:
         return chosen
 
 
-def _without_certificate(request: Request) -> Request:
+def _require_no_certificate(request: Request) -> Request:
     """Refuse a certificate: it is a file of the folder of a result, which cells have not."""
     if request.solver.options.get("certificate"):
         raise TermselError("runs of a study keep no certificates",
@@ -337,13 +337,14 @@ def _without_certificate(request: Request) -> Request:
     return request
 
 
-def _thing_or_name(method: PartSpec | None) -> Any:
+def _resolve_method(method: PartSpec | None) -> Any:
     """Return the method of a study, by itself or by name; None for the automatic choice."""
     return None if method is None else method.thing or method.name
 
 
-def _cell(spec: Spec, strategy: str, specs: Mapping[str, PartSpec | None], kind: _Kind, data: Data,
-          split: int, seed: int) -> Cell:
+def _make_cell(spec: Spec, strategy: str, specs: Mapping[str, PartSpec | None], kind: _Kind,
+               data: Data,
+               split: int, seed: int) -> Cell:
     """Return a cell: its labels, its call, and the key by which the journal finds it."""
     problem = specs["problem"]
     # What tables call the cell; of auto the method is not known before it has run.
@@ -386,7 +387,7 @@ def _measures_of(spec: Spec) -> list[Measure]:
     names = registry()
     for i, name in enumerate(spec.measures):
         if names.known("measures", name) is None:
-            unknown = unknown_name("measure", name, names.names("measures"))
+            unknown = unknown_name_error("measure", name, names.names("measures"))
             raise spec.places.error(("measures", i), unknown.what, unknown.hint)
         if name in columns_of(STRATEGIES):
             raise spec.places.error(("measures", i), f"every study has a column {name!r}",
@@ -408,7 +409,7 @@ def _uses_foreign_parts(strategy: str, request: Request, measures: Iterable[Meas
     code = (request.recipe.build, *classes, *(measure.compute for measure in measures))
     # A module's top-level package is its distribution, but for spelling.
     return not own_distributions.issuperset(
-        canonical(component.__module__.partition(".")[0]) for component in code)
+        canonical_name(component.__module__.partition(".")[0]) for component in code)
 
 
 def _sum(content: Mapping[str, Any]) -> str:

@@ -11,7 +11,7 @@ from msgspec import ValidationError, convert
 
 from termsel.core.errors import TermselError
 from termsel.core.files.atomic import write_text
-from termsel.core.files.lock import holder
+from termsel.core.files.lock import lock_holder
 from termsel.core.files.names import path_inside
 from termsel.formats.base import error_in_file, parse_json, read_text
 from termsel.studies.cells.cell import Cell
@@ -103,11 +103,11 @@ def read_study(folder: Path | str) -> Study:
     return Study(spec, cells, {key: records[key] for key in cells if key in records}, Path(folder))
 
 
-def status(folder: Path) -> tuple[StudyProgress, str | None]:
+def study_progress(folder: Path) -> tuple[StudyProgress, str | None]:
     """Return the progress of the study of a folder, and who is at work on it; None if nobody is."""
     study = read_study(folder)
     workers = _read_plan(folder)[1]
-    return Tally(study.cells, workers, study.records).progress(), holder(folder)
+    return Tally(study.cells, workers, study.records).progress(), lock_holder(folder)
 
 
 def table_of(spec: Spec) -> dict[str, Any]:

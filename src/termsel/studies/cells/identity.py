@@ -23,7 +23,7 @@ _VERSIONED = {*sys.stdlib_module_names, "termsel", "numpy", "scipy", "numba", "d
 _PLAIN = (str, int, float, complex, bool, bytes, type(None), type(...))
 
 
-def made_of(value: Any) -> str:
+def checksum_of_code(value: Any) -> str:
     """Return a checksum of all that decides what a recipe, class or instance does.
 
     Of classes and functions that is their code, with what it encloses, and the source of their
@@ -31,13 +31,13 @@ def made_of(value: Any) -> str:
     than that, as a model that was fitted, it takes no part.
     """
     checksum = hashlib.sha256()
-    for text in _words(value, set()):
+    for text in _identifying_words(value, set()):
         # The length in front keeps neighbouring texts apart.
         checksum.update(f"{len(text)}:{text}".encode(errors="surrogatepass"))
     return checksum.hexdigest()[:24]
 
 
-def _words(value: Any, above: set[int]) -> Iterator[str]:
+def _identifying_words(value: Any, above: set[int]) -> Iterator[str]:
     """Yield the words that distinguish a value from others, the same in every process."""
     if isinstance(value, _PLAIN):
         yield f"{type(value).__name__} {value!r}"
@@ -51,7 +51,7 @@ def _words(value: Any, above: set[int]) -> Iterator[str]:
     above.add(id(value))
     yield type(value).__name__
     for component in _parts_of_value(value):
-        yield from _words(component, above)
+        yield from _identifying_words(component, above)
     yield "."
     above.remove(id(value))
 
@@ -83,15 +83,15 @@ def _parts_of_value(value: Any) -> Iterator[Any]:
         yield value.__name__
     # Caches in an object are no part of what it does.
     elif isinstance(value, Configurable):
-        yield from (type(value), value.options, _plain(vars(value)))
+        yield from (type(value), value.options, _plain_value(vars(value)))
     elif is_dataclass(value):
         yield from (type(value),
                     {column.name: getattr(value, column.name) for column in fields(value)})
     else:
-        yield from (type(value), _plain(getattr(value, "__dict__", {})))
+        yield from (type(value), _plain_value(getattr(value, "__dict__", {})))
 
 
-def _plain(attributes: Mapping[str, Any]) -> dict[str, Any]:
+def _plain_value(attributes: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in attributes.items() if isinstance(value, _PLAIN)}
 
 
@@ -101,7 +101,7 @@ def _parts_of_class(kind: type) -> Iterator[Any]:
     for base in kind.__mro__:
         yield f"{base.__module__}.{base.__qualname__}"
         if _root(base) not in _VERSIONED:
-            yield _source(_root(base))
+            yield _source_checksum(_root(base))
             # Memory of abstract classes, and what Python adds, say nothing of what a class does.
             yield {name: value for name, value in vars(base).items() if name != "_abc_impl" and
                    (not name.startswith("__") or isinstance(value, FunctionType))}
@@ -117,7 +117,7 @@ def _parts_of_function(function: FunctionType) -> Iterator[Any]:
             yield None
     if _root(function) in _VERSIONED:
         return
-    yield from (_source(_root(function)), function.__code__, function.__defaults__,
+    yield from (_source_checksum(_root(function)), function.__code__, function.__defaults__,
                 function.__kwdefaults__)
     if _root(function) == "__main__":  # no package shows what its names stand for
         for name in function.__code__.co_names:
@@ -132,7 +132,7 @@ def _root(definition: Any) -> str:
 
 
 @cache
-def _source(root: str) -> str:
+def _source_checksum(root: str) -> str:
     """Return the checksum of the source of a module, or of all modules of a package."""
     file = getattr(sys.modules.get(root), "__file__", None)
     folders = [Path(name) for name in getattr(sys.modules.get(root), "__path__", ())]

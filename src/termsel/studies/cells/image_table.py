@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Container, Sequence
 
-from termsel.core.errors import counted, rounded
+from termsel.core.errors import count_in_words, rounded_size_text
 from termsel.results.blocks import TableBlock
 from termsel.studies.cells.table import Row, usual_notes
 from termsel.studies.cells.verdicts import FIT, VERDICTS
@@ -17,7 +17,8 @@ _MOST_REASONS = 10
 
 def image_table(rows: Sequence[Row]) -> TableBlock:
     """Return one row an image: its verdict, its RMSE in px and metres, and its blunders."""
-    lines = [(image_name(row), row["verdict"] or row["state"], predicted_rmse(row), metres(row),
+    lines = [(image_name(row), row["verdict"] or row["state"], predicted_rmse_text(row),
+              ground_rmse_text(row),
               ", ".join(row["blunders"] or ())) for row in rows]
     return TableBlock(count_of_verdicts(rows),
                       ("image", "verdict", "RMSE [px], 90 %", "RMSE [m]", "blunders"), lines,
@@ -29,7 +30,7 @@ def image_reasons(rows: Sequence[Row]) -> list[str]:
     usual = usual_notes(rows)
     lines = []
     for row in rows:
-        reason = row["why"] or own_notes(row, usual)
+        reason = row["why"] or notes_on_image(row, usual)
         if row["verdict"] != FIT and reason:
             image = image_name(row)
             lines.append(reason if reason.startswith(image) else f"{image}: {reason}")
@@ -43,23 +44,23 @@ def image_name(row: Row) -> str:
     return str(row["data"]) + (f", split {row['split']}" if row["split"] else "")
 
 
-def predicted_rmse(row: Row) -> str:
+def predicted_rmse_text(row: Row) -> str:
     """Return the predicted RMSE with its interval [px]; "" where it is not known."""
     if row["predicted"] is None:
         return ""
-    low, high = (rounded(row[name]) for name in ("predicted_low", "predicted_high"))
-    return f"{rounded(row['predicted'])} ({low} to {high})"
+    low, high = (rounded_size_text(row[name]) for name in ("predicted_low", "predicted_high"))
+    return f"{rounded_size_text(row['predicted'])} ({low} to {high})"
 
 
 def independent_rmse(row: Row) -> str:
     """Return the RMSE at independent check points [px]; "" without any."""
-    return "" if row["independent"] is None else rounded(row["independent"])
+    return "" if row["independent"] is None else rounded_size_text(row["independent"])
 
 
-def metres(row: Row) -> str:
+def ground_rmse_text(row: Row) -> str:
     """Return the RMSE on the ground [m], predicted, else of check points; "" if not known."""
     size = row["independent_m"] if row["predicted_m"] is None else row["predicted_m"]
-    return "" if size is None else rounded(size)
+    return "" if size is None else rounded_size_text(size)
 
 
 def count_of_verdicts(rows: Sequence[Row]) -> str:
@@ -67,10 +68,10 @@ def count_of_verdicts(rows: Sequence[Row]) -> str:
     verdicts = Counter(row["verdict"] for row in rows if row["verdict"])
     counts = ", ".join(f"{verdicts[verdict]} {verdict}" for verdict in VERDICTS
                        if verdicts[verdict])
-    return f"{counted(len(rows), 'image')}, worst first" + (f": {counts}" if counts else "")
+    return f"{count_in_words(len(rows), 'image')}, worst first" + (f": {counts}" if counts else "")
 
 
-def own_notes(row: Row, usual: Container[str]) -> str:
+def notes_on_image(row: Row, usual: Container[str]) -> str:
     """Return why an image has no result, or the doubts about it and notes that few images have."""
     notes = [note for note in row["notes"] or () if note not in usual]
     text = "" if row["reason"] and row["why"] else row["reason"] or " ".join(notes)

@@ -17,7 +17,7 @@ from typing import Annotated, Any, BinaryIO, Literal
 
 from msgspec import Meta, ValidationError, convert
 
-from termsel.core.errors import TermselError, counted
+from termsel.core.errors import TermselError, count_in_words
 from termsel.core.files.names import JOURNAL, is_there, open_inside, path_inside
 from termsel.data.record.figures import RecordPart, as_plain_data
 from termsel.formats.base import read_data
@@ -129,7 +129,7 @@ class Journal:
                               opener=open_inside)
             self._file.truncate(self._end)
         except OSError as error:
-            raise self._unwritable(error) from error
+            raise self._unwritable_error(error) from error
         if not self.versions:
             self.versions = dict(versions)
             self._write({"schema": SCHEMA, "versions": self.versions})
@@ -162,14 +162,15 @@ class Journal:
         except OSError as error:
             # Half a line would be taken for damage later.
             os.ftruncate(self._file.fileno(), self._end)
-            raise self._unwritable(error) from error
+            raise self._unwritable_error(error) from error
         self._end += len(line)
 
-    def _unwritable(self, error: OSError) -> TermselError:
+    def _unwritable_error(self, error: OSError) -> TermselError:
         """Return the error for a journal that cannot be written, and how to go on."""
         return TermselError(
             f"cannot write the journal: {error.strerror or error}", file=self.path,
-            hint=f"{counted(len(self.records), 'finished run')} are kept. Make space, then repeat "
+            hint=f"{count_in_words(len(self.records), 'finished run')} are kept. Make space, then "
+                 "repeat "
                  "the command to go on.")
 
 
@@ -211,7 +212,8 @@ def read_journal(folder: Path) -> Journal:
         journal.remarks.append(f"The last line of {journal.path} was torn and is cut off.")
     if damaged:
         journal.remarks.append(
-            f"{journal.path} is damaged in {counted(len(damaged), 'line')}, the first of them "
+            f"{journal.path} is damaged in {count_in_words(len(damaged), 'line')}, the first of "
+            "them "
             f"line {damaged[0]}. Those runs are repeated.")
     if content and not (journal.versions or journal.records) and not _torn_at_once(lines):
         raise TermselError("this is not the journal of a study", file=journal.path,
@@ -226,7 +228,7 @@ def _torn_at_once(lines: list[bytes]) -> bool:
 
 def _seal_record(record: Mapping[str, Any]) -> bytes:
     """Return a record as a line with its checksum."""
-    text = _text(record)
+    text = _entry_text(record)
     return f'{{"record":{text},"sha256":"{_sum(text)}"}}\n'.encode()
 
 
@@ -241,12 +243,12 @@ def _record_of_line(line: bytes) -> Mapping[str, Any] | None:
         is_valid = isinstance(record, dict) and (
             "schema" not in record or isinstance(record.get("versions"), dict))
         # The text is made again from what was read, so that any change of it shows.
-        return record if is_valid and _sum(_text(record)) == sealed["sha256"] else None
+        return record if is_valid and _sum(_entry_text(record)) == sealed["sha256"] else None
     except (ValueError, TypeError, KeyError, RecursionError):
         return None
 
 
-def _text(record: Mapping[str, Any]) -> str:
+def _entry_text(record: Mapping[str, Any]) -> str:
     return json.dumps(record, separators=(",", ":"), allow_nan=False)
 
 

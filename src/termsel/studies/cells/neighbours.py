@@ -11,8 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from termsel.core.errors import counted, first_of
-from termsel.data.coordinates.earth import degrees_of, in_words, is_mirrored, swapped_axes
+from termsel.core.errors import count_in_words, first_names_in_words
+from termsel.data.coordinates.earth import (
+    degrees_of,
+    find_swapped_axes,
+    is_mirrored,
+    position_in_words,
+)
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
 
 MAJORITY_SHARE = 2 / 3
@@ -51,7 +56,7 @@ class Batch:
     doubts: Mapping[str, tuple[str, ...]]
 
 
-def setting_of(features: FeatureSet) -> dict[str, Any]:
+def location_figures(features: FeatureSet) -> dict[str, Any]:
     """Return where an image is, as figures for its entry in the journal.
 
     `place` is the longitude and latitude [deg] of the median of its features, `exchanged` the same
@@ -62,21 +67,22 @@ def setting_of(features: FeatureSet) -> dict[str, Any]:
     # Both orders, so that an exchange of x and y can be told.
     return {"place": degrees_of(features.crs, ground) if len(ground) else None,
             "exchanged": degrees_of(features.crs, ground[:, [1, 0, 2]]) if len(ground) else None,
-            "mirrored": is_mirrored(features), "doubt": swapped_axes(features)}
+            "mirrored": is_mirrored(features), "doubt": find_swapped_axes(features)}
 
 
 def batch_of(settings: Mapping[str, Mapping[str, Any]]) -> Batch:
     """Return the sentences and doubts that images raise about each other, by their settings."""
     sentences: list[str] = []
     doubts: dict[str, list[str]] = {}
-    for sentence, images in (*_elsewhere(settings), *_note_on_mirrored(settings)):
-        sentences.append(f"{sentence}: {first_of(list(images))}.")
+    for sentence, images in (*_far_image_sentences(settings), *_note_on_mirrored(settings)):
+        sentences.append(f"{sentence}: {first_names_in_words(list(images))}.")
         for name, doubt in images.items():
             doubts.setdefault(name, []).append(doubt)
     return Batch(tuple(sentences), {name: tuple(texts) for name, texts in doubts.items()})
 
 
-def _elsewhere(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, dict[str, str]]]:
+def _far_image_sentences(
+        settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, dict[str, str]]]:
     """Return sentences on images far from most others, each with the doubt about every image."""
     placed = {name: setting for name, setting in settings.items() if setting.get("place")}
     # Of two images nobody can say which one is elsewhere.
@@ -90,16 +96,16 @@ def _elsewhere(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, dic
     if len(positions) > PLACES:
         return []
     # Great-circle angles, so that poles and the 180 degree meridian need no care.
-    distances = _angles(positions, positions)
+    distances = _angles_between(positions, positions)
     reach = _reach_of_group(distances)
-    groups = _groups(distances <= reach)
+    groups = _linked_groups(distances <= reach)
     # The group with most images, if it has most of the batch.
     usual = max(groups, key=lambda group: count[group].sum())
     number = int(count[usual].sum())
     # Without a clear majority there is no place that the others should be at.
     if number < 2 or number < MAJORITY_SHARE * len(names):
         return []
-    middle = in_words(_middle(positions[usual]))
+    middle = position_in_words(_middle_of_places(positions[usual]))
     sentences = []
     for group in groups:
         if group is usual:
@@ -108,11 +114,13 @@ def _elsewhere(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, dic
         # One question where all images of the group have the same likely cause.
         guesses = [_guess(placed[names[i]], positions[usual], reach) for i in members]
         question = guesses[0] if len(set(guesses)) == 1 else ELSEWHERE
-        doubts = {names[i]: f"Near {in_words(placed[names[i]]['place'])}, while {number} other "
+        doubts = {names[i]: f"Near {position_in_words(placed[names[i]]['place'])}, while {number} "
+                            "other "
                             f"images of the batch are near {middle}: {guess}"
                   for i, guess in zip(members, guesses, strict=True)}
         sentences.append((f"{number} images are near {middle}, {len(members)} near "
-                          f"{in_words(_middle(positions[group]))} ({question})", doubts))
+                          f"{position_in_words(_middle_of_places(positions[group]))} ({question})",
+                          doubts))
     return sentences
 
 
@@ -120,11 +128,11 @@ def _guess(setting: Mapping[str, Any], group: FloatArray, reach: float) -> str:
     """Return a question on the likely fault in the coordinates of an image far from a group."""
     lon, lat = setting["place"]
     exchanged = setting.get("exchanged")
-    if exchanged and _angles(np.array([exchanged]), group).min() <= reach:
+    if exchanged and _angles_between(np.array([exchanged]), group).min() <= reach:
         return "are x and y swapped?"
     # Where a sign of longitude, latitude or both would put the image.
     turned = np.array([[-lon, lat], [lon, -lat], [-lon, -lat]])
-    if (_angles(turned, group).min(axis=1) <= reach).any():
+    if (_angles_between(turned, group).min(axis=1) <= reach).any():
         return "is a sign wrong?"
     return ELSEWHERE
 
@@ -148,10 +156,11 @@ def _note_on_mirrored(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[s
         return [_sentence_on_some_mirrored(is_mirrored_image)]
     verb = "is a mirror image" if len(odd) == 1 else "are mirror images"
     negated = verb.replace("is a", "is no").replace("are ", "are no ")
-    statement = f"{counted(len(odd), 'image')} {negated if usual else verb} of the ground"
+    statement = f"{count_in_words(len(odd), 'image')} {negated if usual else verb} of the ground"
     question = "are x and y exchanged there, or line and sample?"
     doubt = (f"{'No m' if usual else 'M'}irror image of the ground, unlike "
-             f"{counted(usual_count, 'other')} of the batch: are x and y exchanged, or line and "
+             f"{count_in_words(usual_count, 'other')} of the batch: are x and y exchanged, or "
+             "line and "
              "sample?")
     return [(f"{statement}, unlike the other {usual_count} ({question})",
              dict.fromkeys(odd, doubt))]
@@ -163,30 +172,30 @@ def _sentence_on_some_mirrored(is_mirrored_image: Mapping[str, bool]) -> tuple[s
     total = len(is_mirrored_image)
     verb = "is a mirror image" if len(mirrored) == 1 else "are mirror images"
     question = "are x and y exchanged, or line and sample?"
-    others = counted(total - len(mirrored), "other")
+    others = count_in_words(total - len(mirrored), "other")
     doubt = f"Mirror image of the ground, unlike {others} of the batch: {question}"
     return (f"{len(mirrored)} of {total} images {verb} of the ground, the others are not "
             f"({question})", dict.fromkeys(mirrored, doubt))
 
 
-def _angles(first_positions: FloatArray, second_positions: FloatArray) -> FloatArray:
+def _angles_between(first_positions: FloatArray, second_positions: FloatArray) -> FloatArray:
     """Return the angles [deg], (n, m), between places (n, 2) and (m, 2), longitude and latitude."""
-    first = _directions(first_positions)
-    second = _directions(second_positions)
+    first = _unit_directions(first_positions)
+    second = _unit_directions(second_positions)
     # angle = 2 arcsin(chord / 2) of unit vectors, exact for small angles.
     chords = np.linalg.norm(first[:, None] - second[None], axis=2)
     return np.asarray(np.degrees(2.0 * np.arcsin(np.minimum(chords / 2.0, 1.0))))
 
 
-def _directions(positions: FloatArray) -> FloatArray:
+def _unit_directions(positions: FloatArray) -> FloatArray:
     """Return unit vectors, shape (n, 3)."""
     lon, lat = np.radians(positions).T
     return np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
 
 
-def _middle(positions: FloatArray) -> Place:
+def _middle_of_places(positions: FloatArray) -> Place:
     """Return the middle of places: the direction of the sum of theirs."""
-    x, y, z = _directions(positions).sum(axis=0)
+    x, y, z = _unit_directions(positions).sum(axis=0)
     # The z component shows the latitude, the horizontal ones the longitude.
     return float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arctan2(z, np.hypot(x, y))))
 
@@ -200,7 +209,7 @@ def _reach_of_group(distances: FloatArray) -> float:
     return float(np.clip(SCATTER * np.median(nearest), NEAREST, FARTHEST))
 
 
-def _groups(linked: BoolArray) -> list[IntArray]:
+def _linked_groups(linked: BoolArray) -> list[IntArray]:
     """Return the groups of places that are linked (n, n), through others, too."""
     from scipy.sparse.csgraph import connected_components
 

@@ -9,7 +9,7 @@ from itertools import chain
 from typing import Any
 
 from termsel.core.files.texts import csv_table
-from termsel.data.coordinates.earth import in_words
+from termsel.data.coordinates.earth import position_in_words
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.cells.neighbours import Batch, batch_of
 from termsel.studies.cells.verdicts import DOUBTFUL, FIT, UNFIT, Accept, verdicts_of
@@ -77,14 +77,15 @@ def rows_of(cells: Mapping[str, Mapping[str, Any]], records: Mapping[str, CellRe
         values = {**labels, "cell": key, "state": WAITING, "reason": ""} if record is None else {
             **labels, **record.figures, **record.figures.get("measures", {}), "cell": key,
             "state": record.state, "reason": record.reason,
-            "place": in_words(position) if (position := record.figures.get("place")) else "",
-            "doubt": " ".join([*_sentence(record.figures.get("doubt")),
+            "place": position_in_words(position)
+            if (position := record.figures.get("place")) else "",
+            "doubt": " ".join([*_as_sentence(record.figures.get("doubt")),
                                *doubts.get(str(labels["data"]), ())])}
         rows.append({name: values.get(name) for name in columns})
     if "verdict" in columns:
         for row, (verdict, why) in zip(rows, verdicts_of(rows, accept), strict=True):
             row |= {"verdict": verdict, "why": why}
-    return sorted(rows, key=_badness) if tuple(strategies) == ("auto",) else rows
+    return sorted(rows, key=_sort_key_of_badness) if tuple(strategies) == ("auto",) else rows
 
 
 def batch_of_records(cells: Mapping[str, Mapping[str, Any]],
@@ -94,11 +95,11 @@ def batch_of_records(cells: Mapping[str, Mapping[str, Any]],
                      if key in records})
 
 
-def _sentence(doubt: str | None) -> list[str]:
+def _as_sentence(doubt: str | None) -> list[str]:
     return [f"{doubt[0].upper()}{doubt[1:]}."] if doubt else []
 
 
-def _badness(row: Row) -> tuple[int, int, float]:
+def _sort_key_of_badness(row: Row) -> tuple[int, int, float]:
     """Return a sort key for images, worst first: verdict, those without figures, then RMSE."""
     # The predicted RMSE is of every image; the measured one of few.
     figure = row["predicted"] if row["predicted"] is not None else row["independent"]
@@ -139,12 +140,12 @@ def csv_of(rows: Sequence[Row], columns: Sequence[str]) -> str:
     """Return rows as CSV; lists have semicolons, and a value that is not known is blank."""
     lines: list[Sequence[Any]] = [columns]
     for row in rows:
-        lines.append([_as_cell(_readable(row[name]) if name in _IN_SIX_DIGITS else row[name])
+        lines.append([_as_cell(_readable_figure(row[name]) if name in _IN_SIX_DIGITS else row[name])
                       for name in columns])
     return csv_table(lines)
 
 
-def _readable(value: Any) -> Any:
+def _readable_figure(value: Any) -> Any:
     """Return a figure to six digits, 0 for mere rounding; other values as they are."""
     if not isinstance(value, float) or not math.isfinite(value):
         return value

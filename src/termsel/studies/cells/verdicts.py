@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from termsel.core.errors import TermselError, counted, rounded
+from termsel.core.errors import TermselError, count_in_words, rounded_size_text
 from termsel.data.record.figures import MANY_INDEPENDENT, rmse_interval
-from termsel.data.record.search import stated_and_unused
+from termsel.data.record.search import clauses_on_unused_data
 from termsel.studies.cells.neighbours import ELSEWHERE
 
 FIT, DOUBTFUL, UNFIT = VERDICTS = "fit for use", "doubtful", "unfit"
@@ -75,18 +75,19 @@ def verdicts_of(rows: Sequence[Mapping[str, Any]], accept: Accept | None,
 
     Rows are those of the table of a study, with their figures.
     """
-    usual = _usual_size(rows)
-    return [_verdict(row, accept, usual) for row in rows]
+    usual = _median_rmse(rows)
+    return [_verdict_on_image(row, accept, usual) for row in rows]
 
 
-def _usual_size(rows: Sequence[Mapping[str, Any]]) -> float:
+def _median_rmse(rows: Sequence[Mapping[str, Any]]) -> float:
     """Return the median RMSE of the images [px]; infinite of a few."""
     # The upper end of the interval, which is what an image may be as bad as.
-    sizes = [interval[1] for row in rows if (interval := _interval(row, "px")) is not None]
+    sizes = [interval[1] for row in rows if (interval := _rmse_interval(row, "px")) is not None]
     return float(np.median(sizes)) if len(sizes) >= FEW_IMAGES else math.inf
 
 
-def _verdict(row: Mapping[str, Any], accept: Accept | None, usual: float) -> tuple[str, str]:
+def _verdict_on_image(
+        row: Mapping[str, Any], accept: Accept | None, usual: float) -> tuple[str, str]:
     """Return whether the model of an image is fit for use, and why."""
     if row["strategy"] != "auto" or row["state"] == "waiting":
         return "", ""
@@ -97,20 +98,21 @@ def _verdict(row: Mapping[str, Any], accept: Accept | None, usual: float) -> tup
     # exchanged axes and signs are wrong.
     if doubt and "mirror" not in doubt and ELSEWHERE not in doubt:
         return UNFIT, doubt
-    against = _contradictions(row, usual)
+    against = _contradiction_clauses(row, usual)
     if accept is None:
-        if _interval(row, "px") is None:
+        if _rmse_interval(row, "px") is None:
             return DOUBTFUL, "its accuracy cannot be estimated"
-        against += _too_uncertain(row)
+        against += _too_uncertain_clause(row)
         if against:
             return DOUBTFUL, "; ".join(against)
         return FIT, f"nothing contradicts its figures{_how_verified(row)}"
-    interval = _interval(row, accept.unit)
+    interval = _rmse_interval(row, accept.unit)
     if interval is None:
         return DOUBTFUL, f"its RMSE is not known in {accept.unit}"
     low, rmse, high = interval
     asked = f"{accept.size:g} {accept.unit}"
-    figure = f"RMSE {rounded(rmse)} {accept.unit} ({rounded(low)} to {rounded(high)})"
+    figure = f"RMSE {rounded_size_text(rmse)} {accept.unit} ({rounded_size_text(low)} to " \
+        f"{rounded_size_text(high)})"
     if low > accept.size:
         return UNFIT, f"{figure}, and {asked} is asked for"
     if high > accept.size:
@@ -119,24 +121,25 @@ def _verdict(row: Mapping[str, Any], accept: Accept | None, usual: float) -> tup
         FIT, f"{figure} meets {asked}{_how_verified(row)}")
 
 
-def _too_uncertain(row: Mapping[str, Any]) -> list[str]:
+def _too_uncertain_clause(row: Mapping[str, Any]) -> list[str]:
     """Return that the RMSE of an image is known only to a factor, where its interval is so wide."""
-    interval = _interval(row, "px")
+    interval = _rmse_interval(row, "px")
     if interval is None or interval[2] <= WIDE * interval[0]:
         return []
     low, _, high = interval
-    points = counted((row["n_control"] or 0) + (row["n_check"] or 0), "point")
-    return [f"{points} leave its RMSE between {rounded(low)} and {rounded(high)} px"]
+    points = count_in_words((row["n_control"] or 0) + (row["n_check"] or 0), "point")
+    return [f"{points} leave its RMSE between {rounded_size_text(low)} and "
+            f"{rounded_size_text(high)} px"]
 
 
 def _how_verified(row: Mapping[str, Any]) -> str:
     """Return how an RMSE is known: by independent check points, or not verified by any."""
     number = row["n_independent"] or 0
-    return f"; {counted(number, 'independent check point')}" if number else \
+    return f"; {count_in_words(number, 'independent check point')}" if number else \
         "; not verified, as there are no independent check points"
 
 
-def _interval(row: Mapping[str, Any], unit: str) -> tuple[float, float, float] | None:
+def _rmse_interval(row: Mapping[str, Any], unit: str) -> tuple[float, float, float] | None:
     """Return the RMSE of an image between the ends of its interval, the surer one; None if not
     known.
     """
@@ -156,21 +159,23 @@ def _interval(row: Mapping[str, Any], unit: str) -> tuple[float, float, float] |
     return None if size is None else (size * interval[0], size * interval[1], size * interval[2])
 
 
-def _contradictions(row: Mapping[str, Any], usual: float) -> list[str]:
+def _contradiction_clauses(row: Mapping[str, Any], usual: float) -> list[str]:
     """Return clauses on why the figures of an image are doubtful; [] if they are not."""
     said = []
     if row["doubt"]:
         said.append(str(row["doubt"]).rstrip("."))
-    said += stated_and_unused(row["notes"] or ())
+    said += clauses_on_unused_data(row["notes"] or ())
     blunders = len(row["blunders"] or ())
     points = (row["n_control"] or 0) + (row["excluded"] or 0)
     if blunders > MANY_BLUNDERS * max(points, 1):
-        said.append(f"{counted(blunders, 'blunder')} among {counted(points, 'point')}")
+        said.append(f"{count_in_words(blunders, 'blunder')} among "
+                    f"{count_in_words(points, 'point')}")
     high, measured = row["predicted_high"], row["independent"]
     if high is not None and measured is not None and measured > high:
-        said.append(f"independent check points miss it by {rounded(measured)} px, more than "
+        said.append(f"independent check points miss it by {rounded_size_text(measured)} px, more "
+                    "than "
                     "predicted")
-    interval = _interval(row, "px")
+    interval = _rmse_interval(row, "px")
     if interval is not None and interval[1] > UNLIKE * usual:
         said.append(f"its RMSE is {interval[1] / usual:.0f} times that of the usual image")
     return said

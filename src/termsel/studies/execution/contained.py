@@ -15,16 +15,16 @@ from typing import IO
 from termsel.core.files.drivers import claim_process
 from termsel.core.isolation.helper import Helper, ProcessEndedError
 from termsel.data.features import FeatureSet
-from termsel.plugins.loading import attempt
+from termsel.plugins.loading import run_plugin_code
 from termsel.studies.cells.cell import Cell
 from termsel.studies.execution.executors import DIED, Stop
-from termsel.studies.execution.work import Outcome, do, failed
+from termsel.studies.execution.work import Outcome, do, failed_outcome
 
-_CHILD = "from termsel.studies.execution.contained import work; work()"
+_CHILD = "from termsel.studies.execution.contained import serve_cells; serve_cells()"
 
 
-def contained(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: Stop
-              ) -> Iterator[Outcome]:
+def run_contained(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: Stop
+                  ) -> Iterator[Outcome]:
     """Yield the outcomes of cells; one that ends the process fails, and the next has a new one.
 
     Cells with what no other process can import, as classes of a script, run in this one.
@@ -35,17 +35,17 @@ def contained(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: S
             if stop():
                 return
             # Bytes are made here, so that what cannot be sent is known before the process is asked.
-            sent = _sent(cell, features[cell.data.key])
+            sent = _pickle_cell(cell, features[cell.data.key])
             try:
                 outcome = None if sent is None else helper.ask(sent)
             except ProcessEndedError:
-                outcome = failed(cell.key, DIED)
+                outcome = failed_outcome(cell.key, DIED)
             yield outcome or do(cell, features[cell.data.key])
     finally:
         helper.end()
 
 
-def _sent(cell: Cell, features: FeatureSet) -> bytes | None:
+def _pickle_cell(cell: Cell, features: FeatureSet) -> bytes | None:
     """Return a cell and its features as bytes; None where no other process can read them."""
     try:
         sent = pickle.dumps((cell, features))
@@ -54,7 +54,7 @@ def _sent(cell: Cell, features: FeatureSet) -> bytes | None:
     return None if b"__main__" in sent else sent
 
 
-def work() -> None:
+def serve_cells() -> None:
     """Run the cells that come on stdin, and write their outcomes to stdout, in a new process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the study decides when cells end
     claim_process()  # no driver of GDAL but termsel's, as on the command line
@@ -64,7 +64,7 @@ def work() -> None:
         waiting: SimpleQueue[bytes] = SimpleQueue()
         threading.Thread(target=_receive, args=(sys.stdin.buffer, waiting), daemon=True).start()
         while True:
-            received, _ = attempt(partial(pickle.loads, waiting.get()))
+            received, _ = run_plugin_code(partial(pickle.loads, waiting.get()))
             pickle.dump(None if received is None else do(*received), answers)
             answers.flush()
 

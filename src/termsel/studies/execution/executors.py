@@ -18,7 +18,7 @@ from termsel.core.files.drivers import claim_process
 from termsel.core.isolation.helper import context_of_workers, safe_start
 from termsel.data.features import FeatureSet
 from termsel.studies.cells.cell import Cell
-from termsel.studies.execution.work import Outcome, do, failed
+from termsel.studies.execution.work import Outcome, do, failed_outcome
 
 Stop = Callable[[], bool]
 """Whether no further cell is to begin."""
@@ -30,7 +30,7 @@ DIED = "the process of this run ended: out of memory, killed, or a fault of comp
 
 
 @contextmanager
-def deferred(say: Callable[[], None]) -> Iterator[Stop]:
+def defer_interrupts(say: Callable[[], None]) -> Iterator[Stop]:
     """Yield a function that shows whether Ctrl-C was pressed; the first one calls `say`.
 
     A second Ctrl-C interrupts.
@@ -58,8 +58,8 @@ def deferred(say: Callable[[], None]) -> Iterator[Stop]:
         signal.signal(signal.SIGINT, before)
 
 
-def serial(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: Stop
-           ) -> Iterator[Outcome]:
+def run_serially(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: Stop
+                 ) -> Iterator[Outcome]:
     """Yield the outcomes of cells, run one after the other in this process."""
     for cell in cells:
         if stop():
@@ -67,8 +67,9 @@ def serial(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: Stop
         yield do(cell, features[cell.data.key])
 
 
-def processes(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: Stop, workers: int
-              ) -> Iterator[Outcome]:
+def run_in_processes(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: Stop,
+                     workers: int
+                     ) -> Iterator[Outcome]:
     """Yield the outcomes of cells, run in processes of this machine, as they end."""
     waiting = deque(cells)
     while waiting and not stop():
@@ -82,7 +83,7 @@ def processes(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: S
             repeated: list[Cell] = []
             yield from _run_in_pool(deque([cell]), features, stop, 1, repeated)
             if repeated:
-                yield failed(cell.key, DIED)
+                yield failed_outcome(cell.key, DIED)
 
 
 def _run_in_pool(waiting: deque[Cell], features: Mapping[str, FeatureSet], stop: Stop, workers: int,

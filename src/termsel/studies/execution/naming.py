@@ -15,7 +15,7 @@ _MARKS = ("Warning: ", "Note: ")
 
 
 @contextmanager
-def named(image: str) -> Iterator[list[str]]:
+def name_image_in_log(image: str) -> Iterator[list[str]]:
     """Put the name of an image into messages of the log; yield a list of its warnings.
 
     There they are as logged, without mark and name.

@@ -33,7 +33,7 @@ class StudyProgress:
             return "finished"
         if self.seconds_left is None:
             return "time left unknown"
-        return f"about {duration(self.seconds_left)} left"
+        return f"about {duration_in_words(self.seconds_left)} left"
 
     def text(self) -> str:
         """Return the states in words."""
@@ -41,7 +41,7 @@ class StudyProgress:
                          if self.states.get(state))
 
 
-def duration(seconds: float) -> str:
+def duration_in_words(seconds: float) -> str:
     """Return a time in words, to the nearest second, minute or tenth of an hour."""
     if seconds < 90:
         return f"{max(seconds, 1):.0f} s"

@@ -22,22 +22,22 @@ from termsel.fitting.figures import finite_or_none
 from termsel.io.accuracy_tags import prediction_of
 from termsel.io.export import export, writer_of
 from termsel.io.result_folder import write_result
-from termsel.plugins.loading import attempt
+from termsel.plugins.loading import run_plugin_code
 from termsel.plugins.registry import registry
-from termsel.results.extras import measured
+from termsel.results.extras import figure_of_result
 from termsel.results.result import Result
 from termsel.runs.run import run
-from termsel.runs.searching import assessed, estimated, is_feasible
+from termsel.runs.searching import estimated, is_feasible, result_of_search
 from termsel.runs.task import Task, prepare
 from termsel.runs.without_blunders import search_without_blunders
 from termsel.selection.solvers.ledger import Progress
-from termsel.selection.solvers.proofs.exact import gap
+from termsel.selection.solvers.proofs.exact import gap_to_optimum
 from termsel.selection.solvers.proofs.proof import TIE, count
 from termsel.selection.solvers.search import SearchResult
 from termsel.studies.cells.cell import Cell
 from termsel.studies.cells.journal import CellRecord, State
-from termsel.studies.cells.neighbours import setting_of
-from termsel.studies.execution.naming import named
+from termsel.studies.cells.neighbours import location_figures
+from termsel.studies.execution.naming import name_image_in_log
 
 DONE: Final = "done"
 INFEASIBLE: Final = "infeasible"
@@ -66,9 +66,9 @@ class _OutOfTime(TermselError):
     """The cell took longer than the study allows."""
 
 
-def failed(key: str, reason: str, features: FeatureSet | None = None) -> Outcome:
+def failed_outcome(key: str, reason: str, features: FeatureSet | None = None) -> Outcome:
     """Return the outcome of a cell that has no result; of features it says where they are."""
-    figures = {} if features is None else setting_of(features)
+    figures = {} if features is None else location_figures(features)
     return Outcome(CellRecord(key, FAILED, reason, figures, [], []))
 
 
@@ -81,21 +81,21 @@ MEMORY = Memory()
 @quiet_logger("termsel.selection.solvers", logging.WARNING)
 def do(cell: Cell, features: FeatureSet) -> Outcome:
     """Run a cell, and return its outcome; where the run fails, with the reason."""
-    with named(cell.data.source):
-        outcome, reason = attempt(partial(_outcome, cell, features))
-    return outcome if outcome is not None else failed(cell.key, str(reason), features)
+    with name_image_in_log(cell.data.source):
+        outcome, reason = run_plugin_code(partial(_outcome_of_cell, cell, features))
+    return outcome if outcome is not None else failed_outcome(cell.key, str(reason), features)
 
 
-def _outcome(cell: Cell, features: FeatureSet) -> Outcome:
+def _outcome_of_cell(cell: Cell, features: FeatureSet) -> Outcome:
     """Return the outcome of a cell, or why there is none."""
     trace = _Trace(cell.call.get("timeout"))
     try:
-        state, figures, front, files = (_auto if cell.call["strategy"] == "auto"
+        state, figures, front, files = (_figures_of_auto if cell.call["strategy"] == "auto"
                                         else _search_as_asked)(
             cell, features, trace)
     except TermselError as error:
-        return failed(cell.key, str(error), features)
-    figures |= setting_of(features)
+        return failed_outcome(cell.key, str(error), features)
+    figures |= location_figures(features)
     reason = "no selection satisfies all conditions" if state == INFEASIBLE else ""
     return Outcome(CellRecord(cell.key, state, reason, figures, trace.points, front), files)
 
@@ -177,10 +177,10 @@ def _search_as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
         "objective": task.problem.objectives[0],
         "proven": _is_proven(task, search),
         "fitness": fitness,
-        "optimum": _optimum(cell, task, search) if is_judged else None,
-        **_rmse({"control": fitted.control_rmse(),
-                 "check": fitted.rmse(task.observations.check),
-                 "independent": fitted.rmse(task.observations.independent)}),
+        "optimum": _proven_optimum(cell, task, search) if is_judged else None,
+        **_rmse_by_role({"control": fitted.control_rmse(),
+                         "check": fitted.rmse(task.observations.check),
+                         "independent": fitted.rmse(task.observations.independent)}),
         "n_terms": len(selection.terms), "n_features": len(selection.features),
         "n_genes": task.problem.genome.size,
         "evaluations": search.evaluations,
@@ -188,12 +188,13 @@ def _search_as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
         "generations": search.generations,
         "notes": [*search.notes, *cell.data.warnings], **times}
     if call.get("measures"):
-        figures["measures"] = _measures(cell, assessed(task, search), figures["notes"])
-    front = [_member(task, genes) for genes in search.front]
+        figures[
+            "measures"] = _measures_by_name(cell, result_of_search(task, search), figures["notes"])
+    front = [_member_objectives(task, genes) for genes in search.front]
     return DONE if feasible else INFEASIBLE, figures, front, {}
 
 
-def _member(task: Task, genes: BoolArray) -> list[float]:
+def _member_objectives(task: Task, genes: BoolArray) -> list[float]:
     """Return the objectives of a member of a front; the second is its size where none is named."""
     objectives: list[float] = task.problem.evaluate(genes[None]).objectives[0].tolist()
     if len(objectives) > 1:
@@ -203,7 +204,7 @@ def _member(task: Task, genes: BoolArray) -> list[float]:
                                    else selection.terms))]
 
 
-def _rmse(by_role: Mapping[str, Rmse | None]) -> dict[str, float | int | None]:
+def _rmse_by_role(by_role: Mapping[str, Rmse | None]) -> dict[str, float | int | None]:
     """Return RMSE [px] by role, None where a role has none, and the number of points of each."""
     return {**{role: None if rmse is None else finite_or_none(rmse.total)
                for role, rmse in by_role.items()},
@@ -221,7 +222,7 @@ def _is_proven(task: Task, search: SearchResult) -> bool:
         return True
 
 
-def _optimum(cell: Cell, task: Task, search: SearchResult) -> float | None:
+def _proven_optimum(cell: Cell, task: Task, search: SearchResult) -> float | None:
     """Return the proven optimum of the problem; None if it is not known quickly."""
     value = float(search.objectives[0])
     if _is_proven(task, search):
@@ -232,14 +233,14 @@ def _optimum(cell: Cell, task: Task, search: SearchResult) -> float | None:
     if cell.instance not in _optima:
         if len(_optima) >= _MOST:
             _optima.clear()
-        proof = gap(task.problem, math.inf)
+        proof = gap_to_optimum(task.problem, math.inf)
         _optima[cell.instance] = None if proof is None else proof["optimum"]
     optimum = _optima[cell.instance]
     # What is below it shows that the enumeration is not of this criterion.
     return None if optimum is None or value < optimum - TIE * abs(optimum) else optimum
 
 
-def _auto(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
+def _figures_of_auto(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
         State, dict[str, Any], list[list[float]], dict[str, bytes]]:
     """Return state and figures of a choice by the strategy auto, and the files of its result."""
     with private_folder() as folder:
@@ -263,16 +264,16 @@ def _auto(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
                  for path in sorted(result_folder.rglob("*")) if path.is_file()}
     figures = {**_figures_of(result), **trace.times()}
     if cell.call.get("measures"):
-        figures["measures"] = _measures(cell, result, figures["notes"])
+        figures["measures"] = _measures_by_name(cell, result, figures["notes"])
     return DONE, figures, [], files
 
 
-def _measures(cell: Cell, result: Result, notes: list[str]) -> dict[str, float | None]:
+def _measures_by_name(cell: Cell, result: Result, notes: list[str]) -> dict[str, float | None]:
     """Return the measures of a result by name, None for one that fails, which adds a note."""
     values: dict[str, float | None] = {}
     for name in cell.call["measures"]:
         try:
-            values[name] = measured(registry().get("measures", name), result)
+            values[name] = figure_of_result(registry().get("measures", name), result)
         except TermselError as error:  # its fault is no failure of the run
             values[name] = None
             notes.append(str(error))
@@ -292,7 +293,7 @@ def _figures_of(result: Result) -> dict[str, Any]:
     excluded = sum(outlier.excluded for outlier in result.outliers)
     return {
         "chosen": result.strategy and result.strategy.chosen,
-        **_rmse({role: result.rmse[role] for role in result.rmse}),
+        **_rmse_by_role({role: result.rmse[role] for role in result.rmse}),
         "predicted": predicted and finite_or_none(predicted.rmse),
         "predicted_low": predicted and finite_or_none(predicted.low),
         "predicted_high": predicted and finite_or_none(predicted.high),

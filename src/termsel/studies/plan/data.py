@@ -19,8 +19,8 @@ from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
 from termsel.io.read import parts_of, read
 from termsel.plugins.registry import registry
-from termsel.results.result import of_attributes, of_features
-from termsel.studies.execution.naming import named
+from termsel.results.result import checksum_of_attributes, checksum_of_features
+from termsel.studies.execution.naming import name_image_in_log
 from termsel.studies.plan.places import Path as Keys
 from termsel.studies.plan.spec import Source, Spec
 
@@ -98,14 +98,14 @@ def files_of(spec: Spec, folder: Path) -> list[Path]:
         for kind, patterns in source.files.items():
             named += [folder / name
                       for name in _matching_files(spec, source, kind, patterns, folder)]
-        named += _named_by(source.reading, folder)
+        named += _files_named_by(source.reading, folder)
     for component in (*spec.problems, *spec.models, *spec.solvers, *spec.criteria):
-        named += _named_by(component.options, folder)
-    named += _named_by(spec.options, folder)
+        named += _files_named_by(component.options, folder)
+    named += _files_named_by(spec.options, folder)
     return list(dict.fromkeys(named))
 
 
-def _named_by(options: Mapping[str, Any], folder: Path) -> Iterator[Path]:
+def _files_named_by(options: Mapping[str, Any], folder: Path) -> Iterator[Path]:
     """Yield the files that options name, such as a raster of heights or an RPC."""
     for value in options.values():
         if isinstance(value, str) and value:
@@ -117,22 +117,22 @@ def _named_by(options: Mapping[str, Any], folder: Path) -> Iterator[Path]:
                         break
 
 
-def of_dataset(name: str, path: Keys = ()) -> Data:
+def data_of_dataset(name: str, path: Keys = ()) -> Data:
     """Return a data set that is known by name."""
     dataset: DatasetSpec = registry().get("datasets", name)
     features = dataset.load()
     source = f"{dataset.name} (simulated)" if dataset.simulated else dataset.name
-    return Data(name, _key(features), source, features, path=path)
+    return Data(name, _group_key(features), source, features, path=path)
 
 
 def _data_of_source(spec: Spec, source: Source, folder: Path,
                     tables: frozenset[Path]) -> Iterator[Data]:
     """Yield the data of one source: feature sets, a data set, or files by pattern."""
     for label, features in source.features.items():
-        yield Data(label, _key(features), label, features, path=source.path)
+        yield Data(label, _group_key(features), label, features, path=source.path)
     if source.dataset is not None:
         try:
-            yield of_dataset(source.dataset, source.path)
+            yield data_of_dataset(source.dataset, source.path)
         except TermselError as error:
             raise spec.places.error((*source.path, "dataset"), error.what, error.hint) from error
     if source.files:
@@ -140,7 +140,7 @@ def _data_of_source(spec: Spec, source: Source, folder: Path,
         matched = {kind: _without_tables(_matching_files(spec, source, kind, patterns, folder),
                                          folder, tables)
                    for kind, patterns in source.files.items()}
-        for files in _together(spec, source, matched):
+        for files in _group_files(spec, source, matched):
             for part_name, options in _options_by_part(source, files, folder).items():
                 yield _read_image(source, files, folder, part_name, options)
 
@@ -193,8 +193,8 @@ def _glob_files(pattern: str, folder: Path) -> list[str]:
         timer.cancel()
 
 
-def _together(spec: Spec, source: Source,
-              matched: Mapping[str, list[str]]) -> Iterator[dict[str, str]]:
+def _group_files(spec: Spec, source: Source,
+                 matched: Mapping[str, list[str]]) -> Iterator[dict[str, str]]:
     """Yield the files of each image: those of one name, where there are several of a kind."""
     kinds = list(matched)
     if all(len(names) == 1 for names in matched.values()):
@@ -241,14 +241,14 @@ def _read_image(source: Source, files: Mapping[str, str], folder: Path, part_nam
         label = f"{label}#{part_name}"
     of_files: dict[str, Any] = {kind: folder / name for kind, name in files.items()}
     try:
-        with named(label) as warnings:
+        with name_image_in_log(label) as warnings:
             features = read(**of_files, **{**source.reading, **options})
     except TermselError as error:
         return Data(label, "unreadable", label, None, str(error), source.path)
-    return Data(label, _key(features), label, features, path=source.path,
+    return Data(label, _group_key(features), label, features, path=source.path,
                 warnings=tuple(warnings))
 
 
-def _key(features: FeatureSet) -> str:
+def _group_key(features: FeatureSet) -> str:
     # Attributes are columns that methods may read.
-    return of_features(features) + (of_attributes(features) or "")
+    return checksum_of_features(features) + (checksum_of_attributes(features) or "")

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass, field
 from typing import Any
 
-from termsel.core.errors import TermselError, unknown_name
+from termsel.core.errors import TermselError, unknown_name_error
 
 Path = tuple[str | int, ...]
 """Keys and positions in lists that lead to a value."""
@@ -36,7 +36,7 @@ class Places:
 
     def unknown(self, path: Path, kind: str, names: Any, hint: str = "") -> TermselError:
         """Return the error for a name that is not known."""
-        unknown = unknown_name(kind, str(path[-1]), names, hint)
+        unknown = unknown_name_error(kind, str(path[-1]), names, hint)
         return self.error(path, unknown.what, unknown.hint)
 
 
@@ -76,11 +76,11 @@ class _Reader:
             if kind == "line":
                 self._at += 1
             elif text == "[":
-                table = self._header()
+                table = self._read_header()
             else:
-                self._pair(table)
+                self._read_pair(table)
 
-    def _header(self) -> Path:
+    def _read_header(self) -> Path:
         """Pass ``[table]`` or ``[[list]]`` and return its path."""
         self._at += 1
         # "[[" begins a further table of a list.
@@ -88,7 +88,7 @@ class _Reader:
         self._at += several
         position = self._tokens[self._at][2]
         path: Path = ()
-        for name in self._key():
+        for name in self._read_key():
             path = (*path, name)
             # A name of a list of tables stands for its latest table.
             if path in self._counts:
@@ -102,7 +102,7 @@ class _Reader:
         self._at += 1 + several
         return path
 
-    def _key(self) -> list[str]:
+    def _read_key(self) -> list[str]:
         """Pass a key, which may have dots, and return its parts."""
         names = [""]
         # Until the sign that ends a key, or a header.
@@ -114,29 +114,29 @@ class _Reader:
             self._at += 1
         return names
 
-    def _pair(self, table: Path) -> None:
+    def _read_pair(self, table: Path) -> None:
         """Note the place of a key in a table, and of its value, and move past them."""
         position = self._tokens[self._at][2]
-        path = (*table, *self._key())
+        path = (*table, *self._read_key())
         self.known[path] = position
         self._at += 1
-        self._value(path)
+        self._read_value(path)
 
-    def _value(self, path: Path) -> None:
+    def _read_value(self, path: Path) -> None:
         """Note the lines of a value's items, and move past it."""
         self._pass_lines()
         text = self._tokens[self._at][1]
         if text in ("[", "{"):
             self._at += 1
             item = 0
-            while self._next() not in ("]", "}"):
+            while self._next_character() not in ("]", "}"):
                 if text == "{":
-                    self._pair(path)
+                    self._read_pair(path)
                 else:
                     self.known[(*path, item)] = self._tokens[self._at][2]
-                    self._value((*path, item))
+                    self._read_value((*path, item))
                     item += 1
-                if self._next() == ",":
+                if self._next_character() == ",":
                     self._at += 1
             self._at += 1
             return
@@ -144,7 +144,7 @@ class _Reader:
         while self._tokens[self._at][1] not in (",", "]", "}", "\n"):
             self._at += 1
 
-    def _next(self) -> str:
+    def _next_character(self) -> str:
         self._pass_lines()
         return self._tokens[self._at][1]
 

@@ -95,9 +95,9 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
     for key in table:
         if key not in KEYS:
             raise at.unknown((key,), "key of a study", KEYS)
-    strategies = _texts(at, ("strategies",), table.get("strategies", []), STRATEGIES)
+    strategies = _parse_texts(at, ("strategies",), table.get("strategies", []), STRATEGIES)
     components = {kind: _parts_of_kind(at, kind, table.get(kind, [])) for kind in PARTS}
-    budget = _budget(at, _table(at, ("budget",), table.get("budget", {})))
+    budget = _parse_budget(at, _require_table(at, ("budget",), table.get("budget", {})))
     named = [kind for kind in ("models", "solvers", "criteria") if components[kind]]
     # Who names methods or limits of a search asks for one; a timeout is of auto, too.
     searched = named or {**budget, "timeout": None} != {"timeout": None}
@@ -117,7 +117,7 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
     usual = ("as-asked",) if searched and not methods else \
         ("as-asked", "auto") if searched else ("auto",)
     measure = table.get("measure")
-    measures = _texts(at, ("measures",), table.get("measures", []))
+    measures = _parse_texts(at, ("measures",), table.get("measures", []))
     if measure is not None and measure not in (*MEASURES, *measures):
         raise at.error(("measure",), f"there is no measure {measure!r}",
                        f"Choose one of: {', '.join((*MEASURES, *measures))}; "
@@ -134,11 +134,11 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
     return Spec(
         title, components["problems"], components["models"], components["solvers"],
         components["criteria"], methods, strategies=strategies or usual,
-        data=tuple(_sources(at, table.get("data", []))),
-        seeds=_numbers(at, "seeds", table.get("seeds", 1), first=1),
-        splits=_numbers(at, "splits", table.get("splits", 1), first=0),
-        budget=budget, options=_options(at, ("options",), table.get("options", {})),
-        exports=_texts(at, ("exports",), table.get("exports", [])), measure=measure,
+        data=tuple(_parse_sources(at, table.get("data", []))),
+        seeds=_parse_seeds(at, "seeds", table.get("seeds", 1), first=1),
+        splits=_parse_seeds(at, "splits", table.get("splits", 1), first=0),
+        budget=budget, options=_parse_options(at, ("options",), table.get("options", {})),
+        exports=_parse_texts(at, ("exports",), table.get("exports", [])), measure=measure,
         measures=measures, accept=accept, places=at)
 
 
@@ -162,7 +162,7 @@ def _parts_of_kind(at: Places, kind: str, listed: Any) -> tuple[PartSpec, ...]:
     components: list[PartSpec] = []
     for i, item in enumerate(listed):
         path: Keys = (kind, i)
-        component = _part(at, path, item)
+        component = _part_of_study(at, path, item)
         if len(component.label) > _MAX_LABEL_LENGTH or not is_printable(component.label):
             raise at.error(path, f"the label {component.label!r:.60} has control characters, or "
                            f"more than {_MAX_LABEL_LENGTH}", "Give a short label of plain text.")
@@ -174,13 +174,13 @@ def _parts_of_kind(at: Places, kind: str, listed: Any) -> tuple[PartSpec, ...]:
     return tuple(components)
 
 
-def _part(at: Places, path: Keys, declared: Any) -> PartSpec:
+def _part_of_study(at: Places, path: Keys, declared: Any) -> PartSpec:
     """Return a part by its name, by a table with options, or by an object from Python."""
     if isinstance(declared, str):
         return PartSpec(declared, declared, path=path)
     if isinstance(declared, Configurable):
         # The label says which options differ from their defaults.
-        settings = [f"{option.name}={_plain(declared.options[option.name])}"
+        settings = [f"{option.name}={_plain_value(declared.options[option.name])}"
                     for option in declared.declared_options
                     if declared.options[option.name] != option.default]
         label = ", ".join([declared.name, *settings])
@@ -195,17 +195,18 @@ def _part(at: Places, path: Keys, declared: Any) -> PartSpec:
     name = declared.get("name")
     if not isinstance(name, str):
         raise at.error(path, "a table has no name", 'Write {name = "...", option = value}.')
-    options = _options(at, path, {key: value for key, value in declared.items()
-                                  if key not in ("name", "label")})
-    description = ", ".join([name, *(f"{key}={_plain(value)}" for key, value in options.items())])
+    options = _parse_options(
+        at, path, {key: value for key, value in declared.items() if key not in ("name", "label")})
+    description = ", ".join([name,
+                             *(f"{key}={_plain_value(value)}" for key, value in options.items())])
     return PartSpec(name, str(declared.get("label", description)), options, path=path)
 
 
-def _plain(value: Any) -> str:
+def _plain_value(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _sources(at: Places, listed: Any) -> list[Source]:
+def _parse_sources(at: Places, listed: Any) -> list[Source]:
     """Return the sources of data that a study lists."""
     if isinstance(listed, Mapping) and listed and all(
             isinstance(item, FeatureSet) for item in listed.values()):
@@ -228,7 +229,8 @@ def _sources(at: Places, listed: Any) -> list[Source]:
         for key in item:
             if key not in DATA_KEYS:
                 raise at.unknown((*path, key), "key of data", DATA_KEYS)
-        files = {kind: _texts(at, (*path, kind), item[kind]) for kind in FILE_KEYS if kind in item}
+        files = {kind: _parse_texts(at, (*path, kind), item[kind]) for kind in FILE_KEYS
+                 if kind in item}
         if ("dataset" in item) == bool(files):
             raise at.error(path, "data are either a dataset or files",
                            'Write dataset = "name", or points = "*.csv".')
@@ -237,13 +239,13 @@ def _sources(at: Places, listed: Any) -> list[Source]:
         for key, value in reading.items():
             if not isinstance(value, str):
                 raise at.error((*path, key), f"{key} is not text")
-        options = _options(at, (*path, "options"), item.get("options", {}))
+        options = _parse_options(at, (*path, "options"), item.get("options", {}))
         sources.append(Source(item.get("dataset"), files, {**reading, **options}, path=path))
     return sources
 
 
-def _texts(at: Places, path: Keys, value: Any,
-           choices: tuple[str, ...] | None = None) -> tuple[str, ...]:
+def _parse_texts(at: Places, path: Keys, value: Any,
+                 choices: tuple[str, ...] | None = None) -> tuple[str, ...]:
     """Return one text or a list of texts as a tuple."""
     items = [value] if isinstance(value, str) else value
     if not isinstance(items, Sequence) or not all(isinstance(item, str) for item in items):
@@ -255,7 +257,7 @@ def _texts(at: Places, path: Keys, value: Any,
     return tuple(dict.fromkeys(items))
 
 
-def _numbers(at: Places, key: str, value: Any, first: int) -> tuple[int, ...]:
+def _parse_seeds(at: Places, key: str, value: Any, first: int) -> tuple[int, ...]:
     """Return seeds: a list, or how many there are from the first on."""
     if isinstance(value, int) and not isinstance(value, bool):
         if not 1 <= value <= MOST_RUNS:
@@ -270,22 +272,22 @@ def _numbers(at: Places, key: str, value: Any, first: int) -> tuple[int, ...]:
     return tuple(dict.fromkeys(value))
 
 
-def _table(at: Places, path: Keys, value: Any) -> Mapping[str, Any]:
+def _require_table(at: Places, path: Keys, value: Any) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
         raise at.error(path, f"{path[-1]} is not a table", f"Write [{path[-1]}] on its own line.")
     return value
 
 
-def _options(at: Places, path: Keys, table: Any) -> dict[str, Any]:
+def _parse_options(at: Places, path: Keys, table: Any) -> dict[str, Any]:
     """Return the options in a table; raises TermselError for one that is a list or a table."""
-    for key, value in _table(at, path, table).items():
+    for key, value in _require_table(at, path, table).items():
         if not isinstance(value, str | int | float | bool):
             raise at.error((*path, key), f"the option {key} is neither text, number nor true or "
                            "false")
     return dict(table)
 
 
-def _budget(at: Places, limits: Mapping[str, Any]) -> dict[str, Any]:
+def _parse_budget(at: Places, limits: Mapping[str, Any]) -> dict[str, Any]:
     """Return the limits of a study's searches, checked."""
     for key, value in limits.items():
         path = ("budget", key)

@@ -16,7 +16,7 @@ from termsel.toolkit import (
     attribute_errors_to,
     modules_here,
     options_of_file,
-    unknown_name,
+    unknown_name_error,
 )
 from termsel_bench.methods import peers, scripts
 
@@ -30,8 +30,8 @@ FUNCTION = "georeference"
 
 PEERS: Mapping[str, Callable[[FeatureSet, int], Projection]] = {
     "gdal-polynomial": peers.gdal_polynomial, "gdal-tps": peers.gdal_spline,
-    "orthority": peers.orthority, "opencv": peers.opencv, "ransac": peers.ransac,
-    "scikit-learn": peers.ridge, "deap-script": scripts.deap_projection,
+    "orthority": peers.fit_orthority, "opencv": peers.fit_opencv_pose, "ransac": peers.fit_ransac,
+    "scikit-learn": peers.fit_ridge, "deap-script": scripts.deap_projection,
     "pymoo-script": scripts.pymoo_projection}
 """Methods that termsel is compared with."""
 
@@ -71,7 +71,7 @@ class Method:
     def require(self) -> None:
         """Raise TermselError if the method's name is not known, or its options are refused."""
         if self.kind not in METHOD_KINDS:
-            raise unknown_name("kind of method", self.kind, METHOD_KINDS)
+            raise unknown_name_error("kind of method", self.kind, METHOD_KINDS)
         if self.kind in ("solver", "model"):
             extension = termsel.get(f"{self.kind}s", self.name)
             with options_of_file(self.file):
@@ -82,7 +82,7 @@ class Method:
         elif self.kind == "method":
             termsel.get("methods", self.name)
         elif self.kind == "peer" and self.name not in PEERS:
-            raise unknown_name("peer", self.name, PEERS)
+            raise unknown_name_error("peer", self.name, PEERS)
         elif self.kind == "package":
             function_of(self.name)
 
@@ -119,7 +119,7 @@ class Method:
         with attribute_errors_to(function, FUNCTION,
                                  "Correct the function, then repeat the command."):
             returned = function(features)
-        return _projection(returned, self.name)
+        return _projection_of_answer(returned, self.name)
 
     def positions(self, features: FeatureSet, points: Points, seed: int) -> FloatArray:
         """Return where the method sees points of which it knows the ground, (n, 2) [px].
@@ -171,7 +171,7 @@ def function_of(name: str) -> Callable[[FeatureSet], Any]:
     return target  # type: ignore[no-any-return]
 
 
-def _projection(returned: Any, name: str) -> Projection:
+def _projection_of_answer(returned: Any, name: str) -> Projection:
     """Return the projection in what a package's function returned: itself, or its method `project`.
 
     Raises TermselError if neither can be called.

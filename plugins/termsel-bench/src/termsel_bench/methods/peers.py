@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from termsel import FeatureSet, TermselError
-from termsel.toolkit import FloatArray, requires
+from termsel.toolkit import FloatArray, require_import
 
 Projection = Callable[[FloatArray], FloatArray]
 
@@ -23,20 +23,20 @@ _RANSAC_PIXELS = 5.0
 
 def gdal_polynomial(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
     """Return GDAL's polynomial of the plane; GDAL takes the order that the points allow."""
-    return _gdal(features, spline=False)
+    return _fit_gdal(features, spline=False)
 
 
 def gdal_spline(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
     """Return GDAL's thin-plate spline, which is exact at the points."""
-    return _gdal(features, spline=True)
+    return _fit_gdal(features, spline=True)
 
 
-def _gdal(features: FeatureSet, *, spline: bool) -> Projection:
+def _fit_gdal(features: FeatureSet, *, spline: bool) -> Projection:
     """Return the projection of GDAL's transformation by GCPs, a spline or else a polynomial.
 
     Raises TermselError if rasterio is not installed; the projection, if GDAL fits nothing.
     """
-    with requires("GDAL requires", "rasterio", "rasterio"):
+    with require_import("GDAL requires", "rasterio", "rasterio"):
         from rasterio.control import GroundControlPoint
         from rasterio.errors import TransformError
         from rasterio.transform import GCPTransformer
@@ -60,7 +60,7 @@ def _gdal(features: FeatureSet, *, spline: bool) -> Projection:
     return project
 
 
-def orthority(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
+def fit_orthority(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
     """Return a vendor's RPC with Orthority's refinement.
 
     It is a shift and a drift, of one or two points a shift. Raises TermselError without an RPC, or
@@ -69,7 +69,7 @@ def orthority(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
     rpc = features.rpc
     if rpc is None:
         raise TermselError("Orthority refines an RPC, and the set has none")
-    with requires("Orthority requires", "orthority", "orthority"):
+    with require_import("Orthority requires", "orthority", "orthority"):
         from orthority.camera import RpcCamera
         from orthority.fit import refine_rpc
     (line_off, sample_off) = rpc.image_offset
@@ -92,7 +92,7 @@ def orthority(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
     return lambda ground: np.asarray(camera.world_to_pixel(ground.T))[::-1].T
 
 
-def opencv(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
+def fit_opencv_pose(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
     """Return OpenCV's pose of a camera of the stated focal length: SQPNP, then least squares.
 
     Raises TermselError without a focal length or four points, or if OpenCV is not installed.
@@ -100,9 +100,9 @@ def opencv(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
     stated = features.points.attributes.get("camera_focal")
     if stated is None or features.image_size is None:
         raise TermselError("OpenCV's pose requires a focal length, and the set states none")
-    with requires("the peer requires", "opencv-python-headless", "cv2"):
+    with require_import("the peer requires", "opencv-python-headless", "cv2"):
         import cv2
-    with requires("the peer requires", "pyproj", "pyproj"):
+    with require_import("the peer requires", "pyproj", "pyproj"):
         from pyproj import Transformer
     if len(features.points) < 4:
         raise TermselError("OpenCV's pose requires 4 points")
@@ -126,13 +126,13 @@ def opencv(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
         places(ground), turn, shift, camera, None)[0][:, 0, ::-1])
 
 
-def ransac(features: FeatureSet, seed: int) -> Projection:
+def fit_ransac(features: FeatureSet, seed: int) -> Projection:
     """Return scikit-learn's RANSAC of a polynomial: affine, or quadratic from 20 points on."""
-    with _sklearn():
+    with _fit_sklearn():
         from sklearn.linear_model import LinearRegression, RANSACRegressor
         from sklearn.pipeline import make_pipeline
         from sklearn.preprocessing import PolynomialFeatures, StandardScaler
-    positions = _places(features)
+    positions = _ground_of(features)
     # As few points as a quadratic model has terms leave nothing to vote.
     degree = 1 if len(features.points) < 20 else 2
     terms = PolynomialFeatures(degree)
@@ -145,14 +145,14 @@ def ransac(features: FeatureSet, seed: int) -> Projection:
     return _fit_peer(model, features, positions)
 
 
-def ridge(features: FeatureSet, seed: int) -> Projection:
+def fit_ridge(features: FeatureSet, seed: int) -> Projection:
     """Return scikit-learn's ridge polynomial; folds choose the degree and the penalty."""
-    with _sklearn():
+    with _fit_sklearn():
         from sklearn.linear_model import Ridge
         from sklearn.model_selection import GridSearchCV, KFold
         from sklearn.pipeline import make_pipeline
         from sklearn.preprocessing import PolynomialFeatures, StandardScaler
-    positions = _places(features)
+    positions = _ground_of(features)
     _require(len(positions) >= 5, "scikit-learn", len(positions))
     model = GridSearchCV(
         make_pipeline(StandardScaler(), PolynomialFeatures(include_bias=False), Ridge()),
@@ -161,8 +161,8 @@ def ridge(features: FeatureSet, seed: int) -> Projection:
     return _fit_peer(model, features, positions)
 
 
-def _sklearn() -> Any:
-    return requires("the peer requires", "scikit-learn", "scikit-learn")
+def _fit_sklearn() -> Any:
+    return require_import("the peer requires", "scikit-learn", "scikit-learn")
 
 
 def _fit_peer(model: Any, features: FeatureSet, positions: FloatArray) -> Projection:
@@ -175,7 +175,7 @@ def _fit_peer(model: Any, features: FeatureSet, positions: FloatArray) -> Projec
     return lambda ground: np.asarray(model.predict(ground[:, :width]))
 
 
-def _places(features: FeatureSet) -> FloatArray:
+def _ground_of(features: FeatureSet) -> FloatArray:
     """Return ground coordinates (n, 3) of points; (n, 2) if any height is unknown."""
     ground = features.points.ground
     # Without heights the plane is all there is.

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from termsel import FeatureSet, TermselError
-from termsel.toolkit import BoolArray, FloatArray, requires
+from termsel.toolkit import BoolArray, FloatArray, require_import
 
 POPULATION, GENERATIONS = 60, 40
 
@@ -127,7 +127,7 @@ def deap_projection(features: FeatureSet, seed: int) -> Projection:
 
 def pymoo_projection(features: FeatureSet, seed: int) -> Projection:
     """Return the projection of the terms that pymoo's GA with binary operators selects."""
-    with requires("the peer requires", "pymoo", "pymoo"):
+    with require_import("the peer requires", "pymoo", "pymoo"):
         from pymoo.algorithms.soo.nonconvex.ga import GA
         from pymoo.core.problem import ElementwiseProblem
         from pymoo.operators.crossover.ux import UniformCrossover

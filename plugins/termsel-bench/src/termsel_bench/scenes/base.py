@@ -50,7 +50,7 @@ class BenchSet:
 
         They are the points with roles, and lines and RPC if there are any.
         """
-        named = {f"{self.name}.csv": _text(
+        named = {f"{self.name}.csv": _encode_text(
             self.features.crs, "id,role,line,sample,x,y,z",
             [*_scene_rows(self.features.points, self),
              *_scene_rows(self.independent, self, "independent")])}
@@ -59,8 +59,8 @@ class BenchSet:
             rows = []
             for name, image, ground in zip(lines.ids, lines.image, lines.ground, strict=True):
                 vertices = chain.from_iterable(_place(vertex, self) for vertex in ground)
-                rows.append((name, *_numbers(image.ravel(), PIXELS), *vertices))
-            named[f"{self.name}-lines.csv"] = _text(
+                rows.append((name, *_format_numbers(image.ravel(), PIXELS), *vertices))
+            named[f"{self.name}-lines.csv"] = _encode_text(
                 self.features.crs, "id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2", rows)
         if self.features.rpc is not None:
             named[f"{self.name}_RPC.TXT"] = rpc_txt_text(self.features.rpc)
@@ -93,7 +93,7 @@ def means_of(text: str) -> tuple[list[float], list[float]]:
         10.0 ** -len(cell.partition(".")[2]) for cell in rows[0][first:]]
 
 
-def rounded(bench_set: BenchSet) -> BenchSet:
+def round_to_files(bench_set: BenchSet) -> BenchSet:
     """Return the set with the decimals of its files, so that machines agree on it."""
     # Degrees have more decimals than metres, and heights are metres in either case.
     def place(ground: FloatArray) -> FloatArray:
@@ -122,7 +122,7 @@ def _rounded_rpc(rpc: Rpc) -> Rpc:
     return replace(rpc, **rounded_ones)
 
 
-def _text(crs: str, header: str, rows: list[tuple[str, ...]]) -> str:
+def _encode_text(crs: str, header: str, rows: list[tuple[str, ...]]) -> str:
     return "\n".join([f"# crs: {crs}", header, *(",".join(row) for row in rows)]) + "\n"
 
 
@@ -130,17 +130,17 @@ def _scene_rows(points: Points, bench_set: BenchSet, role: str = "") -> Iterator
     """Yield the cells of each point; `role`, if given, is that of all."""
     for name, own_role, image, ground in zip(points.ids, points.roles, points.image, points.ground,
                                              strict=True):
-        yield (name, role or own_role, *_numbers(image, PIXELS), *_place(ground, bench_set))
+        yield (name, role or own_role, *_format_numbers(image, PIXELS), *_place(ground, bench_set))
 
 
 def _place(ground: FloatArray, bench_set: BenchSet) -> tuple[str, ...]:
     """Return the coordinates of a place as text: degrees or metres, and "" for an unknown height.
     """
-    return (*_numbers(ground[:2], DEGREES if bench_set.geographic else METRES),
+    return (*_format_numbers(ground[:2], DEGREES if bench_set.geographic else METRES),
             *("" if np.isnan(z) else f"{z:.{METRES}f}" for z in ground[2:]))
 
 
-def _numbers(values: FloatArray, decimals: int) -> tuple[str, ...]:
+def _format_numbers(values: FloatArray, decimals: int) -> tuple[str, ...]:
     """Return numbers with so many decimals as text, zero without a sign."""
     # Adding 0 removes the sign of a negative zero.
     return tuple(f"{value + 0.0:.{decimals}f}" for value in values)

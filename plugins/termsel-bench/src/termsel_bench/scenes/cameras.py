@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from termsel import FeatureSet, Points, TermselError
 from termsel.simulate import Angle, Pushbroom, pushbroom_at
 from termsel.toolkit import FloatArray
-from termsel.toolkit.coordinates import from_ecef, to_ecef, vertical
+from termsel.toolkit.coordinates import from_ecef, to_ecef, vertical_directions
 
 KINDS = ("steady", "agile", "cubesat", "airborne", "frame", "panoramic")
 ALL_KINDS = (*KINDS, "radar")
@@ -85,10 +85,10 @@ class Turning(Pushbroom):
         up = aim / np.linalg.norm(aim)
         target = np.linalg.norm(aim) * (np.cos(way) * up + np.sin(way) * course)
         # The axes of the camera: towards the target, along the course, and across both.
-        z = _unit(target - station)
+        z = _unit_vectors(target - station)
         ahead = np.cos(way) * course - np.sin(way) * up
-        x = _unit(ahead - z * (ahead * z).sum(axis=1, keepdims=True))
-        return np.stack([x, np.cross(z, x), z], axis=2) @ _rotations(
+        x = _unit_vectors(ahead - z * (ahead * z).sum(axis=1, keepdims=True))
+        return np.stack([x, np.cross(z, x), z], axis=2) @ _rotation_matrices(
             self.roll(time), self.pitch(time), self.yaw(time))
 
 
@@ -104,13 +104,13 @@ class Flying(Turning):
         time = np.asarray(time, dtype=np.float64)
         aim = np.array(self.aim)
         course = np.array(self.course)
-        up = vertical(from_ecef(aim[None]))[0]
+        up = vertical_directions(from_ecef(aim[None]))[0]
         off = np.stack([angle(time) for angle in self.sway], axis=1)
         # Straight on along the course, and off it by the sway.
         station = aim + up * self.altitude + course * (self.speed * time)[:, None] \
             + off @ np.stack([course, np.cross(up, course), up])
         axes = np.stack([course, np.cross(-up, course), -up], axis=1)
-        return station, axes @ _rotations(self.roll(time), self.pitch(time), self.yaw(time))
+        return station, axes @ _rotation_matrices(self.roll(time), self.pitch(time), self.yaw(time))
 
 
 def image_of(kind: str, seed: int, ranges: Ranges, count: int,
@@ -152,7 +152,7 @@ def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
     # More places than points, as some are not in view.
     plan = rng.uniform(-0.8, 0.8, (n_tried, 2)) * width
     ground = from_ecef(middle + np.pad(plan, ((0, 0), (0, 1))) @ axes)
-    height = _heights(rng, plan / width, ranges.waves)
+    height = _wave_heights(rng, plan / width, ranges.waves)
     ground[:, 2] = (1.0 + height) * relief if level == -1.0 else (
         2.0 * np.maximum(height - level, 0.0) * relief)
     scene = (lon, lat, relief)
@@ -160,9 +160,9 @@ def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
         local = (to_ecef(ground) - middle) @ axes.T
         image = _photo_positions(kind, rng, (lines, samples), pixel, local)
     elif kind == "radar":
-        image = _radar(rng, ranges, (lines, samples), pixel, scene, ground)
+        image = _radar_positions(rng, ranges, (lines, samples), pixel, scene, ground)
     else:
-        sensor = _scanner(kind, rng, ranges, (lines, samples), pixel, scene)
+        sensor = _scanner_positions(kind, rng, ranges, (lines, samples), pixel, scene)
         image = sensor.project(ground)
     inside = ((image > 0.02 * np.array([lines, samples]))
               & (image < 0.98 * np.array([lines, samples]))).all(axis=1)
@@ -178,8 +178,9 @@ def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
                       image_size=(lines, samples), noise=noise)
 
 
-def _scanner(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int], pixel: float,
-             scene: tuple[float, float, float]) -> Pushbroom:
+def _scanner_positions(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int],
+                       pixel: float,
+                       scene: tuple[float, float, float]) -> Pushbroom:
     """Return the line scanner of a scene: longitude, latitude [deg] and height [m]."""
     lon, lat, height = scene
     tilt = rng.uniform(*ranges.tilt)
@@ -230,8 +231,8 @@ def _scanner(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int], p
                    yaw=angles[2], **common)
 
 
-def _radar(rng: Generator, ranges: Ranges, size: tuple[int, int], pixel: float,
-           scene: tuple[float, float, float], ground: FloatArray) -> FloatArray:
+def _radar_positions(rng: Generator, ranges: Ranges, size: tuple[int, int], pixel: float,
+                     scene: tuple[float, float, float], ground: FloatArray) -> FloatArray:
     """Return lines of zero Doppler and samples of slant range [px]; not on the ground's range."""
     lon, lat, height = scene
     tilt = rng.uniform(20.0, 42.0)
@@ -268,7 +269,7 @@ def _photo_positions(kind: str, rng: Generator, size: tuple[int, int], pixel: fl
     # The focal length in px, for the pixel that the middle of the image has.
     focal = above / pixel
     roll, pitch = rng.normal(0.0, 0.03, (2, 1))
-    turned = _rotations(roll, pitch, np.array([rng.uniform(-np.pi, np.pi)]))[0]
+    turned = _rotation_matrices(roll, pitch, np.array([rng.uniform(-np.pi, np.pi)]))[0]
     # In the camera's axes z points up, so that it is negative below the camera.
     x, y, z = ((local - [0.0, 0.0, above]) @ turned).T
     if kind == "frame":
@@ -325,7 +326,7 @@ def _sensor_with_angles(sensor: Pushbroom, angles: list[Angle]) -> Pushbroom:
                    pitch=joined(sensor.pitch, angles[1]), yaw=joined(sensor.yaw, angles[2]))
 
 
-def _heights(rng: Generator, plan: FloatArray, waves: int) -> FloatArray:
+def _wave_heights(rng: Generator, plan: FloatArray, waves: int) -> FloatArray:
     """Return smooth heights (n,) between -1 and 1 at relative places (n, 2), of so many waves."""
     total = np.zeros(len(plan))
     for _ in range(waves):
@@ -334,7 +335,7 @@ def _heights(rng: Generator, plan: FloatArray, waves: int) -> FloatArray:
     return np.asarray(total / np.abs(total).max())
 
 
-def _rotations(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
+def _rotation_matrices(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
     """Return rotations (n, 3, 3) by roll, pitch and yaw [rad], about x, then y, then z."""
     (sr, cr), (sp, cp), (sy, cy) = ((np.sin(a), np.cos(a)) for a in (roll, pitch, yaw))
     none = np.zeros_like(sr)
@@ -353,10 +354,10 @@ def _axes_at(lon: float, lat: float) -> FloatArray:
     """Return east, north and up at a longitude and latitude [deg], as rows of (3, 3), Earth-fixed.
     """
     middle = to_ecef(np.array([[lon, lat, 0.0]]))[0]
-    up = vertical(np.array([[lon, lat, 0.0]]))[0]
-    east = _unit(np.array([-middle[1], middle[0], 0.0]))
+    up = vertical_directions(np.array([[lon, lat, 0.0]]))[0]
+    east = _unit_vectors(np.array([-middle[1], middle[0], 0.0]))
     return np.stack([east, np.cross(up, east), up])
 
 
-def _unit(vectors: FloatArray) -> FloatArray:
+def _unit_vectors(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))

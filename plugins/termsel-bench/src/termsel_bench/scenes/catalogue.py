@@ -14,8 +14,8 @@ from numpy.random import Generator
 
 import termsel
 from termsel import FeatureSet, Points, TermselError, rpc_of, simulate_scene
-from termsel.toolkit import requires, unknown_name
-from termsel_bench.scenes.base import INDEPENDENT, BenchSet, means_of, rounded
+from termsel.toolkit import require_import, unknown_name_error
+from termsel_bench.scenes.base import INDEPENDENT, BenchSet, means_of, round_to_files
 from termsel_bench.scenes.cameras import FRESH, image_of
 
 METADATA, MEANS = "croissant.json", "means.json"
@@ -86,7 +86,7 @@ def set_names(pattern: str = "") -> list[str]:
     """
     names = [name for name in SETS if pattern in name]
     if not names:
-        raise unknown_name("set", pattern, set(SETS))
+        raise unknown_name_error("set", pattern, set(SETS))
     return names
 
 
@@ -100,9 +100,9 @@ def simulated_set(name: str) -> BenchSet:
         For an unknown name; if the set is not the frozen one.
     """
     if name not in SETS:
-        raise unknown_name("set", name, set(SETS))
+        raise unknown_name_error("set", name, set(SETS))
     bench_set = simulate_set(name)
-    frozen = checksums()
+    frozen = frozen_checksums()
     for file, checksum in bench_set.checksums().items():
         if frozen.get(file) != checksum and not _differs_by_rounding(bench_set, file):
             raise TermselError(
@@ -128,7 +128,7 @@ def _differs_by_rounding(bench_set: BenchSet, file: str) -> bool:
         np.abs(np.subtract(means, frozen[file])) <= _MEANS_SHARE * np.array(units)))
 
 
-def checksums() -> dict[str, str]:
+def frozen_checksums() -> dict[str, str]:
     """Return the frozen SHA-256 of each file by its name."""
     described = json.loads(files("termsel_bench").joinpath(METADATA).read_text("utf-8"))
     return {file["name"]: file["sha256"] for file in described["distribution"]}
@@ -137,7 +137,7 @@ def checksums() -> dict[str, str]:
 def simulate_set(name: str) -> BenchSet:
     """Return a set as it is simulated here, even if it is not the frozen one."""
     settings = SETS[name]
-    features, independent = _MAKERS.get(settings.kind, _camera)(settings)
+    features, independent = _MAKERS.get(settings.kind, _simulate_camera)(settings)
     # Control and selection points by turns, so that both are all over the image.
     roles = tuple("control" if i % 2 == 0 else "check" for i in range(len(features.points)))
     points = replace(features.points, roles=roles,
@@ -145,8 +145,9 @@ def simulate_set(name: str) -> BenchSet:
     independent = replace(independent, roles=("independent",) * len(independent),
                           ids=tuple(f"I{i + 1}" for i in range(len(independent))))
     # How exact the measurements are is not known to a method.
-    return rounded(BenchSet(name, settings.kind, replace(features, points=points, noise=None),
-                            independent))
+    return round_to_files(BenchSet(name, settings.kind,
+                                   replace(features, points=points, noise=None),
+                                   independent))
 
 
 def _split(scene: FeatureSet, count: int) -> tuple[FeatureSet, Points]:
@@ -156,16 +157,16 @@ def _split(scene: FeatureSet, count: int) -> tuple[FeatureSet, Points]:
             scene.points.take((order >= count) & (order < count + INDEPENDENT)))
 
 
-def _camera(settings: SetSettings) -> tuple[FeatureSet, Points]:
+def _simulate_camera(settings: SetSettings) -> tuple[FeatureSet, Points]:
     """Return control of a simulated camera, and independent points."""
     return _split(image_of(settings.kind, settings.seed, FRESH, settings.count + INDEPENDENT,
                            settings.count),
                   settings.count)
 
 
-def _map(settings: SetSettings) -> tuple[FeatureSet, Points]:
+def _simulate_old_map(settings: SetSettings) -> tuple[FeatureSet, Points]:
     """Return control and independent points of a simulated old map."""
-    with requires("sets of old maps require", "termsel_cameras", "./plugins/termsel-cameras"):
+    with require_import("sets of old maps require", "termsel_cameras", "./plugins/termsel-cameras"):
         from termsel_cameras import simulate_map
 
     arguments = {"seed": settings.seed, "n_points": settings.count + INDEPENDENT,
@@ -179,7 +180,7 @@ def _map(settings: SetSettings) -> tuple[FeatureSet, Points]:
             exact.points.take(order[settings.count:]))
 
 
-def _lines(settings: SetSettings) -> tuple[FeatureSet, Points]:
+def _simulate_lines(settings: SetSettings) -> tuple[FeatureSet, Points]:
     """Return a scene with control lines, and independent points."""
     arguments = {"seed": settings.seed, "roles": (settings.count, 0, INDEPENDENT),
                  **{name: value for name, value in settings.settings.items() if name != "scene"}}
@@ -189,7 +190,7 @@ def _lines(settings: SetSettings) -> tuple[FeatureSet, Points]:
     return (measured.with_(points=measured.points.take(control)), exact.points.take(~control))
 
 
-def _matches(settings: SetSettings) -> tuple[FeatureSet, Points]:
+def _simulate_matches(settings: SetSettings) -> tuple[FeatureSet, Points]:
     """Return points with a share of mismatches, 5 to 60 px off, and independent points."""
     scene = image_of("steady", settings.seed + 100, FRESH, settings.count + INDEPENDENT,
                      settings.count)
@@ -198,7 +199,8 @@ def _matches(settings: SetSettings) -> tuple[FeatureSet, Points]:
     # Blunders lie in any direction, 5 to 60 px off.
     moved = rng.permutation(settings.count)[:round(settings.settings["wrong"] * settings.count)]
     image = features.points.image.copy()
-    image[moved] += _directions(rng, len(moved)) * rng.uniform(_NEAREST, _FARTHEST, (len(moved), 1))
+    image[moved] += _random_directions(
+        rng, len(moved)) * rng.uniform(_NEAREST, _FARTHEST, (len(moved), 1))
     return features.with_(points=replace(features.points, image=image)), independent
 
 
@@ -214,9 +216,9 @@ def _vendor_rpc_image(settings: SetSettings) -> tuple[FeatureSet, Points]:
     size = float(np.exp(rng.uniform(*np.log(_BIAS))))
     from_middle = vendor.image / (np.array(scene.image_size) / 2) - 1
     # In the middle of the image, and with a drift or an affine change more towards its edges.
-    bias = np.tile(_directions(rng, 1), (_VENDOR, 1))
+    bias = np.tile(_random_directions(rng, 1), (_VENDOR, 1))
     if settings.settings["error"] == "drift":
-        bias = bias / 2 + from_middle[:, :1] * _directions(rng, 1) / 2
+        bias = bias / 2 + from_middle[:, :1] * _random_directions(rng, 1) / 2
     elif settings.settings["error"] == "affine":
         bias = (bias + from_middle @ rng.normal(0.0, 1.0, (2, 2))) / 2
     biased = Points(vendor.ids, vendor.image + size * bias, vendor.ground)
@@ -224,11 +226,13 @@ def _vendor_rpc_image(settings: SetSettings) -> tuple[FeatureSet, Points]:
     return replace(features, rpc=rpc.as_delivered()), independent
 
 
-def _directions(rng: Generator, count: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+def _random_directions(
+        rng: Generator, count: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     """Return random directions of length 1, shape (count, 2)."""
     turn = rng.uniform(0, 2 * np.pi, count)
     return np.column_stack([np.sin(turn), np.cos(turn)])
 
 
 _MAKERS: Mapping[str, Callable[[SetSettings], tuple[FeatureSet, Points]]] = {
-    "old-map": _map, "vendor-rpc": _vendor_rpc_image, "matches": _matches, "lines": _lines}
+    "old-map": _simulate_old_map, "vendor-rpc": _vendor_rpc_image, "matches": _simulate_matches,
+    "lines": _simulate_lines}

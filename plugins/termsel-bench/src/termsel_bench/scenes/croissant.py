@@ -16,7 +16,7 @@ import termsel_bench
 from termsel.toolkit import write_text
 from termsel_bench.scenes.base import INDEPENDENT, BenchSet, means_of
 from termsel_bench.scenes.catalogue import MEANS, METADATA, SETS, simulate_set
-from termsel_bench.scenes.measured import FOLDS, measured
+from termsel_bench.scenes.measured import FOLDS, read_measured_set
 
 VERSION = "1.0.0"
 """Of the sets: figures of different versions cannot be compared."""
@@ -74,9 +74,9 @@ MEASURED_COLUMNS = {name: POINT_COLUMNS[name] for name in POINT_COLUMNS if name 
 """Columns of the points of measured sets; some have no heights."""
 
 
-def described_measured(names: Sequence[str], files: Mapping[str, str]) -> dict[str, Any]:
+def croissant_of_measured(names: Sequence[str], files: Mapping[str, str]) -> dict[str, Any]:
     """Return the description of measured sets and of the files that hold them, as JSON-LD."""
-    sets = [measured(name) for name in names]
+    sets = [read_measured_set(name) for name in names]
     places = json.loads(files[FOLDS])
     record_sets = []
     for entry in sets:

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from termsel import FeatureSet, Points, TermselError
-from termsel.toolkit import unknown_name
+from termsel.toolkit import unknown_name_error
 
 FOLDS = "folds.json"
 """File of the package with the fold of each point of each set."""
@@ -125,7 +125,7 @@ def measured_names(pattern: str = "") -> list[str]:
 
 
 @lru_cache(maxsize=2)
-def measured(name: str) -> MeasuredSet:
+def read_measured_set(name: str) -> MeasuredSet:
     """Return a measured set.
 
     Raises
@@ -134,19 +134,19 @@ def measured(name: str) -> MeasuredSet:
         If there is none of the name, or its file is not the published one.
     """
     if name not in _source_and_file_by_set():
-        raise unknown_name("set", name, _source_and_file_by_set())
+        raise unknown_name_error("set", name, _source_and_file_by_set())
     source, file = _source_and_file_by_set()[name]
-    meta = _meta(source.folder)
-    content = _text(source.folder, file)
+    meta = _read_meta(source.folder)
+    content = _read_source_text(source.folder, file)
     checksum = hashlib.sha256(content.encode()).hexdigest()
     if checksum != meta["sha256"][file]:
         raise TermselError(f"the SHA-256 of {file} is {checksum}, not that of the published file",
                            hint="Install termsel-bench again.")
-    folds = np.array(json.loads(_text("", FOLDS))[name], dtype=np.intp)
-    points = _points(content)
+    folds = np.array(json.loads(_read_source_text("", FOLDS))[name], dtype=np.intp)
+    points = _parse_points(content)
     size = None
     if source.folder == "smapshot_nadir":
-        photo = _photos()[file.removesuffix(".csv")]
+        photo = _photo_rows()[file.removesuffix(".csv")]
         size = (int(photo["height"]), int(photo["width"]))
         points = replace(points, attributes={FOCAL: np.array([photo["focal_px"]] * len(points),
                                                              dtype=object)})
@@ -157,11 +157,11 @@ def measured(name: str) -> MeasuredSet:
 
 def checksums_of_measured() -> dict[str, str]:
     """Return the published SHA-256 of the points of each set."""
-    return {name: _meta(source.folder)["sha256"][file]
+    return {name: _read_meta(source.folder)["sha256"][file]
             for name, (source, file) in _source_and_file_by_set().items()}
 
 
-def published_files(names: Sequence[str]) -> dict[str, str]:
+def build_published_files(names: Sequence[str]) -> dict[str, str]:
     """Return the contents of the files of some sets as published, by folder/name, and their folds.
 
     Licence and meta.json of each folder are among them.
@@ -172,10 +172,10 @@ def published_files(names: Sequence[str]) -> dict[str, str]:
                            if its == source and name in names]
         if not files_of_source:
             continue
-        extra = ["photos.csv"] if "photos.csv" in _meta(source.folder)["sha256"] else []
+        extra = ["photos.csv"] if "photos.csv" in _read_meta(source.folder)["sha256"] else []
         for file in (*files_of_source, *extra, "LICENSE", "meta.json"):
-            contents[f"{source.folder}/{file}"] = _text(source.folder, file)
-    folds = json.loads(_text("", FOLDS))
+            contents[f"{source.folder}/{file}"] = _read_source_text(source.folder, file)
+    folds = json.loads(_read_source_text("", FOLDS))
     fold_by_set = {}
     for name in names:
         source, file = _source_and_file_by_set()[name]
@@ -190,37 +190,38 @@ def _source_and_file_by_set() -> Mapping[str, tuple[Source, str]]:
     by_set: dict[str, tuple[Source, str]] = {}
     for source in SOURCES:
         # Sets are kind-001, ... in the order of file names; photos.csv holds no points.
-        of_points = sorted(file for file in _meta(source.folder)["sha256"] if file != "photos.csv")
+        of_points = sorted(
+            file for file in _read_meta(source.folder)["sha256"] if file != "photos.csv")
         for number, file in enumerate(of_points, 1):
             by_set[f"{source.kind}-{number:03d}"] = (source, file)
     return by_set
 
 
 @lru_cache(maxsize=8)
-def _meta(folder: str) -> dict[str, Any]:
+def _read_meta(folder: str) -> dict[str, Any]:
     """Return the content of meta.json in the folder of a source."""
-    content: dict[str, Any] = json.loads(_text(folder, "meta.json"))
+    content: dict[str, Any] = json.loads(_read_source_text(folder, "meta.json"))
     return content
 
 
-def _text(folder: str, file: str) -> str:
+def _read_source_text(folder: str, file: str) -> str:
     """Return the text of a file in the folder of a source; "" as folder for that of all."""
     place = files("termsel_bench") / "measured"
     return ((place / folder if folder else place) / file).read_bytes().decode()
 
 
-def _points(content: str) -> Points:
+def _parse_points(content: str) -> Points:
     """Return the points of a published file."""
     rows = list(csv.DictReader(StringIO(content)))
     if "id" not in rows[0]:
-        return _matches([list(map(float, row.values())) for row in rows])
+        return _parse_matches([list(map(float, row.values())) for row in rows])
     image = np.array([[float(row["line"]), float(row["sample"])] for row in rows])
     ground = np.array([[float(row["x"]), float(row["y"]), float(row.get("z") or "nan")]
                        for row in rows])
     return Points(tuple(row["id"] for row in rows), image, ground)
 
 
-def _matches(rows: Sequence[Sequence[float]]) -> Points:
+def _parse_matches(rows: Sequence[Sequence[float]]) -> Points:
     """Return matches of two images: the first is the ground, with its rows turned upwards."""
     x, y, sample, line = np.array(rows).T
     return Points(tuple(f"M{i + 1:03d}" for i in range(len(rows))), np.column_stack([line, sample]),
@@ -228,20 +229,20 @@ def _matches(rows: Sequence[Sequence[float]]) -> Points:
 
 
 @lru_cache(maxsize=1)
-def _photos() -> dict[str, dict[str, str]]:
+def _photo_rows() -> dict[str, dict[str, str]]:
     """Return the row of each photo by its name: its size and its camera."""
-    rows = csv.DictReader(StringIO(_text("smapshot_nadir", "photos.csv")))
+    rows = csv.DictReader(StringIO(_read_source_text("smapshot_nadir", "photos.csv")))
     return {row["photo"]: row for row in rows}
 
 
-def drawn_folds() -> dict[str, list[int]]:
+def draw_folds() -> dict[str, list[int]]:
     """Return a fold for each point of each set, drawn by a seed.
 
     Folds of a set differ by one point at most.
     """
     folds = {}
     for number, (name, (source, file)) in enumerate(_source_and_file_by_set().items()):
-        n = len(_points(_text(source.folder, file)))
+        n = len(_parse_points(_read_source_text(source.folder, file)))
         rng = np.random.default_rng([_SEED, number])
         folds[name] = rng.permutation(np.arange(n) % source.folds).tolist()
     return folds
@@ -254,5 +255,5 @@ if __name__ == "__main__":
 
     target = Path(str(termsel_bench.__file__)).parent / "measured" / FOLDS
     rows_of_text = [f" {json.dumps(name)}: {json.dumps(row)}"
-                    for name, row in drawn_folds().items()]
+                    for name, row in draw_folds().items()]
     target.write_text("{\n" + ",\n".join(rows_of_text) + "\n}\n", encoding="utf-8")

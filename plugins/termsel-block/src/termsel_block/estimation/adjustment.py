@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.special import stdtrit
 
-from termsel_block.estimation.equations import Shared, pairs
-from termsel_block.estimation.steps import CONVERGED, Steps, shrunk, soft
+from termsel_block.estimation.equations import Shared, image_pairs
+from termsel_block.estimation.steps import CONVERGED, Steps, shrinkage_of_mean_square, soft_weights
 from termsel_block.estimation.unknowns import Adjusted, Measured, State
 from termsel_block.evidence.factors import log_bayes_factor
 from termsel_block.evidence.growing import TRIED_BELOW, p_value_of_columns
-from termsel_block.evidence.integrating import MAX_INTEGRATED, integrate, unknown
-from termsel_block.evidence.variances import estimate_variances, looser
+from termsel_block.evidence.integrating import MAX_INTEGRATED, count_unknown_variances, integrate
+from termsel_block.evidence.variances import estimate_variances, loosening_factors
 from termsel_block.geometry.control import OwnControl
 from termsel_block.geometry.frame import FloatArray
 from termsel_block.geometry.heights import Heights
@@ -83,8 +83,8 @@ def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[O
     """
     # Images share ties with one another, and all ties with the heights, which count as one more
     # image.
-    shared = pairs([*(of_image.tie for of_image in measured), np.arange(len(state.ties))],
-                   len(state.ties))
+    shared = image_pairs(
+        [*(of_image.tie for of_image in measured), np.arange(len(state.ties))], len(state.ties))
     run = _Run(state, measured, control, heights, shared)
     report = progress or _show_nothing
     state.in_use = state.in_use or [np.ones(len(of_image.tie), bool) for of_image in measured]
@@ -167,7 +167,8 @@ class _Run(Steps):
     def loosen(self) -> bool:
         """Let the priors that models state scatter as they do; return whether any changed much."""
         state = self.state
-        factors = looser(state.cameras, state.parameters, self.solved.image_covariances[:-1])
+        factors = loosening_factors(state.cameras, state.parameters,
+                                    self.solved.image_covariances[:-1])
         change = 0.0
         for camera in state.cameras:
             for name, at in camera.stated.items():
@@ -192,7 +193,7 @@ class _Run(Steps):
         heights. Where the variances are known or many nothing changes, and there are no draws.
         """
         state = self.state
-        if not 0 < unknown(state.cameras) <= MAX_INTEGRATED:
+        if not 0 < count_unknown_variances(state.cameras) <= MAX_INTEGRATED:
             return []
         # Priors as first guessed: the function takes them off again, and draws the variances.
         loose = self.linearised([np.square(camera.prior_sigma) for camera in state.cameras])
@@ -236,7 +237,7 @@ class _Run(Steps):
             if len(control):
                 used = state.control_in_use[i]
                 sigma = state.sigma_control * control.sigma
-                weight = soft(of_control[i] / sigma) if robust else np.ones(len(control))
+                weight = soft_weights(of_control[i] / sigma) if robust else np.ones(len(control))
                 weight = weight * used
                 # h_n = a_n C a_n^T / s^2 of each row a_n, by the covariance C of the image's
                 # parameters.
@@ -250,7 +251,7 @@ class _Run(Steps):
         weights = 0.0
         rays_of_tie = np.zeros(len(state.ties))
         for measured, residual, used in zip(self.measured, of_ties, state.in_use, strict=True):
-            weight = used * (soft(np.hypot(*residual.T) / state.sigma_ties) if robust
+            weight = used * (soft_weights(np.hypot(*residual.T) / state.sigma_ties) if robust
                              else np.ones(len(used)))
             total += float((weight * (residual**2).sum(axis=1)).sum())
             weights += 2 * float(weight.sum())
@@ -262,8 +263,8 @@ class _Run(Steps):
         self.freedom = freedom + rows - by_control
         # Weights fall for good measurements, too.
         if robust:
-            total /= shrunk(max(freedom, 0.0) / max(weights, 1.0), 2)
-            squares /= shrunk(max(rows - by_control, 0.0) / max(rows, 1.0), 1)
+            total /= shrinkage_of_mean_square(max(freedom, 0.0) / max(weights, 1.0), 2)
+            squares /= shrinkage_of_mean_square(max(rows - by_control, 0.0) / max(rows, 1.0), 1)
         # One measurement more than there are unknowns says next to nothing: the variance stays.
         if freedom > 1:
             state.sigma_ties = max(float(np.sqrt(total / freedom)), _MIN_SIGMA)
@@ -293,7 +294,7 @@ class _Run(Steps):
             if growth is None or not len(measured.tie):
                 continue
             larger, is_new = growth
-            weight = soft(np.hypot(*residual.T) / state.sigma_ties) / state.sigma_ties**2
+            weight = soft_weights(np.hypot(*residual.T) / state.sigma_ties) / state.sigma_ties**2
             columns = larger.first_order(state.ties[measured.tie])[1]
             columns = columns[:, is_new[:columns.shape[1]]]
             if p_value_of_columns(columns, residual, weight) < TRIED_BELOW:

@@ -107,7 +107,7 @@ class Solved:
                                               strict=True):
                 np.add.at(total, rows.tie, gain @ covariance @ gain.transpose(0, 2, 1))
             return total
-        for i, j, at_i, at_j in pairs([rows.tie for rows in self.tie_rows], len(total)):
+        for i, j, at_i, at_j in image_pairs([rows.tie for rows in self.tie_rows], len(total)):
             between = gains[i][at_i] @ blocks[slices[i], slices[j]] @ gains[j][at_j].transpose(
                 0, 2, 1)
             ties = self.tie_rows[i].tie[at_i]
@@ -188,7 +188,7 @@ class Reduced:
                 for columns in in_range]
 
 
-def pairs(ties: Sequence[IntArray], count: int) -> list[Shared]:
+def image_pairs(ties: Sequence[IntArray], count: int) -> list[Shared]:
     """Return which images share ties: (i, j, rows of i, rows of j) with i <= j.
 
     Rows are sorted alike: the k-th of each is the same tie.
@@ -242,7 +242,7 @@ def solve(
     of_ties, right_of_ties : ndarray, shapes (t, 3, 3) and (t, 3)
         What priors add to each tie's.
     sharing : sequence
-        Of `pairs`.
+        Of `image_pairs`.
 
     Raises
     ------

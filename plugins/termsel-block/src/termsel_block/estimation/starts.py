@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel import Rpc, TermselError
-from termsel_block.estimation.equations import pairs
-from termsel_block.estimation.steps import soft
+from termsel_block.estimation.equations import image_pairs
+from termsel_block.estimation.steps import soft_weights
 from termsel_block.estimation.unknowns import Measured, State
 from termsel_block.geometry.cameras import Camera, LinearCamera, PolynomialCamera, RpcCamera
 from termsel_block.geometry.control import OwnControl
@@ -118,7 +118,7 @@ def _camera_by_own_data(image: ImageInput, frame: Frame) -> Camera | None:
     measured = image.control.value[:, None] * image.control.normal
     # Of points; of lines the foot of the line.
     position = measured[0::2] + measured[1::2]
-    return _polynomial(image.control.local, position)
+    return _empty_polynomial(image.control.local, position)
 
 
 def _refuse_elsewhere(images: Sequence[ImageInput], started: Started, count: int) -> None:
@@ -152,7 +152,7 @@ def _refuse_elsewhere(images: Sequence[ImageInput], started: Started, count: int
     near_images = Counter[int]()
     ties_far = Counter[int]()
     ties_near = Counter[int]()
-    for i, j, rows, other_rows in pairs([image.measured.tie for image in images], count):
+    for i, j, rows, other_rows in image_pairs([image.measured.tie for image in images], count):
         if i in placed and j in placed and i != j:
             width = max(float(started[k][0].area()[1].max()) for k in (i, j))
             # Both images put their common ties on the ground: are they in different areas?
@@ -171,7 +171,7 @@ def _refuse_elsewhere(images: Sequence[ImageInput], started: Started, count: int
                            hint="One of these RPCs is of another image, or the ties are wrong.")
 
 
-def _polynomial(local: FloatArray, image: FloatArray) -> PolynomialCamera:
+def _empty_polynomial(local: FloatArray, image: FloatArray) -> PolynomialCamera:
     """Return an empty polynomial, scaled to the area that places (n, 3) and positions (n, 2) span.
     """
     low = local.min(axis=0)
@@ -222,7 +222,7 @@ def _model_by_ties(image: ImageInput, is_located: BoolArray, ties: FloatArray, f
     """
     local = ties[image.measured.tie[is_located]]
     position = image.measured.position[is_located]
-    camera = _polynomial(local, position) if image.physical is None else \
+    camera = _empty_polynomial(local, position) if image.physical is None else \
         image.physical.fitted(frame, local, position, image.name)
     # Of each tie two rows, its line and its sample.
     return camera, _first_parameters(camera, np.repeat(local, 2, axis=0),
@@ -240,7 +240,7 @@ def _robust_ridge(rows: FloatArray, aim: FloatArray, variances: FloatArray) -> F
         residual = aim - rows @ estimates
         # A robust standard deviation, which is not taken to be below 0.3 px.
         scale = max(1.4826 * float(np.median(np.abs(residual))), 0.3)
-        weight = soft(residual / scale) / max(scale, 1.0) ** 2
+        weight = soft_weights(residual / scale) / max(scale, 1.0) ** 2
     return np.asarray(estimates)
 
 

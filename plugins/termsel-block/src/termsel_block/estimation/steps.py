@@ -82,7 +82,7 @@ class Steps:
             residual = measured.position - computed
             weight = np.where(state.in_use[i], state.sigma_ties**-2, 0.0)
             if robust:
-                weight = weight * soft(np.hypot(*residual.T) / (wide * state.sigma_ties))
+                weight = weight * soft_weights(np.hypot(*residual.T) / (wide * state.sigma_ties))
             # Derivatives by the tie's position change little: they are kept until `slopes` is
             # emptied.
             if i not in self.slopes:
@@ -151,8 +151,8 @@ class Steps:
         # Sum of squares over variances: of priors, of ties, of control, and of heights.
         for i, control in enumerate(self.control):
             total += float((state.parameters[i]**2 / state.variances[i]).sum())
-            # Robust: s / (1 + s / c^2), whose weight is that of `soft`, and which no blunder
-            # outgrows.
+            # Robust: s / (1 + s / c^2), whose weight is that of `soft_weights`, and which no
+            # blunder outgrows.
             square = (of_ties[i]**2).sum(axis=1) / state.sigma_ties**2
             total += float((square / (1 + square / (wide * _ROBUST)**2 * robust))
                            @ state.in_use[i])
@@ -247,7 +247,7 @@ class Steps:
         self.noise[i] = sigma = self.state.sigma_control * control.sigma
         share = self.state.control_in_use[i].astype(float)
         if robust:
-            share = share * soft(residual / sigma)
+            share = share * soft_weights(residual / sigma)
         self.weights[i] = share
         weight = share / sigma**2
         return (rows * weight[:, None]).T @ rows, (rows * weight[:, None]).T @ residual
@@ -292,12 +292,12 @@ class Steps:
                              zip(state.cameras, self.control, strict=True))]
 
 
-def soft(ratio: FloatArray) -> FloatArray:
+def soft_weights(ratio: FloatArray) -> FloatArray:
     """Return weights 1 / (1 + (r / c)^2)^2 of residuals r in standard deviations, 1 at r = 0."""
     return np.asarray(1 / (1 + (ratio / _ROBUST) ** 2) ** 2)
 
 
-def shrunk(share: float, axes: int) -> float:
+def shrinkage_of_mean_square(share: float, axes: int) -> float:
     """Return what such weights make of the mean square of residuals that are no blunders.
 
     Parameters
@@ -308,5 +308,5 @@ def shrunk(share: float, axes: int) -> float:
         Axes whose residuals have one weight.
     """
     square = chdtri(axes, _QUANTILES)
-    weight = soft(np.sqrt(share * square))
+    weight = soft_weights(np.sqrt(share * square))
     return float((weight @ square) / (axes * weight.sum()))

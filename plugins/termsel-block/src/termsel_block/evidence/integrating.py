@@ -71,7 +71,7 @@ class _Group:
     min_ratio: float
 
 
-def unknown(cameras: Sequence[Camera]) -> int:
+def count_unknown_variances(cameras: Sequence[Camera]) -> int:
     """Return the number of parameters of all images whose variances are unknown."""
     return sum(name not in camera.fixed_variance
                for camera in cameras for name in camera.groups)

@@ -69,8 +69,8 @@ def estimate_variances(cameras: Sequence[Camera], parameters: Sequence[FloatArra
     return result
 
 
-def looser(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
-           covariances: Sequence[FloatArray]) -> dict[str, float]:
+def loosening_factors(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
+                      covariances: Sequence[FloatArray]) -> dict[str, float]:
     """Return what standard deviations of stated terms are times what their model states.
 
     By all images of the model together: a sensor may turn faster than most, in all its images.

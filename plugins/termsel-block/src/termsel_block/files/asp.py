@@ -49,7 +49,7 @@ def asp_rows(files: Sequence[Path], images: Sequence[str]) -> list[tuple[Path, i
     """
     pairs: list[tuple[Path, int, Place, Place]] = []
     for file in files:
-        first_image, second_image = _images(file, images)
+        first_image, second_image = _images_of_match_file(file, images)
         from termsel_match.asp import read_matches
 
         for number, (a, b) in enumerate(zip(*read_matches(file), strict=True), 1):
@@ -82,7 +82,7 @@ def asp_rows(files: Sequence[Path], images: Sequence[str]) -> list[tuple[Path, i
     return rows
 
 
-def _images(file: Path, images: Sequence[str]) -> tuple[str, str]:
+def _images_of_match_file(file: Path, images: Sequence[str]) -> tuple[str, str]:
     """Return the names of both images of a match file, which ASP calls prefix-A__B.match.
 
     Raises TermselError if no two images of the block are meant.

@@ -17,21 +17,21 @@ import msgspec
 import numpy as np
 
 from termsel import FeatureSet, TermselError, get, open_raster, read, read_rpc
-from termsel.toolkit import options_of_file, require_regular, unguarded
+from termsel.toolkit import options_of_file, require_regular, unguard_cell
 from termsel.toolkit.coordinates import LOCAL, normalise
 from termsel.toolkit.files import (
     KINDS_OF_JSON,
-    delivered_rpc,
     is_cut,
     makers_of,
     mismatch_in_words,
     parts_of,
+    read_delivered_rpc,
     read_toml,
 )
 from termsel_block.block import CORRECTIONS, Block, BlockImage, Ties
-from termsel_block.estimation.equations import pairs
+from termsel_block.estimation.equations import image_pairs
 from termsel_block.files.asp import asp_rows, is_asp
-from termsel_block.geometry.control import in_use
+from termsel_block.geometry.control import points_in_use
 from termsel_block.geometry.physical import MODELS, hint_for_block
 
 COLUMNS = {"id": ("id", "tie", "name", "point"), "image": ("image", "img", "scene"),
@@ -140,7 +140,7 @@ def _refuse_alone(images: Sequence[BlockImage], ties: Ties, path: Path) -> None:
     count = np.bincount(ties.image, minlength=len(images))
     for image, n in zip(images, count.tolist(), strict=True):
         n_control = 0 if image.features is None else (
-            len(in_use(image.features)) + len(image.features.lines))
+            len(points_in_use(image.features)) + len(image.features.lines))
         if n + n_control < _MIN_FEATURES:
             raise TermselError(f"image {image.name!r} has {n} ties and {n_control} control "
                                "features, so that nothing joins it to the block", file=path,
@@ -159,7 +159,8 @@ def _refuse_copies(names: Sequence[str], ties: Ties, path: Path) -> None:
             raise TermselError(f"all {len(rows)} ties of image {name!r} are at one position in it",
                                file=path, hint="Check the columns line and sample of the ties.")
     # Of images that share ties: are all measured alike in both?
-    for i, j, first, second in pairs([ties.tie[rows] for rows in rows_of_image], len(ties.names)):
+    for i, j, first, second in image_pairs(
+            [ties.tie[rows] for rows in rows_of_image], len(ties.names)):
         if i == j or len(first) < _MIN_FEATURES:
             continue
         difference = (ties.position[rows_of_image[i][first]]
@@ -258,7 +259,7 @@ def _read_image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: 
     elif raster is not None:
         # An image need not have one.
         with suppress(TermselError):
-            rpc = delivered_rpc(raster)
+            rpc = read_delivered_rpc(raster)
             rpc_file = None if rpc is None else raster
     # Before minutes of adjustment.
     if rpc is not None and find_spec("termsel_rpc") is None:
@@ -525,7 +526,7 @@ def _table_rows(file: Path) -> list[tuple[int, dict[str, str]]]:
                                        hint="Complete the row, or remove it." if len(cells)
                                        < len(header) else "Write decimal points, not commas, and "
                                        "put text with commas in quotes.")
-                rows.append((reader.line_num, {name: unguarded(cells[i].strip())
+                rows.append((reader.line_num, {name: unguard_cell(cells[i].strip())
                                                for name, i in at.items()}))
             return rows
     except OSError as error:

@@ -17,11 +17,17 @@ from termsel.toolkit import csv_table, one_blas_thread, write_text
 from termsel.toolkit.models import Predicted, pixel_on_ground
 from termsel_block.accuracy import shared_sigma
 from termsel_block.block import BlockImage
-from termsel_block.files.placing import together
+from termsel_block.files.placing import place_together
 from termsel_block.geometry.physical import PhysicalCamera
 from termsel_block.joint import BlockResult
 from termsel_block.shown.page import page_of
-from termsel_block.shown.record import BlockRecord, correction_of, record_of, schema, times_seen
+from termsel_block.shown.record import (
+    BlockRecord,
+    block_schema,
+    correction_of,
+    record_of,
+    times_seen,
+)
 from termsel_block.shown.summary import text_of
 
 log = logging.getLogger("termsel.block")
@@ -133,7 +139,7 @@ def write_block(result: BlockResult, folder: Path | str, *, overwrite: bool = Fa
     # Refused before the pages of work that follow.
     require_free_folder(folder, names, overwrite=overwrite)
     record = record_of(result)
-    with together(folder, RECORD) as new_folder:
+    with place_together(folder, RECORD) as new_folder:
         for i, name in enumerate(names):
             (new_folder / name).mkdir()
             write_result(image_result(result, i, record), new_folder / name)
@@ -142,7 +148,7 @@ def write_block(result: BlockResult, folder: Path | str, *, overwrite: bool = Fa
                 progress((i + 1) / len(names))
         for file, text in {
                 TIES: ties_csv(result), SUMMARY: text_of(record),
-                SCHEMA_FILE: json.dumps(schema(), indent=1) + "\n",
+                SCHEMA_FILE: json.dumps(block_schema(), indent=1) + "\n",
                 RECORD: msgspec.json.format(msgspec.json.encode(record), indent=1).decode() + "\n",
                 }.items():
             write_text(new_folder / file, text)

@@ -18,10 +18,10 @@ from termsel.toolkit import (
     private_folder,
     read_data,
     read_text,
-    unguarded,
+    unguard_cell,
     write_bytes,
 )
-from termsel.toolkit.coordinates import LOCAL, horizontal
+from termsel.toolkit.coordinates import LOCAL, horizontal_crs
 from termsel_block.files.folders import RECORD, TIES
 from termsel_block.geometry.frame import FloatArray
 
@@ -102,7 +102,7 @@ def _read_ties(folder: Path) -> tuple[list[str], FloatArray, str]:
     except (ValueError, csv.Error) as error:
         raise TermselError("this is not the table of ties that termsel block wrote",
                            file=folder / TIES, hint="Run termsel block again.") from error
-    return [unguarded(row[0]) for row in rows], values, str(record.get("crs") or LOCAL)
+    return [unguard_cell(row[0]) for row in rows], values, str(record.get("crs") or LOCAL)
 
 
 def _write_geopackage(complete: Path, target: Path, ids: list[str], values: FloatArray,
@@ -119,7 +119,8 @@ def _write_geopackage(complete: Path, target: Path, ids: list[str], values: Floa
         # Plane coordinates have none, as the block says.
         warnings.filterwarnings("ignore", "'crs' was not provided")
         write(str(complete), shapely.to_wkb(shapely.points(values[:, :3])), fields, names,
-              layer="places", driver="GPKG", geometry_type="Point Z", crs=horizontal(crs) or None,
+              layer="places", driver="GPKG", geometry_type="Point Z",
+              crs=horizontal_crs(crs) or None,
               dataset_options={"VERSION": "1.3"})
 
 
@@ -127,7 +128,7 @@ def _write_cloud(complete: Path, target: Path, _: list[str], values: FloatArray,
     """Write the ties as a LAS file `complete`, which then becomes `target`; it has no ids."""
     laspy = _import_needed("laspy", target, "termsel-block[las]")
     header = laspy.LasHeader(point_format=6, version="1.4")
-    system_name = horizontal(crs)
+    system_name = horizontal_crs(crs)
     degrees = False
     if system_name:
         system = _import_needed("pyproj", target, "termsel[gis]").CRS(system_name)

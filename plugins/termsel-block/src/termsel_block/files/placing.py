@@ -13,7 +13,7 @@ from termsel.toolkit.files import sync
 
 
 @contextmanager
-def together(folder: Path, last: str) -> Iterator[Path]:
+def place_together(folder: Path, last: str) -> Iterator[Path]:
     """Yield a private folder, whose files come into a folder when the block succeeds.
 
     Files that are there are replaced, and others stay. If anything fails, the folder has what it

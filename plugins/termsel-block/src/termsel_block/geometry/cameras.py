@@ -169,7 +169,7 @@ class LinearCamera(Camera):
     def project(self, parameters: FloatArray, local: FloatArray, fixed: Fixed = None) -> FloatArray:
         """Return line and sample: known part + columns times parameters + perspective."""
         image, columns = fixed or self.first_order(local)
-        return np.asarray(image + columns @ by_axis(parameters)
+        return np.asarray(image + columns @ split_by_axis(parameters)
                           + self.perspective(parameters, local))
 
     def jacobian(self, parameters: FloatArray, local: FloatArray, fixed: Fixed = None,
@@ -184,10 +184,10 @@ class LinearCamera(Camera):
 
     def correction(self, parameters: FloatArray, local: FloatArray) -> FloatArray:
         """Return the product of columns and parameters (2m,) at places (n, 3): (n, 2) [px]."""
-        return np.asarray(self.first_order(local)[1] @ by_axis(parameters))
+        return np.asarray(self.first_order(local)[1] @ split_by_axis(parameters))
 
 
-def by_axis(parameters: FloatArray) -> FloatArray:
+def split_by_axis(parameters: FloatArray) -> FloatArray:
     """Return parameters (2m,) as a column for the line and one for the sample, (m, 2)."""
     return parameters.reshape(2, -1).T
 
@@ -257,7 +257,7 @@ class RpcCamera(LinearCamera):
                       "affine": half_images[:, 1]}
         columns = [polynomial[name] for name in self.columns if name != self.SMOOTH]
         if self.SMOOTH in self.columns:
-            columns += list(_cosines(half_images[:, 0]))
+            columns += list(_cosine_functions(half_images[:, 0]))
         return image, np.array(columns).reshape(len(self.columns), len(image)).T
 
 
@@ -269,7 +269,7 @@ def groups_of(correction: str) -> tuple[str, ...]:
     return RpcCamera.COLUMNS[:names.index(correction)]
 
 
-def _cosines(lines: FloatArray) -> FloatArray:
+def _cosine_functions(lines: FloatArray) -> FloatArray:
     """Return functions (`_WAVES`, n) of lines in half images, each without its part in 1 and l."""
     # Beyond the image nothing wanders on.
     lines = np.clip(lines, -1.2, 1.2)
@@ -335,7 +335,7 @@ class PolynomialCamera(LinearCamera):
         """Return the perspective (n, 2) [px] of the rays that parameters (2m,) of x, y, z describe.
         """
         scaled = (local - self.centre) / self.half
-        forms = self._quadratic_forms(by_axis(parameters)[self._slopes])
+        forms = self._quadratic_forms(split_by_axis(parameters)[self._slopes])
         # The quadratic form p^T F p of each place p, for line and sample.
         return np.asarray(np.einsum("ni,aij,nj->na", scaled, forms, scaled))
 
@@ -346,7 +346,7 @@ class PolynomialCamera(LinearCamera):
         m = len(self.powers)
         scaled = (local - self.centre) / self.half
         step = 1e-4 * self.half_image
-        of_slopes = by_axis(parameters)[self._slopes]
+        of_slopes = split_by_axis(parameters)[self._slopes]
         # Only the terms of degree 1 turn the rays: central differences of their quadratic forms.
         for axis, (k, at) in product(range(2), enumerate(self._slopes)):
             ahead = of_slopes.copy()

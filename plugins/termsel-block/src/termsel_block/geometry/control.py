@@ -47,14 +47,14 @@ class OwnControl:
         return self.local[2 * at], np.stack([self.value[2 * at], self.value[2 * at + 1]], axis=1)
 
 
-def own_control(features: FeatureSet | None, frame: Frame) -> OwnControl:
+def control_equations(features: FeatureSet | None, frame: Frame) -> OwnControl:
     """Return the equations of points with the role control, check or none, and of all lines.
 
     Two rows of a point (line, sample), two of a line (its vertices); no rows without features.
     """
     if features is None:
         return OwnControl(np.empty((0, 3)), np.empty((0, 2)), np.empty(0), np.empty(0), ())
-    points = in_use(features)
+    points = points_in_use(features)
     lines = features.lines
     n = len(points)
     k = len(lines)
@@ -73,7 +73,7 @@ def own_control(features: FeatureSet | None, frame: Frame) -> OwnControl:
         tuple(np.repeat(points.ids, 2).tolist() + np.repeat(lines.ids, 2).tolist()))
 
 
-def in_use(features: FeatureSet) -> Points:
+def points_in_use(features: FeatureSet) -> Points:
     """Return the points that the adjustment may use: all but independent ones and those off."""
     return features.points.take([role not in ("independent", "off")
                                  for role in features.points.roles])

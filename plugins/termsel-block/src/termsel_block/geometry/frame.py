@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.toolkit.coordinates import LOCAL, from_ecef, to_ecef, to_wgs84, transformation
+from termsel.toolkit.coordinates import LOCAL, from_ecef, to_ecef, to_wgs84, transformation_between
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -60,7 +60,7 @@ class Frame:
         """Return ground coordinates of metres, shape (n, 3)."""
         if self.crs == LOCAL:
             return np.asarray(local + self.origin)
-        return np.asarray(transformation("EPSG:4979", self.crs)(self.geodetic(local)))
+        return np.asarray(transformation_between("EPSG:4979", self.crs)(self.geodetic(local)))
 
     def geodetic(self, local: FloatArray) -> FloatArray:
         """Return WGS84 longitude, latitude and ellipsoidal height of metres."""

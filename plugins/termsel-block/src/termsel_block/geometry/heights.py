@@ -116,14 +116,14 @@ class Heights:
     def __post_init__(self) -> None:
         if np.isnan(self.sigma):
             self.sigma = self.spread if self.surface is None else _OF_ERRORS
-        self.control = self._near_median(self.control_heights.over)
+        self.control = self._heights_near_median(self.control_heights.over)
 
     def keep(self, rows: Sequence[BoolArray]) -> None:
         """Take the heights of control most of whose rows are in use (see `in_use_by_most`)."""
         is_agreed = self.control_heights.in_use_by_most(rows)
-        self.control = self._near_median(self.control_heights.over[is_agreed])
+        self.control = self._heights_near_median(self.control_heights.over[is_agreed])
 
-    def _near_median(self, over: FloatArray) -> FloatArray:
+    def _heights_near_median(self, over: FloatArray) -> FloatArray:
         """Return the heights that are not far from the median of all.
 
         An image without control follows the offset, so that a wrong height would shift it before
@@ -150,7 +150,7 @@ class Heights:
 
     def tie_observations(self, ties: FloatArray) -> Observed:
         """Return each tie's height as an observation of how far the surface is above it."""
-        away, joint = self._below_surface(ties)
+        away, joint = self._depth_below_surface(ties)
         # Heights of a crowded image weigh less, so that all together count as `_max_count` at most.
         weight = np.full(len(ties), self.sigma**-2 / max(self.crowd / self._max_count, 1.0))
         weight[~joint] = self.spread**-2
@@ -205,7 +205,7 @@ class Heights:
 
     def cost(self, ties: FloatArray) -> float:
         """Return the sum of squares over variances of all heights: ties, offset and control."""
-        away, joint = self._below_surface(ties)
+        away, joint = self._depth_below_surface(ties)
         weight = self.sigma**-2 / max(self.crowd / self._max_count, 1.0)
         return float(weight * (away[joint] ** 2).sum() + (away[~joint] ** 2).sum() / self.spread**2
                      + self._weight_of_prior() * self.offset**2
@@ -238,7 +238,7 @@ class Heights:
             (np.minimum(square, largest_square).sum() + _AS_MANY * self._usual_roughness**2)
             / (len(square) + _AS_MANY))), _MIN_ROUGHNESS)
 
-    def _below_surface(self, ties: FloatArray) -> tuple[FloatArray, BoolArray]:
+    def _depth_below_surface(self, ties: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return by how much ties (t, 3) are below the surface, (t,) [m], and which it covers,
         (t,).
 

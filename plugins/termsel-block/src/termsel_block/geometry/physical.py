@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from termsel import FeatureSet, Points, SensorModel, TermselError, get
-from termsel.toolkit import scaling_of
+from termsel.toolkit import make_scaling
 from termsel_block.geometry.cameras import Camera, Fixed
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame
 
@@ -92,7 +92,7 @@ class PhysicalCamera(Camera):
     """
 
     def __init__(self, model: SensorModel, control: FeatureSet, frame: Frame) -> None:
-        self.scaling = scaling_of(control)
+        self.scaling = make_scaling(control)
         self.frame = frame
         self.model = model.prepared(self.scaling, control.crs)
         scaled = self.scaling.features(control)
@@ -126,14 +126,14 @@ class PhysicalCamera(Camera):
 
     def project(self, parameters: FloatArray, local: FloatArray, fixed: Fixed = None) -> FloatArray:
         """Return line and sample (n, 2) [px] of places (n, 3) by the model's equations."""
-        return np.asarray(self._images((parameters * self.scale)[None], local)[0])
+        return np.asarray(self._project_with_terms((parameters * self.scale)[None], local)[0])
 
     def jacobian(self, parameters: FloatArray, local: FloatArray, fixed: Fixed = None,
                  ) -> FloatArray:
         """Return the derivatives (n, 2, p) by central differences, for all terms at once."""
         terms = parameters * self.scale
         steps = _TERM_STEP * np.diag(self.scale)
-        images = self._images(np.concatenate([terms + steps, terms - steps]), local)
+        images = self._project_with_terms(np.concatenate([terms + steps, terms - steps]), local)
         p = len(terms)
         return np.asarray(np.moveaxis(images[:p] - images[p:], 0, -1) / (2 * _TERM_STEP))
 
@@ -205,7 +205,7 @@ class PhysicalCamera(Camera):
                  if abs(mean[k]) > _NAMED_FROM]
         return Contradiction(float(chdtrc(freedom, square)), square / freedom, tuple(named))
 
-    def _images(self, terms: FloatArray, local: FloatArray) -> FloatArray:
+    def _project_with_terms(self, terms: FloatArray, local: FloatArray) -> FloatArray:
         """Return line and sample (q, n, 2) [px] of places (n, 3) by each of q sets of terms (q, k).
 
         NaN by terms that are no camera.

@@ -17,13 +17,13 @@ from termsel.toolkit.charts import (
     Figure,
     Section,
     chart_rows,
-    page,
+    render_page,
     require_altair,
 )
 from termsel_block.geometry.frame import FloatArray, IntArray
 from termsel_block.joint import BlockResult
 from termsel_block.shown.record import BlockRecord, WrongControl, WrongTie, times_seen
-from termsel_block.shown.summary import facts, read_in, reason_of
+from termsel_block.shown.summary import block_facts, read_in, reason_of
 
 # Ties in a picture.
 _SIGMA_COLOURS = ("#5aae3c", "#2f8fa0", "#8a5cc9")
@@ -52,27 +52,27 @@ def page_of(result: BlockResult, record: BlockRecord) -> str:
         "map", "Footprints, ties and control",
         "Each dot is a tie; its colour is the standard deviation of its height"
         f"{_ties_shown(result)}. Triangles are control. Outlines are drawn around the ties of "
-        "each image.", _map(result), keeps_ratio=True)
+        "each image.", _ground_chart(result), keeps_ratio=True)
     by_image = Figure(
         "images", "Residuals and uncertainty by image",
         "The RMSE of the ties in each image, and the predicted RMSE of the table of images. The "
         "image that is least certain over the area of its ties comes first"
-        f"{_images_shown(record)}.", _bars(record))
+        f"{_images_shown(record)}.", _tie_rmse_chart(record))
     by_tie = Figure(
         "ties", "Residuals by tie",
         "Number of observations by their distance from the model. Those more than four standard "
-        "deviations off in line or in sample are rejected.", _residuals(result))
+        "deviations off in line or in sample are rejected.", _residual_histogram(result))
     images = (
         "Predicted is the RMSE of points measured like the control, at the positions of the "
-        "independent check points (ICPs), or of the ties if there are none.", _images(record))
+        "independent check points (ICPs), or of the ties if there are none.", _image_table(record))
     sections = (Section("Images", images), Section("Residuals", (by_image, by_tie)),
                 Section("Rejected outliers", tuple(_rejected_table(record))))
-    return page(Document(
-        f"Block of {len(record.images)} images", read_in(record), (*facts(record), ground),
+    return render_page(Document(
+        f"Block of {len(record.images)} images", read_in(record), (*block_facts(record), ground),
         tuple(section for section in sections if section.blocks)))
 
 
-def _images(record: BlockRecord) -> TableBlock:
+def _image_table(record: BlockRecord) -> TableBlock:
     """Return the table of all images."""
     return TableBlock("All images", (
         "image", "model", "control", "ties", "ties [px]", "predicted [px]", "90 % interval",
@@ -92,11 +92,11 @@ def _images_shown(record: BlockRecord) -> str:
 
 def _ties_shown(result: BlockResult) -> str:
     """Return how many ties of all are shown, as part of a sentence; empty if all are."""
-    count = len(_placed_ties(result))
+    count = len(_located_ties(result))
     return f"; {_DRAWN_TIES:,} of {count:,} are shown" if count > _DRAWN_TIES else ""
 
 
-def _placed_ties(result: BlockResult) -> IntArray:
+def _located_ties(result: BlockResult) -> IntArray:
     """Return the ties that have a place, which two images or more see."""
     return np.flatnonzero(times_seen(result) > 1)
 
@@ -119,14 +119,14 @@ def _rejected_table(record: BlockRecord) -> Iterator[TableBlock | str]:
         yield f"{len(rejected) - _LISTED} more are in block.json."
 
 
-def _map(result: BlockResult) -> Any:
+def _ground_chart(result: BlockResult) -> Any:
     """Return a chart of the ground: ties, control and the hulls of images, with one scale [km]."""
     import altair as alt
     from scipy.spatial import ConvexHull, QhullError
 
     ties = result.block.ties
     state = result.adjusted.state
-    placed = _placed_ties(result)
+    placed = _located_ties(result)
     # Evenly over the list, as many as a browser draws in good time.
     drawn = placed[np.linspace(0, len(placed) - 1, min(_DRAWN_TIES, len(placed))).astype(int)]
     dots = [{"east": float(e), "north": float(n), "sigma": float(s)} for e, n, s in zip(
@@ -150,7 +150,7 @@ def _map(result: BlockResult) -> Any:
         outlines += [{"east": float(outline[k, 0]), "north": float(outline[k, 1]), "order": order,
                       "image": image.name} for order, k in enumerate([*hull, hull[0]])]
     all_ground = [state.ties[placed, :2] / 1000, control]
-    (x_of, width), (y_of, height) = _one_scale(np.concatenate(all_ground))
+    (x_of, width), (y_of, height) = _equal_scales(np.concatenate(all_ground))
     x = alt.X("east:Q", title="east [km]", scale=alt.Scale(domain=x_of, nice=False),
               axis=alt.Axis(tickCount=width / 60))
     y = alt.Y("north:Q", title="north [km]", scale=alt.Scale(domain=y_of, nice=False),
@@ -171,7 +171,7 @@ def _map(result: BlockResult) -> Any:
         width=width, height=height)
 
 
-def _one_scale(ground: FloatArray) -> list[tuple[list[float], float]]:
+def _equal_scales(ground: FloatArray) -> list[tuple[list[float], float]]:
     """Return domain [km] and size [px] of either axis, with as many px a kilometre in both."""
     low = ground.min(axis=0)
     high = ground.max(axis=0)
@@ -184,7 +184,7 @@ def _one_scale(ground: FloatArray) -> list[tuple[list[float], float]]:
             for middle, half in zip((low + high) / 2, extent / 2, strict=True)]
 
 
-def _bars(record: BlockRecord) -> Any:
+def _tie_rmse_chart(record: BlockRecord) -> Any:
     """Return a chart of the RMSE of ties and the predicted one, the least certain images first."""
     import altair as alt
 
@@ -201,7 +201,7 @@ def _bars(record: BlockRecord) -> Any:
             width=WIDTH, height=max(80, 36 * len(images)))
 
 
-def _residuals(result: BlockResult) -> Any:
+def _residual_histogram(result: BlockResult) -> Any:
     """Return a histogram of the distances [px] of ties from the model; the last bar is all beyond.
     """
     import altair as alt

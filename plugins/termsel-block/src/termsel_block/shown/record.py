@@ -8,9 +8,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from termsel.toolkit import off_as_a_whole
+from termsel.toolkit import sentence_on_common_offset
 from termsel.toolkit.runs import rpc_without_record
-from termsel_block.accuracy import errors_in_space, independent_points, predicted, rmse
+from termsel_block.accuracy import errors_in_space, independent_points, predicted_errors, rms_length
 from termsel_block.contradictions import doubts_of_models
 from termsel_block.geometry.cameras import RpcCamera
 from termsel_block.geometry.frame import IntArray
@@ -117,7 +117,7 @@ class BlockRecord(msgspec.Struct, frozen=True):
     independent: SpaceRecord | None = None
 
 
-def schema() -> dict[str, Any]:
+def block_schema() -> dict[str, Any]:
     """Return the JSON Schema of block.json."""
     return msgspec.json.schema(BlockRecord)
 
@@ -126,7 +126,7 @@ def record_of(result: BlockResult) -> BlockRecord:
     """Return the record of a block: images, ties, blunders, figures and notes, as in block.json."""
     block = result.block
     adjusted = result.adjusted
-    images = [_image(result, i) for i in range(len(block.images))]
+    images = [_image_record(result, i) for i in range(len(block.images))]
     space = errors_in_space(result)
     joined_images = connected_images(block.ties.tie, block.ties.image, len(block.images))
     east, north, up = np.median(result.sigma_ties[times_seen(result) > 1], axis=0).tolist()
@@ -137,9 +137,10 @@ def record_of(result: BlockResult) -> BlockRecord:
         schema=SCHEMA, crs=block.crs, images=images, ties=len(block.ties.names),
         measurements=len(block.ties.tie), sigma_ties=adjusted.state.sigma_ties,
         sigma_control=adjusted.state.sigma_control, redundancy=adjusted.freedom,
-        steps=adjusted.steps, converged=adjusted.converged, datum=_datum(images), parts=parts,
+        steps=adjusted.steps, converged=adjusted.converged, datum=_datum_in_words(images),
+        parts=parts,
         sigma_places=(east, north, up), wrong_ties=_rejected_ties(result),
-        wrong_control=_rejected_control(result), notes=[*block.notes, *doubts(result)],
+        wrong_control=_rejected_control(result), notes=[*block.notes, *doubts_about_block(result)],
         independent=None if space is None else SpaceRecord(
             space.east, space.north, space.up, space.n))
 
@@ -153,7 +154,7 @@ def _advice_on_photos(result: BlockResult) -> str:
         "space.")
 
 
-def doubts(result: BlockResult) -> list[str]:
+def doubts_about_block(result: BlockResult) -> list[str]:
     """Return what is unlikely of good data, as sentences with advice; [] if nothing is."""
     adjusted = result.adjusted
     notes = [f"Image {image.name}: {doubt}" for image in result.block.images
@@ -203,28 +204,29 @@ def doubts(result: BlockResult) -> list[str]:
                             f"{np.ptp(bent, axis=0).max():.0f} px over the image: is it of another "
                             "image?")
     if result.block.dem is not None and abs(adjusted.offset) > _OFF:
-        notes.append(off_as_a_whole(-adjusted.offset, "the ground", "by control and ties"))
+        notes.append(
+            sentence_on_common_offset(-adjusted.offset, "the ground", "by control and ties"))
     return notes
 
 
-def _image(result: BlockResult, i: int) -> ImageRecord:
+def _image_record(result: BlockResult, i: int) -> ImageRecord:
     """Return the record of an image."""
     image = result.block.images[i]
     state = result.adjusted.state
     used = state.in_use[i]
-    expected = predicted(result, i)
+    expected = predicted_errors(result, i)
     points = independent_points(result, i)
     residuals = result.adjusted.residuals[i][used]
     control = set(np.array(result.control[i].feature)[state.control_in_use[i]].tolist())
     independent = None
     if points is not None:
-        independent = rmse(points.image - result.project(i, points.ground))
+        independent = rms_length(points.image - result.project(i, points.ground))
     return ImageRecord(
         name=image.name, model=correction_of(result, i),
         evidence=dict(result.adjusted.evidence[i]), control=len(control), ties=int(used.sum()),
-        rmse_ties=rmse(residuals) if len(residuals) else 0.0, predicted=expected.rmse,
+        rmse_ties=rms_length(residuals) if len(residuals) else 0.0, predicted=expected.rmse,
         low=expected.low, high=expected.high,
-        uncertainty=predicted(result, i, anywhere=True).rmse, independent=independent,
+        uncertainty=predicted_errors(result, i, anywhere=True).rmse, independent=independent,
         n_independent=0 if points is None else len(points),
         rpc=None if image.rpc_file is None else image.rpc_file.name, options=dict(image.options))
 
@@ -241,7 +243,7 @@ def correction_of(result: BlockResult, i: int) -> str:
     return camera.groups[-1] if camera.groups else "none"
 
 
-def _datum(images: Sequence[ImageRecord]) -> str:
+def _datum_in_words(images: Sequence[ImageRecord]) -> str:
     """Return in words what defines the position of the block on the ground: RPCs or control."""
     features = sum(image.control for image in images)
     if not features:

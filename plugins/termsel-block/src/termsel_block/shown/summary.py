@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterable, Iterator
 from shlex import quote
 
-from termsel.toolkit import counted
+from termsel.toolkit import count_in_words
 from termsel.toolkit.charts import Fact
 from termsel_block.estimation.adjustment import WRONG
 from termsel_block.shown.record import BlockRecord, ImageRecord, WrongControl, WrongTie
@@ -25,8 +25,8 @@ _LABEL, _WIDTH = 10, 88
 
 def text_of(record: BlockRecord) -> str:
     """Return the whole summary, as summary.txt has it."""
-    return "\n".join([read_in(record), "", *_table(record, len(record.images)), "",
-                      *_lines(facts(record)), *_rejected_ties(record)]) + "\n"
+    return "\n".join([read_in(record), "", *_image_rows(record, len(record.images)), "",
+                      *_labelled_lines(block_facts(record)), *_rejected_tie_lines(record)]) + "\n"
 
 
 def first_screen(record: BlockRecord, folder: str) -> str:
@@ -35,18 +35,18 @@ def first_screen(record: BlockRecord, folder: str) -> str:
     Of many images the least certain are listed. Cautions may need more lines than there are.
     """
     control = sum(image.control for image in record.images)
-    shown = [fact for fact in facts(record) if fact.label not in ("Precision", "Next")
+    shown = [fact for fact in block_facts(record) if fact.label not in ("Precision", "Next")
              and not (control and fact.label == "Datum")]
-    next_image = _least_certain(record)[0].name
-    lines = [*_lines(shown), f"Saved     {folder}/    Next: termsel plan "
+    next_image = _least_certain_images(record)[0].name
+    lines = [*_labelled_lines(shown), f"Saved     {folder}/    Next: termsel plan "
              f"{quote(f'{folder}/{next_image}')}   (the least certain image)"]
     rows = LINES - len(lines) - 4  # without what was read, the header and two empty lines
     if rows < len(record.images):
         rows = max(rows - 1, _FEWEST_ROWS)  # one line counts those that are not listed
-    return "\n".join([read_in(record), "", *_table(record, rows), "", *lines]) + "\n"
+    return "\n".join([read_in(record), "", *_image_rows(record, rows), "", *lines]) + "\n"
 
 
-def _lines(shown: Iterable[Fact]) -> list[str]:
+def _labelled_lines(shown: Iterable[Fact]) -> list[str]:
     """Return facts as lines of text, wrapped, with their labels in a column on the left."""
     lines = []
     for fact in shown:
@@ -64,18 +64,20 @@ def read_in(record: BlockRecord) -> str:
             f"({record.measurements} observations), {record.crs}")
 
 
-def facts(record: BlockRecord) -> list[Fact]:
+def block_facts(record: BlockRecord) -> list[Fact]:
     """Return the accuracy, the outliers, the datum, cautions and the next step."""
-    return [*_with_label("Accuracy", _accuracy(record)), Fact(_blunders(record), "Outliers"),
+    return [*_with_label("Accuracy", _accuracy_lines(record)),
+            Fact(_blunder_line(record), "Outliers"),
             Fact(record.datum, "Datum"),
             Fact(f"ties {record.sigma_ties:.2f} px, control points {record.sigma_control:.2f} px "
                  "(sigma of image measurements)", "Precision"),
-            *_with_label("Caution", _cautions(record)),
-            Fact(f"more control points or ties in {_least_certain(record)[0].name}, the least "
+            *_with_label("Caution", _caution_lines(record)),
+            Fact(f"more control points or ties in {_least_certain_images(record)[0].name}, the "
+                 "least "
                  "certain image", "Next")]
 
 
-def _least_certain(record: BlockRecord) -> list[ImageRecord]:
+def _least_certain_images(record: BlockRecord) -> list[ImageRecord]:
     """Return the images, the least certain first."""
     return sorted(record.images, key=lambda image: -image.uncertainty)
 
@@ -86,7 +88,7 @@ def _with_label(label: str, lines: Iterable[str]) -> Iterator[Fact]:
         yield Fact(line, label if i == 0 else " ")
 
 
-def _accuracy(record: BlockRecord) -> Iterator[str]:
+def _accuracy_lines(record: BlockRecord) -> Iterator[str]:
     """Yield the RMSE at independent check points, in the images and on the ground."""
     with_accuracy = [image for image in record.images if image.independent is not None]
     if not with_accuracy:
@@ -104,7 +106,7 @@ def _accuracy(record: BlockRecord) -> Iterator[str]:
                f"{space.n} points by intersection")
 
 
-def _cautions(record: BlockRecord) -> Iterator[str]:
+def _caution_lines(record: BlockRecord) -> Iterator[str]:
     """Yield what a user must know before relying on the figures; nothing if all is well."""
     if not record.converged:
         yield "The adjustment did not converge: do not rely on the figures."
@@ -117,7 +119,7 @@ def _cautions(record: BlockRecord) -> Iterator[str]:
                f"separately: {' | '.join(joined_images)}.")
 
 
-def _blunders(record: BlockRecord) -> str:
+def _blunder_line(record: BlockRecord) -> str:
     """Return a line with the number of rejected observations and the worst, or "none detected"."""
     ties = len(record.wrong_ties)
     control = len(record.wrong_control)
@@ -134,14 +136,14 @@ def _blunders(record: BlockRecord) -> str:
     return f"{kinds} {noun} rejected: {named}{further}"
 
 
-def _table(record: BlockRecord, most: int) -> list[str]:
+def _image_rows(record: BlockRecord, most: int) -> list[str]:
     """Return a header and a row for each image.
 
     If there are more than `most`, for the least certain.
     """
     rows = [("image", "model", "GCPs", "ties", "ties px", "predicted px", "90 %",
              "ICPs px")]
-    listed = _least_certain(record)[:most] if most < len(record.images) else record.images
+    listed = _least_certain_images(record)[:most] if most < len(record.images) else record.images
     rows += [(image.name, image.model, str(image.control), str(image.ties),
               f"{image.rmse_ties:.2f}", f"{image.predicted:.2f}",
               f"{image.low:.2f}-{image.high:.2f}", "" if image.independent is None else
@@ -157,12 +159,13 @@ def _table(record: BlockRecord, most: int) -> list[str]:
         lines.append("  ".join(cells).rstrip())
     if len(listed) < len(record.images):
         n_others = len(record.images) - len(listed)
-        lines.append(f"{counted(n_others, 'image')} more, with less uncertainty: summary.txt has "
+        lines.append(f"{count_in_words(n_others, 'image')} more, with less uncertainty: "
+                     "summary.txt has "
                      "all.")
     return lines
 
 
-def _rejected_ties(record: BlockRecord) -> list[str]:
+def _rejected_tie_lines(record: BlockRecord) -> list[str]:
     """Return a line for each tie observation that was rejected, after a heading; [] if none was."""
     if not record.wrong_ties:
         return []

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from termsel import TermselError
-from termsel.toolkit import parse_json, read_text, unknown_name
+from termsel.toolkit import parse_json, read_text, unknown_name_error
 
 USGS = ("USGS reports of calibration OSL/2985, OSL/3030 and OSL/3221 of Wild RC30 cameras: 153 mm "
         "nominal, 153.25 to 153.74 mm calibrated")
@@ -44,7 +44,7 @@ class SurveyCamera:
     distortion: tuple[float, ...] = (0.0,) * 5
 
 
-def _film(focal: float, spread: float, size: float, source: str) -> SurveyCamera:
+def _film_size(focal: float, spread: float, size: float, source: str) -> SurveyCamera:
     return SurveyCamera(focal, spread, size, size, (0, 0), source)
 
 
@@ -56,13 +56,14 @@ def _digital_camera(focal: float, pixel: float, width: int, height: int) -> Surv
 
 
 CAMERAS: dict[str, SurveyCamera] = {
-    "wild-rc30-153": _film(153.0, 0.004, 230.0, USGS),
-    "wild-rc20-153": _film(153.0, 0.005, 230.0, USGS),
-    "wild-rc10-153": _film(153.0, 0.005, 230.0, USGS),
-    "wild-rc8-152": _film(152.4, 0.005, 230.0,
-                          "National Report of Canada to the ISP, Commission I, 1960: 6 in"),
-    "metrogon-6in": _film(152.4, 0.008, 228.6, "Report of the United States to the ISP, 1952: "
-                          "Fairchild and other cameras with Metrogon lenses of 6 in, 9 by 9 in"),
+    "wild-rc30-153": _film_size(153.0, 0.004, 230.0, USGS),
+    "wild-rc20-153": _film_size(153.0, 0.005, 230.0, USGS),
+    "wild-rc10-153": _film_size(153.0, 0.005, 230.0, USGS),
+    "wild-rc8-152": _film_size(152.4, 0.005, 230.0,
+                               "National Report of Canada to the ISP, Commission I, 1960: 6 in"),
+    "metrogon-6in": _film_size(152.4, 0.008, 228.6, "Report of the United States to the ISP, 1952: "
+                               "Fairchild and other cameras with Metrogon lenses of 6 in, 9 by 9 "
+                               "in"),
     "dmc": _digital_camera(120.0, 12.0, 7680, 13824),
     "dmc-ii-230": _digital_camera(92.0, 5.6, 15552, 14144),
     "dmc-iii": _digital_camera(92.0, 3.9, 25728, 14592),
@@ -99,7 +100,7 @@ def camera_named(name: str) -> SurveyCamera | dict[str, Any]:
         return CAMERAS[key]
     path = Path(name)
     if path.suffix.lower() != ".json":
-        raise unknown_name("camera", name, [*CAMERAS, "a file NAME.json"])
+        raise unknown_name_error("camera", name, [*CAMERAS, "a file NAME.json"])
     try:
         content = parse_json(read_text(path), 'Give a camera file, such as {"focal": 3131.8}.')
     except TermselError as error:

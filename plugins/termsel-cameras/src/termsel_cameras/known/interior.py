@@ -127,7 +127,8 @@ def interior_of(features: FeatureSet) -> Interior | None:
         interior = _focal_length(stated, None, size)
     interior = _with_spreads(_with_middle(interior, stated, size), stated)
     if "camera_distortion" in stated:
-        interior = replace(interior, distortion=_numbers(stated, "camera_distortion", range(1, 6)))
+        interior = replace(interior,
+                           distortion=_parse_numbers(stated, "camera_distortion", range(1, 6)))
     return _with_place(interior, stated)
 
 
@@ -151,12 +152,12 @@ def _focal_length(stated: Mapping[str, str], named: SurveyCamera | None,
     """
     text = stated["camera_focal"].lower().replace(" ", "")
     if not text.endswith("mm"):
-        (focal,) = _numbers({"camera_focal": text.removesuffix("px")}, "camera_focal", (1,))
-        return Interior(_positive(focal, "camera_focal"))
-    (mm,) = _numbers({"camera_focal": text.removesuffix("mm")}, "camera_focal", (1,))
-    pixel, spread = _pixel(stated, named, size)
+        (focal,) = _parse_numbers({"camera_focal": text.removesuffix("px")}, "camera_focal", (1,))
+        return Interior(_require_positive(focal, "camera_focal"))
+    (mm,) = _parse_numbers({"camera_focal": text.removesuffix("mm")}, "camera_focal", (1,))
+    pixel, spread = _pixel_size(stated, named, size)
     # What calibrations leave of a focal length in mm is nothing next to the scan.
-    return Interior(_positive(mm, "camera_focal") / pixel, np.hypot(spread, 0.001),
+    return Interior(_require_positive(mm, "camera_focal") / pixel, np.hypot(spread, 0.001),
                     source=f"the focal length of {mm:g} mm")
 
 
@@ -167,7 +168,7 @@ def _camera_of_type(named: SurveyCamera, stated: Mapping[str, str],
     if "camera_focal" in stated:
         interior = _focal_length(stated, named, size)
     else:
-        pixel, spread = _pixel(stated, named, size)
+        pixel, spread = _pixel_size(stated, named, size)
         interior = Interior(named.focal / pixel, float(np.hypot(spread, named.spread)))
     return replace(interior, distortion=tuple(named.distortion),
                    source=f"the camera {stated['camera']} ({named.source})")
@@ -192,16 +193,17 @@ def _camera_of_file(content: Mapping[str, Any], path: str) -> Interior:
     """Return the interior that the content of a camera file states; `path` is for messages."""
     values = {name: _numbers_as_text(content.get(name)) for name in (
         "focal", "focal_spread", "principal_point", "distortion")}
-    (focal,) = _numbers({f"focal of {path}": values["focal"]}, f"focal of {path}", (1,))
-    interior = Interior(_positive(focal, f"focal of {path}"), source=f"the camera file {path}")
+    (focal,) = _parse_numbers({f"focal of {path}": values["focal"]}, f"focal of {path}", (1,))
+    interior = Interior(
+        _require_positive(focal, f"focal of {path}"), source=f"the camera file {path}")
     if values["focal_spread"]:
         interior = replace(interior, focal_spread=_focal_spread(
             values["focal_spread"], f"focal_spread of {path}", interior.focal, is_relative=True))
     if values["principal_point"]:
-        line, sample = _numbers(values, "principal_point", (2,))
+        line, sample = _parse_numbers(values, "principal_point", (2,))
         interior = replace(interior, line=line, sample=sample)
     if values["distortion"]:
-        interior = replace(interior, distortion=_numbers(values, "distortion", range(1, 6)))
+        interior = replace(interior, distortion=_parse_numbers(values, "distortion", range(1, 6)))
     return interior
 
 
@@ -212,13 +214,13 @@ def _numbers_as_text(value: Any) -> str:
     return ",".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
-def _pixel(stated: Mapping[str, str], named: SurveyCamera | None,
-           size: tuple[int, int] | None) -> tuple[float, float]:
+def _pixel_size(stated: Mapping[str, str], named: SurveyCamera | None,
+                size: tuple[int, int] | None) -> tuple[float, float]:
     """Return the size of a pixel [mm], and its relative standard deviation."""
     if "camera_pixel" in stated:
         text = stated["camera_pixel"].lower().removesuffix("um").strip()
-        (pixel,) = _numbers({"camera_pixel": text}, "camera_pixel", (1,))
-        return _positive(pixel, "camera_pixel") / 1e3, 0.003
+        (pixel,) = _parse_numbers({"camera_pixel": text}, "camera_pixel", (1,))
+        return _require_positive(pixel, "camera_pixel") / 1e3, 0.003
     if named is None or size is None:
         lacks = "the size of a pixel" if named is None else "the size of the image"
         raise TermselError(f"a focal length in mm does not give that in px without {lacks}",
@@ -246,7 +248,7 @@ def _with_middle(interior: Interior, stated: Mapping[str, str],
     # share.
     half = np.nan if size is None else float(np.hypot(*size)) / 2
     if "camera_principal_point" in stated:
-        line, sample = _numbers(stated, "camera_principal_point", (2,))
+        line, sample = _parse_numbers(stated, "camera_principal_point", (2,))
         interior = replace(interior, line=line, sample=sample)
     if np.isfinite(interior.line):
         return replace(interior, reach=STATED_REACH * (interior.focal if size is None else half))
@@ -271,8 +273,8 @@ def _with_spreads(interior: Interior, stated: Mapping[str, str]) -> Interior:
                                hint="State camera_principal_point, or the image: --image FILE.")
         if stated[name].lower() == FIXED:
             return replace(interior, reach=FIXED_REACH)
-        (reach,) = _numbers({name: stated[name].lower().removesuffix("px")}, name, (1,))
-        interior = replace(interior, reach=max(_positive(reach, name), FIXED_REACH))
+        (reach,) = _parse_numbers({name: stated[name].lower().removesuffix("px")}, name, (1,))
+        interior = replace(interior, reach=max(_require_positive(reach, name), FIXED_REACH))
     return interior
 
 
@@ -286,7 +288,7 @@ def _focal_spread(text: str, name: str, focal: float, *, is_relative: bool = Fal
         return FIXED_SPREAD
     unit = next((unit for unit in ("%", "px") if text.endswith(unit)), "")
     try:
-        (number,) = _numbers({name: text.removesuffix(unit)}, name, (1,))
+        (number,) = _parse_numbers({name: text.removesuffix(unit)}, name, (1,))
     except TermselError as error:
         error.hint = f"Write 0.3% or 5px, or {FIXED}."
         raise
@@ -295,7 +297,7 @@ def _focal_spread(text: str, name: str, focal: float, *, is_relative: bool = Fal
     if not unit and not is_relative:
         raise TermselError(f"{name}={text} has no unit",
                            hint=f"Write {text}% or {text}px, or {FIXED}.")
-    spread = _positive(number, name) / {"%": 100.0, "px": focal, "": 1.0}[unit]
+    spread = _require_positive(number, name) / {"%": 100.0, "px": focal, "": 1.0}[unit]
     if spread >= LARGEST_SPREAD:
         raise TermselError(f"{name}={text} is {spread:.0%} of the focal length",
                            hint=f"Write 0.3% or 5px, or {FIXED}.")
@@ -306,17 +308,18 @@ def _with_place(interior: Interior, stated: Mapping[str, str]) -> Interior:
     """Return an interior with the camera's rough place or height above ground, if they are stated.
     """
     if "camera_position" in stated:
-        x, y, z, *spread = _numbers(stated, "camera_position", (3, 4))
+        x, y, z, *spread = _parse_numbers(stated, "camera_position", (3, 4))
         interior = replace(interior, position=(x, y, z))
         if spread:
-            interior = replace(interior, position_spread=_positive(spread[0], "camera_position"))
+            interior = replace(interior,
+                               position_spread=_require_positive(spread[0], "camera_position"))
     if "camera_height" in stated:
-        (height,) = _numbers(stated, "camera_height", (1,))
-        interior = replace(interior, height=_positive(height, "camera_height"))
+        (height,) = _parse_numbers(stated, "camera_height", (1,))
+        interior = replace(interior, height=_require_positive(height, "camera_height"))
     return interior
 
 
-def _numbers(stated: Mapping[str, str], name: str, counts: Any) -> tuple[float, ...]:
+def _parse_numbers(stated: Mapping[str, str], name: str, counts: Any) -> tuple[float, ...]:
     """Return the numbers of a text such as "1,2,3"; raises TermselError for another count of them.
     """
     try:
@@ -331,7 +334,7 @@ def _numbers(stated: Mapping[str, str], name: str, counts: Any) -> tuple[float, 
     return numbers
 
 
-def _positive(number: float, name: str) -> float:
+def _require_positive(number: float, name: str) -> float:
     """Return the number; raises TermselError if it is not positive."""
     if not number > 0.0:
         raise TermselError(f"{name} is {number:g}, which is not positive",

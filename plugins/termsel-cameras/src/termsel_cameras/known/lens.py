@@ -46,10 +46,11 @@ class Lens:
         radial_factor = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
         distorted_x = x * radial_factor + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x**2)
         distorted_y = y * radial_factor + self.p1 * (r2 + 2 * y**2) + 2 * self.p2 * x * y
-        return np.where(self._grows(r2)[..., None], np.stack([distorted_x, distorted_y], axis=-1),
+        return np.where(self._radius_grows(r2)[..., None],
+                        np.stack([distorted_x, distorted_y], axis=-1),
                         np.nan)
 
-    def _grows(self, r2: FloatArray) -> BoolArray:
+    def _radius_grows(self, r2: FloatArray) -> BoolArray:
         """Return whether the distorted radius grows with the ideal one up to these squares r2."""
         holds = np.ones(r2.shape, dtype=bool)
         with np.errstate(all="ignore"):

@@ -115,7 +115,7 @@ class ByKnownCamera(Estimator):
         design, _ = camera.measured.system(
             camera.camera, np.ones((1, len(camera.measured.image))), camera.sigma)
         _, r = np.linalg.qr(design[0])
-        slopes = _through_lens(model, camera, model.local(ground))
+        slopes = _derivatives_through_lens(model, camera, model.local(ground))
         factors = np.linalg.solve(r.T, slopes.reshape(-1, r.shape[1]).T).T.reshape(slopes.shape)
         factors = factors * np.sqrt((TAILS + 4.0) / (TAILS + 2.0))
         noise = camera.sigma**2 * TAILS / (TAILS - 2.0)
@@ -133,7 +133,7 @@ def _errors_of(model: KnownFrame, camera: Pinhole, image: FloatArray) -> FloatAr
     return np.asarray(image - model.with_lens(ideal - camera.errors))
 
 
-def _through_lens(model: KnownFrame, camera: Pinhole, ground: FloatArray) -> FloatArray:
+def _derivatives_through_lens(model: KnownFrame, camera: Pinhole, ground: FloatArray) -> FloatArray:
     """Return derivatives of what is seen of places (m, 3) by the unknowns, (m, 2, 9)."""
     slopes: FloatArray = camera.camera.slopes(ground)[0]
     if model.lens.is_ideal:
@@ -179,7 +179,7 @@ class KnownCamera(Method):
 
         Raises Undetermined if the camera is not stated, or if the points are plainly not its own.
         """
-        interior = _interior(control)
+        interior = _interior_of_points(control)
         mirrored = is_mirrored(control)
         model = KnownFrame.of(interior, mirrored=mirrored)
         fitted = self.estimator.fit(model, control.features, control.scaling,
@@ -212,7 +212,7 @@ class KnownCamera(Method):
         """Return sentences on the source of the camera, its tilt, height and focal length."""
         model = fitted.model
         assert isinstance(model, KnownFrame)
-        interior = _interior(FitData.of(fitted.control))
+        interior = _interior_of_points(FitData.of(fitted.control))
         camera = model.camera_of(fitted.adjustment.coefficients[None])
         # The angle between the view and the vertical: cos = -R33 of the rotation from ground to
         # camera.
@@ -299,7 +299,7 @@ def _focal_of_points(fitted: Fit) -> str:
     return f" The points cannot show whether it is right{known_to}."
 
 
-def _interior(control: FitData) -> Interior:
+def _interior_of_points(control: FitData) -> Interior:
     """Return the interior that columns of the points state; raises Undetermined if they state none.
     """
     interior = interior_of(control.features)

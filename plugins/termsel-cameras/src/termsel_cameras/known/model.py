@@ -26,7 +26,7 @@ from termsel.toolkit.models import (
     camera_of,
     cameras_of,
     exterior_orientation,
-    rotations,
+    rotation_matrices,
 )
 from termsel_cameras.known.interior import STATED_REACH, Interior, interior_of_file
 from termsel_cameras.known.lens import FloatArray, Lens
@@ -149,16 +149,16 @@ class KnownFrame(SensorModel):
         if self.scaling is None:
             raise TermselError("the model is not prepared: its position on Earth is not known",
                                hint="Fit it, or call its method prepared first.")
-        return self._metres(ground) / self.unit
+        return self._places_in_metres(ground) / self.unit
 
     @cached_property
     def unit(self) -> float:
         """Metres by one unit of scaled places: the half extent of the control."""
         corners = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
-        west, east, south, north = self._metres(corners)
+        west, east, south, north = self._places_in_metres(corners)
         return float(max(np.linalg.norm(east - west), np.linalg.norm(north - south))) / 2.0
 
-    def _metres(self, ground: FloatArray) -> FloatArray:
+    def _places_in_metres(self, ground: FloatArray) -> FloatArray:
         """Return scaled places (n, 3) in metres east, north and up of the middle of the control."""
         assert self.scaling is not None
         if self.crs in ("", LOCAL):
@@ -197,13 +197,13 @@ class KnownFrame(SensorModel):
 
     def without_lens(self, image: FloatArray) -> FloatArray:
         """Return scaled image positions (..., 2) as an ideal lens would have them."""
-        return self._bent_or_straightened(image, self.lens.ideal)
+        return self._apply_lens(image, self.lens.ideal)
 
     def with_lens(self, image: FloatArray) -> FloatArray:
         """Return scaled image positions (..., 2) of an ideal lens as this one has them."""
-        return self._bent_or_straightened(image, self.lens.distorted)
+        return self._apply_lens(image, self.lens.distorted)
 
-    def _bent_or_straightened(self, image: FloatArray, bend: Any) -> FloatArray:
+    def _apply_lens(self, image: FloatArray, bend: Any) -> FloatArray:
         """Return scaled image positions once the lens has bent their rays, or straightened them."""
         if self.lens.is_ideal:
             return image
@@ -224,7 +224,7 @@ class KnownFrame(SensorModel):
         weights = np.ones((len(points), 2)) if sigma is None else np.median(sigma) / sigma
         stated = noise if sigma is None else float(np.median(sigma)) * scale
         ground = self.local(points.ground)
-        position, spread = self._position(ground)
+        position, spread = self._rough_position(ground)
         return Measured(
             ground, self.without_lens(points.image), weights,
             self.scaling.image(self.principal), self.reach, self.focal, np.ones(3),
@@ -233,7 +233,7 @@ class KnownFrame(SensorModel):
             usual=(USUAL if stated is None else stated) / scale,
             experience=EXPERIENCE if stated is None else STATED_EXPERIENCE)
 
-    def _position(self, ground: FloatArray) -> tuple[FloatArray | None, FloatArray | None]:
+    def _rough_position(self, ground: FloatArray) -> tuple[FloatArray | None, FloatArray | None]:
         """Return the rough place of the camera and its standard deviations (3,), by `unit`.
 
         NaN for coordinates that are not stated; None and None if none is.
@@ -297,7 +297,7 @@ class KnownFrame(SensorModel):
 
     def camera_of(self, values: FloatArray) -> Cameras:
         """Return the cameras of values of terms (s, 9), s of them."""
-        rotation = rotations(values[:, :3]) @ self._downwards
+        rotation = rotation_matrices(values[:, :3]) @ self._downwards
         return Cameras(rotation, values[:, 3:6], self.focal * np.exp(values[:, 6]),
                                self._middle + values[:, 7:])
 

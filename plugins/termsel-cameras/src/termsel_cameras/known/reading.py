@@ -12,7 +12,7 @@ import numpy as np
 
 from termsel import FeatureSet, TermselError, open_raster
 from termsel.toolkit import with_dataset
-from termsel.toolkit.coordinates import LOCAL, transformation
+from termsel.toolkit.coordinates import LOCAL, transformation_between
 from termsel_cameras.known.cameras import CAMERAS
 from termsel_cameras.known.interior import NAMES, OPTIONS, interior_of
 
@@ -41,7 +41,7 @@ class CameraOptions:
         attributes = features.points.attributes
         sources = {"camera", "camera_focal"}
         if image is not None and not sources & stated.keys() and not sources & attributes.keys():
-            stated = {**of_exif(Path(image), features), **stated}
+            stated = {**options_of_exif(Path(image), features), **stated}
         if not stated:
             return features
         if not len(features.points):
@@ -63,7 +63,7 @@ class CameraOptions:
         return described
 
 
-def of_exif(image: Path, features: FeatureSet) -> dict[str, str]:
+def options_of_exif(image: Path, features: FeatureSet) -> dict[str, str]:
     """Return what the EXIF of an image states of its camera, by the names of options.
 
     Empty if it states neither a known camera nor a focal length.
@@ -106,15 +106,15 @@ def _focal_of(tags: Mapping[str, str], size: tuple[int, int]) -> dict[str, str]:
 
 def _position_of(tags: Mapping[str, str], crs: str) -> dict[str, str]:
     """Return the place of the camera in a CRS as an option; {} if the GPS tags or the CRS lack."""
-    latitude, longitude = (_degrees(tags.get(f"GPS{name}", "")) for name in ("Latitude",
-                                                                             "Longitude"))
+    latitude, longitude = (
+        _parse_degrees(tags.get(f"GPS{name}", "")) for name in ("Latitude", "Longitude"))
     if crs in ("", LOCAL) or latitude is None or longitude is None or "GPSAltitude" not in tags:
         return {}
     south = tags.get("GPSLatitudeRef", "N").strip().upper() == "S"
     west = tags.get("GPSLongitudeRef", "E").strip().upper() == "W"
     position = np.array([[-longitude if west else longitude, -latitude if south else latitude,
                        _number(tags["GPSAltitude"])]])
-    x, y, z = transformation("EPSG:4979", crs)(position)[0].tolist()
+    x, y, z = transformation_between("EPSG:4979", crs)(position)[0].tolist()
     return {"camera_position": f"{x!r},{y!r},{z!r},{EXIF_POSITION_SPREAD:g}"}
 
 
@@ -124,7 +124,7 @@ def _number(text: str) -> float:
     return float(match.group()) if match else 0.0
 
 
-def _degrees(text: str) -> float | None:
+def _parse_degrees(text: str) -> float | None:
     """Return degrees of "(46) (30) (12.3)"; None of another text."""
     numbers = [float(number) for number in _DIGITS.findall(text)]
     if len(numbers) != 3:

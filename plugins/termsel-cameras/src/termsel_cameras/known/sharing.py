@@ -115,7 +115,7 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
     best = flight.least(np.array([*flight.focals_of_each(best), best]), 0.0, afresh=True)
     costs = np.array([flight.penalised_cost(best, distortion) for distortion in DISTORTIONS])
     start = np.array([np.log(best), DISTORTIONS[int(np.argmin(costs))]])
-    solution, covariance = _least_of_two(
+    solution, covariance = _minimum_of_two_unknowns(
         lambda values: flight.penalised_cost(float(np.exp(values[0])), float(values[1])), start)
     shared_focal = float(np.exp(solution[0]))
     spread = float(np.clip(np.sqrt(covariance[0, 0]), 1e-4, 0.1))
@@ -136,7 +136,8 @@ class _Flight:
         """Return the focal lengths [px] that some of the photos show, each without the others."""
         focals = []
         for i, photo in enumerate(self.photos[:PHOTOS_ALONE]):
-            measured = self._model(i, focal, 0.0).measured(photo.scaled, photo.features.noise)
+            measured = self._model_of_photo(
+                i, focal, 0.0).measured(photo.scaled, photo.features.noise)
             camera = camera_of(replace(measured, focal_spread=FREE_FOCAL_SPREAD))
             if camera is not None:
                 focals.append(float(camera.camera.focal[0]) * photo.scaling.image_scale)
@@ -170,8 +171,8 @@ class _Flight:
         total = 0.0
         squares = []
         for i, photo in enumerate(self.photos):
-            model = self._model(i, focal, k1)
-            camera = self._camera(i, model.measured(photo.scaled, photo.features.noise))
+            model = self._model_of_photo(i, focal, k1)
+            camera = self._camera_of_photo(i, model.measured(photo.scaled, photo.features.noise))
             if camera is None:
                 return np.inf, np.inf
             self.cameras[i] = camera
@@ -187,7 +188,7 @@ class _Flight:
         """
         return self.cost(focal, k1)[0] + (k1 / USUAL_DISTORTION) ** 2
 
-    def _model(self, i: int, focal: float, k1: float) -> KnownFrame:
+    def _model_of_photo(self, i: int, focal: float, k1: float) -> KnownFrame:
         """Return the model of a photo with a focal length and a distortion that are held."""
         photo = self.photos[i]
         size = photo.features.image_size
@@ -199,7 +200,7 @@ class _Flight:
         return KnownFrame.of(interior, mirrored=self.mirrored[i]).prepared(
             photo.scaling, photo.features.crs)
 
-    def _camera(self, i: int, measured: Measured) -> Pinhole | None:
+    def _camera_of_photo(self, i: int, measured: Measured) -> Pinhole | None:
         """Return the camera of the i-th photo; None if none has all points in front of it.
 
         It is looked for next to the last one, farther away as the focal length grows.
@@ -213,8 +214,8 @@ class _Flight:
         return camera_next_to(measured, start) or camera_of(measured)
 
 
-def _least_of_two(cost: Callable[[FloatArray], float],
-                  start: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _minimum_of_two_unknowns(cost: Callable[[FloatArray], float],
+                             start: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return where a cost of log f and k1 is least, and their covariance (2, 2).
 
     Newton steps by differences: a longer focal length and a distortion do nearly the same to a

@@ -25,7 +25,13 @@ from numpy.typing import NDArray
 from termsel import TermselError
 from termsel_cameras.scanners.elements import as_number, number_of, seconds_of, text_of
 from termsel_cameras.scanners.product import HINT as _HINT
-from termsel_cameras.scanners.product import archive_of, changed, chosen, content_of, images_of
+from termsel_cameras.scanners.product import (
+    archive_of,
+    choose_images,
+    content_of,
+    images_of,
+    time_of_change,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -120,7 +126,7 @@ def annotation_of(given: str, swath: str = "") -> Annotation:
                                hint="Run the fit again.") from error
     path = annotation_file(Path(given), swath)
     try:
-        return _read(path, changed(path))
+        return _read(path, time_of_change(path))
     except OSError as error:
         raise TermselError(f"{path} cannot be read: {error.strerror}", hint=_HINT) from error
 
@@ -138,8 +144,8 @@ def annotation_file(path: Path, swath: str = "", polarisation: str = "") -> Path
         if not path.is_file() and archive_of(path) is None:
             raise TermselError(f"{path} is no file, and no product with annotations", hint=_HINT)
         return path
-    fitting = chosen(images, path, swath, polarisation)
-    if len({_geometry(image.annotation) for image in fitting}) > 1:
+    fitting = choose_images(images, path, swath, polarisation)
+    if len({_geometry_text(image.annotation) for image in fitting}) > 1:
         names = ", ".join(image.name for image in fitting)
         raise TermselError(f"the geometry of the images {names} differs", file=path,
                            hint="Choose one with --set polarisation="
@@ -147,9 +153,9 @@ def annotation_file(path: Path, swath: str = "", polarisation: str = "") -> Path
     return fitting[0].annotation
 
 
-def _geometry(path: Path) -> str:
+def _geometry_text(path: Path) -> str:
     """Return the geometry of an annotation as text, which all its polarisations have in common."""
-    return replace(_read(path, changed(path)), source="", product="").text()
+    return replace(_read(path, time_of_change(path)), source="", product="").text()
 
 
 @lru_cache(maxsize=8)
@@ -216,12 +222,12 @@ def _annotation_from_xml(root: ElementTree.Element, name: str) -> Annotation:
     interval = number_of(root, f"{image}/azimuthTimeInterval")
     if not interval > 0 or min(lines, samples) < 1:
         raise TermselError("the interval of lines or the size of the image is not positive")
-    times, states = _orbit(root, start, lines * interval)
+    times, states = _parse_orbit(root, start, lines * interval)
     in_ground_range = "ground" in text_of(
         root, "generalAnnotation/productInformation/projection").lower()
     ground_ranges = _ground_ranges(root, start) if in_ground_range else ()
     lines_per_burst = int(float(root.findtext("swathTiming/linesPerBurst") or 0))
-    bursts = () if in_ground_range else _bursts(root, start, lines_per_burst)
+    bursts = () if in_ground_range else _parse_bursts(root, start, lines_per_burst)
     parts = [mission, *((root.findtext(f"adsHeader/{key}") or "").strip()
                         for key in ("swath", "productType", "polarisation"))]
     return Annotation(
@@ -231,9 +237,9 @@ def _annotation_from_xml(root: ElementTree.Element, name: str) -> Annotation:
         sample_spacing=number_of(root, f"{image}/rangePixelSpacing"),
         first_range_time=number_of(root, f"{image}/slantRangeTime"),
         sampling_rate=number_of(root, "generalAnnotation/productInformation/rangeSamplingRate"),
-        times=_nested_tuples(times), positions=_nested_tuples(states[:, :3]),
-        velocities=_nested_tuples(states[:, 3:]), ground_ranges=ground_ranges,
-        bursts=bursts, lines_per_burst=lines_per_burst, area=_area(root),
+        times=_to_nested_tuples(times), positions=_to_nested_tuples(states[:, :3]),
+        velocities=_to_nested_tuples(states[:, 3:]), ground_ranges=ground_ranges,
+        bursts=bursts, lines_per_burst=lines_per_burst, area=_lattice_area(root),
         middle_range_time=_middle_range_time(root, start, interval, bursts))
 
 
@@ -263,7 +269,7 @@ def _middle_range_time(root: ElementTree.Element, start: float, interval: float,
     return round(middle, 7) if np.abs(middles - middle).max() < 2.0 * TIMED else None
 
 
-def _area(root: ElementTree.Element) -> tuple[tuple[float, ...], ...]:
+def _lattice_area(root: ElementTree.Element) -> tuple[tuple[float, ...], ...]:
     """Return least and largest longitude, latitude [deg] and height [m] of the lattice.
 
     () without one.
@@ -280,8 +286,8 @@ def _area(root: ElementTree.Element) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, np.stack([places.min(axis=0), places.max(axis=0)]).tolist()))
 
 
-def _orbit(root: ElementTree.Element, start: float, duration: float,
-           ) -> tuple[FloatArray, FloatArray]:
+def _parse_orbit(root: ElementTree.Element, start: float, duration: float,
+                 ) -> tuple[FloatArray, FloatArray]:
     """Return times (m,) [s] and states (m, 6) [m, m/s] of the satellite, from `start` on.
 
     Raises TermselError if they do not cover the image, or are not Earth-fixed.
@@ -320,14 +326,14 @@ def _ground_ranges(root: ElementTree.Element, start: float) -> tuple[GroundRange
     return tuple(ranges)
 
 
-def _bursts(root: ElementTree.Element, start: float, lines: int) -> tuple[Burst, ...]:
+def _parse_bursts(root: ElementTree.Element, start: float, lines: int) -> tuple[Burst, ...]:
     """Return the bursts of a TOPS image, with time from `start` [s] and first line; () for others.
     """
     return tuple(Burst(time=seconds_of(text_of(burst, "azimuthTime")) - start, line=number * lines)
                  for number, burst in enumerate(root.findall("swathTiming/burstList/burst")))
 
 
-def _nested_tuples(values: FloatArray) -> Any:
+def _to_nested_tuples(values: FloatArray) -> Any:
     """Return an array as nested tuples of numbers, which can be compared and hashed."""
 
     def frozen(value: float | Sequence[Any]) -> Any:

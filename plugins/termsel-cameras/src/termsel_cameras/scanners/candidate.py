@@ -54,7 +54,7 @@ class NamedScanner(Method):
                     "without lines")
         if features.without_height() or features.crs in ("", "local"):
             return "it needs heights and a CRS"
-        _scanner(named)
+        _scanner_of_metadata(named)
         return None
 
     def fit(self, control: FitData) -> Fit:
@@ -67,7 +67,7 @@ class NamedScanner(Method):
         named = sensor_of(control)
         if not named:
             raise Undetermined("no sensor is named", hint=f"Name it in a column {COLUMN!r}.")
-        model = _scanner(named)
+        model = _scanner_of_metadata(named)
         if not isinstance(model, Scanner):
             return _with_all_terms(self.estimator, model, control)
         prepared = model.prepared(control.scaling, control.features.crs)
@@ -121,7 +121,7 @@ class NamedRadar(Method):
         """
         if control.lattice is None or not names_annotation(sensor_of(control)):
             return None
-        radar = _radar(control)
+        radar = _radar_of_points(control)
         if as_stated(radar.prepared(control.scaling, control.features.crs), control) is None:
             return None
         return ("The points are the lattice that was computed from this annotation. Its orbit "
@@ -138,7 +138,7 @@ class NamedRadar(Method):
         if not names_annotation(named):
             raise Undetermined("no annotation is named",
                                hint=f"Name its file in a column {COLUMN!r}.")
-        return _with_all_terms(self.estimator, _radar(control), control)
+        return _with_all_terms(self.estimator, _radar_of_points(control), control)
 
 
     def model(self, heights: bool) -> SensorModel | None:
@@ -173,7 +173,7 @@ def names_annotation(named: str) -> bool:
         named.lower().endswith(".xml") and is_annotation(path)))
 
 
-def _radar(control: FitData) -> Radar:
+def _radar_of_points(control: FitData) -> Radar:
     """Return the radar that the points name, with the options that all of them have."""
     options: dict[str, Any] = {}
     for name in OF_RADAR:
@@ -189,7 +189,7 @@ def _with_all_terms(estimator: Estimator, model: SensorModel, control: FitData) 
                          np.ones(len(model.terms), dtype=bool), np.ones(len(control), dtype=bool))
 
 
-def _scanner(named: str) -> Scanner | TrackedScanner:
+def _scanner_of_metadata(named: str) -> Scanner | TrackedScanner:
     """Return the scanner of a file of metadata, by its suffix, else of a sensor or its constants.
     """
     if named.lower().endswith(SUFFIXES):

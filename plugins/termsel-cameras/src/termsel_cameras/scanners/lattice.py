@@ -17,7 +17,7 @@ from termsel_cameras.scanners.annotation import (
     is_annotation,
     lattice_of,
 )
-from termsel_cameras.scanners.product import HINT, Image, chosen, images_of, is_image
+from termsel_cameras.scanners.product import HINT, Image, choose_images, images_of, is_image
 from termsel_cameras.scanners.radar import BISTATIC, Radar
 
 log = logging.getLogger(__name__)
@@ -59,14 +59,14 @@ class SentinelLattice(Reader):
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name the file and the element."""
         images = images_of(path)
-        if not images and is_image(path, _head(path)):
+        if not images and is_image(path, _read_head(path)):
             log.warning(WITHOUT, path.name)
             return self._points_of_tags(path)
         swath = self.options["swath"] or ""
         polarisation = self.options["polarisation"] or ""
         file = annotation_file(path, swath, polarisation)
         if images:
-            _say_choice(chosen(images, path, swath, polarisation))
+            _say_choice(choose_images(images, path, swath, polarisation))
         annotation = annotation_of(str(file))
         columns = {"bistatic": "true"} if self.options["bistatic"] else {}
         if self.options["burst"] is not None:
@@ -75,7 +75,7 @@ class SentinelLattice(Reader):
         points = lattice_of(file)
         image = np.array([[point.line, point.sample] for point in points])
         ground = np.array([[point.longitude, point.latitude, point.height] for point in points])
-        return _features(annotation, image, ground, str(file), columns)
+        return _lattice_points(annotation, image, ground, str(file), columns)
 
     def _points_of_tags(self, path: Path) -> FeatureSet:
         """Return the GCPs in the tags of an image; raises TermselError if it has none.
@@ -91,10 +91,11 @@ class SentinelLattice(Reader):
         image = np.array([[gcp.row, gcp.col] for gcp in gcps], dtype=np.float64)
         ground = np.array([[gcp.x, gcp.y, np.nan if gcp.z is None else gcp.z] for gcp in gcps],
                           dtype=np.float64)
-        return FeatureSet(Points(_names(image), image, ground), crs="EPSG:4979", image_size=size)
+        return FeatureSet(
+            Points(_name_points(image), image, ground), crs="EPSG:4979", image_size=size)
 
 
-def _head(path: Path) -> bytes:
+def _read_head(path: Path) -> bytes:
     """Return the first 64 KiB of a file; nothing if it cannot be read, as of a folder."""
     try:
         with path.open("rb") as file:
@@ -111,16 +112,16 @@ def _say_choice(images: tuple[Image, ...]) -> None:
                     "polarisation=... chooses another.", ", ".join(names), names[0])
 
 
-def _names(image: FloatArray) -> tuple[str, ...]:
+def _name_points(image: FloatArray) -> tuple[str, ...]:
     return tuple(f"L{line:g}P{sample:g}" for line, sample in image)
 
 
-def _features(annotation: Annotation, image: FloatArray, ground: FloatArray, sensor: str,
-              columns: Mapping[str, str]) -> FeatureSet:
+def _lattice_points(annotation: Annotation, image: FloatArray, ground: FloatArray, sensor: str,
+                    columns: Mapping[str, str]) -> FeatureSet:
     """Return points that name the annotation, and the options of its radar as columns."""
     attributes = {name: np.array([value] * len(image), dtype=object)
                   for name, value in {"sensor": sensor, **columns}.items()}
-    return FeatureSet(Points(_names(image), image, ground, attributes=attributes),
+    return FeatureSet(Points(_name_points(image), image, ground, attributes=attributes),
                       crs="EPSG:4979", image_size=annotation.size)
 
 
@@ -138,4 +139,4 @@ def _lattice_of_burst(annotation: Annotation, file: Path, options: Mapping[str, 
     ground = radar.on_ground(image, np.array([
         [point.longitude, point.latitude, point.height] for point in points]))
     seen = np.isfinite(ground).all(axis=1)
-    return _features(annotation, image[seen], ground[seen], str(file), options)
+    return _lattice_points(annotation, image[seen], ground[seen], str(file), options)

@@ -116,7 +116,7 @@ def _metadata_of_dimap(root: ElementTree.Element, name: str) -> Metadata:
     period = number_of(strip, f"{stamp}/LINE_PERIOD")
     lines, samples = (int(number_of(root, f"Raster_Dimensions/{name}"))
                       for name in ("NROWS", "NCOLS"))
-    moments, angles = _attitude(strip, start)
+    moments, angles = _parse_attitude(strip, start)
     line = number_of(strip, f"{stamp}/SCENE_CENTER_LINE") - 1.0
     ends = np.array([-line, lines - 1.0 - line]) * period
     if not period > 0 or min(lines, samples) < 1:
@@ -127,7 +127,7 @@ def _metadata_of_dimap(root: ElementTree.Element, name: str) -> Metadata:
             raise TermselError(f"{block} does not cover the time of the scene",
                                hint="Give METADATA.DIM of this scene, as the vendor delivers it.")
     near, close = (_times_about_scene(when, ends) for when in (times, moments))
-    looks = _looks(strip)
+    looks = _parse_look_angles(strip)
     keep = np.unique(np.linspace(0, len(looks) - 1, min(NODES, len(looks))).round().astype(int))
     return Metadata(
         name, (lines, samples), line, period,
@@ -149,7 +149,7 @@ def _times_about_scene(times: FloatArray, ends: FloatArray) -> slice:
     return slice(max(int(first) - 1, 0), int(last) + 1)
 
 
-def _attitude(strip: ElementTree.Element, start: float) -> tuple[FloatArray, FloatArray]:
+def _parse_attitude(strip: ElementTree.Element, start: float) -> tuple[FloatArray, FloatArray]:
     """Return times (m,) [s from `start`] and angles (m, 3) [rad] of the satellite.
 
     They are the corrected angles, or else the integral of the angular speeds, 0 in the middle.
@@ -172,7 +172,7 @@ def _attitude(strip: ElementTree.Element, start: float) -> tuple[FloatArray, Flo
     raise TermselError("Satellite_Attitudes has neither corrected angles nor angular speeds")
 
 
-def _looks(strip: ElementTree.Element) -> FloatArray:
+def _parse_look_angles(strip: ElementTree.Element) -> FloatArray:
     """Return detectors, counted from 1, with their two look angles [rad], (m, 3).
 
     Raises TermselError if they are not in a row.
@@ -187,10 +187,10 @@ def _looks(strip: ElementTree.Element) -> FloatArray:
     return looks
 
 
-def _frozen(value: Any) -> Any:
-    return tuple(map(_frozen, value)) if isinstance(value, list) else value
+def _freeze_array(value: Any) -> Any:
+    return tuple(map(_freeze_array, value)) if isinstance(value, list) else value
 
 
 def _numbers_of_text(values: Iterable[Any]) -> Any:
-    return _frozen(np.asarray(values).tolist())
+    return _freeze_array(np.asarray(values).tolist())
 

@@ -40,7 +40,7 @@ class Cameras:
         return Cameras(*(getattr(self, field.name)[:1] for field in fields(self)))
 
 
-def geocentric(ground: FloatArray) -> FloatArray:
+def to_geocentric(ground: FloatArray) -> FloatArray:
     """Return Earth-fixed positions [m] of longitude, latitude [deg] and height [m], (n, 3)."""
     lon = np.radians(ground[:, 0])
     lat = np.radians(ground[:, 1])
@@ -70,7 +70,8 @@ def heading_of(inclination: float, latitude: float, *, ascending: bool) -> float
     return east if ascending else np.pi - east
 
 
-def seen(cameras: Cameras, target: FloatArray, origin: FloatArray, axes: FloatArray) -> FloatArray:
+def observe_targets(
+        cameras: Cameras, target: FloatArray, origin: FloatArray, axes: FloatArray) -> FloatArray:
     """Return time [s] and slope to port of targets, shape (p, n, 2); NaN where none is seen.
 
     The targets (n, 3) and the place (3,) are Earth-fixed [m], the axes (3, 3) are those there.
@@ -115,7 +116,7 @@ def seen(cameras: Cameras, target: FloatArray, origin: FloatArray, axes: FloatAr
     time = np.zeros((len(radius), len(ground)))
     if len(radius) > 1:
         # Cameras by which others are differentiated see all at nearly the same times.
-        first = seen(cameras.first(), target, origin, axes)[0, :, 0]
+        first = observe_targets(cameras.first(), target, origin, axes)[0, :, 0]
         time += np.where(np.isfinite(first), first, 0.0)
     step = np.full_like(time, FIRST_STEP)
     with np.errstate(all="ignore"):

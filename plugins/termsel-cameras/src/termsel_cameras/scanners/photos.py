@@ -25,8 +25,8 @@ from termsel.toolkit.models import (
     view_of,
 )
 from termsel_cameras.scanners.candidate import sensor_of
-from termsel_cameras.scanners.orbit import axes_at, geocentric
-from termsel_cameras.scanners.physical import FloatArray, Physical, RobustFit, known
+from termsel_cameras.scanners.orbit import axes_at, to_geocentric
+from termsel_cameras.scanners.physical import FloatArray, Physical, RobustFit, require_scaling
 
 TURN, SCALE = 3.0, 1.0
 """Standard deviations of the turn about the vertical [rad] and of the logarithm of the scale, about
@@ -91,11 +91,11 @@ class Photo(Physical):
         """Return scaled places in metres east, north and up of the control's middle, (n, 3)."""
         # A local frame is plane already.
         if self.crs in ("", "local"):
-            return np.asarray(ground * known(self.scaling).ground_scale)
+            return np.asarray(ground * require_scaling(self.scaling).ground_scale)
         # In space, as the Earth bends by metres within a photo.
         middle = self.geographic(np.zeros((1, 3)))
         axes = axes_at(*middle[0, :2])
-        return np.asarray((geocentric(self.geographic(ground)) - geocentric(middle)) @ axes.T)
+        return np.asarray((to_geocentric(self.geographic(ground)) - to_geocentric(middle)) @ axes.T)
 
     def starts(self, features: FeatureSet) -> FloatArray:
         """Return the values of terms (s, k) from which fits begin.
@@ -108,7 +108,7 @@ class Photo(Physical):
         starts = np.zeros((3, len(self.terms)))
         starts[:, self.terms.index("turn")] = turn / TURN
         starts[:, self.terms.index("scale")] = np.log(
-            np.sqrt(np.abs(np.linalg.det(slopes)) + 1e-12) * self._extent()) / SCALE
+            np.sqrt(np.abs(np.linalg.det(slopes)) + 1e-12) * self._ground_extent()) / SCALE
         # Three starts: short, usual and long focal lengths have minima of their own.
         starts[:, self.terms.index("focal")] = (-1.0, 0.0, 1.0)
         of_view = self.starts_of_view(features) if self.options["oblique"] else starts[:0]
@@ -117,7 +117,7 @@ class Photo(Physical):
     def starts_of_view(self, features: FeatureSet) -> FloatArray:
         """Return the terms (1, k) of the pinhole camera of the points; (0, k) if they have none."""
         points = features.points
-        pinhole = pinhole_of(FeatureSet(points, crs=self.crs), known(self.scaling))
+        pinhole = pinhole_of(FeatureSet(points, crs=self.crs), require_scaling(self.scaling))
         # The middle of the points must be in front of the camera.
         if pinhole is None or not pinhole.matrix[2, 0] > 0.0:
             return np.zeros((0, len(self.terms)))
@@ -140,13 +140,13 @@ class Photo(Physical):
         # Without the focal length it is a rotation times a scale.
         columns = plane / np.array([[focal], [focal], [1.0]])
         size = float(np.linalg.norm(columns, axis=0).mean())
-        turn, tilts = _angles(columns, mirrored=bool(self.options["mirrored"]))
+        turn, tilts = _turn_and_tilts(columns, mirrored=bool(self.options["mirrored"]))
         # Where the middle is seen from the principal point.
         away = middle[:2] / middle[2]
         middle_seen = principal + away
         values = dict.fromkeys(self.terms, 0.0) | {
             "line": middle_seen[0], "sample": middle_seen[1], "turn": turn / TURN,
-            "scale": np.log(focal * size / middle[2] * self._extent()) / SCALE,
+            "scale": np.log(focal * size / middle[2] * self._ground_extent()) / SCALE,
             "focal": np.log(focal / FOCAL) / FOCAL_SPREAD,
             "tilt-line": tilts[0] / self.tilt, "tilt-sample": tilts[1] / self.tilt,
             "middle-line": away[0] / MIDDLE, "middle-sample": away[1] / MIDDLE}
@@ -162,7 +162,7 @@ class Photo(Physical):
         return np.asarray(np.linalg.lstsq(np.column_stack([np.ones(len(plan)), plan]),
                                           features.points.image)[0][1:])
 
-    def _extent(self) -> float:
+    def _ground_extent(self) -> float:
         return float(np.linalg.norm(self.local(np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]))[0]))
 
     def seen(self, x: dict[str, FloatArray], ground: FloatArray,
@@ -172,7 +172,7 @@ class Photo(Physical):
         `ray`, shape (p, 3), leads to the control's middle: along lines, samples and the view.
         """
         focal = FOCAL * np.exp(FOCAL_SPREAD * x["focal"])
-        scale = np.exp(SCALE * x["scale"]) / self._extent()
+        scale = np.exp(SCALE * x["scale"]) / self._ground_extent()
         turned = self.rotation_of(x)
         # Relative to the middle of the control, and by the distance of the camera from it.
         in_camera = self.local(ground) @ turned.transpose(0, 2, 1)
@@ -212,7 +212,7 @@ class Photo(Physical):
         raise NotImplementedError
 
 
-def _angles(columns: FloatArray, *, mirrored: bool) -> tuple[float, tuple[float, float]]:
+def _turn_and_tilts(columns: FloatArray, *, mirrored: bool) -> tuple[float, tuple[float, float]]:
     """Return the turn and the tilts [rad] of a camera, by where it sees east and north, (3, 2).
 
     They are those that `Photo.seen` turns the level axes by: lines about samples, then samples
@@ -265,7 +265,8 @@ class Frame(Photo):
             in_camera[..., 2:] > 0, in_camera[..., 2:], np.nan)
         radius = (ideal**2).sum(axis=2, keepdims=True)
         # Distortion grows with the third power of the radius.
-        bent = RADIAL / known(self.scaling).image_scale * x["radial"][:, None, None] * radius
+        bent = RADIAL / require_scaling(
+            self.scaling).image_scale * x["radial"][:, None, None] * radius
         line, sample = np.moveaxis(ideal * (1.0 + bent), -1, 0)
         affinity = FILM * x["affinity"][:, None]
         shear = FILM * x["shear"][:, None]
@@ -274,11 +275,11 @@ class Frame(Photo):
 
     def sensor_figures(self, coefficients: FloatArray) -> tuple[SensorFigure, ...]:
         """Return place, angles, focal length and principal point of the camera."""
-        scaling = known(self.scaling)
+        scaling = require_scaling(self.scaling)
         x = dict(zip(self.terms, np.asarray(coefficients)[:, None], strict=True))
         away = MIDDLE * np.array([x["middle-line"][0], x["middle-sample"][0]])
         focal = float(FOCAL * np.exp(FOCAL_SPREAD * x["focal"][0]))
-        scale = float(np.exp(SCALE * x["scale"][0])) / self._extent()
+        scale = float(np.exp(SCALE * x["scale"][0])) / self._ground_extent()
         rotation = self.rotation_of(x)[0]
         # In the camera's axes a place is R X scale / focal + ray, which is 0 at the camera.
         centre = -np.append(away / focal, 1.0) * focal / scale @ rotation

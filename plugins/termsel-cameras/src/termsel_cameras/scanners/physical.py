@@ -58,7 +58,7 @@ HUBER = 3.0
 """Residuals beyond so many standard deviations count by their size alone (Huber 1964)."""
 
 
-def known(scaling: Scaling | None) -> Scaling:
+def require_scaling(scaling: Scaling | None) -> Scaling:
     """Return the scaling of a prepared model; raises TermselError if it is None, not prepared."""
     if scaling is None:
         raise TermselError("the model is not prepared: its position on Earth is not known",
@@ -115,7 +115,7 @@ class Physical(SensorModel):
     def prior(self) -> FloatArray:
         """Return the weights of the pseudo-observations that terms are 0, shape (k,)."""
         # A term of one standard deviation weighs as much as an error of the size of the noise.
-        weights = np.full(len(self.terms), NOISE / known(self.scaling).image_scale)
+        weights = np.full(len(self.terms), NOISE / require_scaling(self.scaling).image_scale)
         weights[:self.free] = 0.0
         return weights
 
@@ -158,15 +158,16 @@ class Physical(SensorModel):
     def cost(self, features: FeatureSet, values: FloatArray) -> tuple[float, FloatArray]:
         """Return Huber's loss of scaled points and priors, and residuals (n, 2), by the noise."""
         points = features.points
-        unit = NOISE / known(self.scaling).image_scale
+        unit = NOISE / require_scaling(self.scaling).image_scale
         away = (points.image - self.image_of(values[None], points.ground)[0]) \
-            * _weight(features) / unit
+            * _point_weights(features) / unit
         large = np.linalg.norm(away, axis=1)
         # Square near 0, linear beyond, and smooth where they meet.
         loss = np.where(large > HUBER, 2 * HUBER * large - HUBER**2, large**2)
         return float(loss.sum() + ((self.prior() / unit * values) ** 2).sum()), away
 
-    def _off_tangent(self, values: FloatArray, step: FloatArray, ground: FloatArray) -> FloatArray:
+    def _distance_from_tangent(
+            self, values: FloatArray, step: FloatArray, ground: FloatArray) -> FloatArray:
         """Return how far image positions at the end of a step are off its tangent, (n, 2)."""
         # The second derivative along the step, by a central difference.
         ends = values + BEND * np.array([[1.0], [0.0], [-1.0]]) * step
@@ -181,8 +182,8 @@ class Physical(SensorModel):
         """
         points = features.points
         prior = self.prior()
-        unit = NOISE / known(self.scaling).image_scale
-        weight = _weight(features)
+        unit = NOISE / require_scaling(self.scaling).image_scale
+        weight = _point_weights(features)
         size = prior / unit
         damping = 1e-3
         converged = False
@@ -212,7 +213,7 @@ class Physical(SensorModel):
                                      hermitian=True)
             full_step = inverse @ right
             # The way bends where altitude, pixel and period make up for each other.
-            bent = self._off_tangent(values, full_step, points.ground)
+            bent = self._distance_from_tangent(values, full_step, points.ground)
             correction = inverse @ (A.T @ (huber_weights * weight / unit * bent).ravel())
             largest = AHEAD * np.linalg.norm(full_step)
             if np.isfinite(correction).all() and np.linalg.norm(correction) < largest:
@@ -261,7 +262,7 @@ class RobustFit(Estimator):
         # Deviations under a prior are not those of least squares.
         unknown = np.full(len(values), np.nan)
         freedom = max(len(residuals) - effective, 1.0)
-        weight = _weight(scaled)
+        weight = _point_weights(scaled)
         return Fit(ready, scaling, control, np.ones(len(values), dtype=bool), used,
                    Adjustment(values, unknown, count, len(residuals), count, np.nan,
                               float(np.sqrt(residuals @ residuals / freedom)), steps=solution.steps,
@@ -385,7 +386,7 @@ def _best_solution(model: Physical, points: Points) -> Solution:
     return min(ends, key=lambda solution: solution.cost)
 
 
-def _weight(features: FeatureSet) -> FloatArray:
+def _point_weights(features: FeatureSet) -> FloatArray:
     """Return the weights of points by their stated standard deviations, shape (n, 2)."""
     sigma = features.points.sigma
     # By the median, so that the usual point weighs 1.

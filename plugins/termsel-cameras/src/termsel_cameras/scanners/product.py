@@ -60,7 +60,7 @@ def images_of(path: Path) -> tuple[Image, ...]:
     """
     try:
         if path.is_dir():
-            return _sorted_names(_annotations_in_folder(path))
+            return _sort_names(_annotations_in_folder(path))
         if not path.is_file():
             return ()
         with path.open("rb") as file:
@@ -68,11 +68,11 @@ def images_of(path: Path) -> tuple[Image, ...]:
     except OSError:
         return ()
     if head in _ZIP:
-        return _sorted_names(_annotations_in_zip(path))
+        return _sort_names(_annotations_in_zip(path))
     if path.name.lower() == "manifest.safe":
-        return _sorted_names(_annotations_in_folder(path.parent))
+        return _sort_names(_annotations_in_folder(path.parent))
     if head in _TIFF:
-        return tuple(_image(place) for place in _annotation_of_image(path))
+        return tuple(_image_of_annotation(place) for place in _annotation_of_image(path))
     return ()
 
 
@@ -82,8 +82,9 @@ def is_image(path: Path, head: bytes) -> bool:
                                        or b"Sentinel-1 IPF" in head)
 
 
-def chosen(images: tuple[Image, ...], path: Path, swath: str | None, polarisation: str | None,
-           ) -> tuple[Image, ...]:
+def choose_images(images: tuple[Image, ...], path: Path, swath: str | None,
+                  polarisation: str | None,
+                  ) -> tuple[Image, ...]:
     """Return the images of a swath and a polarisation.
 
     Raises
@@ -138,7 +139,7 @@ def archive_of(path: Path) -> Path | None:
     return next((parent for parent in path.parents if parent.is_file()), None)
 
 
-def changed(path: Path) -> int:
+def time_of_change(path: Path) -> int:
     """Return when an annotation, or the zip that it is in, was changed [ns]."""
     return (path if path.is_file() else archive_of(path) or path).stat().st_mtime_ns
 
@@ -188,7 +189,7 @@ def _is_annotation(name: str) -> bool:
     return NAMES.match(name) is not None and name.lower().endswith(".xml")
 
 
-def _image(annotation: Path) -> Image:
+def _image_of_annotation(annotation: Path) -> Image:
     """Return the image of an annotation, with swath and polarisation by its name; "" if not stated.
     """
     match = NAMES.match(annotation.name)
@@ -196,5 +197,5 @@ def _image(annotation: Path) -> Image:
                  match["polarisation"].upper() if match else "")
 
 
-def _sorted_names(annotations: list[Path]) -> tuple[Image, ...]:
-    return tuple(_image(place) for place in sorted(annotations, key=os.fspath))
+def _sort_names(annotations: list[Path]) -> tuple[Image, ...]:
+    return tuple(_image_of_annotation(place) for place in sorted(annotations, key=os.fspath))

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from termsel import FeatureSet, Option, TermselError
 from termsel.toolkit.models import KnownImage
 from termsel_cameras.scanners.annotation import Annotation, FloatArray, annotation_of
-from termsel_cameras.scanners.orbit import geocentric
-from termsel_cameras.scanners.physical import Physical, known
+from termsel_cameras.scanners.orbit import to_geocentric
+from termsel_cameras.scanners.physical import Physical, require_scaling
 
 Vectors = tuple[tuple[float, ...], ...]
 
@@ -95,7 +95,7 @@ class Radar(Physical):
         metadata = self.options["metadata"]
         self._annotation = annotation_of(metadata, self.options["swath"]) if metadata else None
         if self._annotation is not None:
-            self._first_line = _first_line(self._annotation, self.options["burst"])
+            self._first_line = _line_time_origin(self._annotation, self.options["burst"])
             if self.options["bistatic"]:
                 self._require_middle(self._annotation)
             self.options["metadata"] = self._annotation.text()  # readable without the file
@@ -140,7 +140,8 @@ class Radar(Physical):
         aside = (image - middle) / np.maximum(middle, 1.0)
         shift = SHIFT * values[:, None, :2] + RATE_METRES * values[:, None, 2:] * aside      # [m]
         shifted = image + shift / spacing
-        return np.asarray(known(self.scaling).image(shifted.reshape(-1, 2)).reshape(shifted.shape))
+        return np.asarray(
+            require_scaling(self.scaling).image(shifted.reshape(-1, 2)).reshape(shifted.shape))
 
     def unshifted(self, geographic: FloatArray) -> FloatArray:
         """Return line and sample (n, 2) [px] by the annotation alone; NaN where none is seen.
@@ -151,7 +152,7 @@ class Radar(Physical):
             WGS84 longitude, latitude [deg] and ellipsoidal height [m].
         """
         stated = self.annotation
-        time, distance, is_visible = zero_doppler(stated, geocentric(geographic))
+        time, distance, is_visible = zero_doppler(stated, to_geocentric(geographic))
         if self.options["bistatic"] and stated.middle_range_time is not None:
             # Lines are counted by when echoes from the middle of the swath arrive: an echo that is
             # late by tau - tau_middle, tau = 2 R / c, has its zero Doppler half of that earlier on
@@ -205,7 +206,7 @@ class Radar(Physical):
         return np.asarray(ground)
 
 
-def _first_line(annotation: Annotation, burst: int) -> tuple[float, float]:
+def _line_time_origin(annotation: Annotation, burst: int) -> tuple[float, float]:
     """Return the time [s] and the number of the line from which others are counted.
 
     `burst` counts from 1, and is 0 for an image without bursts. Raises TermselError otherwise.

@@ -11,11 +11,11 @@ from termsel_cameras.scanners.orbit import (
     Cameras,
     FloatArray,
     axes_at,
-    geocentric,
     heading_of,
-    seen,
+    observe_targets,
+    to_geocentric,
 )
-from termsel_cameras.scanners.physical import Physical, known
+from termsel_cameras.scanners.physical import Physical, require_scaling
 from termsel_cameras.scanners.sensors import SENSORS, Sensor, sensor_named
 
 RATE, CHANGE = 5e-5, 1e-6
@@ -73,11 +73,11 @@ class Scanner(Physical):
 
     def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
         """Return scaled image positions (p, n, 2) by values of terms (p, k)."""
-        scaling = known(self.scaling)
+        scaling = require_scaling(self.scaling)
         sensor = self.sensor
         middle = self.geographic(np.zeros((1, 3)))
         axes = axes_at(*middle[0, :2])
-        origin = geocentric(middle)[0]
+        origin = to_geocentric(middle)[0]
         x = dict(zip(TERMS, values.T, strict=True))
         altitude = 1e3 * (sensor.altitude + sensor.altitude_sigma * x["altitude"])
         view = {name: np.tan(np.radians(getattr(sensor, name))) * x[name]
@@ -89,9 +89,10 @@ class Scanner(Physical):
             view["side"], view["ahead"] - np.tan(np.radians(sensor.forward)), altitude,
             np.radians(YAW_DEGREES) * x["yaw"],
             RATE * values[:, 9:12], CHANGE * values[:, 12:15])
-        time_and_slope = seen(cameras, geocentric(self.geographic(ground)), origin, axes)
+        time_and_slope = observe_targets(
+            cameras, to_geocentric(self.geographic(ground)), origin, axes)
         # Of an unknown sensor the pixel is about the control's on the ground by that in the image.
-        pixel = sensor.pixel or self._extent() / scaling.image_scale
+        pixel = sensor.pixel or self._half_extent() / scaling.image_scale
         wide = sensor.pixel_sigma
         ifov = pixel / (1e3 * sensor.altitude) * np.exp(wide * x["pixel"])
         motion = np.sqrt(3.986004418e14 / (6378137.0 + altitude) ** 3)
@@ -104,9 +105,9 @@ class Scanner(Physical):
         return np.stack([line + x["line"][:, None],
                          sample + bent + x["sample"][:, None]], axis=-1)
 
-    def _extent(self) -> float:
+    def _half_extent(self) -> float:
         """Return the longer half extent of the control on the ground [m]."""
-        corners = geocentric(self.geographic(np.array(
+        corners = to_geocentric(self.geographic(np.array(
             [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 1.0, 0.0]])))
         return float(max(np.linalg.norm(corners[1] - corners[0]),
                          np.linalg.norm(corners[3] - corners[2]))) / 2

@@ -8,8 +8,8 @@ import numpy as np
 
 from termsel import FeatureSet, Option, TermselError
 from termsel_cameras.scanners.metadata import FloatArray, Metadata, metadata_of
-from termsel_cameras.scanners.orbit import geocentric
-from termsel_cameras.scanners.physical import Physical, known
+from termsel_cameras.scanners.orbit import to_geocentric
+from termsel_cameras.scanners.physical import Physical, require_scaling
 
 SUFFIXES = (".dim", ".xml")
 """Names of files of metadata end so."""
@@ -81,7 +81,7 @@ class TrackedScanner(Physical):
     def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
         """Return scaled image positions (p, n, 2) by values of terms (p, k)."""
         metadata = self.metadata
-        target = geocentric(self.geographic(ground))
+        target = to_geocentric(self.geographic(ground))
         x = dict(zip(TERMS, values.T[..., None], strict=True))                       # (p, 1) each
         angle = TRACKED if metadata.tracked else ANGLE
         bias = [YAW_SIGMA * x["yaw"], angle * x["pitch"], angle * x["roll"]]
@@ -98,7 +98,7 @@ class TrackedScanner(Physical):
             """Return how far places are ahead of the scan line at a time, and their place across
             it.
             """
-            station, axes = _state(metadata, time)
+            station, axes = _interpolate_state(metadata, time)
             away = np.einsum("...ij,...i->...j", axes, target - station)
             attitude = [np.interp(time, metadata.moments, angles) + offset + time * drift
                         for angles, offset, drift in zip(
@@ -129,10 +129,11 @@ class TrackedScanner(Physical):
             sample = np.where(is_beyond, samples[end] + steep * (slope - across[end]), sample)
         image = np.stack([line, sample], axis=-1)
         image[~(np.abs(off) < 1e-6)] = np.nan
-        return np.asarray(known(self.scaling).image(image.reshape(-1, 2)).reshape(image.shape))
+        return np.asarray(
+            require_scaling(self.scaling).image(image.reshape(-1, 2)).reshape(image.shape))
 
 
-def _state(metadata: Metadata, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _interpolate_state(metadata: Metadata, time: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return positions (..., 3) [m], and axes to starboard, ahead and up as columns (..., 3, 3)."""
     from scipy.interpolate import CubicHermiteSpline  # which other models need not import
 

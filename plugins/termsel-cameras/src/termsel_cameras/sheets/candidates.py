@@ -32,7 +32,7 @@ class Projection:
     last: int = 21
 
 
-def usual_projections(ground: FloatArray, century: int | None = None) -> list[Projection]:
+def candidate_projections(ground: FloatArray, century: int | None = None) -> list[Projection]:
     """Return the projections of maps of a place, longitudes and latitudes (n, 2) [deg].
 
     Their parameters are those of the place: the middle meridian and parallel, and standard

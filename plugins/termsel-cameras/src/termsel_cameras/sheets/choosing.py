@@ -37,8 +37,8 @@ class Tried:
     rmse: float
 
 
-def tried_projections(sheets: Sequence[FeatureSet],
-                      candidates: Sequence[Projection]) -> list[Tried]:
+def rank_projections(sheets: Sequence[FeatureSet],
+                     candidates: Sequence[Projection]) -> list[Tried]:
     """Return how well each projection predicts the points of all sheets, the best first.
 
     Each candidate has a `name` and a `crs`. Independent points take no part. Sheets of a series
@@ -61,8 +61,8 @@ def tried_projections(sheets: Sequence[FeatureSet],
     return sorted(ranked, key=lambda projection: projection.rmse)
 
 
-def chosen_of(ranked: Sequence[Tried], candidates: Sequence[Projection],
-              nearly: float = NEARLY) -> Tried:
+def first_of_the_best(
+        ranked: Sequence[Tried], candidates: Sequence[Projection], nearly: float = NEARLY) -> Tried:
     """Return the first candidate among the projections that predict about as well as the best.
 
     About as well: an RMSE up to `nearly` times the least. Raises TermselError if none predicts.

@@ -126,7 +126,7 @@ def sheet_of(features: FeatureSet) -> Sheet | None:
         return None
     plan = plan_of(features, FitData.of(features).scaling)
     columns = np.column_stack([np.ones(count), plan - plan.mean(axis=0)])
-    measured = upright(points.image)
+    measured = to_upright(points.image)
     if np.linalg.matrix_rank(columns / np.linalg.norm(columns, axis=0), 1e-6) < 3:
         return None
     coefficients = np.linalg.lstsq(columns, measured)[0]
@@ -137,7 +137,7 @@ def sheet_of(features: FeatureSet) -> Sheet | None:
     residuals = measured - columns @ coefficients
     noise = max(float(np.sqrt((residuals**2).sum() / freedom)), LEAST_NOISE)
     covariance = np.kron(np.eye(2), np.linalg.inv(columns.T @ columns)[1:, 1:])
-    slopes = _slopes(matrix)
+    slopes = _matrix_derivatives(matrix)
     variances = np.diag(slopes @ covariance @ slopes.T)
     return Sheet(tuple(values_of(matrix).tolist()), tuple(variances.tolist()), noise, freedom,
                  marks_of(features))
@@ -149,7 +149,7 @@ def plan_of(features: FeatureSet, scaling: Scaling) -> FloatArray:
     return np.asarray(scaled * scaling.ground_scale[:2] + scaling.ground_offset[:2])
 
 
-def upright(image: FloatArray) -> FloatArray:
+def to_upright(image: FloatArray) -> FloatArray:
     """Return samples and minus lines (n, 2), which run to the right and upwards."""
     return np.asarray(image[:, ::-1] * [1.0, -1.0])
 
@@ -162,7 +162,7 @@ def marks_of(features: FeatureSet) -> tuple[str, ...]:
     return tuple(hashlib.sha256(repr(row.tolist()).encode()).hexdigest()[:12] for row in rows)
 
 
-def _slopes(matrix: FloatArray) -> FloatArray:
+def _matrix_derivatives(matrix: FloatArray) -> FloatArray:
     """Return the derivatives of the four numbers by the entries of a matrix, (4, 4)."""
     step = 1e-6 * float(np.linalg.norm(matrix))
     columns = []
@@ -170,12 +170,12 @@ def _slopes(matrix: FloatArray) -> FloatArray:
         change = np.zeros((2, 2))
         change.flat[entry] = step
         difference = values_of(matrix + change) - values_of(matrix - change)
-        difference[TURN] = wrapped(difference[TURN])
+        difference[TURN] = wrap_angle(difference[TURN])
         columns.append(difference / (2.0 * step))
     return np.column_stack(columns)
 
 
-def wrapped(angle: float) -> float:
+def wrap_angle(angle: float) -> float:
     """Return an angle in [-pi, pi)."""
     return float((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
@@ -201,10 +201,10 @@ def paper_of(sheets: Sequence[Sheet]) -> Paper:
     variances = np.array([sheet.variances for sheet in sheets]) * squares[:, None]
     # Turns are counted from that of the first sheet, lest 359 and 1 degrees have the mean 180.
     first_turn = values[0, TURN]
-    values[:, TURN] = [wrapped(turn - first_turn) for turn in values[:, TURN]]
+    values[:, TURN] = [wrap_angle(turn - first_turn) for turn in values[:, TURN]]
     expected = np.array([_value_of_other_sheet(*column) for column in zip(
         values.T, variances.T, USUAL_SPREADS, strict=True)])
-    expected[TURN, 0] = wrapped(expected[TURN, 0] + first_turn)
+    expected[TURN, 0] = wrap_angle(expected[TURN, 0] + first_turn)
     return Paper(tuple(expected[:, 0].tolist()), tuple(expected[:, 1].tolist()), noise, freedom,
                  len(sheets))
 

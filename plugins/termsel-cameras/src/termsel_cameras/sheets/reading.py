@@ -16,8 +16,8 @@ from termsel.toolkit.coordinates import is_geographic, normalise, to_wgs84
 from termsel_cameras.roles import without_independent
 from termsel_cameras.sheets.candidates import (
     Projection,
+    candidate_projections,
     projections_of_file,
-    usual_projections,
 )
 from termsel_cameras.sheets.meridians import MERIDIANS, meridian_of
 
@@ -65,12 +65,15 @@ class SheetOptions:
             return features
         if values["projection"] != AUTO:
             return replace(features, fit_crs=normalise(values["projection"]))
-        from termsel_cameras.sheets.choosing import chosen_of, tried_projections  # it fits models
+        from termsel_cameras.sheets.choosing import (  # it fits models
+            first_of_the_best,
+            rank_projections,
+        )
 
         candidates = candidates_of([features], values.get("projection_candidates"),
                                    values.get("map_century"))
-        ranked = tried_projections([features], candidates)
-        best = chosen_of(ranked, candidates)
+        ranked = rank_projections([features], candidates)
+        best = first_of_the_best(ranked, candidates)
         log.warning("Note: of %d projections %s Coordinates stay in %s.", len(ranked),
                     _projection_in_words(ranked, best), features.crs)
         return replace(features, fit_crs=normalise(best.crs))
@@ -98,12 +101,15 @@ def _sheet_of_series(features: FeatureSet, values: Mapping[str, Any]) -> Feature
 
     Raises TermselError if options state a projection, too.
     """
-    from termsel_cameras.sheets.series_file import in_series, read_series  # it fits models
+    from termsel_cameras.sheets.series_file import (  # it fits models
+        read_series,
+        with_series_columns,
+    )
 
     if other := values.keys() & {"projection", "projection_candidates", "map_century"}:
         raise TermselError(f"the file of a series has its projection, so {min(other)} has no use",
                            hint="Leave one of them out.")
-    return in_series(features, read_series(values["series"]))
+    return with_series_columns(features, read_series(values["series"]))
 
 
 def from_greenwich(features: FeatureSet, meridian: float) -> FeatureSet:
@@ -131,7 +137,7 @@ def candidates_of(sheets: list[FeatureSet], file: str | None,
     """Return the projections to choose from: of a file, or of the place and the century."""
     if file is not None:
         return projections_of_file(file)
-    return usual_projections(places_of_sheets(sheets), century)
+    return candidate_projections(places_of_sheets(sheets), century)
 
 
 def places_of_sheets(sheets: list[FeatureSet]) -> FloatArray:

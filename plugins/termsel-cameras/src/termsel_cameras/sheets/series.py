@@ -33,8 +33,8 @@ from termsel_cameras.sheets.paper import (
     matrix_of,
     plan_of,
     rotation_by,
-    upright,
-    wrapped,
+    to_upright,
+    wrap_angle,
 )
 
 COLUMN = "sheet_paper"
@@ -125,17 +125,17 @@ class BySeries(Estimator):
         """Fit a sheet (see `Estimator.fit`) with all its terms."""
         assert isinstance(model, SeriesSheet)
         in_use = control.take(used)
-        posterior, middle = self._posterior(model, in_use, scaling)
-        plan, measured = plan_of(in_use, scaling), upright(in_use.points.image)
+        posterior, middle = self._sheet_posterior(model, in_use, scaling)
+        plan, measured = plan_of(in_use, scaling), to_upright(in_use.points.image)
         errors = np.empty_like(measured)
         for i in range(len(measured)):
             others = np.arange(len(measured)) != i
             without = posterior_of(model.paper, plan[others] - middle, measured[others],
                                    posterior.sigma)
-            errors[i] = measured[i] - _image(without.values, plan[i:i + 1] - middle)[0]
+            errors[i] = measured[i] - _image_positions(without.values, plan[i:i + 1] - middle)[0]
         # From sample and minus line to line and sample.
         errors = errors[:, ::-1] * [-1.0, 1.0]
-        coefficients = _coefficients(posterior.values, middle, scaling)
+        coefficients = _affine_coefficients(posterior.values, middle, scaling)
         count = round(posterior.effective)
         adjustment = Adjustment(coefficients, np.full(UNKNOWNS, np.nan), count, 2 * len(in_use),
                                 rank=count, condition=np.nan,
@@ -144,22 +144,22 @@ class BySeries(Estimator):
                    estimator=self, trace=posterior.effective,
                    stored_held_out=HeldOut.of(errors, in_use))
 
-    def _posterior(self, model: SeriesSheet, in_use: FeatureSet,
-                   scaling: Scaling) -> tuple[_Posterior, FloatArray]:
+    def _sheet_posterior(self, model: SeriesSheet, in_use: FeatureSet,
+                         scaling: Scaling) -> tuple[_Posterior, FloatArray]:
         """Return the sheet by its points and its paper, and the middle (2,) of its points' ground.
         """
         plan = plan_of(in_use, scaling)
         middle = plan.mean(axis=0)
-        return posterior_of(model.paper, plan - middle, upright(in_use.points.image)), middle
+        return posterior_of(model.paper, plan - middle, to_upright(in_use.points.image)), middle
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
         """Return the mean square errors at scaled places (see `Estimator.spread`)."""
         assert isinstance(fitted.model, SeriesSheet)
         scaling = fitted.scaling
-        posterior, middle = self._posterior(
+        posterior, middle = self._sheet_posterior(
             fitted.model, fitted.control.take(fitted.used), scaling)
         plan = ground[:, :2] * scaling.ground_scale[:2] + scaling.ground_offset[:2]
-        slopes = _slopes(posterior.values, plan - middle)[:, ::-1] / scaling.image_scale
+        slopes = _image_derivatives(posterior.values, plan - middle)[:, ::-1] / scaling.image_scale
         factors = slopes @ np.linalg.cholesky(posterior.covariance)
         noise = (posterior.sigma / scaling.image_scale) ** 2
         return Spread((factors**2).sum(axis=2), np.full(2, noise), factors)
@@ -187,7 +187,7 @@ def posterior_of(paper: Paper, plan: FloatArray, measured: FloatArray,
         # The trace of what points contribute to the normal matrix, by all of it.
         effective = UNKNOWNS - float(np.trace(covariance @ prior))
         if sigma is None:
-            square = float(((measured - _image(values, plan)) ** 2).sum())
+            square = float(((measured - _image_positions(values, plan)) ** 2).sum())
             freedom = max(measured.size - effective, 0.0)
             noise = float(np.sqrt((paper.freedom * paper.noise**2 + square)
                                   / (paper.freedom + freedom)))
@@ -218,10 +218,10 @@ def _least_cost(paper: Paper, plan: FloatArray, measured: FloatArray, values: Fl
     means = np.array(paper.means)
     spreads = np.array(paper.spreads)
     for _ in range(_STEPS):
-        design = _slopes(values, plan).reshape(-1, UNKNOWNS) / sigma
-        residuals = (measured - _image(values, plan)).ravel() / sigma
+        design = _image_derivatives(values, plan).reshape(-1, UNKNOWNS) / sigma
+        residuals = (measured - _image_positions(values, plan)).ravel() / sigma
         from_expected = values[:4] - means
-        from_expected[TURN] = wrapped(from_expected[TURN])
+        from_expected[TURN] = wrap_angle(from_expected[TURN])
         normal = design.T @ design
         normal[:4, :4] += np.diag(1.0 / spreads**2)
         right = design.T @ residuals
@@ -235,12 +235,12 @@ def _least_cost(paper: Paper, plan: FloatArray, measured: FloatArray, values: Fl
     return values, normal
 
 
-def _image(values: FloatArray, plan: FloatArray) -> FloatArray:
+def _image_positions(values: FloatArray, plan: FloatArray) -> FloatArray:
     """Return samples and minus lines of places about the middle, (n, 2)."""
     return np.asarray(plan @ matrix_of(values[:4]).T + values[4:])
 
 
-def _slopes(values: FloatArray, plan: FloatArray) -> FloatArray:
+def _image_derivatives(values: FloatArray, plan: FloatArray) -> FloatArray:
     """Return the derivatives of samples and minus lines by the six values, (n, 2, 6)."""
     scale, turn, stretch, shear = values[:4]
     rotated = np.exp(scale) * plan @ rotation_by(turn).T
@@ -260,11 +260,11 @@ def _slopes(values: FloatArray, plan: FloatArray) -> FloatArray:
     return slopes
 
 
-def _coefficients(values: FloatArray, middle: FloatArray, scaling: Scaling) -> FloatArray:
+def _affine_coefficients(values: FloatArray, middle: FloatArray, scaling: Scaling) -> FloatArray:
     """Return the coefficients of line, then of sample, by 1, X and Y, all scaled."""
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     plan = corners * scaling.ground_scale[:2] + scaling.ground_offset[:2]
-    image = scaling.image(_image(values, plan - middle)[:, ::-1] * [-1.0, 1.0])
+    image = scaling.image(_image_positions(values, plan - middle)[:, ::-1] * [-1.0, 1.0])
     return np.concatenate([np.append(image[0, axis], image[1:, axis] - image[0, axis])
                            for axis in range(2)])
 

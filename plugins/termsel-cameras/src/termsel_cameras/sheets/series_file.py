@@ -64,7 +64,7 @@ def read_series(path: Path | str) -> Series:
     """
     try:
         content = json.loads(read_text(Path(path)))
-        sheets = tuple(_sheet(item) for item in content["sheets"])
+        sheets = tuple(_parse_sheet(item) for item in content["sheets"])
         projection = str(content["projection"])
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise TermselError(
@@ -73,7 +73,7 @@ def read_series(path: Path | str) -> Series:
     return Series(normalise(projection) if projection else "", sheets)
 
 
-def _sheet(item: Any) -> Sheet:
+def _parse_sheet(item: Any) -> Sheet:
     """Return a sheet of a file.
 
     Raises ValueError, KeyError or TypeError if the item is no sheet.
@@ -88,7 +88,7 @@ def _sheet(item: Any) -> Sheet:
     return Sheet(values, variances, noise, freedom, tuple(str(mark) for mark in item["points"]))
 
 
-def in_series(features: FeatureSet, series: Series) -> FeatureSet:
+def with_series_columns(features: FeatureSet, series: Series) -> FeatureSet:
     """Return the points of a sheet with the projection and the paper that its series shows."""
     if series.projection:
         features = replace(features, fit_crs=series.projection)

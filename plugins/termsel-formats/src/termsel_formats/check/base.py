@@ -49,7 +49,7 @@ class NoAnswer(TermselError):
     """A program that ended with an error, or not in time."""
 
 
-def installed(name: str) -> str | None:
+def find_program(name: str) -> str | None:
     """Return where a program is installed, or None.
 
     One in the current folder, which may have come with data, is none: Windows looks there first.

@@ -50,7 +50,7 @@ def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) ->
     """
     from termsel import read_result
     from termsel.check import is_certificate, main
-    from termsel_formats.check.comparison import compared
+    from termsel_formats.check.comparison import compare_programs
 
     show_messages()
     if is_certificate(file):
@@ -60,7 +60,7 @@ def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) ->
         sys.exit(main([str(file)]))
     result = None if folder is None else read_result(folder)
     try:
-        deviations, answers = compared(file, result, final=final)
+        deviations, answers = compare_programs(file, result, final=final)
     except TermselError as error:
         if "a file of text" in error.what:
             error.hint = ("Give an image, or a file beside one, such as a world file, an RPC or an "
@@ -76,7 +76,7 @@ def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) ->
         echo("Give --result DIR, the folder of a run, to learn how far that is from its model.")
     else:
         print_table(("program", "takes", "points [px]", "image [px]", "image [m]"),
-                    [_row(deviation) for deviation in deviations])
+                    [_program_row(deviation) for deviation in deviations])
         for deviation in deviations:
             _warn(deviation)
     for name in answers.absent:
@@ -85,16 +85,16 @@ def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) ->
         echo(f"No answer: {message}.")
 
 
-def _row(deviation: Deviation) -> tuple[str, ...]:
+def _program_row(deviation: Deviation) -> tuple[str, ...]:
     """Return a row of the table: the program, what it takes, and how far that is off in px and m.
     """
     metres = deviation.over_image.metres if deviation.over_image else None
     return (deviation.program, deviation.said or deviation.transformation,
-            _largest(deviation.at_points), _largest(deviation.over_image),
+            _largest_difference(deviation.at_points), _largest_difference(deviation.over_image),
             "" if metres is None else f"{metres:,.3g}")
 
 
-def _largest(distances: Apart | None) -> str:
+def _largest_difference(distances: Apart | None) -> str:
     return "" if distances is None else f"{distances.largest:,.3g}"
 
 

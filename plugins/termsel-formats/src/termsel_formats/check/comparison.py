@@ -9,10 +9,17 @@ import numpy as np
 
 from termsel import Result, TermselError
 from termsel.toolkit import FloatArray
-from termsel.toolkit.coordinates import EARTH, LOCAL, body_of, horizontal, in_metres, transformation
+from termsel.toolkit.coordinates import (
+    EARTH,
+    LOCAL,
+    body_of,
+    horizontal_crs,
+    offsets_in_metres,
+    transformation_between,
+)
 from termsel_formats.check.base import NoAnswer, Taken
-from termsel_formats.check.gdal import outline
-from termsel_formats.check.programs import Answers, taken_by
+from termsel_formats.check.gdal import border_places
+from termsel_formats.check.programs import Answers, taken_by_programs
 from termsel_formats.check.raster import size_of
 from termsel_formats.check.sidecars import raster_of
 
@@ -68,8 +75,8 @@ class Deviation:
     said: str = ""
 
 
-def compared(path: Path | str, result: Result | None = None, *, final: bool | None = None,
-             ) -> tuple[tuple[Deviation, ...], Answers]:
+def compare_programs(path: Path | str, result: Result | None = None, *, final: bool | None = None,
+                     ) -> tuple[tuple[Deviation, ...], Answers]:
     """Return what programs take from a raster or from a file next to it, against a model.
 
     Places are compared at the heights of the points, and over the image at the middle height of
@@ -98,17 +105,17 @@ def compared(path: Path | str, result: Result | None = None, *, final: bool | No
     --------
     >>> import termsel
     >>> from termsel.testing import invoke
-    >>> from termsel_formats import compared
+    >>> from termsel_formats import compare_programs
     >>> written = invoke("example", "files")
     >>> result = termsel.run("poly-terms", features=termsel.read("files/gcps.csv"),
     ...                      evaluations=200, options={"degree": 2})
-    >>> deviations, answers = compared("files/ortho.tif", result)
+    >>> deviations, answers = compare_programs("files/ortho.tif", result)
     >>> any(deviation.program.startswith("rasterio") for deviation in deviations)
     True
     """
     result = None if result is None else result.as_exported(final)
     with raster_of(Path(path), result) as raster:
-        answers = taken_by(raster)
+        answers = taken_by_programs(raster)
         if result is None:
             return tuple(Deviation(answer.program, answer.transformation, answer.crs,
                                    answer.by_default) for answer in answers.taken), answers
@@ -135,19 +142,20 @@ def _deviation_of(answer: Taken, result: Result, size: tuple[int, int]) -> Devia
     share = np.linspace(0.0, 1.0, _PLACES_ACROSS)
     inside = np.stack(np.meshgrid(share, share, indexing="ij"), axis=-1).reshape(-1, 2)
     # A lattice of pixels, counted from centres, and the outer border of the image.
-    image = np.concatenate([inside * size - 0.5, outline(size)])
+    image = np.concatenate([inside * size - 0.5, border_places(size)])
     level = float(result.fit.ground_box()[0][2])
     try:
-        of_points = _distances(answer, result, result.project(points), points, level) \
+        of_points = _ground_distances(answer, result, result.project(points), points, level) \
             if len(points) else None
-        of_image = _distances(answer, result, image, result.locate(image, level), level)
+        of_image = _ground_distances(answer, result, image, result.locate(image, level), level)
     except (NoAnswer, TermselError) as error:
         return replace(deviation, said=error.what)
     return replace(deviation, at_points=of_points, over_image=of_image)
 
 
-def _distances(answer: Taken, result: Result, image: FloatArray, ground: FloatArray, level: float,
-               ) -> Apart | None:
+def _ground_distances(answer: Taken, result: Result, image: FloatArray, ground: FloatArray,
+                      level: float,
+                      ) -> Apart | None:
     """Return how far from ground (n, 3) a program puts image places (n, 2); None if nowhere.
 
     Heights that are not known are `level` [m].
@@ -159,11 +167,11 @@ def _distances(answer: Taken, result: Result, image: FloatArray, ground: FloatAr
     ground[:, 2] = np.where(np.isnan(ground[:, 2]), level, ground[:, 2])
     crs = result.features.crs
     # RPCs count heights from the ellipsoid.
-    heights = transformation(crs, "EPSG:4979")(ground)[:, 2] \
+    heights = transformation_between(crs, "EPSG:4979")(ground)[:, 2] \
         if crs != LOCAL and body_of(crs) == EARTH else ground[:, 2]
     xy = answer.places(image, heights)
     if answer.crs and crs != LOCAL:
-        xy = transformation(horizontal(answer.crs), horizontal(crs), strict=False)(
+        xy = transformation_between(horizontal_crs(answer.crs), horizontal_crs(crs), strict=False)(
             np.column_stack([xy, np.zeros(len(xy))]))[:, :2]
     reached = np.column_stack([xy, ground[:, 2]])
     # In px: where the model sees the place to which the program puts the pixel.
@@ -172,7 +180,7 @@ def _distances(answer: Taken, result: Result, image: FloatArray, ground: FloatAr
     if not comparable.any():
         return None
     worst = int(np.argmax(np.where(comparable, pixels, -1.0)))
-    metres = in_metres(crs, ground[comparable], (reached - ground)[comparable, :2])
+    metres = offsets_in_metres(crs, ground[comparable], (reached - ground)[comparable, :2])
     line, sample = image[worst].tolist()
     return Apart(float(np.sqrt((pixels[comparable] ** 2).mean())), float(pixels[worst]),
                  None if metres is None else float(np.hypot(*metres.T).max()), line, sample,

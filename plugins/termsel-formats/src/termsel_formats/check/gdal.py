@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from termsel.toolkit import FloatArray
-from termsel_formats.check.base import NoAnswer, Places, Taken, answer, installed
+from termsel_formats.check.base import NoAnswer, Places, Taken, answer, find_program
 
 WGS84 = "EPSG:4326"
 _ALIKE_SHARE = 1e-9  # of the size of the coordinates
@@ -51,7 +51,7 @@ class Header:
     with_rpc: bool = False
 
 
-def header(path: Path) -> Header | None:
+def read_gdalinfo(path: Path) -> Header | None:
     """Return what gdalinfo says of a raster, or None where it is not installed.
 
     Raises
@@ -59,8 +59,8 @@ def header(path: Path) -> Header | None:
     NoAnswer
         If GDAL cannot read the raster.
     """
-    program = installed("gdalinfo")
-    if program is None or installed("gdaltransform") is None:
+    program = find_program("gdalinfo")
+    if program is None or find_program("gdaltransform") is None:
         return None
     version = answer([program, "--version"]).partition(",")[0]
     description: dict[str, Any] = json.loads(answer(
@@ -88,12 +88,12 @@ def header(path: Path) -> Header | None:
                   tuple(geotransform) if geotransform else None, height, "RPC" in metadata)
 
 
-def transformed(path: Path, *options: str) -> Places:
+def transformation_of_gdal(path: Path, *options: str) -> Places:
     """Return the function from image places and heights to the ground, by gdaltransform.
 
     `options` are those of gdaltransform; the function raises NoAnswer if that fails.
     """
-    program = installed("gdaltransform") or "gdaltransform"
+    program = find_program("gdaltransform") or "gdaltransform"
 
     def places(image: FloatArray, heights: FloatArray) -> FloatArray:
         """Return ground positions (n, 2) of image positions at heights, by gdaltransform."""
@@ -101,7 +101,7 @@ def transformed(path: Path, *options: str) -> Places:
         rows = (f"{sample + 0.5!r} {line + 0.5!r} {height!r}" for (line, sample), height
                 in zip(image.tolist(), heights.tolist(), strict=True))
         text = answer([program, *options, str(path.absolute())], "\n".join(rows) + "\n")
-        pairs = [_pair(row) for row in text.splitlines()]
+        pairs = [_parse_pair(row) for row in text.splitlines()]
         if len(pairs) != len(image):
             raise NoAnswer(f"gdaltransform answered {len(pairs)} of {len(image)} places")
         return np.array(pairs)
@@ -109,7 +109,7 @@ def transformed(path: Path, *options: str) -> Places:
     return places
 
 
-def _pair(row: str) -> tuple[float, float]:
+def _parse_pair(row: str) -> tuple[float, float]:
     """Return x and y of a row of gdaltransform; NaN if it says that the transformation failed."""
     try:
         x, y = map(float, row.split()[:2])
@@ -126,15 +126,15 @@ def _number(text: str) -> float | None:
         return None
 
 
-def level(transform: Places, height: float = 0.0) -> Places:
+def with_fixed_height(transform: Places, height: float = 0.0) -> Places:
     """Return a transformation with one height for all places, whatever heights it is asked for."""
     return lambda image, _heights: transform(image, np.full(len(image), height))
 
 
-def taken(path: Path, raster_header: Header) -> Iterator[Taken]:
+def taken_by_gdal(path: Path, raster_header: Header) -> Iterator[Taken]:
     """Yield what GDAL takes of a raster by default, then what it takes with options of gdalwarp."""
     program = raster_header.version
-    transform = transformed(path)
+    transform = transformation_of_gdal(path)
     if not raster_header.kind:
         yield Taken(program, "none: no georeferencing")
     elif raster_header.kind == "geotransform":
@@ -142,19 +142,19 @@ def taken(path: Path, raster_header: Header) -> Iterator[Taken]:
     elif raster_header.kind == "geolocation":
         yield Taken(program, "geolocation array", raster_header.crs, transform)
     elif raster_header.kind == "rpc":
-        yield Taken(program, "RPC at the height 0", WGS84, level(transform))
+        yield Taken(program, "RPC at the height 0", WGS84, with_fixed_height(transform))
         yield Taken("  with -to RPC_DEM", "RPC at the heights of the ground", WGS84, transform,
                     False)
     else:
         with_options = dict(_possible_by_gcps(path, raster_header))
-        default = level(transform)
+        default = with_fixed_height(transform)
         yield Taken(program, _label_of(default, with_options, raster_header.size),
                     raster_header.crs, default)
         for words, (options, by_option) in with_options.items():
             yield Taken(f"  with {' '.join(options)}", words, raster_header.crs, by_option, False)
     if raster_header.with_rpc and raster_header.kind != "rpc":
-        by_rpc = transformed(path, "-rpc")
-        yield Taken("  with -rpc", "RPC at the height 0", WGS84, level(by_rpc), False)
+        by_rpc = transformation_of_gdal(path, "-rpc")
+        yield Taken("  with -rpc", "RPC at the height 0", WGS84, with_fixed_height(by_rpc), False)
         yield Taken("  with -rpc -to RPC_DEM", "RPC at the heights of the ground", WGS84, by_rpc,
                     False)
 
@@ -166,9 +166,10 @@ def _possible_by_gcps(path: Path, raster_header: Header,
     With each come its options and the transformation; those with too few GCPs are left out.
     """
     for words, options in _BY_GCPS:
-        transform = level(transformed(path, *options))
+        transform = with_fixed_height(transformation_of_gdal(path, *options))
         try:
-            is_determined = np.isfinite(transform(_corners(raster_header.size), np.zeros(4))).all()
+            is_determined = np.isfinite(
+                transform(_corner_pixels(raster_header.size), np.zeros(4))).all()
         except NoAnswer:  # too few GCPs
             continue
         if is_determined:
@@ -182,7 +183,7 @@ def _label_of(default: Places, with_options: dict[str, tuple[tuple[str, ...], Pl
     If none is, "transformation through GCPs".
     """
     # GDAL does not say which transformation it takes by default: its answers show.
-    image = _corners(size)
+    image = _corner_pixels(size)
     flat = np.zeros(4)
     by_default = default(image, flat)
     for words, (_, transform) in with_options.items():
@@ -192,13 +193,13 @@ def _label_of(default: Places, with_options: dict[str, tuple[tuple[str, ...], Pl
     return "transformation through GCPs"
 
 
-def _corners(size: tuple[int, int]) -> FloatArray:
+def _corner_pixels(size: tuple[int, int]) -> FloatArray:
     """Return line and sample (4, 2) of the corner pixels of an image."""
     lines, samples = (float(length) - 1.0 for length in size)
     return np.array([[0.0, 0.0], [0.0, samples], [lines, samples], [lines, 0.0]])
 
 
-def outline(size: tuple[int, int], across: int = 21) -> FloatArray:
+def border_places(size: tuple[int, int], across: int = 21) -> FloatArray:
     """Return places along the outer border of an image, line and sample (n, 2)."""
     share = np.linspace(0.0, 1.0, across)
     zero = np.zeros_like(share)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel.toolkit import FloatArray
-from termsel_formats.check.base import NoAnswer, Taken, answer, installed
+from termsel_formats.check.base import NoAnswer, Taken, answer, find_program
 from termsel_formats.check.gdal import WGS84, Header
 
 MOST = 25
@@ -17,7 +17,7 @@ MOST = 25
 _VALUE = re.compile(r"^([\w.]+): *(.*)$", re.MULTILINE)
 
 
-def taken(path: Path, raster_header: Header) -> Taken | None:
+def taken_by_otb(path: Path, raster_header: Header) -> Taken | None:
     """Return what OTB takes, or None where it is not installed.
 
     Raises
@@ -25,7 +25,7 @@ def taken(path: Path, raster_header: Header) -> Taken | None:
     NoAnswer
         If OTB cannot read the raster.
     """
-    info, convert = map(installed, ("otbcli_ReadImageInfo", "otbcli_ConvertSensorToGeoPoint"))
+    info, convert = map(find_program, ("otbcli_ReadImageInfo", "otbcli_ConvertSensorToGeoPoint"))
     if info is None or convert is None:
         return None
     if "?" in str(path.absolute()):  # what follows it would be options of OTB, such as files

@@ -12,7 +12,7 @@ from termsel_formats.check.base import NoAnswer, Taken
 
 Ask = Callable[[Path, gdal.Header], Taken | None]
 
-__all__ = ["Answers", "Taken", "taken_by"]
+__all__ = ["Answers", "Taken", "taken_by_programs"]
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Answers:
     failed: tuple[str, ...]
 
 
-def taken_by(path: Path | str) -> Answers:
+def taken_by_programs(path: Path | str) -> Answers:
     """Return what the installed ones of GDAL, rasterio, QGIS and OTB take from a raster.
 
     Parameters
@@ -54,7 +54,7 @@ def taken_by(path: Path | str) -> Answers:
     >>> from termsel.testing import invoke
     >>> from termsel_formats import taken_by
     >>> written = invoke("example", "files")
-    >>> answers = taken_by("files/ortho.tif")
+    >>> answers = taken_by_programs("files/ortho.tif")
     >>> any(taken.program.startswith("rasterio") for taken in answers.taken)
     True
     """
@@ -63,8 +63,8 @@ def taken_by(path: Path | str) -> Answers:
     absent = []
     failed = []
     try:
-        answers += raster.taken(path)
-        raster_header = gdal.header(path)
+        answers += raster.taken_by_rasterio(path)
+        raster_header = gdal.read_gdalinfo(path)
     except NoAnswer as error:
         raster_header = None
         failed = [str(error)]
@@ -72,8 +72,8 @@ def taken_by(path: Path | str) -> Answers:
     if raster_header is None:
         return Answers(tuple(answers), () if failed else ("GDAL (gdalinfo, gdaltransform)",),
                        tuple(failed))
-    programs = (("GDAL", gdal.taken), ("QGIS", _as_iterator(qgis.taken)),
-                ("OTB", _as_iterator(otb.taken)))
+    programs = (("GDAL", gdal.taken_by_gdal), ("QGIS", _as_iterator(qgis.taken_by_qgis)),
+                ("OTB", _as_iterator(otb.taken_by_otb)))
     for name, ask in programs:
         try:
             of_program = list(ask(path, raster_header))

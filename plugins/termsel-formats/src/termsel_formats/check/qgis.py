@@ -11,14 +11,19 @@ from pathlib import Path
 import numpy as np
 
 from termsel.toolkit import private_folder
-from termsel_formats.check.base import NoAnswer, Taken, answer, installed
-from termsel_formats.check.gdal import Header, level, outline, transformed
+from termsel_formats.check.base import NoAnswer, Taken, answer, find_program
+from termsel_formats.check.gdal import (
+    Header,
+    border_places,
+    transformation_of_gdal,
+    with_fixed_height,
+)
 
 _NEAR = 3.0  # px of the map that QGIS makes, by which its extent may differ from GDAL's
 
 
 @contextmanager
-def unchanged(file: Path) -> Iterator[None]:
+def restore_afterwards(file: Path) -> Iterator[None]:
     """Restore a file afterwards, or remove one that was not there.
 
     QGIS writes the statistics of a layer next to its raster.
@@ -33,7 +38,7 @@ def unchanged(file: Path) -> Iterator[None]:
             file.write_bytes(before)
 
 
-def taken(path: Path, raster_header: Header) -> Taken | None:
+def taken_by_qgis(path: Path, raster_header: Header) -> Taken | None:
     """Return what QGIS takes, or None where it is not installed.
 
     QGIS opens a raster with GCPs, RPCs or a rotated geotransform through GDAL's warped raster, by
@@ -48,7 +53,7 @@ def taken(path: Path, raster_header: Header) -> Taken | None:
         If QGIS cannot read the raster.
     """
     # The script of this name on some systems hands on an option that the program has not.
-    program = installed("qgis_process.bin") or installed("qgis_process")
+    program = find_program("qgis_process.bin") or find_program("qgis_process")
     if program is None:
         return None
     with private_folder() as folder:
@@ -57,7 +62,7 @@ def taken(path: Path, raster_header: Header) -> Taken | None:
                        if key not in ("VIRTUAL_ENV", "PYTHONHOME", "PYTHONPATH")} | {
             "PATH": os.pathsep.join([str(Path(program).parent), os.defpath]),
             "QT_QPA_PLATFORM": "offscreen", "QGIS_CUSTOM_CONFIG_PATH": str(folder)}
-        with unchanged(path.with_name(f"{path.name}.aux.xml")):
+        with restore_afterwards(path.with_name(f"{path.name}.aux.xml")):
             text = answer([program, "run", "--json", "native:rasterlayerproperties", "--",
                            f"INPUT={path.absolute()}"], environment=environment)
     try:
@@ -70,14 +75,14 @@ def taken(path: Path, raster_header: Header) -> Taken | None:
         raise NoAnswer("qgis_process gave an answer of another form") from None
     if not raster_header.kind:
         return Taken(name, "none: no georeferencing")
-    by_gdal = transformed(path)
-    border = outline(raster_header.size)
+    by_gdal = transformation_of_gdal(path)
+    border = border_places(raster_header.size)
     words = {"geotransform": "affine transformation", "gcps": "as GDAL, through GCPs",
              "rpc": "RPC at the height 0", "geolocation": "geolocation array"}[raster_header.kind]
-    ways = {words: level(by_gdal)}
+    ways = {words: with_fixed_height(by_gdal)}
     if raster_header.height is not None:
         height = raster_header.height
-        ways[f"RPC at its height offset, {height:,.0f} m"] = level(by_gdal, height)
+        ways[f"RPC at its height offset, {height:,.0f} m"] = with_fixed_height(by_gdal, height)
     # The way whose outline has the extent that QGIS shows is the one that it took.
     away = {}
     for words, transform in ways.items():

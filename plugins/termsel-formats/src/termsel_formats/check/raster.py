@@ -13,7 +13,7 @@ from termsel_formats.check.base import Places, Taken
 from termsel_formats.check.gdal import WGS84
 
 
-def taken(path: Path) -> Iterator[Taken]:
+def taken_by_rasterio(path: Path) -> Iterator[Taken]:
     """Yield what rasterio takes: the geotransform, else its transformer of GCPs or of RPCs."""
     rasterio = require_rasterio()
     from rasterio.transform import AffineTransformer, GCPTransformer, RPCTransformer
@@ -23,10 +23,10 @@ def taken(path: Path) -> Iterator[Taken]:
         (gcps, crs) = raster.gcps
         rpcs = raster.rpcs
         if not raster.transform.is_identity:
-            yield Taken(program, "affine transformation", _wkt(raster.crs),
+            yield Taken(program, "affine transformation", _wkt_of_crs(raster.crs),
                         _transform_by_rasterio(AffineTransformer, raster.transform))
         elif gcps:
-            yield Taken(program, "polynomial through GCPs (GCPTransformer)", _wkt(crs),
+            yield Taken(program, "polynomial through GCPs (GCPTransformer)", _wkt_of_crs(crs),
                         _transform_by_rasterio(GCPTransformer, gcps))
         elif rpcs:
             yield Taken(program, "RPC at the height 0 (RPCTransformer)", WGS84,
@@ -42,7 +42,7 @@ def size_of(path: Path) -> tuple[int, int]:
         return lines, samples
 
 
-def _wkt(crs: object) -> str:
+def _wkt_of_crs(crs: object) -> str:
     return crs.to_wkt() if crs else ""  # type: ignore[attr-defined]
 
 

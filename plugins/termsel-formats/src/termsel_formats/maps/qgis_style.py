@@ -29,9 +29,9 @@ _SHAPES = {"circle": "circle", "square": "square", "triangle-up": "triangle",
 """Names of QGIS for those of the charts."""
 
 
-def styles() -> dict[str, Any]:
+def layer_style_rows() -> dict[str, Any]:
     """Return the columns of the table layer_styles, with a row each for residuals and vectors."""
-    layers = {"residuals": _markers(), "vectors": _arrows()}
+    layers = {"residuals": _marker_style(), "vectors": _arrow_style()}
 
     def text(*values: str) -> Any:
         return np.array(values * (len(layers) if len(values) == 1 else 1), dtype=object)
@@ -45,21 +45,24 @@ def styles() -> dict[str, Any]:
         "update_time": np.full(len(layers), np.datetime64("now", "ms"))}
 
 
-def _markers() -> str:
+def _marker_style() -> str:
     """Return the style of residuals in QML, with a marker for each role."""
     return _style_by_role("marker", 0, {
-        role: _layer("SimpleMarker", name=_SHAPES[ROLE_SHAPES[role]], color=_rgb(colour),
-                     outline_color=_rgb(GROUND), outline_width="0.2", outline_width_unit="MM",
-                     size="2.2", size_unit="MM") for role, colour in _COLOURS.items()})
+        role: _symbol_layer_qml("SimpleMarker", name=_SHAPES[ROLE_SHAPES[role]],
+                                color=_qgis_colour(colour),
+                                outline_color=_qgis_colour(GROUND), outline_width="0.2",
+                                outline_width_unit="MM",
+                                size="2.2", size_unit="MM") for role, colour in _COLOURS.items()})
 
 
-def _arrows() -> str:
+def _arrow_style() -> str:
     """Return QML with an arrow for each role, straight, with its head at the end of the line."""
     arrows = {}
     for i, (role, colour) in enumerate(_COLOURS.items()):
-        fill = _layer("SimpleFill", color=_rgb(colour), style="solid", outline_style="no")
-        arrows[role] = _layer(
-            "ArrowLine", _symbol("fill", f"@{i}@0", fill), arrow_type="0", head_type="0",
+        fill = _symbol_layer_qml(
+            "SimpleFill", color=_qgis_colour(colour), style="solid", outline_style="no")
+        arrows[role] = _symbol_layer_qml(
+            "ArrowLine", _symbol_qml("fill", f"@{i}@0", fill), arrow_type="0", head_type="0",
             is_curved="0", is_repeated="1", arrow_width="0.4", arrow_width_unit="MM",
             arrow_start_width="0.4", arrow_start_width_unit="MM", head_length="2",
             head_length_unit="MM", head_thickness="0.8", head_thickness_unit="MM")
@@ -75,7 +78,7 @@ def _style_by_role(kind: str, geometry: int, layers: dict[str, str]) -> str:
     categories = "".join(
         f'<category value="{role}" label="{_LABELS.get(role, role)}" symbol="{i}" render="true"/>'
         for i, role in enumerate(layers))
-    symbols = "".join(_symbol(kind, str(i), layer) for i, layer in enumerate(layers.values()))
+    symbols = "".join(_symbol_qml(kind, str(i), layer) for i, layer in enumerate(layers.values()))
     attribute = _ROLE.replace('"', "&quot;")
     return (f'<!DOCTYPE qgis PUBLIC "http://mrcc.com/qgis.dtd" "SYSTEM">\n'
             f'<qgis version="3.22.0" styleCategories="Symbology">'
@@ -85,17 +88,17 @@ def _style_by_role(kind: str, geometry: int, layers: dict[str, str]) -> str:
             f"<layerGeometryType>{geometry}</layerGeometryType></qgis>\n")
 
 
-def _symbol(kind: str, name: str, layer: str) -> str:
+def _symbol_qml(kind: str, name: str, layer: str) -> str:
     return f'<symbol type="{kind}" name="{name}" alpha="1" clip_to_extent="1">{layer}</symbol>'
 
 
-def _layer(kind: str, inner: str = "", **properties: str) -> str:
+def _symbol_layer_qml(kind: str, inner: str = "", **properties: str) -> str:
     """Return a symbol layer of a class in QML, with its properties."""
     # <prop> rather than <Option>, which earlier versions of QGIS do not read.
     entries = "".join(f'<prop k="{name}" v="{value}"/>' for name, value in properties.items())
     return f'<layer class="{kind}" enabled="1" locked="0" pass="0">{entries}{inner}</layer>'
 
 
-def _rgb(colour: str) -> str:
+def _qgis_colour(colour: str) -> str:
     """Return a colour such as #0072b2 as QGIS writes it: 0,114,178,255."""
     return ",".join(str(component) for component in bytes.fromhex(colour[1:])) + ",255"

@@ -9,12 +9,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from termsel import Option, Result, TermselError, Writer
-from termsel.toolkit import FloatArray, private_folder, requires, write_bytes
-from termsel.toolkit.coordinates import horizontal
+from termsel.toolkit import FloatArray, private_folder, require_import, write_bytes
+from termsel.toolkit.coordinates import horizontal_crs
 from termsel.toolkit.files import TextArray, distinct_names, reason_of, say_measured
 from termsel.toolkit.models import errors_on_ground
 from termsel.toolkit.runs import GIS
-from termsel_formats.maps.qgis_style import OPTIONS, TABLE, styles
+from termsel_formats.maps.qgis_style import OPTIONS, TABLE, layer_style_rows
 
 _VERSION = {"VERSION": "1.3"}  # which GDAL 3.6 and QGIS 3.22 read without a warning
 _SHARE = 0.03  # of the map's extent, for the median vector
@@ -41,7 +41,7 @@ class ResidualsGeopackage(Writer):
 
     def write(self, result: Result, path: Path) -> None:
         """Write the layers residuals and vectors, with their styles; needs the extra `gis`."""
-        with requires("this format requires", "pyogrio and shapely", GIS, path):
+        with require_import("this format requires", "pyogrio and shapely", GIS, path):
             import shapely
             from pyogrio import read_info
             from pyogrio.errors import DataLayerError, DataSourceError
@@ -51,12 +51,12 @@ class ResidualsGeopackage(Writer):
         for name in ("id", "kind", "role", "used", "line", "sample", "distance", "blunder"):
             columns[name] = np.array([getattr(residual, name) for residual in residuals])
         ground = residuals.ground
-        ends, exaggeration = self._ends(result, ground)
+        ends, exaggeration = self._vector_ends(result, ground)
         layers = {
             "residuals": shapely.points(ground[:, :2]),
             "vectors": shapely.linestrings(np.stack([ground[:, :2], ends], axis=1))}
         columns["exaggeration"] = np.full(len(residuals), exaggeration)
-        columns |= _attributes(result, [*columns, "fid", "geom"])
+        columns |= _attribute_columns(result, [*columns, "fid", "geom"])
         fields = [np.asarray(column, dtype=object) if column.dtype.kind in "UO" else column
                   for column in columns.values()]
         with private_folder() as folder, warnings.catch_warnings():
@@ -66,11 +66,11 @@ class ResidualsGeopackage(Writer):
                 for layer, shapes in layers.items():
                     write(str(file), shapely.to_wkb(shapes), fields, list(columns), layer=layer,
                           driver="GPKG", geometry_type="Point" if layer == "residuals"
-                          else "LineString", crs=horizontal(result.features.crs) or None,
+                          else "LineString", crs=horizontal_crs(result.features.crs) or None,
                           append=file.exists(), dataset_options=_VERSION)
                     if read_info(file, layer=layer)["features"] != len(residuals):
                         raise DataLayerError("the file is incomplete")  # noqa: TRY301
-                layer_styles = styles()
+                layer_styles = layer_style_rows()
                 write(str(file), None, list(layer_styles.values()), list(layer_styles),
                       layer=TABLE, driver="GPKG", append=True, layer_options=OPTIONS)
             except (DataSourceError, DataLayerError) as error:
@@ -80,7 +80,7 @@ class ResidualsGeopackage(Writer):
             write_bytes(path, file.read_bytes())
         say_measured(self.name)
 
-    def _ends(self, result: Result, ground: FloatArray) -> tuple[FloatArray, float]:
+    def _vector_ends(self, result: Result, ground: FloatArray) -> tuple[FloatArray, float]:
         """Return the ends (n, 2) of the vectors on the ground, and how often they are exaggerated.
 
         Unless stated, the median vector is drawn as a share of the extent.
@@ -94,7 +94,7 @@ class ResidualsGeopackage(Writer):
         return ground[:, :2] + exaggeration * vectors, float(exaggeration)
 
 
-def _attributes(result: Result, reserved: list[str]) -> dict[str, TextArray]:
+def _attribute_columns(result: Result, reserved: list[str]) -> dict[str, TextArray]:
     """Return the texts of the features' own columns (n,), by name, but for names that are reserved.
     """
     features = result.features

@@ -23,9 +23,9 @@ from termsel.toolkit.files import IMAGE_NAME, Table, image_of, is_number
 from termsel_formats.points.written import (
     IMAGE,
     PointsWriter,
-    checked_points,
     image_name,
     image_sigma,
+    points_for_others,
     require_points,
     say_checked,
 )
@@ -62,21 +62,21 @@ class AspGcp(Reader):
         """Return True if the first row that is not a comment has the cells of a point."""
         text = head.decode("utf-8-sig", errors="replace")
         # Other programs' .gcp files have fewer cells, and no name among them.
-        first = next((line for line in text.splitlines() if not _idle(line)), "")
-        cells = _cells(first)
-        return (_fits(cells) and all(map(is_number, cells[:7] + cells[8:12]))
+        first = next((line for line in text.splitlines() if not _is_unused(line)), "")
+        cells = _split_cells(first)
+        return (_fits_layout(cells) and all(map(is_number, cells[:7] + cells[8:12]))
                 and not is_number(cells[7]))
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points of one image; errors name file, line and column."""
-        points = _rows(path)
+        points = _parse_rows(path)
         names = chain.from_iterable(images for _, _, images in points)
         image = image_of(path, names, self.options["image_name"], "image_name=NAME")
         # A point need not be in every image.
         rows = [(number, *ground, image, *images[image])
                 for number, ground, images in points if image in images]
         lines, ids, *columns = zip(*rows, strict=True)
-        name_of = _names(path)
+        name_of = _names_by_id(path)
         # Comments of termsel keep the names that ASP cannot.
         columns.insert(0, tuple(name_of.get(cell, cell) for cell in ids))
         cells_of = dict(zip(_GROUND + _IMAGE, columns, strict=True))
@@ -84,11 +84,11 @@ class AspGcp(Reader):
                       lines)
         return FeatureSet(table.points(table.stack("line", "sample"), table.stack("x", "y", "z"),
                                        table.sigma("sigma_line", "sigma_sample"), ()),
-                          crs=_datum(path))
+                          crs=_crs_of_datum(path))
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
         """Return the options for each image of the file; {} if there is only one."""
-        images = dict.fromkeys(chain.from_iterable(names for _, _, names in _rows(path)))
+        images = dict.fromkeys(chain.from_iterable(names for _, _, names in _parse_rows(path)))
         return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
 
 
@@ -96,17 +96,17 @@ _Row = tuple[int, list[str], dict[str, list[str]]]
 """Line of the file, cells of the ground, and cells of each image."""
 
 
-def _rows(path: Path) -> list[_Row]:
+def _parse_rows(path: Path) -> list[_Row]:
     """Return line, ground cells and measurements by image of each row.
 
     Raises TermselError if there is no row, or one has another number of cells.
     """
     points: list[_Row] = []
     for number, text in enumerate(read_text(path).splitlines(), 1):
-        if _idle(text):
+        if _is_unused(text):
             continue
-        cells = _cells(text)
-        if not _fits(cells):
+        cells = _split_cells(text)
+        if not _fits_layout(cells):
             raise TermselError(
                 f"the row has {len(cells)} cells, expected 7 and 5 for each image", file=path,
                 line=number, hint=f"Expected: {' '.join(_GROUND)}, then {' '.join(_IMAGE)}.")
@@ -118,13 +118,13 @@ def _rows(path: Path) -> list[_Row]:
     return points
 
 
-def _names(path: Path) -> dict[str, str]:
+def _names_by_id(path: Path) -> dict[str, str]:
     """Return the names of points by their ids, from comments of termsel; {} if there are none."""
     matches = map(_NAMED.match, read_text(path).splitlines())
     return {match[1]: match[2].strip() for match in matches if match}
 
 
-def _datum(path: Path) -> str:
+def _crs_of_datum(path: Path) -> str:
     """Return the CRS of the comment that states the datum; "" without one that can be read."""
     stated = map(_WKT.match, read_text(path).splitlines())
     wkt = next((match[1] for match in stated if match), "")
@@ -136,15 +136,15 @@ def _datum(path: Path) -> str:
     return "EPSG:4979" if crs == "EPSG:4326" else crs
 
 
-def _idle(line: str) -> bool:
+def _is_unused(line: str) -> bool:
     return not line.strip() or line.lstrip().startswith("#")
 
 
-def _cells(line: str) -> list[str]:
+def _split_cells(line: str) -> list[str]:
     return [cell for cell in re.split(r"[\s,]+", line.strip()) if cell]
 
 
-def _fits(cells: list[str]) -> bool:
+def _fits_layout(cells: list[str]) -> bool:
     return len(cells) >= 12 and (len(cells) - 7) % 5 == 0
 
 
@@ -173,15 +173,15 @@ class AspGcpWriter(PointsWriter):
         if not 0.0 < sigma_ground < np.inf:
             raise TermselError(f"ground_sigma is {sigma_ground:g}, which is no standard deviation",
                                hint="Give it in metres, such as --set ground_sigma=0.5.")
-        checked = checked_points(result, with_heights=True)
+        checked = points_for_others(result, with_heights=True)
         require_points(checked, path, self.needs)
         points = checked.points
         ground = to_wgs84(result.features.crs)(points.ground)
         sigma_image = image_sigma(points, result)
-        image = _word(image_name(self.options["image"], path))
+        image = _as_one_word(image_name(self.options["image"], path))
         rows = [f"# WKT: {_WKT_OF_WGS84}", f"# {' '.join(_GROUND)} {' '.join(_IMAGE)}",
                 "# WGS84; heights above the ellipsoid [m]; rows and columns from 0"]
-        numbers = _ids(points.ids)
+        numbers = _row_ids(points.ids)
         columns = (points.image.tolist(), ground.tolist(), sigma_image.tolist(), checked.is_check)
         for name, number, (line, sample), (x, y, z), (sigma_line, sigma_sample), is_check in zip(
                 points.ids, numbers, *columns, strict=True):
@@ -196,7 +196,7 @@ class AspGcpWriter(PointsWriter):
         say_checked(self.name, checked)
 
 
-def _ids(names: tuple[str, ...]) -> tuple[str, ...]:
+def _row_ids(names: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names if all are whole numbers, else numbers from 1."""
     # bundle_adjust leaves out rows whose ids are no whole numbers.
     are_numbers = all(name.isascii() and name.isdecimal() and str(int(name)) == name
@@ -204,6 +204,6 @@ def _ids(names: tuple[str, ...]) -> tuple[str, ...]:
     return names if are_numbers else tuple(str(number) for number in range(1, len(names) + 1))
 
 
-def _word(text: str) -> str:
+def _as_one_word(text: str) -> str:
     """Return a text with _ in place of what separates cells or begins a comment; "_" of ""."""
     return re.sub(r"[\s,#]+", "_", text) or "_"

@@ -16,7 +16,7 @@ CORNER = 0.5
 """From the centre of the first pixel to its outer corner, where GDAL and others count from."""
 
 
-def utm(zone: int, south: bool) -> str:
+def utm_crs(zone: int, south: bool) -> str:
     """Return the CRS of a zone of UTM on WGS84; "" if there is no such zone."""
     return f"EPSG:32{7 if south else 6}{zone:02d}" if 1 <= zone <= 60 else ""
 

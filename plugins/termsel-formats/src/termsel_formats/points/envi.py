@@ -16,7 +16,7 @@ import numpy as np
 from termsel import FeatureSet, Option, Reader, TermselError
 from termsel.toolkit import read_text
 from termsel.toolkit.files import Table, image_of
-from termsel_formats.points.common import utm
+from termsel_formats.points.common import utm_crs
 
 _COLUMNS_BY_NUMBER = {
     4: ("x", "y", "sample", "line"),
@@ -58,7 +58,7 @@ class EnviPoints(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
-        rows, lines, crs = _rows(path)
+        rows, lines, crs = _read_rows(path)
         width = len(rows[0])
         names = _COLUMNS_BY_NUMBER[width]
         table = Table(path, crs, {name: name for name in names},
@@ -79,7 +79,7 @@ def _is_title(comment: str) -> bool:
     return bool(envi and _KIND.search(comment, envi.end())) or bool(_IMAGE_COLUMNS.search(comment))
 
 
-def _rows(path: Path) -> tuple[list[list[str]], list[int], str]:
+def _read_rows(path: Path) -> tuple[list[list[str]], list[int], str]:
     """Return the cells of each row, the numbers of their lines, and the CRS, "" if none is stated.
 
     Raises TermselError without rows, for rows of other widths, and for points of two images.
@@ -95,7 +95,7 @@ def _rows(path: Path) -> tuple[list[list[str]], list[int], str]:
                                    hint="Give points of the type image to map.")
             projection = _PROJECTION.search(text)
             if projection and (end := text.rfind("}", projection.end())) >= 0:
-                crs = _crs(text[projection.end():end])
+                crs = _crs_of_projection(text[projection.end():end])
         elif text.strip():
             rows.append(text.split())
             lines.append(number)
@@ -112,7 +112,7 @@ def _rows(path: Path) -> tuple[list[list[str]], list[int], str]:
     return rows, lines, crs
 
 
-def _crs(projection: str) -> str:
+def _crs_of_projection(projection: str) -> str:
     """Return the CRS of a projection as ENVI describes it: WGS84, in degrees or UTM; else ""."""
     items = [item.strip().lower() for item in projection.split(",")]
     if "wgs-84" not in items:
@@ -120,4 +120,4 @@ def _crs(projection: str) -> str:
     if items[0].startswith("geographic"):
         return "EPSG:4326"
     match = re.search(r"^utm,\s*(\d{1,2}),\s*(north|south)", projection.strip(), re.IGNORECASE)
-    return "" if match is None else utm(int(match[1]), match[2].lower() == "south")
+    return "" if match is None else utm_crs(int(match[1]), match[2].lower() == "south")

@@ -20,12 +20,12 @@ import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
 from termsel.toolkit import parse_json, read_text, write_text
-from termsel.toolkit.coordinates import horizontal, normalise
+from termsel.toolkit.coordinates import horizontal_crs, normalise
 from termsel.toolkit.files import IMAGE_NAME, image_of, is_number
 from termsel_formats.points.common import CORNER, points_of
 from termsel_formats.points.written import (
     PointsWriter,
-    checked_points,
+    points_for_others,
     require_points,
     say_checked,
 )
@@ -64,7 +64,7 @@ class GdalOptions(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points of one image; errors name the file."""
-        commands = _commands(path)
+        commands = _commands_by_image(path)
         image = image_of(path, commands, self.options["image_name"], "image_name=NAME")
         command = commands[image]
         table = []
@@ -80,7 +80,7 @@ class GdalOptions(Reader):
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
         """Return the options for each image of a script; {} if there is only one."""
-        images = _commands(path)
+        images = _commands_by_image(path)
         return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
 
 
@@ -103,7 +103,7 @@ def _join_commands(path: Path) -> str:
     return _OPTION_WITH_COMMAS.sub(lambda option: f"-gcp {option[1].replace(',', ' ')}", joined)
 
 
-def _commands(path: Path) -> dict[str, str]:
+def _commands_by_image(path: Path) -> dict[str, str]:
     """Return the text of each command with GCPs, by the image that it names, "" for none.
 
     A script has a command a line, but for lines that end with a backslash or, on Windows, with ^;
@@ -222,10 +222,10 @@ class GdalOptionsWriter(PointsWriter):
         """Write the CRS, and a line with the option -gcp for each point of control."""
         self.require(result, path)
         # GDAL would take check points as control.
-        checked = checked_points(result).without_checks()
+        checked = points_for_others(result).without_checks()
         require_points(checked, path, self.needs)
         # A WKT has quotation marks of its own; GDAL knows no others.
-        crs = horizontal(result.features.crs).replace('"', '\\"')
+        crs = horizontal_crs(result.features.crs).replace('"', '\\"')
         rows = [f'-a_srs "{crs}"']
         for (line, sample), (x, y, z) in zip(checked.points.image.tolist(),
                                              checked.points.ground.tolist(), strict=True):

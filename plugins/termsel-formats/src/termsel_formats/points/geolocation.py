@@ -105,7 +105,7 @@ class GeolocationArray(Reader):
         try:
             with open_raster(path) as raster:
                 # Any image may have such a domain: only GDAL knows.
-                return bool(raster.tags(ns="GEOLOCATION")) or _named_bands(raster) is not None
+                return bool(raster.tags(ns="GEOLOCATION")) or _bands_by_name(raster) is not None
         except TermselError:
             return False
 
@@ -113,17 +113,17 @@ class GeolocationArray(Reader):
         """Return a lattice of places of the array as control; errors name the file."""
         read_head(path, _HINT)
         with ExitStack() as stack:
-            arrays = self._arrays(path, stack)
+            arrays = self._open_arrays(path, stack)
             return _lattice_of(arrays, path, self.options["meshes"])
 
-    def _arrays(self, path: Path, stack: ExitStack) -> Arrays:
+    def _open_arrays(self, path: Path, stack: ExitStack) -> Arrays:
         """Return the arrays of a file, with the files that they are in open on the stack."""
         raster = stack.enter_context(open_raster(path))
         domain = raster.tags(ns="GEOLOCATION")
         # An option goes before what metadata say.
         if domain and self.options["latitude"] is None:
             return _arrays_of_domain(path, raster, domain, stack)
-        numbers = _named_bands(raster)
+        numbers = _bands_by_name(raster)
         if self.options["latitude"] is not None:
             rasters = [raster, *(stack.enter_context(open_raster(Path(self.options[name])))
                                  for name in ("latitude", "height") if self.options[name])]
@@ -133,13 +133,14 @@ class GeolocationArray(Reader):
         else:
             raise TermselError("no bands of this raster are called longitude and latitude",
                                file=path, hint=_HINT)
-        step = self._pair("array_step", 1.0)
+        step = self._parse_pair_option("array_step", 1.0)
         # With steps of its own an array does not show the size of its image.
         size = raster.shape if (step == 1.0).all() else None
-        return Arrays(_bands(bands, path), raster.shape, self._pair("array_first", 0.0), step,
+        return Arrays(_band_readers(bands, path), raster.shape,
+                      self._parse_pair_option("array_first", 0.0), step,
                       "", size)
 
-    def _pair(self, name: str, usual: float) -> FloatArray:
+    def _parse_pair_option(self, name: str, usual: float) -> FloatArray:
         """Return an option of two numbers, of lines and of samples (2,).
 
         `usual` twice if not given.
@@ -160,7 +161,7 @@ class GeolocationArray(Reader):
         return pair
 
 
-def _named_bands(raster: Any) -> list[int] | None:
+def _bands_by_name(raster: Any) -> list[int] | None:
     """Return the numbers of the bands that are called longitude, latitude and perhaps height.
 
     None if the first two are not both there.
@@ -197,7 +198,8 @@ def _arrays_of_domain(path: Path, raster: Any, domain: dict[str, str], stack: Ex
     centred = domain.get("GEOREFERENCING_CONVENTION", "").upper() == "PIXEL_CENTER"
     first = offset + (step / 2.0 if centred else 0.0) - CORNER
     shape = bands[0][0].shape
-    return Arrays(_bands(bands, path), shape, first, step, domain.get("SRS", ""), raster.shape)
+    return Arrays(_band_readers(bands, path), shape, first, step, domain.get("SRS", ""),
+                  raster.shape)
 
 
 def _number(domain: dict[str, str], name: str, usual: float, path: Path) -> float:
@@ -216,7 +218,7 @@ def _number(domain: dict[str, str], name: str, usual: float, path: Path) -> floa
     return value
 
 
-def _bands(bands: list[tuple[Any, int]], path: Path) -> tuple[Band, ...]:
+def _band_readers(bands: list[tuple[Any, int]], path: Path) -> tuple[Band, ...]:
     """Return functions that read the lines of bands.
 
     Raises TermselError unless all are of one size.
@@ -260,7 +262,7 @@ def _lattice_of(arrays: Arrays, path: Path, meshes: int | None) -> FeatureSet:
     error = np.inf
     # Twice as dense as long as that lessens the error between the nodes by a fifth.
     for density in DENSITIES if meshes is None else (meshes,):
-        denser = _sampled(arrays, density)
+        denser = _sample_arrays(arrays, density)
         after = _error_between(arrays, denser)
         if lattice is None or after < GAIN * error:
             lattice = denser
@@ -302,7 +304,8 @@ def _crs_of(stated: str, heights: bool) -> str:
     return degrees if epsg == 4326 else stated if epsg is None else f"EPSG:{epsg}"
 
 
-def _sampled(arrays: Arrays, meshes: int, shift: float = 0.0) -> tuple[FloatArray, FloatArray]:
+def _sample_arrays(
+        arrays: Arrays, meshes: int, shift: float = 0.0) -> tuple[FloatArray, FloatArray]:
     """Return image places (n, 2) and ground (n, 3) of some lines and columns of arrays.
 
     With a shift of a half they are those in the middle of the meshes.
@@ -340,7 +343,7 @@ def _error_between(arrays: Arrays, lattice: tuple[FloatArray, FloatArray]) -> fl
 
     image, ground = lattice
     meshes = max(len(np.unique(image[:, 0])) - 1, 1)
-    between, at = _sampled(arrays, meshes, 0.5)
+    between, at = _sample_arrays(arrays, meshes, 0.5)
     ground = ground.copy()
     ground[:, 2] = np.nan_to_num(ground[:, 2])  # of an array without heights
     at[:, 2] = np.nan_to_num(at[:, 2])
@@ -352,17 +355,18 @@ def _error_between(arrays: Arrays, lattice: tuple[FloatArray, FloatArray]) -> fl
     middle = np.nanmean(ground[finite], axis=0)
     half = np.maximum(np.ptp(ground[finite], axis=0) / 2.0, 1e-9)
     # A smooth model first: interpolation of its small residuals is then exact enough.
-    columns = _columns((ground[finite] - middle) / half)
+    columns = _smooth_monomials((ground[finite] - middle) / half)
     solution = np.linalg.lstsq(columns, image[finite])[0]
     residuals = image[finite] - columns @ solution
     # What the model leaves, linear between the nodes.
     interpolated = griddata(image[finite], residuals, between[has_ground], rescale=True)
-    predicted = _columns((at[has_ground] - middle) / half) @ solution + np.nan_to_num(interpolated)
+    predicted = _smooth_monomials((at[has_ground]
+                                   - middle) / half) @ solution + np.nan_to_num(interpolated)
     errors = (between[has_ground] - predicted)[np.isfinite(interpolated).all(axis=1)]
     return float(np.sqrt((errors**2).sum(axis=1).mean())) if len(errors) else 0.0
 
 
-def _columns(ground: FloatArray) -> FloatArray:
+def _smooth_monomials(ground: FloatArray) -> FloatArray:
     """Return the monomials (n, 17) of scaled places (n, 3) in which image positions are smooth."""
     x, y, z = np.nan_to_num(ground).T
     plane = []

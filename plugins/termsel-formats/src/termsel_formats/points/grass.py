@@ -43,14 +43,14 @@ class GrassPoints(Reader):
         """Return True for a file with the title of GRASS, or of its name and form."""
         if head.lstrip(b"\xef\xbb\xbf \t\r\n#").startswith(_TITLE):
             return True
-        rows = _rows(head.decode("utf-8", "replace").rpartition("\n")[0])
+        rows = _numbered_rows(head.decode("utf-8", "replace").rpartition("\n")[0])
         return path.name in ("POINTS", "CONTROL_POINTS") and bool(rows) and all(
             len(cells) in (5, 7) and all(map(is_number, cells)) and cells[-1] in ("0", "1")
             for _, cells in rows)
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points, with line as rows upwards; errors name file, line and column."""
-        rows = _rows(read_text(path))
+        rows = _numbered_rows(read_text(path))
         if not rows:
             raise TermselError("this file has no points", file=path, hint=_HINT)
         width = len(rows[0][1])
@@ -71,7 +71,7 @@ class GrassPoints(Reader):
                                        table.roles()), crs="")
 
 
-def _rows(text: str) -> list[tuple[int, list[str]]]:
+def _numbered_rows(text: str) -> list[tuple[int, list[str]]]:
     """Return number and cells of the lines that are neither blank nor comments."""
     return [(number, re.split(r"\s+", line.strip()))
             for number, line in enumerate(text.splitlines(), 1)

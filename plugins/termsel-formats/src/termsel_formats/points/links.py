@@ -45,7 +45,7 @@ class ArcgisLinks(Reader):
         """
         text = head.decode("utf-8-sig", "replace")
         complete = text.rpartition("\n")[0] if len(head) > 60000 else text
-        rows = [cells for _, cells in _rows(complete)]
+        rows = [cells for _, cells in _numbered_rows(complete)]
         if rows and not all(map(is_number, rows[0])):
             rows = rows[1:]
         if len(rows) < 2 or len({len(cells) for cells in rows}) > 1 or len(rows[0]) not in _WIDTHS:
@@ -66,7 +66,7 @@ class ArcgisLinks(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
-        rows = _rows(read_text(path))
+        rows = _numbered_rows(read_text(path))
         if rows and not all(map(is_number, rows[0][1])):
             rows = rows[1:]
         if not rows:
@@ -101,7 +101,7 @@ def _column_of_x(width: int) -> int:
     return 1 if width in (5, 8) else 0
 
 
-def _rows(text: str) -> list[tuple[int, list[str]]]:
+def _numbered_rows(text: str) -> list[tuple[int, list[str]]]:
     """Return number and cells of the lines that are neither blank nor comments.
 
     Decimal commas become points.

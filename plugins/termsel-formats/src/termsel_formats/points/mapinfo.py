@@ -15,8 +15,14 @@ import numpy as np
 from termsel import FeatureSet, Option, Reader, Result, TermselError
 from termsel.toolkit import read_text, write_text
 from termsel.toolkit.files import Table, chosen_points
-from termsel_formats.points.common import CORNER, utm
-from termsel_formats.points.written import IMAGE, PointsWriter, image_name, on_wgs84, say_by_gdal
+from termsel_formats.points.common import CORNER, utm_crs
+from termsel_formats.points.written import (
+    IMAGE,
+    PointsWriter,
+    image_name,
+    say_by_gdal,
+    to_wgs84_points,
+)
 
 _TITLE = re.compile(rb"^\s*!table", re.IGNORECASE)
 _RASTER = re.compile(rb"Type\s+\"RASTER\"", re.IGNORECASE)
@@ -53,14 +59,14 @@ class MapInfoTab(Reader):
         cells = dict(zip(("x", "y", "sample", "line", "id"), columns, strict=True))
         if None in cells["id"] or len(set(cells["id"])) < len(rows):
             del cells["id"]  # labels are for the eyes alone
-        crs = _crs(text)
+        crs = _crs_of_table(text)
         table = Table(path, crs, {name: name for name in cells}, cells, lines)
         image = table.stack("line", "sample") - CORNER
         ground = np.column_stack([table.stack("x", "y"), np.full(len(image), np.nan)])
         return FeatureSet(table.points(image, ground, None, ()), crs=crs)
 
 
-def _crs(text: str) -> str:
+def _crs_of_table(text: str) -> str:
     """Return the CRS of a table in longitude and latitude, or UTM, on WGS84; "" of any other."""
     match = _SYSTEM.search(text)
     if match is None:
@@ -79,7 +85,7 @@ def _crs(text: str) -> str:
     if items[0] != "8" or items[2] not in ("m", "7") or (lat, scale, east) != (0, 0.9996, 500000) \
             or lon != 6 * zone - 183 or north not in (0.0, 1e7):
         return ""
-    return utm(zone, north > 0)
+    return utm_crs(zone, north > 0)
 
 
 class MapInfoTabWriter(PointsWriter):
@@ -97,27 +103,28 @@ class MapInfoTabWriter(PointsWriter):
         """Write the table with the points of registration, in UTM or degrees on WGS84."""
         self.require(result, path)
         used = chosen_points(result)
-        points, zone = on_wgs84(used, result.features.crs)
+        points, zone = to_wgs84_points(used, result.features.crs)
         system, unit = 'Projection 1, 104', "degree"
         if zone is not None:
             number, south = zone
             system = f'Projection 8, 104, "m", {6 * number - 183}, 0, 0.9996, 500000, ' \
                      f"{10000000 if south else 0}"
             unit = "m"
-        rows = [f'  ({x!r},{y!r}) ({sample + CORNER!r},{line + CORNER!r}) Label "{_label(name, i)}"'
+        rows = [f"  ({x!r},{y!r}) ({sample + CORNER!r},{line + CORNER!r}) "
+                f'Label "{_label_of_id(name, i)}"'
                 for i, (name, (line, sample), (x, y, _)) in enumerate(zip(
                     points.ids, points.image.tolist(), points.ground.tolist(), strict=True), 1)]
         write_text(path, "\n".join([
             "!table", "!version 300", "!charset WindowsLatin1", "", "Definition Table",
-            f'  File "{_plain(image_name(self.options["image"], path))}"', '  Type "RASTER"',
+            f'  File "{_plain_number(image_name(self.options["image"], path))}"', '  Type "RASTER"',
             ",\n".join(rows), f"  CoordSys Earth {system}", f'  Units "{unit}"', ""]))
         say_by_gdal(self.name, result, used)
 
 
-def _label(name: str, number: int) -> str:
+def _label_of_id(name: str, number: int) -> str:
     """Return an id as a label, or "Pt 7" if it has a quote or a letter beyond ASCII."""
     return name if name.isascii() and '"' not in name else f"Pt {number}"
 
 
-def _plain(name: str) -> str:
+def _plain_number(name: str) -> str:
     return name.replace('"', "_")

@@ -14,14 +14,14 @@ import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, Result, TermselError
 from termsel.toolkit import write_text, xml_document
-from termsel.toolkit.coordinates import horizontal, normalise
-from termsel.toolkit.files import IMAGE_NAME, error_in_file, image_of, wkt
+from termsel.toolkit.coordinates import horizontal_crs, normalise
+from termsel.toolkit.files import IMAGE_NAME, error_in_file, image_of, wkt_in_one_line
 from termsel_formats.points.common import CORNER, what_lacks, xml_root
 from termsel_formats.points.written import (
     IMAGE,
     PointsWriter,
-    checked_points,
     image_name,
+    points_for_others,
     require_points,
     say_checked,
 )
@@ -44,10 +44,10 @@ class MetashapeMarkers(Reader):
         """Return the markers that one camera sees; errors name the file."""
         root = xml_root(path, _HINT)
         try:
-            cameras = _labels(root, "camera")
-            marks = _marks(root)
-            labels = _labels(root, "marker")
-            ground = _references(root)
+            cameras = _labels_by_id(root, "camera")
+            marks = _marker_positions(root)
+            labels = _labels_by_id(root, "marker")
+            ground = _reference_coordinates(root)
             # Markers whose reference is not enabled are check points in Metashape.
             disabled = {marker.get("id", "") for marker in root.iter("marker")
                         for reference in marker.findall("reference")
@@ -69,7 +69,7 @@ class MetashapeMarkers(Reader):
                             np.array([ground[mark.marker] for mark in used]),
                             roles=tuple("independent" if mark.marker in disabled else ""
                                         for mark in used))
-            return FeatureSet(points, crs=_crs(root))
+            return FeatureSet(points, crs=_reference_crs(root))
         except TermselError as error:
             raise error_in_file(error, path) from error
 
@@ -77,8 +77,9 @@ class MetashapeMarkers(Reader):
         """Return the options for each camera of the markers; {} if there is only one."""
         root = xml_root(path, _HINT)
         try:
-            cameras = _labels(root, "camera")
-            names = dict.fromkeys(cameras.get(mark.camera, mark.camera) for mark in _marks(root))
+            cameras = _labels_by_id(root, "camera")
+            names = dict.fromkeys(cameras.get(mark.camera, mark.camera)
+                                  for mark in _marker_positions(root))
         except (KeyError, ValueError):
             return {}  # said when the markers are read
         return {name: {"image_name": name} for name in names} if len(names) > 1 else {}
@@ -93,13 +94,13 @@ class _Mark(NamedTuple):
     row: float
 
 
-def _labels(root: ElementTree.Element, tag: str) -> dict[str, str]:
+def _labels_by_id(root: ElementTree.Element, tag: str) -> dict[str, str]:
     """Return the labels of cameras or markers by their ids."""
     return {element.attrib["id"]: element.get("label", element.attrib["id"])
             for element in root.iter(tag) if "id" in element.attrib}
 
 
-def _marks(root: ElementTree.Element) -> list[_Mark]:
+def _marker_positions(root: ElementTree.Element) -> list[_Mark]:
     """Return where cameras see markers, without positions that are switched off.
 
     Raises KeyError or ValueError if one lacks a coordinate.
@@ -115,7 +116,7 @@ def _marks(root: ElementTree.Element) -> list[_Mark]:
     return marks
 
 
-def _references(root: ElementTree.Element) -> dict[str, list[float]]:
+def _reference_coordinates(root: ElementTree.Element) -> dict[str, list[float]]:
     """Return the ground coordinates x, y, z of markers by their ids; z is NaN if it is missing."""
     ground = {}
     for marker in root.iter("marker"):
@@ -128,7 +129,7 @@ def _references(root: ElementTree.Element) -> dict[str, list[float]]:
     return ground
 
 
-def _crs(root: ElementTree.Element) -> str:
+def _reference_crs(root: ElementTree.Element) -> str:
     """Return the CRS of the references; "" if there is none, or a local one."""
     reference = root.find(".//chunk/reference")
     try:
@@ -152,7 +153,7 @@ class MetashapeMarkersWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write the points as markers of one camera; check points are not enabled."""
         self.require(result, path)
-        checked = checked_points(result)
+        checked = points_for_others(result)
         require_points(checked, path, self.needs)
         points = checked.points
         root = ElementTree.Element("document", version="1.2.0")
@@ -174,6 +175,7 @@ class MetashapeMarkersWriter(PointsWriter):
             ElementTree.SubElement(
                 ElementTree.SubElement(frame_markers, "marker", marker_id=str(i)), "location",
                 camera_id="0", pinned="true", x=repr(sample + CORNER), y=repr(line + CORNER))
-        ElementTree.SubElement(chunk, "reference").text = wkt(horizontal(result.features.crs))
+        reference = ElementTree.SubElement(chunk, "reference")
+        reference.text = wkt_in_one_line(horizontal_crs(result.features.crs))
         write_text(path, xml_document(root))
         say_checked(self.name, checked)

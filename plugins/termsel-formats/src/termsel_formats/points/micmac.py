@@ -26,8 +26,8 @@ from termsel_formats.points.common import xml_root
 from termsel_formats.points.written import (
     IMAGE,
     PointsWriter,
-    checked_points,
     image_name,
+    points_for_others,
     require_points,
     say_checked,
 )
@@ -55,8 +55,8 @@ class MicmacXml(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points of one image; errors name file and point."""
-        marks = _marks(path)
-        ground = self._places(path)
+        marks = _marks_by_image(path)
+        ground = self._places_by_name(path)
         image = image_of(path, marks, self.options["image_name"], "image_name=NAME")
         ids = [name for name in marks[image] if name in ground]
         if not ids:
@@ -73,10 +73,10 @@ class MicmacXml(Reader):
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
         """Return the options for each image of the file; {} if there is only one."""
-        images = _marks(path)
+        images = _marks_by_image(path)
         return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
 
-    def _places(self, path: Path) -> dict[str, list[float]]:
+    def _places_by_name(self, path: Path) -> dict[str, list[float]]:
         """Return x, y, z of points by name, from the file itself or the one that belongs to it.
 
         Raises TermselError if there is none.
@@ -106,7 +106,7 @@ def _ground_file(path: Path) -> Path:
     return path.with_name(f"{path.stem}-S3D.xml")
 
 
-def _marks(path: Path) -> dict[str, dict[str, list[float]]]:
+def _marks_by_image(path: Path) -> dict[str, dict[str, list[float]]]:
     """Return column and row of each point in each image: {image: {point: [column, row]}}.
 
     Raises TermselError without measures, or if a point is measured twice in an image.
@@ -121,7 +121,7 @@ def _marks(path: Path) -> dict[str, dict[str, list[float]]]:
             if name in image_marks:
                 raise TermselError(f"the point {name!r} is measured twice in one image", file=path,
                                    hint="Remove one of its measures.")
-            image_marks[name] = _numbers(path, name, mark.findtext("PtIm"), 2)
+            image_marks[name] = _element_numbers(path, name, mark.findtext("PtIm"), 2)
     if not any(marks.values()):
         raise TermselError("this file has no measures in images", file=path,
                            hint="Give the file of measures (SetOfMesureAppuisFlottants), and this "
@@ -134,13 +134,13 @@ def _ground_of(root: ElementTree.Element, path: Path) -> dict[str, list[float]]:
     ground = {}
     for point in root.iter("OneAppuisDAF"):
         name = (point.findtext("NamePt") or "").strip()
-        ground[name] = _numbers(path, name, point.findtext("Pt"), 3)
+        ground[name] = _element_numbers(path, name, point.findtext("Pt"), 3)
     if not ground:
         raise TermselError("this file has no points on the ground", file=path, hint=_HINT)
     return ground
 
 
-def _numbers(path: Path, name: str, text: str | None, count: int) -> list[float]:
+def _element_numbers(path: Path, name: str, text: str | None, count: int) -> list[float]:
     """Return the `count` finite numbers of an element; raises TermselError with its point if not.
     """
     cells = (text or "").split()
@@ -177,7 +177,7 @@ class MicmacXmlWriter(PointsWriter):
         """Write the file of measures and that of the ground; raises TermselError without control.
         """
         self.require(result, path)
-        checked = checked_points(result, with_heights=True)
+        checked = points_for_others(result, with_heights=True)
         require_points(checked, path, self.needs)
         # MicMac has no check points: they would become control.
         checked = checked.without_checks()

@@ -20,15 +20,15 @@ from typing import Any, ClassVar
 from warnings import catch_warnings, simplefilter
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
-from termsel.toolkit import read_text, requires, write_text
-from termsel.toolkit.coordinates import begins_as_crs, horizontal, normalise
+from termsel.toolkit import read_text, require_import, write_text
+from termsel.toolkit.coordinates import begins_as_crs, horizontal_crs, normalise
 from termsel.toolkit.files import IMAGE_NAME, Table, error_in_file, image_of, is_number
 from termsel.toolkit.runs import GIS
 from termsel_formats.points.written import (
     IMAGE,
     PointsWriter,
-    checked_points,
     image_name,
+    points_for_others,
     require_points,
     say_checked,
 )
@@ -53,21 +53,23 @@ class OdmGcpList(Reader):
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for a CRS and rows of five numbers and the name of an image."""
-        rows = _lines(head.decode("utf-8-sig", errors="replace"))
+        rows = _numbered_lines(head.decode("utf-8-sig", errors="replace"))
         # The head may be cut within a row: the first of them is whole.
-        first_mark = next((i for i, (_, text) in enumerate(rows) if _is_mark(_cells(text))), 0)
+        first_mark = next(
+            (i for i, (_, text) in enumerate(rows) if _is_mark(_split_cells(text))), 0)
         return _crs_row(rows[:first_mark]) is not None
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points of one image; errors name file, line and column."""
-        crs, marks = _marks(path)
+        crs, marks = _read_marks(path)
         image = image_of(path, (cells[5] for _, cells in marks), self.options["image_name"],
                          "image_name=NAME")
         of_image = [(number, cells) for number, cells in marks if cells[5] == image]
         lines, rows = zip(*of_image, strict=True)
         columns = {}
         for meaning, name in _MEANINGS.items():
-            columns[meaning] = [_known_height(cells[_ODM_COLUMNS.index(name)]) for cells in rows]
+            columns[meaning] = [
+                _blank_unknown_height(cells[_ODM_COLUMNS.index(name)]) for cells in rows]
         names = dict(_MEANINGS)
         # Names are optional; where one row lacks its name, all are numbered.
         if all(len(cells) > 6 for cells in rows):
@@ -81,16 +83,16 @@ class OdmGcpList(Reader):
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
         """Return the options for each image of the list; {} if there is only one."""
-        images = dict.fromkeys(cells[5] for _, cells in _marks(path)[1])
+        images = dict.fromkeys(cells[5] for _, cells in _read_marks(path)[1])
         return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
 
 
-def _marks(path: Path) -> tuple[str, list[tuple[int, list[str]]]]:
+def _read_marks(path: Path) -> tuple[str, list[tuple[int, list[str]]]]:
     """Return the CRS, and number and cells of each line of a mark.
 
     Raises TermselError without a CRS or marks, and for a line that is none.
     """
-    rows = _lines(read_text(path))
+    rows = _numbered_lines(read_text(path))
     if not rows:
         raise TermselError("the file is empty", file=path, hint=_HINT)
     i = _crs_row(rows)
@@ -101,7 +103,7 @@ def _marks(path: Path) -> tuple[str, list[tuple[int, list[str]]]]:
         raise error_in_file(error, path, number) from error
     marks: list[tuple[int, list[str]]] = []
     for number, text in rows[(i or 0) + 1:]:
-        cells = _cells(text)
+        cells = _split_cells(text)
         # People put the names of the columns above the marks, as OpenDroneMap does not.
         if text.startswith("#") or not (marks or any(map(is_number, cells))):
             continue
@@ -114,7 +116,7 @@ def _marks(path: Path) -> tuple[str, list[tuple[int, list[str]]]]:
     return crs, marks
 
 
-def _lines(text: str) -> list[tuple[int, str]]:
+def _numbered_lines(text: str) -> list[tuple[int, str]]:
     """Return number and text of the lines that are not blank."""
     return [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1)
             if line.strip()]
@@ -140,7 +142,7 @@ def _crs_row(rows: list[tuple[int, str]]) -> int | None:
     return None
 
 
-def _cells(text: str) -> list[str]:
+def _split_cells(text: str) -> list[str]:
     """Return the cells of a line; between tabs, names of images may have blanks."""
     between_tabs = [cell.strip() for cell in text.split("\t")]
     return between_tabs if len(between_tabs) > 5 else text.split()
@@ -150,10 +152,11 @@ def _is_mark(cells: list[str]) -> bool:
     """Return whether cells are a mark: five numbers, x, y, z, column and row, then an image's name.
     """
     return (len(cells) > 5 and all(is_number(cell) for cell in (*cells[:2], *cells[3:5]))
-            and (is_number(cells[2]) or not _known_height(cells[2])) and not is_number(cells[5]))
+            and (is_number(cells[2])
+                 or not _blank_unknown_height(cells[2])) and not is_number(cells[5]))
 
 
-def _known_height(cell: str) -> str:
+def _blank_unknown_height(cell: str) -> str:
     """Return a cell; "" if it says that a height is unknown."""
     return "" if cell.lower() in ("nan", "none", "-") else cell
 
@@ -177,16 +180,17 @@ class OdmGcpListWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write the CRS and a line for each point; check points only if that is asked for."""
         self.require(result, path)
-        checked = checked_points(result)
+        checked = points_for_others(result)
         if not self.options["check_points"]:
             checked = checked.without_checks()
         require_points(checked, path, self.needs)
-        image = _word(image_name(self.options["image"], path))
+        image = _as_one_word(image_name(self.options["image"], path))
         rows = [_crs_line(result.features.crs)]
         for name, (line, sample), position, is_check in zip(
                 checked.points.ids, checked.points.image.tolist(), checked.points.ground.tolist(),
                 checked.is_check, strict=True):
-            label = _word(f"{_CHECK}{name}" if is_check and not name.startswith(_CHECK) else name)
+            label = _as_one_word(
+                f"{_CHECK}{name}" if is_check and not name.startswith(_CHECK) else name)
             # NaN is how the list states an unknown height.
             x, y, z = (repr(value) if value == value else "NaN" for value in position)
             rows.append(f"{x} {y} {z} {sample!r} {line!r} {image} {label}")
@@ -200,17 +204,17 @@ class OdmGcpListWriter(PointsWriter):
 
 def _crs_line(crs: str) -> str:
     """Return the first line of a list: a code of EPSG, else a string of PROJ."""
-    plane = horizontal(crs)
+    plane = horizontal_crs(crs)
     # OpenDroneMap reads no compound CRS.
     if plane.startswith("EPSG:") and "+" not in plane:
         return plane
-    with requires("gcp_list.txt in this CRS requires", "pyproj", GIS):
+    with require_import("gcp_list.txt in this CRS requires", "pyproj", GIS):
         from pyproj import CRS
     with catch_warnings():
         simplefilter("ignore")  # what a string of PROJ does not hold
         return str(CRS.from_user_input(plane).to_proj4())
 
 
-def _word(text: str) -> str:
+def _as_one_word(text: str) -> str:
     """Return a text with _ in place of blanks, which separate the cells of a list; "_" of ""."""
     return "_".join(text.split()) or "_"

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from termsel import Option, Result, TermselError, Writer
-from termsel.toolkit import printable, write_text
+from termsel.toolkit import make_printable, write_text
 from termsel.toolkit.coordinates import LOCAL, normalise, to_wgs84
 from termsel.toolkit.files import chosen_points, say_measured
 
@@ -48,7 +48,7 @@ class OrthorityGeojson(Writer):
                 "type": "Feature",
                 "properties": {
                     **{key: texts[i] for key, texts in points.attributes.items()},
-                    "filename": printable(Path(image).name) if image is not None else "",
+                    "filename": make_printable(Path(image).name) if image is not None else "",
                     "id": name, "ji": [sample, line], "info": "", "role": points.roles[i],
                     "residual": errors[i, ::-1].tolist()},
                 "geometry": {"type": "Point", "coordinates": ground[i].tolist()}})

@@ -16,8 +16,14 @@ import numpy as np
 from termsel import FeatureSet, Option, Reader, Result, TermselError
 from termsel.toolkit import read_text, write_text
 from termsel.toolkit.files import Table, chosen_points
-from termsel_formats.points.common import CORNER, utm
-from termsel_formats.points.written import IMAGE, PointsWriter, image_name, on_wgs84, say_by_gdal
+from termsel_formats.points.common import CORNER, utm_crs
+from termsel_formats.points.written import (
+    IMAGE,
+    PointsWriter,
+    image_name,
+    say_by_gdal,
+    to_wgs84_points,
+)
 
 _TITLE = b"OziExplorer Map Data File"
 _POINT = re.compile(r"\s*Point(\d+)\s*,\s*xy\s*,", re.IGNORECASE)
@@ -51,7 +57,7 @@ class OziMap(Reader):
                 continue
             if cells[6] and cells[9]:
                 kinds.add("deg")
-                x, y = (_degrees(path, number, *cells[i:i + 3]) for i in (9, 6))
+                x, y = (_degrees_text(path, number, *cells[i:i + 3]) for i in (9, 6))
             elif cells[14] and cells[15]:
                 kinds.add("grid")
                 zones.add((cells[13], cells[16]))
@@ -67,14 +73,14 @@ class OziMap(Reader):
                                hint="Give all of them in one way.")
         lines, *columns = zip(*rows, strict=True)
         cells_of = dict(zip(("id", "x", "y", "sample", "line"), columns, strict=True))
-        crs = _crs(text[4] if len(text) > 4 else "", kinds, zones)
+        crs = _crs_of_points(text[4] if len(text) > 4 else "", kinds, zones)
         table = Table(path, crs, {name: name for name in cells_of}, cells_of, lines)
         image = table.stack("line", "sample") - CORNER
         ground = np.column_stack([table.stack("x", "y"), np.full(len(image), np.nan)])
         return FeatureSet(table.points(image, ground, None, ()), crs=crs)
 
 
-def _degrees(path: Path, line: int, degrees: str, minutes: str, hemisphere: str) -> str:
+def _degrees_text(path: Path, line: int, degrees: str, minutes: str, hemisphere: str) -> str:
     """Return degrees, minutes and side as one number, in text.
 
     Raises TermselError if they are none.
@@ -87,7 +93,7 @@ def _degrees(path: Path, line: int, degrees: str, minutes: str, hemisphere: str)
                            hint="Write them as in 48, 30.5, N.") from None
 
 
-def _crs(datum: str, kinds: set[str], zones: set[tuple[str, str]]) -> str:
+def _crs_of_points(datum: str, kinds: set[str], zones: set[tuple[str, str]]) -> str:
     """Return the CRS of longitude and latitude or UTM on WGS84; "" of any other."""
     if not datum.upper().replace(" ", "").startswith("WGS84"):
         return ""
@@ -97,7 +103,7 @@ def _crs(datum: str, kinds: set[str], zones: set[tuple[str, str]]) -> str:
         return ""
     zone, hemisphere = next(iter(zones))
     is_utm = zone.isdecimal() and hemisphere.upper() in ("N", "S")
-    return utm(int(zone), hemisphere.upper() == "S") if is_utm else ""
+    return utm_crs(int(zone), hemisphere.upper() == "S") if is_utm else ""
 
 
 class OziMapWriter(PointsWriter):
@@ -121,8 +127,8 @@ class OziMapWriter(PointsWriter):
         """Write the points as the calibration of a map, in UTM or degrees on WGS84."""
         self.require(result, path)
         used = chosen_points(result)
-        points, zone = on_wgs84(used, result.features.crs)
-        rows = [_row(i, line + CORNER, sample + CORNER, x, y, zone)
+        points, zone = to_wgs84_points(used, result.features.crs)
+        rows = [_point_line(i, line + CORNER, sample + CORNER, x, y, zone)
                 for i, ((line, sample), (x, y, _)) in enumerate(zip(
                     points.image.tolist(), points.ground.tolist(), strict=True), 1)]
         image = image_name(self.options["image"], path)
@@ -137,8 +143,8 @@ class OziMapWriter(PointsWriter):
         say_by_gdal(self.name, result, used)
 
 
-def _row(number: int, row: float, column: float, x: float, y: float,
-         zone: tuple[int, bool] | None) -> str:
+def _point_line(number: int, row: float, column: float, x: float, y: float,
+                zone: tuple[int, bool] | None) -> str:
     """Return the line of a point; `zone` is that of UTM and whether it is south, None for degrees.
     """
     beginning = f"Point{number:02d},xy,{column!r},{row!r},in"

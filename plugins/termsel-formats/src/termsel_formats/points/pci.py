@@ -19,7 +19,7 @@ import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
 from termsel.toolkit import read_text, write_text
-from termsel.toolkit.files import LARGEST_IMAGE, Table, chosen_points, guarded
+from termsel.toolkit.files import LARGEST_IMAGE, Table, chosen_points, guard_cell
 from termsel_formats.points.common import CORNER
 from termsel_formats.points.written import PointsWriter, say_points
 
@@ -47,19 +47,20 @@ class PciGcp(Reader):
         # Rows of numbers alone could be anything: the ending has to show.
         if path.suffix.lower() != ".gcp":
             return False
-        rows = [row for _, row in _rows(head.decode("utf-8", "replace").rpartition("\n")[0])]
+        rows = [row for _,
+                row in _numbered_rows(head.decode("utf-8", "replace").rpartition("\n")[0])]
         return bool(rows) and all(
             len(row) - (row[-1] in _ROLES) in _USUAL_COLUMNS and _are_numbers(row[1:5])
             for row in rows)
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
-        rows = _rows(read_text(path))
+        rows = _numbered_rows(read_text(path))
         if not rows:
             raise TermselError("this file has no points", file=path,
                                hint="A line is ID P L X Y Z.")
         # The first row decides what fields there are; all others must have them.
-        fields = self._fields(path, rows[0][1])
+        fields = self._field_names(path, rows[0][1])
         for number, row in rows:
             if len(row) != len(fields):
                 raise TermselError(f"{len(row)} fields, expected {len(fields)}: "
@@ -91,7 +92,7 @@ class PciGcp(Reader):
         return FeatureSet(table.points(image, table.stack("x", "y", "z"), sigma, table.roles()),
                           crs="")
 
-    def _fields(self, path: Path, first: list[str]) -> list[str]:
+    def _field_names(self, path: Path, first: list[str]) -> list[str]:
         """Return the names of the fields of a line, by the option layout or by their number.
 
         Raises TermselError if neither shows them.
@@ -115,7 +116,7 @@ class PciGcp(Reader):
         return fields
 
 
-def _rows(text: str) -> list[tuple[int, list[str]]]:
+def _numbered_rows(text: str) -> list[tuple[int, list[str]]]:
     """Return number and fields of the lines that are neither blank nor comments."""
     rows = []
     for number, line in enumerate(text.splitlines(), 1):
@@ -166,6 +167,6 @@ class PciGcpWriter(PointsWriter):
 
 def _quote(name: str) -> str:
     """Return a name in quotes if it would otherwise be no single field."""
-    name = guarded(name.replace('"', "'"))
+    name = guard_cell(name.replace('"', "'"))
     return f'"{name}"' if _FIELD.findall(name) != [("", name)] or name.startswith(_COMMENT) \
         else name

@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
-from termsel.toolkit import read_text, unguarded, write_text
+from termsel.toolkit import read_text, unguard_cell, write_text
 from termsel.toolkit.coordinates import is_geographic
 from termsel.toolkit.files import (
     IMAGE_NAME,
@@ -34,8 +34,8 @@ from termsel_formats.points.common import CORNER
 from termsel_formats.points.written import (
     IMAGE,
     PointsWriter,
-    checked_points,
     image_name,
+    points_for_others,
     require_points,
     say_checked,
 )
@@ -72,14 +72,15 @@ class Pix4dMarks(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
-        marks = _rows(path, (4, 5), "image,label,x,y")
+        marks = _numbered_rows(path, (4, 5), "image,label,x,y")
         stated = self.options["ground"]
         ground_file = _ground_file(path) if stated is None else Path(stated)
         if stated is None and not ground_file.is_file():
             raise TermselError("the marks have image coordinates only", file=path,
                                hint="Name the file of their ground coordinates, "
                                     "--set ground=FILE.")
-        ground_rows = {row[0]: (number, row) for number, row in _rows(ground_file, (3, 4, 5, 6),
+        ground_rows = {row[0]: (number, row) for number,
+                       row in _numbered_rows(ground_file, (3, 4, 5, 6),
                                                                 "label,x,y,z")}
         image = image_of(path, (row[0] for _, row in marks if row[1] in ground_rows),
                          self.options["image_name"], "image_name=NAME") \
@@ -90,7 +91,7 @@ class Pix4dMarks(Reader):
                                hint="Give the file of the same points.")
         lines, cells = zip(*used, strict=True)
         table = Table(path, "", {"id": "label", "sample": "x", "line": "y"}, {
-            "id": [unguarded(row[1]) for row in cells], "sample": [row[2] for row in cells],
+            "id": [unguard_cell(row[1]) for row in cells], "sample": [row[2] for row in cells],
             "line": [row[3] for row in cells]}, lines)
         of_ground = [ground_rows[row[1]] for row in cells]
         latitude_first = self.options["latitude_first"]
@@ -106,7 +107,7 @@ class Pix4dMarks(Reader):
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
         """Return the options for each image of the marks; {} if there is only one."""
-        images = dict.fromkeys(row[0] for _, row in _rows(path, (4, 5), "image,label,x,y"))
+        images = dict.fromkeys(row[0] for _, row in _numbered_rows(path, (4, 5), "image,label,x,y"))
         return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
 
 
@@ -126,7 +127,7 @@ def _names_latitude(path: Path) -> bool:
     return len(cells) > 1 and cells[1] in _LATITUDE
 
 
-def _rows(path: Path, widths: tuple[int, ...], form: str) -> list[tuple[int, list[str]]]:
+def _numbered_rows(path: Path, widths: tuple[int, ...], form: str) -> list[tuple[int, list[str]]]:
     """Return number and cells of the rows of a table, without its header.
 
     Raises TermselError for a row with none of the `widths`, and without rows; `form` says how rows
@@ -170,7 +171,7 @@ class Pix4dMarksWriter(PointsWriter):
         """Write the file of marks and that of the ground, control alone."""
         self.require(result, path)
         # Nothing in these files distinguishes a check point from control.
-        checked = checked_points(result).without_checks()
+        checked = points_for_others(result).without_checks()
         require_points(checked, path, self.needs)
         points = checked.points
         image = cell_text(image_name(self.options["image"], path).replace(",", "_"))

@@ -13,7 +13,7 @@ import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, Result, TermselError, open_raster
 from termsel.toolkit import FloatArray, read_text, say_deviation, write_text
-from termsel.toolkit.coordinates import LOCAL, horizontal
+from termsel.toolkit.coordinates import LOCAL, horizontal_crs
 from termsel.toolkit.files import places_of
 from termsel.toolkit.models import refuse_sky
 from termsel_formats.points.written import PointsWriter
@@ -144,12 +144,13 @@ class WorldFileWriter(PointsWriter):
             raise TermselError("no affine map comes near the model", file=path,
                                hint="Export the points instead, such as --to gcp-vrt.")
         write_text(path, "".join(f"{float(number)!r}\n" for number in numbers))
-        say_deviation(self.name, fitted, ground, _into_image(ground, numbers, matrix))
+        say_deviation(self.name, fitted, ground, _ground_to_image(ground, numbers, matrix))
         crs = result.features.crs
         log.info("A world file does not name its CRS. It is %s.",
-                 "that of plane coordinates" if crs == LOCAL else horizontal(crs))
+                 "that of plane coordinates" if crs == LOCAL else horizontal_crs(crs))
 
 
-def _into_image(ground: FloatArray, numbers: tuple[float, ...], matrix: FloatArray) -> FloatArray:
+def _ground_to_image(
+        ground: FloatArray, numbers: tuple[float, ...], matrix: FloatArray) -> FloatArray:
     """Return where a world file puts ground places (n, 2 or 3): line and sample (n, 2)."""
     return np.asarray(np.linalg.solve(matrix, (ground[:, :2] - numbers[4:]).T).T)

@@ -11,15 +11,15 @@ import numpy as np
 
 from termsel import Option, Points, Result, TermselError, Writer
 from termsel.toolkit import FloatArray
-from termsel.toolkit.coordinates import LOCAL, horizontal, to_wgs84
+from termsel.toolkit.coordinates import LOCAL, horizontal_crs, to_wgs84
 from termsel.toolkit.files import GDALWARP, say_nearest
-from termsel_formats.points.common import utm
+from termsel_formats.points.common import utm_crs
 
 log = logging.getLogger("termsel.formats")
 
 IMAGE = Option("image", None, "The image; its name is written into the file.")
 
-_UTM = {utm(zone, south): (zone, south) for zone, south in product(range(1, 61), (False, True))}
+_UTM = {utm_crs(zone, south): (zone, south) for zone, south in product(range(1, 61), (False, True))}
 
 
 class PointsWriter(Writer):
@@ -65,7 +65,7 @@ class CheckedPoints:
         return CheckedPoints(control, (False,) * len(control), (*self.left_out, *checks))
 
 
-def checked_points(result: Result, *, with_heights: bool = False) -> CheckedPoints:
+def points_for_others(result: Result, *, with_heights: bool = False) -> CheckedPoints:
     """Return the points that other programs may take: those in use and the check points.
 
     Blunders are left out, certain and probable ones; so are points that are off and, with
@@ -118,12 +118,12 @@ def image_sigma(points: Points, result: Result) -> FloatArray:
     return np.full(points.image.shape, of_an_axis)
 
 
-def on_wgs84(points: Points, crs: str) -> tuple[Points, tuple[int, bool] | None]:
+def to_wgs84_points(points: Points, crs: str) -> tuple[Points, tuple[int, bool] | None]:
     """Return points in UTM on WGS84 as they are, others as longitude and latitude on WGS84.
 
     The second value is the zone, and whether it is in the south; None for longitude and latitude.
     """
-    code = horizontal(crs)
+    code = horizontal_crs(crs)
     if code in _UTM:
         return points, _UTM[code]
     if code != "EPSG:4326":

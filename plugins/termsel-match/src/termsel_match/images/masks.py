@@ -68,16 +68,16 @@ def open_masked(path: Path | str, band: int | None, masks: Sequence[Path | str],
         for name in masks:
             if str(name) == NONE:
                 continue
-            shapes, crs = polygons(name)
+            shapes, crs = read_polygons(name)
             if not crs:
                 excluded.append(_windows_in_polygons([_polygon_in_pixels(shape)
                                                       for shape in shapes]))
         if not masks:
-            excluded = list(by_bands(picture))
+            excluded = list(mask_clouds_and_water(picture))
         yield replace(picture, excluded=tuple(excluded))
 
 
-def polygons(path: Path | str) -> tuple[NDArray[Any], str]:
+def read_polygons(path: Path | str) -> tuple[NDArray[Any], str]:
     """Return the polygons of a file and their CRS, "" where it has none.
 
     GeoJSON always has one, so that degrees which are none are px.
@@ -102,7 +102,7 @@ def polygons(path: Path | str) -> tuple[NDArray[Any], str]:
     return areas, crs
 
 
-def on_the_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> tuple[Excluded, ...]:
+def mask_from_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> tuple[Excluded, ...]:
     """Return where a reference lies in polygons on the ground.
 
     Parameters
@@ -120,7 +120,7 @@ def on_the_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> tupl
     for name in masks:
         if str(name) == NONE:
             continue
-        shapes, mask_crs = polygons(name)
+        shapes, mask_crs = read_polygons(name)
         if not mask_crs:
             continue
         turn = Transformer.from_crs(mask_crs, crs, always_xy=True)
@@ -156,13 +156,14 @@ def tell_of_idle(masks: Sequence[Path | str], images: Sequence[Path | str],
     for name in masks:
         if str(name) == NONE:
             continue
-        shapes, crs = polygons(name)
+        shapes, crs = read_polygons(name)
         if crs:
-            idle = not any(_touches(shapes, _bounds(file, crs)) for file in references)
+            idle = not any(
+                _touches_bounds(shapes, _bounds_in_crs(file, crs)) for file in references)
             target = "any reference"
         else:
             shapes = np.array([_polygon_in_pixels(shape) for shape in shapes])
-            idle = not any(_touches(shapes, _bounds(file)) for file in images)
+            idle = not any(_touches_bounds(shapes, _bounds_in_crs(file)) for file in images)
             target = "the image"
         if idle:
             hint = (" Save polygons that are in px in a GeoPackage without a CRS: GeoJSON has "
@@ -171,7 +172,7 @@ def tell_of_idle(masks: Sequence[Path | str], images: Sequence[Path | str],
                         name, target, hint)
 
 
-def _bounds(path: Path | str, crs: str = "") -> tuple[float, ...] | None:
+def _bounds_in_crs(path: Path | str, crs: str = "") -> tuple[float, ...] | None:
     """Return the bounds (left, bottom, right, top) of a raster in a CRS, or in px if that is "".
 
     None if the raster has no CRS, or cannot be transformed.
@@ -193,7 +194,7 @@ def _bounds(path: Path | str, crs: str = "") -> tuple[float, ...] | None:
     return tuple(bounds) if np.isfinite(bounds).all() else None
 
 
-def _touches(shapes: NDArray[Any], bounds: tuple[float, ...] | None) -> bool:
+def _touches_bounds(shapes: NDArray[Any], bounds: tuple[float, ...] | None) -> bool:
     """Return whether any polygon touches bounds; True if these are None, as they are not known."""
     return bounds is None or bool(shapely.intersects(shapes, shapely.box(*bounds)).any())
 
@@ -251,7 +252,7 @@ def bands_of(raster: Any) -> Bands:
     return Bands(*(stated.get(name, 0) for name in ("red", "green", "blue", "infrared")))
 
 
-def by_bands(picture: GreyRaster) -> tuple[Excluded, ...]:
+def mask_clouds_and_water(picture: GreyRaster) -> tuple[Excluded, ...]:
     """Return where an image shows clouds or water, as far as its bands show.
 
     Water is what a threshold of (green - infrared) / (green + infrared) divides from the rest, and
@@ -278,7 +279,7 @@ def by_bands(picture: GreyRaster) -> tuple[Excluded, ...]:
         if not is_known.any():
             return
         # Otsu's threshold is the one between two classes; how well it divides says if they are two.
-        limit, separation = otsu(index(values)[is_known])
+        limit, separation = otsu_threshold(index(values)[is_known])
         high = is_known & (index(values) > limit)
         if separation < _MIN_SEPARATION or high.mean() < _MIN_PART or not likely(values, high,
                                                                                  is_known & ~high):
@@ -326,7 +327,7 @@ def read_bands(picture: GreyRaster, first_line: int, first_sample: int, shape: t
             np.logical_and.reduce([is_known for _, is_known in windows]))
 
 
-def otsu(values: FloatArray) -> tuple[float, float]:
+def otsu_threshold(values: FloatArray) -> tuple[float, float]:
     """Return the threshold that divides values best, and the share of variance between both parts.
 
     The share is 0 to 1; 0 if all values are alike.

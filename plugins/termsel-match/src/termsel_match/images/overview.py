@@ -12,7 +12,7 @@ from termsel import FeatureSet, Points, TermselError
 from termsel_match.images.rasters import FloatArray, Grey, GreyRaster, open_picture
 from termsel_match.images.starts import Start, start_by_points
 from termsel_match.images.warps import crs_of
-from termsel_match.matchers.sift import alike, described
+from termsel_match.matchers.sift import describe_keypoints, mutual_nearest
 
 log = logging.getLogger("termsel.match")
 
@@ -54,14 +54,14 @@ def start_by_overview(picture: GreyRaster, reference: Path | str, band: int | No
         at_image, image_vectors = _whole_described(picture)
         at_reference, reference_vectors = _whole_described(reference_picture)
     # Pairs of keypoints whose descriptors are each other's nearest.
-    image_number, reference_number = alike(image_vectors, reference_vectors, _RATIO)
+    image_number, reference_number = mutual_nearest(image_vectors, reference_vectors, _RATIO)
     agree = np.zeros(len(image_number), dtype=bool)
     if len(image_number) >= _MIN_PAIRS:
         # From the reference to the image, in whose pixels the tolerance is.
         _, inliers = cv2.estimateAffine2D(
             at_reference[reference_number], at_image[image_number], method=cv2.USAC_MAGSAC,
             maxIters=20000,
-            ransacReprojThreshold=_TOLERANCE * _step(picture.size))
+            ransacReprojThreshold=_TOLERANCE * _read_step(picture.size))
         if inliers is not None:
             agree = np.asarray(inliers).ravel().astype(bool)
     if agree.sum() < max(_MIN_PAIRS, _MIN_SHARE * len(image_number)):
@@ -91,14 +91,14 @@ def _say_if_long(picture: GreyRaster) -> None:
                  "saves it.", *picture.size, picture.path)
 
 
-def _step(size: tuple[int, int]) -> int:
+def _read_step(size: tuple[int, int]) -> int:
     return max(1, -(-max(size) // _REDUCED_SIDE))
 
 
 def _whole_described(picture: GreyRaster) -> tuple[FloatArray, Grey]:
     """Return keypoints (n, 2) of a whole picture in its own pixels, and their descriptors (n, 128).
     """
-    step = _step(picture.size)
-    keypoints, vectors = described(*picture.read(0, 0, *picture.size, step))
+    step = _read_step(picture.size)
+    keypoints, vectors = describe_keypoints(*picture.read(0, 0, *picture.size, step))
     # The middle of a reduced pixel is that of the pixels it was made of.
     return (keypoints + 0.5) * step - 0.5, vectors

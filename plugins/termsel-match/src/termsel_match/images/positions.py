@@ -9,14 +9,14 @@ import numpy as np
 
 from termsel import TermselError, open_raster
 from termsel_match.images.rasters import FloatArray
-from termsel_match.images.starts import turned
+from termsel_match.images.starts import transform_plane
 
 _DEGREES = "EPSG:4326"
 _GRID_LINES = 21
 """Places along each side of a raster whose area is compared."""
 
 
-def in_words(plane: FloatArray, crs: str) -> str:
+def middle_in_words(plane: FloatArray, crs: str) -> str:
     """Return the middle of places (n, 2) of a CRS as latitude and longitude.
 
     It is "an unknown place" where the CRS cannot be transformed to degrees.
@@ -24,10 +24,10 @@ def in_words(plane: FloatArray, crs: str) -> str:
     Examples
     --------
     >>> import numpy as np
-    >>> in_words(np.array([[48.5, 34.8], [48.6, 34.8]]), "EPSG:4326")
+    >>> middle_in_words(np.array([[48.5, 34.8], [48.6, 34.8]]), "EPSG:4326")
     '34.800 N, 48.550 E'
     """
-    degrees = _in_degrees(plane, crs)
+    degrees = _to_degrees(plane, crs)
     if degrees is None:
         return "an unknown place"
     lon, lat = (np.nanmin(degrees, axis=0) + np.nanmax(degrees, axis=0)).tolist()
@@ -39,15 +39,16 @@ def require_same_area(references: Sequence[Path], dem: Path | str | None) -> Non
     """Raise TermselError if a DEM and every reference show different places of the Earth."""
     if dem is None:
         return
-    of_dem = _grid(Path(dem))
-    of_references = [grid for grid in map(_grid, references) if grid is not None]
+    of_dem = _grid_in_degrees(Path(dem))
+    of_references = [grid for grid in map(_grid_in_degrees, references) if grid is not None]
     if of_dem is None or len(of_references) < len(references):
         return
     if any(_boxes_overlap(grid, of_dem) for grid in of_references):
         return
     raise TermselError(
-        f"the reference {references[0].name} ({in_words(of_references[0], _DEGREES)}) and the DEM "
-        f"{Path(dem).name} ({in_words(of_dem, _DEGREES)}) do not overlap",
+        f"the reference {references[0].name} ({middle_in_words(of_references[0], _DEGREES)}) and "
+        "the DEM "
+        f"{Path(dem).name} ({middle_in_words(of_dem, _DEGREES)}) do not overlap",
         hint="Give a reference and a DEM of the area of the image.")
 
 
@@ -62,7 +63,7 @@ def _boxes_overlap(first: FloatArray, second: FloatArray) -> bool:
                for shift in ((-360.0, 0.0), (0.0, 0.0), (360.0, 0.0)))
 
 
-def _grid(path: Path) -> FloatArray | None:
+def _grid_in_degrees(path: Path) -> FloatArray | None:
     """Return a grid (n, 2) over a raster as longitudes and latitudes; None if not known.
 
     Corners alone would leave out a pole in the middle, and edges that bulge beyond them.
@@ -73,16 +74,16 @@ def _grid(path: Path) -> FloatArray | None:
         places = [raster.transform @ (sample, line)
                   for line in np.linspace(0, raster.height, _GRID_LINES).tolist()
                   for sample in np.linspace(0, raster.width, _GRID_LINES).tolist()]
-        return _in_degrees(np.array(places, dtype=float), raster.crs.to_wkt())
+        return _to_degrees(np.array(places, dtype=float), raster.crs.to_wkt())
 
 
-def _in_degrees(plane: FloatArray, crs: str) -> FloatArray | None:
+def _to_degrees(plane: FloatArray, crs: str) -> FloatArray | None:
     """Return places (n, 2) as longitudes and latitudes; None if the CRS has none, or all are lost.
     """
     from pyproj.exceptions import ProjError
 
     try:
-        degrees = turned(plane, crs, _DEGREES)
+        degrees = transform_plane(plane, crs, _DEGREES)
     except (ProjError, TermselError):
         return None
     degrees = degrees[np.isfinite(degrees).all(axis=1)]

@@ -115,7 +115,7 @@ class GreyRaster:
         # Without a stated value, areas that are exactly 0 in all bands are where an image was
         # filled up.
         if self.raster.nodatavals[self.bands[0] - 1] is None:
-            has_data &= ~_filled_up(grey.data)
+            has_data &= ~_is_filled(grey.data)
         pixels[part_inside] = np.where(has_data, values.data, 0)
         is_known[part_inside] = has_data
         for excluded in self.excluded:
@@ -144,7 +144,7 @@ class GreyRaster:
         return np.asarray(inside)
 
 
-def _filled_up(values: NDArray[Any]) -> Mask:
+def _is_filled(values: NDArray[Any]) -> Mask:
     """Return where all bands (c, lines, samples) are 0 over an area, as images are filled up."""
     zero = (values == 0).all(axis=0).astype(np.uint8)
     if not zero.any():
@@ -155,7 +155,7 @@ def _filled_up(values: NDArray[Any]) -> Mask:
                       > 0)
 
 
-def grid(size: tuple[int, int], shape: tuple[int, ...]) -> FloatArray:
+def spread_pixels(size: tuple[int, int], shape: tuple[int, ...]) -> FloatArray:
     """Return places spread evenly over an image, row by row, shape (n, 2) [px]."""
     # Both ends are part of the image: its first and its last line and sample.
     steps = (np.linspace(0, extent - 1, count) for extent, count in zip(size, shape, strict=True))
@@ -196,7 +196,7 @@ def open_picture(path: Path | str, band: int | None = None) -> Iterator[GreyRast
         yield GreyRaster(Path(path), raster, visible if band is None else (band,))
 
 
-def stretched(pixels: Grey, is_known: Mask) -> NDArray[np.uint8] | None:
+def stretch_to_bytes(pixels: Grey, is_known: Mask) -> NDArray[np.uint8] | None:
     """Return pixels as bytes, dark to bright, 0 where unknown; None if they have no texture."""
     values = pixels[is_known]
     if values.size < _MIN_PIXELS:

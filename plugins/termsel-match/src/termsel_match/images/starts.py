@@ -20,7 +20,7 @@ from termsel import (
     read_result,
     read_rpc,
 )
-from termsel.toolkit import off_as_a_whole, say_difference
+from termsel.toolkit import say_difference, sentence_on_common_offset
 from termsel_match.images.rasters import FloatArray
 
 Heights = float | Callable[[FloatArray], FloatArray]
@@ -97,13 +97,13 @@ class Start:
         # Vendors state the range with a margin.
         if abs(above) > _BEYOND_RPC * (high - low):
             in_feet = low <= median * _FOOT <= high
-            log.warning("Warning: %s", off_as_a_whole(
+            log.warning("Warning: %s", sentence_on_common_offset(
                 above, f"the heights that {self.description} is made for",
                 f"median {median:,.0f} m, {low:,.0f} to {high:,.0f} m", dem=dem.name,
                 cause="feet and metres?" if in_feet else ""))
 
 
-def turned(plane: FloatArray, crs: str, to: str) -> FloatArray:
+def transform_plane(plane: FloatArray, crs: str, to: str) -> FloatArray:
     """Return plane coordinates (..., 2), x and y, of a CRS in another one."""
     from pyproj import CRS, Transformer
 

@@ -13,9 +13,16 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from termsel import TermselError, open_dem
-from termsel_match.images.masks import on_the_ground
-from termsel_match.images.positions import in_words
-from termsel_match.images.rasters import FloatArray, Grey, GreyRaster, Mask, grid, open_picture
+from termsel_match.images.masks import mask_from_ground
+from termsel_match.images.positions import middle_in_words
+from termsel_match.images.rasters import (
+    FloatArray,
+    Grey,
+    GreyRaster,
+    Mask,
+    open_picture,
+    spread_pixels,
+)
 from termsel_match.images.starts import Heights, Start
 
 # Px between places that are computed; those between are interpolated.
@@ -80,7 +87,7 @@ class Reference:
         """Return line and sample of the reference, (n, 2), of image places; NaN for none."""
         ground = self.start.locate(image, self.heights)
         x, y = self.to_map.transform(ground[:, 0], ground[:, 1])
-        positions = _pixels(self.picture.raster.transform, np.asarray(x), np.asarray(y))
+        positions = _map_to_pixels(self.picture.raster.transform, np.asarray(x), np.asarray(y))
         positions[~np.isfinite(positions).all(axis=1)] = np.nan
         return positions
 
@@ -117,7 +124,7 @@ class Reference:
         if not finite.any():
             return empty
         # Pixels of the reference that are finer than those of the image are reduced first.
-        size = max(1, round(_spacing(mesh) / _REFERENCE_MESH / _SAME_SIZE))
+        size = max(1, round(_mesh_spacing(mesh) / _REFERENCE_MESH / _SAME_SIZE))
         # Some pixels more on each side, which cubic interpolation needs.
         low = np.floor(at_reference[finite].min(axis=0)).astype(int) - 4 * size
         extent = np.ceil(at_reference[finite].max(axis=0)).astype(int) + 4 * size - low
@@ -152,7 +159,7 @@ class Reference:
         picture : GreyRaster
             The image; the places are spread evenly over it.
         """
-        image = grid(picture.size, (COVERS, COVERS))
+        image = spread_pixels(picture.size, (COVERS, COVERS))
         has_both = np.ones(len(image), dtype=bool)
         for raster, positions in ((picture, image), (self.picture, self.seen(image))):
             has_both &= raster.known_at(positions)
@@ -172,7 +179,7 @@ class Reference:
             Line and sample of its first pixel, lines and samples.
         """
         # The edges and the inside of the reference, by the start's heights, in the image.
-        edge = self.ground(grid(self.picture.size, (_EDGE_PLACES, _EDGE_PLACES)))
+        edge = self.ground(spread_pixels(self.picture.size, (_EDGE_PLACES, _EDGE_PLACES)))
         x, y = self.to_map.transform(edge[:, 0], edge[:, 1], direction="INVERSE")
         plane = np.column_stack([x, y])
         heights = self.heights(plane) if callable(self.heights) else \
@@ -208,11 +215,12 @@ class Reference:
         # Three neighbours of a mesh in the middle: two steps, down and to the right.
         at_reference = self.seen(middle + np.array([[0, 0], [_REFERENCE_MESH, 0],
                                                     [0, _REFERENCE_MESH]]))
-        return max(1, round(_REFERENCE_MESH / _spacing(at_reference[[0, 1, 0, 2]].T.reshape(2, 2,
+        return max(1,
+                   round(_REFERENCE_MESH / _mesh_spacing(at_reference[[0, 1, 0, 2]].T.reshape(2, 2,
                                                                                   2)) / _SAME_SIZE))
 
 
-def _spacing(mesh: FloatArray) -> float:
+def _mesh_spacing(mesh: FloatArray) -> float:
     """Return the median distance of neighbours of a mesh (2, lines, samples).
 
     If none is known it is the mesh's own step.
@@ -224,7 +232,7 @@ def _spacing(mesh: FloatArray) -> float:
     return float(np.median(steps)) if len(steps) else float(_REFERENCE_MESH)
 
 
-def _pixels(transform: Any, x: FloatArray, y: FloatArray) -> FloatArray:
+def _map_to_pixels(transform: Any, x: FloatArray, y: FloatArray) -> FloatArray:
     """Return line and sample (n, 2) of map coordinates (n,); (0, 0) is the first pixel's centre."""
     with np.errstate(invalid="ignore", over="ignore"):
         column, row = ~transform @ (x, y)
@@ -261,7 +269,7 @@ def open_reference(path: Path | str, start: Start, dem: Path | str | None, size:
     with ExitStack() as stack:
         picture = stack.enter_context(open_picture(path, band))
         crs = crs_of(picture)
-        picture = replace(picture, excluded=on_the_ground(masks, crs, picture.raster.transform))
+        picture = replace(picture, excluded=mask_from_ground(masks, crs, picture.raster.transform))
         heights: list[Heights] = []
         for of_crs in (start.crs, crs):
             if dem is None:
@@ -324,7 +332,7 @@ def _require_overlap(reference: Reference, size: tuple[int, int],
 
     Raise TermselError if the DEM covers none of it, or the start has no ground for it.
     """
-    at_reference = reference.seen(grid(size, (COVERS, COVERS)))
+    at_reference = reference.seen(spread_pixels(size, (COVERS, COVERS)))
     is_finite = np.isfinite(at_reference).all(axis=1)
     if not is_finite.any():
         by = reference.start.description
@@ -349,12 +357,12 @@ def _require_overlap(reference: Reference, size: tuple[int, int],
 
 def _position_of_image(start: Start, size: tuple[int, int]) -> str:
     """Return where an image of lines and samples is by a start, in words."""
-    ground = start.locate(grid(size, (2, 2)), start.height)
-    return in_words(ground[:, :2], start.crs)
+    ground = start.locate(spread_pixels(size, (2, 2)), start.height)
+    return middle_in_words(ground[:, :2], start.crs)
 
 
 def _position_of_picture(reference: Reference) -> str:
     """Return where the middle of a reference is, in words."""
     lines, samples = reference.picture.size
     middle = reference.picture.raster.transform @ (samples / 2, lines / 2)
-    return in_words(np.array([middle], dtype=float), reference.crs)
+    return middle_in_words(np.array([middle], dtype=float), reference.crs)

@@ -43,7 +43,7 @@ class Along:
         return self.size > _JITTER * accept or float(np.hypot(*self.away)) > _SEAM * accept
 
 
-def steady(selected: Selected) -> Fit:
+def steady_model(selected: Selected) -> Fit:
     """Return a model that stays near the candidates' beyond them.
 
     The drift, for a smooth correction.
@@ -57,7 +57,7 @@ def steady(selected: Selected) -> Fit:
         FeatureSet(agree, crs=selected.result.features.crs))
 
 
-def along(selected: Selected, agree: Points, lines: int) -> Along:
+def drift_along(selected: Selected, agree: Points, lines: int) -> Along:
     """Return how the correction of a model differs from a drift, and where it changes most.
 
     A seam of the reference along the lines looks like jitter to a smooth correction, which
@@ -74,7 +74,7 @@ def along(selected: Selected, agree: Points, lines: int) -> Along:
     correction = selected.correction
     if correction.model != "rpc-jitter":
         return Along()
-    drift = steady(selected).project(agree.ground)
+    drift = steady_model(selected).project(agree.ground)
     away = selected.result.project(agree.ground) - drift
     line = agree.image[:, 0]
     # A step is between two stretches of lines, as long as an interval of the correction at most.

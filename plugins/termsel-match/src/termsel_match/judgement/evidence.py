@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.stats import poisson
 
-from termsel_match.images.rasters import FloatArray, Mask, grid
+from termsel_match.images.rasters import FloatArray, Mask, spread_pixels
 
 LEVEL = 0.01
 """Permutation level at which residuals are not by chance."""
@@ -44,8 +44,9 @@ class Structure:
     away: tuple[float, float]
 
 
-def structure(image: FloatArray, residuals: FloatArray, limit: float, size: tuple[int, int],
-              rng: np.random.Generator) -> Structure | None:
+def residual_structure(image: FloatArray, residuals: FloatArray, limit: float,
+                       size: tuple[int, int],
+                       rng: np.random.Generator) -> Structure | None:
     """Return what residuals of neighbours have in common; None for too few.
 
     Moran's I of vectors, with the eight nearest as neighbours. Its level is that of permutations,
@@ -108,8 +109,8 @@ class OtherPlace:
     image_part: str
 
 
-def other_place(image: FloatArray, residuals: FloatArray, radius: float, size: tuple[int, int],
-                ) -> OtherPlace | None:
+def find_other_place(image: FloatArray, residuals: FloatArray, radius: float, size: tuple[
+        int, int], ) -> OtherPlace | None:
     """Return the largest group of wrong candidates that agree, if chance does not explain it.
 
     Wrong matches lie anywhere in the search. So the others expected within a radius of one are
@@ -142,7 +143,7 @@ def other_place(image: FloatArray, residuals: FloatArray, radius: float, size: t
                       part_of(np.median(image[members], axis=0), size))
 
 
-def unsupported(image: FloatArray, overlap: Mask, size: tuple[int, int]) -> tuple[float, str]:
+def unsupported_share(image: FloatArray, overlap: Mask, size: tuple[int, int]) -> tuple[float, str]:
     """Return the share of what image and reference show that has no candidate near, and where.
 
     Near is within 1.5 times the distance of candidates if they were spread evenly.
@@ -156,7 +157,7 @@ def unsupported(image: FloatArray, overlap: Mask, size: tuple[int, int]) -> tupl
     size : tuple of int
         Lines and samples of the image.
     """
-    positions = grid(size, overlap.shape)[overlap.ravel()]
+    positions = spread_pixels(size, overlap.shape)[overlap.ravel()]
     area = size[0] * size[1] * float(overlap.mean())
     # The distance of candidates, if they were spread evenly over the area, is sqrt(area / n).
     away = cKDTree(image).query(positions)[0]

@@ -9,7 +9,7 @@ import numpy as np
 
 from termsel import TermselError
 from termsel.toolkit import write_bytes
-from termsel_match.images.rasters import open_picture, stretched
+from termsel_match.images.rasters import open_picture, stretch_to_bytes
 from termsel_match.judgement.selection import Selected
 
 # In px, at most.
@@ -41,7 +41,7 @@ def draw(image: Path | str, selected: Selected, path: Path) -> None:
     """
     with open_picture(image) as picture:
         step = max(1, -(-max(picture.size) // _PICTURE_SIDE))
-        grey = stretched(*picture.read(0, 0, *picture.size, step))
+        grey = stretch_to_bytes(*picture.read(0, 0, *picture.size, step))
     if grey is None:
         raise TermselError("all pixels of the image are alike or without data, so it cannot be "
                            "drawn", file=image, hint="Give the image that was matched.")
@@ -52,12 +52,12 @@ def draw(image: Path | str, selected: Selected, path: Path) -> None:
     times = scale_of(residuals, step)
     # OpenCV takes whole numbers, here of 1/16 px (shift=4): a radius of 4 px is 4 << 4.
     for position, away in zip(points.image[agrees], residuals, strict=True):
-        start, end = arrow(position, away, times, step)
+        start, end = arrow_ends(position, away, times, step)
         cv2.arrowedLine(drawn, start, end, color=_BLUE, thickness=2, line_type=cv2.LINE_AA,
                         shift=4, tipLength=0.25)
         cv2.circle(drawn, start, 4 << 4, color=_BLUE, thickness=1, lineType=cv2.LINE_AA, shift=4)
     for position in points.image[~agrees]:
-        at = [value >> 4 for value in _px(position, step)]
+        at = [value >> 4 for value in _to_fixed_point(position, step)]
         cv2.drawMarker(drawn, at, _VERMILION, cv2.MARKER_TILTED_CROSS, markerSize=12, thickness=2,
                        line_type=cv2.LINE_AA)
     legend = np.full((_BAR, drawn.shape[1], 3), 255, dtype=np.uint8)
@@ -70,13 +70,13 @@ def draw(image: Path | str, selected: Selected, path: Path) -> None:
     write_bytes(path, data.tobytes())
 
 
-def arrow(position: np.ndarray, away: np.ndarray, times: float, step: int,
-          ) -> tuple[list[int], list[int]]:
+def arrow_ends(position: np.ndarray, away: np.ndarray, times: float, step: int,
+               ) -> tuple[list[int], list[int]]:
     """Return both ends of the arrow of a residual, as OpenCV draws them.
 
     It is larger by `times` in the scale of the image, which the picture reduces.
     """
-    return _px(position, step), _px(position + times * away, step)
+    return _to_fixed_point(position, step), _to_fixed_point(position + times * away, step)
 
 
 def scale_of(residuals: np.ndarray, step: int) -> float:
@@ -92,7 +92,7 @@ def scale_of(residuals: np.ndarray, step: int) -> float:
     return float(max(factor * power for factor in _NICE if factor * power <= largest_scale))
 
 
-def _px(position: np.ndarray, step: int) -> list[int]:
+def _to_fixed_point(position: np.ndarray, step: int) -> list[int]:
     """Return a place (line, sample) as OpenCV draws it: x and y in sixteenths of a reduced pixel.
     """
     return [int(value) for value in np.round(((position[::-1] + 0.5) / step - 0.5) * 16)]

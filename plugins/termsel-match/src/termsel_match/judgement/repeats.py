@@ -27,7 +27,7 @@ ALIKE = 0.5
 """Correlation of the ground with its displaced copy from which on it repeats itself."""
 
 
-def repetition(picture: GreyRaster, positions: FloatArray) -> tuple[float, float]:
+def repetition_distance(picture: GreyRaster, positions: FloatArray) -> tuple[float, float]:
     """Return at which distance a picture is like itself, and how much.
 
     Up to five windows, in the middle of the places and towards their corners, are compared with
@@ -73,7 +73,7 @@ def repetition(picture: GreyRaster, positions: FloatArray) -> tuple[float, float
 def _window_repetition(pixels: FloatArray, is_known: FloatArray) -> tuple[float, float]:
     """Return the distance [px] at which a window is like itself, and the correlation there.
 
-    Both are 0 if too little of the window is known (see `repetition`).
+    Both are 0 if too little of the window is known (see `repetition_distance`).
     """
     # Brightness over tens of pixels is no texture: it is divided out by the same blur of the mask.
     weight = cv2.GaussianBlur(is_known, (0, 0), _COARSE)

@@ -13,9 +13,13 @@ import numpy as np
 import termsel
 from termsel import FeatureSet, Fit, Points, Result, TermselError, write_result
 from termsel_match.images.rasters import FloatArray, Mask
-from termsel_match.images.starts import turned
-from termsel_match.judgement.structures import Correction, called_for, corrections
-from termsel_match.searching import searched
+from termsel_match.images.starts import transform_plane
+from termsel_match.judgement.structures import (
+    Correction,
+    plainest_supported_correction,
+    supported_corrections,
+)
+from termsel_match.searching import features_by_search
 
 # Px at which a candidate counts half in the search.
 AGREEING_PX = 2.0
@@ -104,7 +108,7 @@ class Selected:
         return np.asarray(np.where(np.isfinite(sigma), sigma, np.inf))
 
     def _independent_figures(self) -> FloatArray:
-        return _errors(self.result.fit, self.points)[self.independent]
+        return _distances_from_fit(self.result.fit, self.points)[self.independent]
 
 
 def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], *,
@@ -142,7 +146,7 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     """
     points = features.points
     # Independent candidates take no part in the search, the fits or the choice of the correction.
-    roles = _roles(points, seed)
+    roles = _draw_roles(points, seed)
     independent = roles == "independent"
     with_roles = features.with_(points=replace(points, roles=tuple(roles)))
 
@@ -153,7 +157,7 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     n_terms = len(fitted(correction, ~independent).terms)
     _require_control(roles, n_terms)
     # The search finds a few candidates that determine a model with which many agree.
-    picked = np.isin(points.ids, searched(
+    picked = np.isin(points.ids, features_by_search(
         "rpc-gcps", with_roles, model, {
             **options, "half_at": AGREEING_PX, "max_uncovered": 0.9,
             "min_features": max(6, n_terms), "max_features": max(6, n_terms),
@@ -169,24 +173,24 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
         limit = 0.0
         for _ in range(_FIT_ROUNDS):
             before = agrees
-            errors = _errors(fit, points)
-            agrees, limit = _agreeing(errors, ~independent, max_limit)
+            errors = _distances_from_fit(fit, points)
+            agrees, limit = _agreeing_candidates(errors, ~independent, max_limit)
             _require_enough(agrees, roles, len(fit.terms) // 2 if choice else n_terms)
             if np.array_equal(agrees, before):
                 break
             fit = fitted(correction, agrees)
         # Jitter moves good candidates beyond the limit: all that are near have a say.
         near = ~independent & (errors <= NEAR_PX)
-        several = corrections(model, options, int(near.sum()))
+        several = supported_corrections(model, options, int(near.sum()))
         # Those before the one that is too rich.
         plainer = list(takewhile(lambda richer: richer != plainer_than, several))
         close = FeatureSet(points.take(near), crs=features.crs)
-        better = called_for(plainer, close, seed)
+        better = plainest_supported_correction(plainer, close, seed)
         if better == correction or choice == _CHOICES:
             break
         correction = better
         fit = fitted(correction, near)
-    agrees = _errors(fit, points) <= limit
+    agrees = _distances_from_fit(fit, points) <= limit
     _require_enough(agrees, roles, len(fit.terms) // 2)
     agreeing = with_roles.with_(points=with_roles.points.take(agrees))
     result = _with_note(termsel.run(
@@ -253,13 +257,13 @@ def with_lines(selected: Selected, lines: FeatureSet, *, seed: int = 1,
     options = selected.correction.options
     features = selected.result.features
     ground = lines.lines.ground.copy()
-    ground[..., :2] = turned(ground[..., :2], lines.crs, features.crs)
+    ground[..., :2] = transform_plane(ground[..., :2], lines.crs, features.crs)
     with_both = features.with_(lines=replace(lines.lines, ground=ground))
     control = features.points.roles == np.array("control", dtype=object)
     used = with_both.with_(points=replace(features.points.take(control), roles=()))
     check = features.points.take(features.points.roles == np.array("check", dtype=object))
     # Candidates for check are in neither fit, and so can judge between both.
-    rms_alone, rms_with_lines = (_rms(fitted, check) for fitted in (
+    rms_alone, rms_with_lines = (_rms_distance(fitted, check) for fitted in (
         selected.result.fit, termsel.fit(used, model, **options)))
     if rms_with_lines > _WORSE * rms_alone:
         raise TermselError(
@@ -284,7 +288,7 @@ def _with_note(result: Result, folder: Path | str | None) -> Result:
     return noted
 
 
-def _roles(points: Points, seed: int) -> Any:
+def _draw_roles(points: Points, seed: int) -> Any:
     """Return roles drawn by a seed; points that are independent already are the only ones.
 
     They are drawn among four neighbours along the lines, so that each role is all along them.
@@ -302,14 +306,14 @@ def _roles(points: Points, seed: int) -> Any:
     return roles
 
 
-def _errors(fitted: Fit, points: Points) -> FloatArray:
+def _distances_from_fit(fitted: Fit, points: Points) -> FloatArray:
     """Return the distances (n,) [px] of points from a fit; infinite where it sees none."""
     errors = np.linalg.norm(points.image - fitted.project(points.ground), axis=1)
     return np.asarray(np.where(np.isfinite(errors), errors, np.inf))
 
 
-def _rms(fitted: Fit, points: Points) -> float:
-    return float(np.sqrt((_errors(fitted, points) ** 2).mean()))
+def _rms_distance(fitted: Fit, points: Points) -> float:
+    return float(np.sqrt((_distances_from_fit(fitted, points) ** 2).mean()))
 
 
 def _rms_at_unused(fit: Fit, points: Points) -> float:
@@ -336,7 +340,7 @@ def _rms_at_unused(fit: Fit, points: Points) -> float:
     return float(np.sqrt(max(squares[right].mean() - noise, 0.0)))
 
 
-def _agreeing(errors: FloatArray, used: Mask, max_limit: float) -> tuple[Mask, float]:
+def _agreeing_candidates(errors: FloatArray, used: Mask, max_limit: float) -> tuple[Mask, float]:
     """Return which candidates in use agree, and the largest error [px] that counts as agreement.
 
     The limit follows the spread of the near ones; it is `max_limit` px at most.

@@ -46,7 +46,7 @@ class Correction:
                              if "intervals" in self.options else "")
 
 
-def corrections(model: str, options: Mapping[str, Any], count: int) -> list[Correction]:
+def supported_corrections(model: str, options: Mapping[str, Any], count: int) -> list[Correction]:
     """Return what so many candidates may support, the plainest first.
 
     Parameters
@@ -64,7 +64,8 @@ def corrections(model: str, options: Mapping[str, Any], count: int) -> list[Corr
                           for intervals in _INTERVALS if _PER_INTERVAL * intervals <= count]
 
 
-def called_for(several: list[Correction], features: FeatureSet, seed: int) -> Correction:
+def plainest_supported_correction(
+        several: list[Correction], features: FeatureSet, seed: int) -> Correction:
     """Return the plainest correction within one standard error of the best, by held-out candidates.
 
     Candidates are drawn into five folds; each is predicted by a fit to the others.

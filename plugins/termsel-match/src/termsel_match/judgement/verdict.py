@@ -8,16 +8,16 @@ import numpy as np
 import shapely
 
 from termsel import Points
-from termsel_match.images.rasters import FloatArray, Mask, grid
-from termsel_match.images.starts import Heights, turned
-from termsel_match.judgement.along import Along, along, steady
+from termsel_match.images.rasters import FloatArray, Mask, spread_pixels
+from termsel_match.images.starts import Heights, transform_plane
+from termsel_match.judgement.along import Along, drift_along, steady_model
 from termsel_match.judgement.evidence import (
     LEVEL,
     OtherPlace,
     Structure,
-    other_place,
-    structure,
-    unsupported,
+    find_other_place,
+    residual_structure,
+    unsupported_share,
 )
 from termsel_match.judgement.repeats import ALIKE
 from termsel_match.judgement.selection import AGREEING, AGREEING_PX, NEAR_PX, Selected
@@ -110,7 +110,8 @@ def evidence_of(candidates: Candidates, selected: Selected, heights: Heights,
     near = away <= reach
     far = (away > reach) & np.isfinite(away)
     # Where the map will be, by a model that goes nowhere beyond the candidates.
-    ground = steady(selected).locate(grid(size, mapped.shape)[mapped.ravel()], heights)
+    ground = steady_model(
+        selected).locate(spread_pixels(size, mapped.shape)[mapped.ravel()], heights)
     ground = ground[np.isfinite(ground).all(axis=1)]
     sigma = selected.sigma(ground) if len(ground) else np.array([np.inf])
     agree = points.take(selected.agrees)
@@ -120,31 +121,32 @@ def evidence_of(candidates: Candidates, selected: Selected, heights: Heights,
         correction = agree.image - start.project(_ground_for_start(agree, candidates))
     return Evidence(
         sigma=float(sigma.max()), covered=_share_covered(agree.image, overlap, size),
-        bare=unsupported(agree.image, overlap, size),
-        structure=structure(points.image[near], residuals[near], 2 * selected.limit, size,
-                            np.random.default_rng([seed, 2])),
-        other_place=other_place(points.image[far], residuals[far], AGREEING_PX, size),
+        bare=unsupported_share(agree.image, overlap, size),
+        structure=residual_structure(points.image[
+            near], residuals[near], 2 * selected.limit, size, np.random.default_rng([seed, 2])),
+        other_place=find_other_place(points.image[far], residuals[far], AGREEING_PX, size),
         correction=correction, pixel=_pixel_size(agree, candidates.crs),
-        along_lines=along(selected, agree, size[0]), repetition=repetition)
+        along_lines=drift_along(selected, agree, size[0]), repetition=repetition)
 
 
-def remarks(candidates: Candidates, selected: Selected, evidence: Evidence,
-            accept: float) -> tuple[str, ...]:
+def remarks_for_user(candidates: Candidates, selected: Selected, evidence: Evidence,
+                     accept: float) -> tuple[str, ...]:
     """Return sentences on what a user must look at, though the map may be right; () if none.
 
     `accept` is the largest acceptable error [px].
     """
     notes = []
-    if _matters(evidence, accept):
+    if _structure_matters(evidence, accept):
         common = evidence.structure
         assert common is not None
         notes.append(f"Residuals of neighbours are alike: {common.size:.2f} px (permutation level "
                      f"{common.level:.3f}). They are largest in {common.image_part} of the image, "
-                     f"{_vector(common.away)}. Is the reference a mosaic, or the model too simple?")
+                     f"{_vector_text(common.away)}. Is the reference a mosaic, or the model too "
+                     "simple?")
     if evidence.other_place is not None:
         found_there = evidence.other_place
         notes.append(f"{found_there.count} candidates, most in {found_there.image_part} of the "
-                     f"image, agree on another position, {_vector(found_there.away)} from the "
+                     f"image, agree on another position, {_vector_text(found_there.away)} from the "
                      "position that the model predicts. Does the reference have a seam, or the "
                      "ground repeat?")
     distance, correlation = evidence.repetition
@@ -155,7 +157,7 @@ def remarks(candidates: Candidates, selected: Selected, evidence: Evidence,
     if evidence.along_lines.matters(accept):
         notes.append(f"The correction changes along the lines by {evidence.along_lines.size:.2f} "
                      "px (RMS, compared with a drift). It changes most near line "
-                     f"{evidence.along_lines.line:.0f}, {_vector(evidence.along_lines.away)}. "
+                     f"{evidence.along_lines.line:.0f}, {_vector_text(evidence.along_lines.away)}. "
                      "Jitter of the attitude does so, and so do seams of the reference.")
     if selected.called_for is not None:
         notes.append(f"Candidates support {selected.called_for.text}, and do not determine it all "
@@ -189,7 +191,7 @@ def remarks(candidates: Candidates, selected: Selected, evidence: Evidence,
     return tuple(notes)
 
 
-def reasons(selected: Selected, evidence: Evidence, accept: float) -> tuple[str, ...]:
+def reasons_to_reject(selected: Selected, evidence: Evidence, accept: float) -> tuple[str, ...]:
     """Return sentences on why a result is not good enough; () if it is.
 
     `accept` is the largest acceptable error [px].
@@ -216,14 +218,14 @@ def reasons(selected: Selected, evidence: Evidence, accept: float) -> tuple[str,
     common = evidence.structure
     if common is not None and common.level <= LEVEL and np.linalg.norm(common.away) > accept:
         refusals.append(f"In {common.image_part} of the image all candidates are off, "
-                        f"{_vector(common.away)}; accepted are {accept:g} px.")
+                        f"{_vector_text(common.away)}; accepted are {accept:g} px.")
     rival = evidence.other_place
     if rival is not None and rival.count >= _RIVAL * selected.agrees.sum():
         refusals.append(f"{rival.count} candidates agree on another position, and only "
                         f"{int(selected.agrees.sum())} on this one.")
     if _is_seam(evidence, accept):
         refusals.append(f"Near line {evidence.along_lines.line:.0f} the correction changes "
-                        f"{_vector(evidence.along_lines.away)}, and candidates there agree on "
+                        f"{_vector_text(evidence.along_lines.away)}, and candidates there agree on "
                         "both positions: the reference has a seam.")
     return tuple(refusals)
 
@@ -328,13 +330,13 @@ class Georeferenced:
         return "\n".join(lines) + "\n"
 
 
-def _matters(evidence: Evidence, accept: float) -> bool:
+def _structure_matters(evidence: Evidence, accept: float) -> bool:
     """Return whether the structure of residuals is neither by chance nor too small to matter."""
     common = evidence.structure
     return common is not None and common.level <= LEVEL and common.size > _STRUCTURE * accept
 
 
-def _vector(away: tuple[float, float]) -> str:
+def _vector_text(away: tuple[float, float]) -> str:
     return f"by ({away[0]:+.1f}, {away[1]:+.1f}) px in line and sample"
 
 
@@ -343,7 +345,8 @@ def _ground_for_start(points: Points, candidates: Candidates) -> FloatArray:
     """
     assert candidates.rough is not None
     z = points.ground[:, 2]
-    return np.column_stack([turned(points.ground[:, :2], candidates.crs, candidates.rough.crs),
+    return np.column_stack([transform_plane(points.ground[:, :2], candidates.crs,
+                                            candidates.rough.crs),
                             np.where(np.isfinite(z), z, candidates.rough.height)])
 
 
@@ -351,7 +354,7 @@ def _share_covered(image: FloatArray, overlap: Mask, size: tuple[int, int]) -> f
     """Return the share of the places in `overlap` that lie in the hull of image positions (n, 2).
     """
     hull = shapely.convex_hull(shapely.MultiPoint(image))
-    positions = grid(size, overlap.shape)[overlap.ravel()]
+    positions = spread_pixels(size, overlap.shape)[overlap.ravel()]
     return float(shapely.contains_xy(hull, positions[:, 0], positions[:, 1]).mean())
 
 
@@ -360,7 +363,7 @@ def _pixel_size(points: Points, crs: str) -> float:
 
     NaN if that has no area.
     """
-    lonlat = np.radians(turned(points.ground[:, :2], crs, "EPSG:4326"))
+    lonlat = np.radians(transform_plane(points.ground[:, :2], crs, "EPSG:4326"))
     # Metres on a sphere about the middle: east is narrower by the cosine of the latitude.
     plane = _EARTH * (lonlat - lonlat.mean(axis=0)) * [np.cos(lonlat[:, 1].mean()), 1.0]
     ground_area, image_area = (shapely.convex_hull(shapely.MultiPoint(positions)).area

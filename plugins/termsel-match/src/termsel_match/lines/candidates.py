@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from termsel import Lines, TermselError
-from termsel.toolkit import counted
+from termsel.toolkit import count_in_words
 from termsel_match.images.rasters import FloatArray, open_picture
 from termsel_match.images.starts import Start, start_of
-from termsel_match.lines.ridges import bands
+from termsel_match.lines.ridges import clearest_bands
 from termsel_match.lines.vectors import pieces_of
 
 # Pieces with a band.
@@ -88,12 +88,13 @@ def match_lines(
         straight_pieces = pieces_of(vectors, rough, dem, size)
         of_pieces = []
         for i, ends in enumerate(straight_pieces.image):
-            of_pieces.append(bands(picture, ends, search, BANDS_PER_PIECE))
+            of_pieces.append(clearest_bands(picture, ends, search, BANDS_PER_PIECE))
             if progress is not None:
                 progress((i + 1) / len(straight_pieces.image))
     n_with_band = sum(map(bool, of_pieces))
     if n_with_band < LEAST_PIECES:
-        raise TermselError(f"not enough candidates: {counted(n_with_band, 'piece')} of the vectors "
+        raise TermselError(f"not enough candidates: {count_in_words(n_with_band, 'piece')} of the "
+                           "vectors "
                            f"{'was' if n_with_band == 1 else 'were'} found in the image, at least "
                            f"{LEAST_PIECES} are needed", file=image,
                            hint="Give vectors of what the image shows, a start that is nearer, or "

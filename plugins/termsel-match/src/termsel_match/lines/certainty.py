@@ -10,7 +10,7 @@ import numpy as np
 
 import termsel
 from termsel import FeatureSet, Fit, Lines, Points, TermselError
-from termsel_match.images.starts import Start, turned
+from termsel_match.images.starts import Start, transform_plane
 
 # Ratio of standard deviations across and along.
 _WEAK_RATIO = 3.0
@@ -48,8 +48,8 @@ class Decisive:
                 "vectors.")
 
 
-def fitted_to(features: FeatureSet, model: str, options: Mapping[str, Any], start: Start,
-              search: float) -> tuple[FeatureSet, Fit]:
+def fit_to_lines(features: FeatureSet, model: str, options: Mapping[str, Any], start: Start,
+                 search: float) -> tuple[FeatureSet, Fit]:
     """Return what a model of lines is fitted to, and the model.
 
     Where the lines alone do not fix the image, as one street does not, the start does: with four
@@ -66,7 +66,7 @@ def fitted_to(features: FeatureSet, model: str, options: Mapping[str, Any], star
     search : float
         Largest distance of the truth from the start [px].
     """
-    if _across_and_along(features.lines)[0][1] <= _HELD:
+    if _sigma_across_and_along(features.lines)[0][1] <= _HELD:
         try:
             return features, termsel.fit(features, model, **options)
         except TermselError:
@@ -77,7 +77,7 @@ def fitted_to(features: FeatureSet, model: str, options: Mapping[str, Any], star
     image = size * np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
     height = float(np.nanmean(features.lines.ground[..., 2]))
     ground_of_start = start.locate(image, height)
-    ground = np.column_stack([turned(ground_of_start[:, :2], start.crs, features.crs),
+    ground = np.column_stack([transform_plane(ground_of_start[:, :2], start.crs, features.crs),
                               np.full(4, height)])
     points = Points(tuple(f"start-{i}" for i in range(1, 5)), image, ground,
                     np.full((4, 2), search), ("control",) * 4)
@@ -85,7 +85,7 @@ def fitted_to(features: FeatureSet, model: str, options: Mapping[str, Any], star
     return with_start, termsel.fit(with_start, model, **options)
 
 
-def most_decisive(features: FeatureSet, model: str, options: Mapping[str, Any]) -> Decisive:
+def most_decisive_vector(features: FeatureSet, model: str, options: Mapping[str, Any]) -> Decisive:
     """Return the vector without which the image moves most.
 
     Parameters
@@ -117,9 +117,9 @@ def most_decisive(features: FeatureSet, model: str, options: Mapping[str, Any]) 
     return max(moves, key=lambda decisive: decisive.moved)
 
 
-def undetermined(lines: Lines) -> str:
+def sentences_on_certainty(lines: Lines) -> str:
     """Return sentences on how well lines fix the image, across them and along [px]."""
-    (across_them, along_them), towards = _across_and_along(lines)
+    (across_them, along_them), towards = _sigma_across_and_along(lines)
     if along_them < _WEAK_RATIO * across_them:
         return (f"The lines fix the position of the image in all directions: standard deviation "
                 f"{along_them:.2f} px.")
@@ -132,7 +132,7 @@ def undetermined(lines: Lines) -> str:
             "direction of lines towards that of samples.")
 
 
-def _across_and_along(lines: Lines) -> tuple[tuple[float, float], float]:
+def _sigma_across_and_along(lines: Lines) -> tuple[tuple[float, float], float]:
     """Return standard deviations [px] across most lines and along them, and the direction along.
 
     The direction is from that of lines towards that of samples [deg]; along may be infinite.

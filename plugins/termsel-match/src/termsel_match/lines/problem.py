@@ -97,7 +97,7 @@ class MatchedLines(Problem):
 
     def evaluate(self, genes: Any) -> Evaluation:
         """Return the weighted share of pieces that do not agree, of genes (p, picked)."""
-        away = self._distances(self._fit_lines(np.asarray(genes, dtype=np.intp)))
+        away = self._line_distances(self._fit_lines(np.asarray(genes, dtype=np.intp)))
         # Of each piece the nearest candidate alone counts.
         nearest = np.minimum.reduceat(away[:, self._order], self._first, axis=1)
         disagreement = nearest**2 / (nearest**2 + self._half**2)
@@ -130,7 +130,7 @@ class MatchedLines(Problem):
         `times` is how many times each piece counts.
         """
         for _ in range(_REFINEMENTS):
-            nearest, away = self._nearest(coefficients)
+            nearest, away = self._nearest_lines(coefficients)
             # Weights of Geman and McClure's loss: its derivative by e^2, (t^2 / (e^2 + t^2))^2.
             loss = self._weight * (self._half**2 / (away**2 + self._half**2)) ** 2
             before = coefficients
@@ -146,7 +146,7 @@ class MatchedLines(Problem):
         `times` (pieces,) says how often each piece counts, such as in a bootstrap; once if it is
         None.
         """
-        nearest, away = self._nearest(coefficients)
+        nearest, away = self._nearest_lines(coefficients)
         # A piece that counts twice is there twice.
         if times is not None:
             pieces = np.repeat(np.arange(len(nearest)), times.astype(np.intp))
@@ -162,10 +162,10 @@ class MatchedLines(Problem):
         ground = self.inputs.control.lines.ground.reshape(-1, 3)
         return np.asarray(self.inputs.model.project(coefficients, ground) * self.inputs.pixels)
 
-    def _nearest(self, coefficients: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
+    def _nearest_lines(self, coefficients: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
         """Return the number of each piece's line that is nearest to a model, and its distance [px].
         """
-        away = self._distances(coefficients[None])[0]
+        away = self._line_distances(coefficients[None])[0]
         nearest = np.array([candidates[away[candidates].argmin()]
                             for candidates in self._equations_of_pieces()])
         return nearest, away[nearest]
@@ -187,7 +187,7 @@ class MatchedLines(Problem):
         right = np.einsum("pri,pr->pi", columns, target)
         return np.asarray(np.linalg.solve(normal, right[..., None])[..., 0])
 
-    def _distances(self, coefficients: FloatArray) -> FloatArray:
+    def _line_distances(self, coefficients: FloatArray) -> FloatArray:
         """Return the rms distances of both vertices of all lines, (p, n) [px]."""
         errors = self._target - np.einsum("nvk,pk->pnv", self._columns, coefficients)
         return np.asarray(np.sqrt((errors**2).mean(axis=2)) * self.inputs.pixels)

@@ -56,7 +56,7 @@ class Band:
     score: float
 
 
-def bands(picture: GreyRaster, ends: FloatArray, search: float, limit: int) -> list[Band]:
+def clearest_bands(picture: GreyRaster, ends: FloatArray, search: float, limit: int) -> list[Band]:
     """Return the clearest bands that are parallel to a line.
 
     Parameters
@@ -91,7 +91,7 @@ def bands(picture: GreyRaster, ends: FloatArray, search: float, limit: int) -> l
     # The mean along the line: a band is clearer in it than in any row.
     profile = np.where(is_known, strip, 0.0).sum(axis=0) / np.maximum(count, 1)
     profile[count < _SEEN * len(strip)] = np.nan
-    responses = np.stack([_response(profile[None], width)[0] for width in _WIDTHS])
+    responses = np.stack([_band_response(profile[None], width)[0] for width in _WIDTHS])
     # The best width at each offset; what is clear is so in comparison with the rest of the strip.
     best = np.abs(np.nan_to_num(responses)).max(axis=0) * (np.abs(offset) <= compared)
     if not best.any():
@@ -113,7 +113,7 @@ def bands(picture: GreyRaster, ends: FloatArray, search: float, limit: int) -> l
     return clearest
 
 
-def _response(profiles: FloatArray, width: float) -> FloatArray:
+def _band_response(profiles: FloatArray, width: float) -> FloatArray:
     """Return how much each place is the middle of a band, negative for dark ones, (rows, n).
 
     The smaller of the differences to either side, where both have the same sign: of an edge it is
@@ -146,8 +146,8 @@ def _response(profiles: FloatArray, width: float) -> FloatArray:
     return response
 
 
-def _between_edges(profiles: FloatArray, offset: FloatArray, at: FloatArray, width: float,
-                   ) -> FloatArray:
+def _middles_between_edges(
+        profiles: FloatArray, offset: FloatArray, at: FloatArray, width: float, ) -> FloatArray:
     """Return the middles between the two edges of bright bands, (rows,).
 
     The response is larger towards the side that differs less; edges do not depend on the other
@@ -178,7 +178,7 @@ def _place_of_band(strip: FloatArray, offset: FloatArray, about: float, width: f
     means = np.stack([strip[block].mean(axis=0) for block in blocks])
     middles = np.array([block.mean() for block in blocks])
     near = np.flatnonzero(np.abs(offset - about) <= _BAND_REACH)
-    value = sign * _response(means, width)[:, near]
+    value = sign * _band_response(means, width)[:, near]
     clear = np.flatnonzero(np.isfinite(value).all(axis=1) & (value.max(axis=1) > 0))
     if len(clear) < _LEAST_BLOCKS:
         return None
@@ -186,7 +186,7 @@ def _place_of_band(strip: FloatArray, offset: FloatArray, about: float, width: f
     weight = np.clip(value[clear] - 0.5 * value[clear].max(axis=1, keepdims=True), 0, None)
     at = (weight * offset[near]).sum(axis=1) / weight.sum(axis=1)
     s = middles[clear]
-    at = _between_edges(sign * means[clear], offset, at, width)
+    at = _middles_between_edges(sign * means[clear], offset, at, width)
     used = np.ones(len(s), dtype=bool)
     for _ in range(4):
         line = np.polynomial.Polynomial.fit(s[used], at[used], 1).convert()

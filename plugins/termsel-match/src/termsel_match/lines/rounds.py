@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 
 import termsel
 from termsel import FeatureSet, Fit, Lines, Result, TermselError
-from termsel_match.images.starts import Start, start_of, turned
+from termsel_match.images.starts import Start, start_of, transform_plane
 from termsel_match.lines.candidates import LineCandidates, match_lines, without_start
 from termsel_match.lines.certainty import (
     Decisive,
-    fitted_to,
-    most_decisive,
-    undetermined,
+    fit_to_lines,
+    most_decisive_vector,
+    sentences_on_certainty,
 )
 from termsel_match.lines.problem import MatchedLines
-from termsel_match.lines.tracing import Tracing, left_by_tracing
-from termsel_match.searching import searched
+from termsel_match.lines.tracing import Tracing, variance_of_tracing
+from termsel_match.searching import features_by_search
 
 # Rounds.
 _MAX_ROUNDS = 6
@@ -108,7 +108,7 @@ class Matched:
                   for i, round_ in enumerate(self.rounds)]
         if not self.settled:
             table.append("The last round still changed the model.")
-        table += [undetermined(self.lines), self.decisive.text()]
+        table += [sentences_on_certainty(self.lines), self.decisive.text()]
         if self.tracing.vectors:
             table.append(self.tracing.text())
         return "\n".join(table) + "\n"
@@ -162,10 +162,10 @@ def iterate_lines(
                               image_size=candidates.image_size)
 
         half_at = _HALF_AT[bool(rounds)]
-        selected = candidates.lines.take(np.isin(candidates.lines.ids, searched(
+        selected = candidates.lines.take(np.isin(candidates.lines.ids, features_by_search(
             "matched-lines", features, model, {**options, "half_at": half_at}, seed=seed)))
         # All lines weigh alike at first: what their bands state is not how far vectors are off.
-        used, fitted = fitted_to(
+        used, fitted = fit_to_lines(
             features.with_(lines=replace(selected, sigma=np.ones(len(selected)))), model, options,
             at,
             search)
@@ -174,8 +174,9 @@ def iterate_lines(
         rms = rms_distance(fitted, selected)
         vertices = selected.ground.reshape(-1, 3)
         position = fitted.project(vertices)
-        position_before = at.project(np.column_stack([turned(vertices[:, :2], candidates.crs,
-                                                             at.crs),
+        position_before = at.project(np.column_stack([transform_plane(vertices[:, :2],
+                                                                      candidates.crs,
+                                                                      at.crs),
                                                       vertices[:, 2]]))
         moved = float(np.sqrt(((position - position_before) ** 2).sum(axis=1).mean()))
         rounds.append(Round(search, n_pieces, len(candidates.lines), len(selected), rms, moved))
@@ -186,8 +187,9 @@ def iterate_lines(
         search = min(search, max(_NARROWEST, search / _NARROWER))
         at = _start(fitted, candidates.crs, selected)
     # Whether the model is right is asked of the image again, in a wide search from it.
-    confirmed = in_place(image, vectors, _start(fitted, candidates.crs, selected), dem=dem,
-                         search=max(_PROOF, first), band=band)
+    confirmed = are_bands_in_place(image, vectors, _start(fitted, candidates.crs, selected),
+                                   dem=dem,
+                                   search=max(_PROOF, first), band=band)
     if confirmed.mean() < _LEAST_SHARE:
         raise TermselError(
             f"not enough lines agree: for {int(confirmed.sum())} of {len(confirmed)} pieces of "
@@ -204,13 +206,14 @@ def iterate_lines(
         problem = termsel.prepare("matched-lines", features=features, model=model,
                                   options={**options, "half_at": half_at}).problem
         assert isinstance(problem, MatchedLines)
-        tracing = left_by_tracing(problem, selected.ids, seed)
+        tracing = variance_of_tracing(problem, selected.ids, seed)
     return Matched(candidates=candidates, lines=lines, result=result, rounds=tuple(rounds),
-                   settled=settled, decisive=most_decisive(used, model, options), tracing=tracing)
+                   settled=settled, decisive=most_decisive_vector(used, model,
+                                                                  options), tracing=tracing)
 
 
-def in_place(image: Path | str, vectors: Path | str, at: Start, *, dem: Path | str | None,
-             search: float = _PROOF, band: int | None = None) -> NDArray[np.bool_]:
+def are_bands_in_place(image: Path | str, vectors: Path | str, at: Start, *, dem: Path | str | None,
+                       search: float = _PROOF, band: int | None = None) -> NDArray[np.bool_]:
     """Return whether the clearest band of each piece is within 3 px of where a model sees it, (n,).
     """
     lines = match_lines(image, vectors, dem=dem, start=at, search=search, band=band).lines

@@ -44,7 +44,7 @@ class Tracing:
         return f"Standard deviation in the image that errors of the vectors leave: {remaining}"
 
 
-def left_by_tracing(problem: MatchedLines, selected: Sequence[str], seed: int) -> Tracing:
+def variance_of_tracing(problem: MatchedLines, selected: Sequence[str], seed: int) -> Tracing:
     """Return what errors of the vectors leave in the image.
 
     Errors of tracing are common to a vector, so that its pieces do not average them out; and lines
@@ -67,7 +67,7 @@ def left_by_tracing(problem: MatchedLines, selected: Sequence[str], seed: int) -
     independent of each other are drawn.
     """
     vectors = int(problem.vector.max()) + 1
-    of = _drawn_together(problem.vector)
+    of = _bootstrap_units(problem.vector)
     count = int(of.max()) + 1
     if count < _MIN_STRETCHES:
         return Tracing(vectors=vectors)
@@ -89,7 +89,7 @@ def left_by_tracing(problem: MatchedLines, selected: Sequence[str], seed: int) -
     return Tracing(sigma, vectors)
 
 
-def _drawn_together(vector: NDArray[np.intp]) -> NDArray[np.intp]:
+def _bootstrap_units(vector: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return for each piece the number of the unit that a bootstrap draws it with, (n,).
 
     A unit is a vector; where vectors are few, a stretch of one.

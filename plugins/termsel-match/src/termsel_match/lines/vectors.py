@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from termsel import TermselError, open_dem
 from termsel.toolkit import open_layer
-from termsel_match.images.positions import in_words
+from termsel_match.images.positions import middle_in_words
 from termsel_match.images.rasters import FloatArray
 from termsel_match.images.starts import Start
 
@@ -85,11 +85,12 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
     image_place = start.locate(np.array([[0.0, 0.0], [size[0] - 1.0, size[1] - 1.0]]), start.height)
     nowhere = TermselError(
         f"no straight piece of {SHORTEST:.0f} px of the vectors is in the image: they are around "
-        f"{in_words(np.concatenate(lines)[:, :2], crs)}, the image by {start.description} around "
-        f"{in_words(image_place[:, :2], start.crs)}",
+        f"{middle_in_words(np.concatenate(lines)[:, :2], crs)}, the image by {start.description} "
+        "around "
+        f"{middle_in_words(image_place[:, :2], start.crs)}",
         file=path, hint="Give vectors of the same area; if the place of the image is wrong, "
                         "another --start.")
-    lines, vector_of = _dense(lines, _mesh_of_image(start, to_start, size), size)
+    lines, vector_of = _vectors_near_image(lines, _mesh_of_image(start, to_start, size), size)
     if not lines:
         raise nowhere
     owner = np.repeat(np.arange(len(lines)), [len(line) for line in lines])
@@ -140,8 +141,8 @@ def _mesh_of_image(start: Start, to_start: Any, size: tuple[int, int]) -> FloatA
     return plane_positions.reshape(7, 7, 2)
 
 
-def _dense(lines: list[FloatArray], plane_mesh: FloatArray, size: tuple[int, int],
-           ) -> tuple[list[FloatArray], list[int]]:
+def _vectors_near_image(lines: list[FloatArray], plane_mesh: FloatArray, size: tuple[int, int],
+                        ) -> tuple[list[FloatArray], list[int]]:
     """Return the parts of vectors near an image, and which vector each is of.
 
     They get vertices every 16 px, as the terrain bends where a map has none.

@@ -70,7 +70,7 @@ class Matches:
                        None if self.sigma is None else self.sigma[numbers])
 
 
-def fault(matcher: Matcher, value: Any, *_windows: Any) -> str | None:
+def fault_of_matches(matcher: Matcher, value: Any, *_windows: Any) -> str | None:
     """Return what is wrong with the value that a matcher returned, after "match()".
 
     None if nothing is.
@@ -107,7 +107,7 @@ class Matcher(Configurable, ABC):
     suite: ClassVar[str] = "termsel_match.testing"
     """Module of the conformance suite that `termsel.testing.checks` runs."""
 
-    guards: ClassVar[Mapping[str, Callable[..., str | None] | None]] = {"match": fault}
+    guards: ClassVar[Mapping[str, Callable[..., str | None] | None]] = {"match": fault_of_matches}
 
     places_exactly: ClassVar[bool] = False
     """Whether its matches have their standard deviations. Others are placed to sub-pixel

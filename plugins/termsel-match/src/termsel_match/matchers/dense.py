@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from scipy.fft import irfft2, next_fast_len, rfft2
 
-from termsel_match.images.rasters import FloatArray, Grey, Mask, stretched
+from termsel_match.images.rasters import FloatArray, Grey, Mask, stretch_to_bytes
 from termsel_match.matchers import Window
 
 HALF_WINDOW = 20
@@ -68,7 +68,7 @@ def common_shift(first: Grey, second: Grey, expected: FloatArray, search: float,
 
 def distinct_places(window: Window) -> FloatArray:
     """Return whole pixels with structure in both directions, (n, 2), the most distinct first."""
-    picture = stretched(window.pixels, window.known)
+    picture = stretch_to_bytes(window.pixels, window.known)
     width = 2 * (HALF_WINDOW + 1) + 1
     # Windows of places must be known as a whole.
     inner = cv2.erode(window.known.astype(np.uint8), np.ones((width, width), dtype=np.uint8),
@@ -83,7 +83,7 @@ def distinct_places(window: Window) -> FloatArray:
     return np.asarray(np.round(corners[:, 0, ::-1]), dtype=np.float64)
 
 
-def inside(positions: FloatArray, is_known: Mask, reach: int) -> Mask:
+def are_surroundings_known(positions: FloatArray, is_known: Mask, reach: int) -> Mask:
     """Return whether all pixels within `reach` px of places (n, 2) are known, (n,)."""
     width = 2 * reach + 1
     surroundings_known = cv2.erode(is_known.astype(np.uint8),
@@ -94,7 +94,7 @@ def inside(positions: FloatArray, is_known: Mask, reach: int) -> Mask:
     return is_inside
 
 
-def peak(surface: FloatArray) -> tuple[FloatArray, float, float]:
+def find_peak(surface: FloatArray) -> tuple[FloatArray, float, float]:
     """Return the place of the largest value from the middle [px], that value, and the next largest.
 
     The next largest is taken away from the first peak.

@@ -17,10 +17,10 @@ from termsel_match.matchers import Matcher, Matches, Window
 from termsel_match.matchers.dense import (
     HALF_WINDOW,
     SHIFT_REACH,
+    are_surroundings_known,
     common_shift,
     distinct_places,
-    inside,
-    peak,
+    find_peak,
 )
 
 
@@ -46,7 +46,7 @@ class Phase(Matcher):
         if shift is None:
             return none
         positions = distinct_places(first)
-        positions = positions[inside(positions + shift, second.known, HALF_WINDOW)]
+        positions = positions[are_surroundings_known(positions + shift, second.known, HALF_WINDOW)]
         if not len(positions):
             return none
         steps = np.arange(-HALF_WINDOW, HALF_WINDOW + 1)
@@ -64,7 +64,7 @@ class Phase(Matcher):
             # the shift. 1e-9 is far below any frequency that a picture has, and divides by no 0.
             product = np.conj(rfft2(a)) * rfft2(b)
             surface = irfft2(product / np.maximum(np.abs(product), 1e-9), a.shape)
-            away, best, next_best = peak(np.fft.fftshift(surface))
+            away, best, next_best = find_peak(np.fft.fftshift(surface))
             moved.append(away)
             clear.append(next_best / best if best > 0 else 1.0)
             score.append(best)

@@ -45,8 +45,8 @@ class Layers:
     known: Mask
 
 
-def refined(first: Layers, second: Layers, at_first: FloatArray, at_second: FloatArray,
-            min_score: float = LEAST_SCORE) -> Matches:
+def refine_matches(first: Layers, second: Layers, at_first: FloatArray, at_second: FloatArray,
+                   min_score: float = LEAST_SCORE) -> Matches:
     """Return matches at whole pixels of the first picture, their places in the second refined.
 
     The window of the first is compared with that of the second, shifted, by least squares for

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel_match.images.rasters import FloatArray, Grey, Mask, stretched
+from termsel_match.images.rasters import FloatArray, Grey, Mask, stretch_to_bytes
 from termsel_match.matchers import Matcher, Matches, Window
 
 # Of the distances to the nearest and the second nearest descriptor.
@@ -38,18 +38,18 @@ class Sift(Matcher):
 
     def match(self, first: Window, second: Window, search: float) -> Matches:
         """Return keypoints that are each other's nearest (see `Matcher.match`)."""
-        keypoints, vectors = described(first.pixels, first.known)
-        keypoints_second, vectors_second = described(second.pixels, second.known)
-        number, other_number = alike(vectors, vectors_second)
+        keypoints, vectors = describe_keypoints(first.pixels, first.known)
+        keypoints_second, vectors_second = describe_keypoints(second.pixels, second.known)
+        number, other_number = mutual_nearest(vectors, vectors_second)
         likeness = np.einsum("ij,ij->i", vectors[number], vectors_second[other_number])
         return Matches(keypoints[number], keypoints_second[other_number],
                        likeness.astype(np.float64))
 
 
-def described(pixels: Grey, is_known: Mask) -> tuple[FloatArray, Grey]:
+def describe_keypoints(pixels: Grey, is_known: Mask) -> tuple[FloatArray, Grey]:
     """Return keypoints (n, 2), line and sample, and RootSIFT descriptors (n, 128); n is 0 if none.
     """
-    picture = stretched(pixels, is_known)
+    picture = stretch_to_bytes(pixels, is_known)
     if picture is None:
         return np.empty((0, 2)), np.empty((0, 128), dtype=np.float32)
     # Edges of the data are no texture.
@@ -64,8 +64,8 @@ def described(pixels: Grey, is_known: Mask) -> tuple[FloatArray, Grey]:
     return np.array([keypoint.pt[::-1] for keypoint in keypoints]), vectors
 
 
-def alike(first: Grey, second: Grey, ratio: float = RATIO,
-          ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def mutual_nearest(first: Grey, second: Grey, ratio: float = RATIO,
+                   ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the pairs of descriptors that are each other's nearest, the clearest first.
 
     Parameters

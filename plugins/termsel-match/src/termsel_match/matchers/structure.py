@@ -13,17 +13,17 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from termsel_match.images.rasters import FloatArray, Grey, stretched
+from termsel_match.images.rasters import FloatArray, Grey, stretch_to_bytes
 from termsel_match.matchers import Matcher, Matches, Window
 from termsel_match.matchers.dense import (
     HALF_WINDOW,
     SHIFT_REACH,
+    are_surroundings_known,
     common_shift,
     distinct_places,
-    inside,
-    peak,
+    find_peak,
 )
-from termsel_match.matchers.refinement import Layers, refined
+from termsel_match.matchers.refinement import Layers, refine_matches
 
 # Of edges, over half a turn.
 _EDGE_DIRECTIONS = 6
@@ -56,8 +56,8 @@ class Structure(Matcher):
         """Return distinct places and where they are in the second (see `Matcher.match`)."""
         none = np.empty((0, 2))
         nothing = Matches(none, none, np.empty(0), none)
-        image_layers = layers(first)
-        reference_layers = layers(second)
+        image_layers = edge_layers(first)
+        reference_layers = edge_layers(second)
         if image_layers is None or reference_layers is None:
             return nothing
         shift = common_shift(image_layers.values, reference_layers.values,
@@ -66,22 +66,23 @@ class Structure(Matcher):
         if shift is None:
             return nothing
         positions = distinct_places(Window(first.pixels, image_layers.known))
-        positions = positions[inside(positions + shift, reference_layers.known,
-                                     HALF_WINDOW + SHIFT_REACH)]
+        positions = positions[are_surroundings_known(
+            positions + shift, reference_layers.known, HALF_WINDOW + SHIFT_REACH)]
         if not len(positions):
             return nothing
-        moved, clear = _offsets(image_layers.values, reference_layers.values, positions, shift)
+        moved, clear = _offsets_from_shift(
+            image_layers.values, reference_layers.values, positions, shift)
         order = np.argsort(clear, kind="stable")
-        return refined(image_layers, reference_layers, positions[order],
-                       (positions + shift + moved)[order], _MIN_CORRELATION)
+        return refine_matches(image_layers, reference_layers, positions[order],
+                              (positions + shift + moved)[order], _MIN_CORRELATION)
 
 
-def layers(window: Window) -> Layers | None:
+def edge_layers(window: Window) -> Layers | None:
     """Return the strength of edges of each direction (k, lines, samples), with a mean of zero.
 
     None if the window has no texture or too few known pixels.
     """
-    picture = stretched(window.pixels, window.known)
+    picture = stretch_to_bytes(window.pixels, window.known)
     if picture is None:
         return None
     smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), _GREY_BLUR)
@@ -102,8 +103,9 @@ def layers(window: Window) -> Layers | None:
     return Layers(np.where(is_known, values, 0).astype(np.float32), is_known)
 
 
-def _offsets(image_layers: Grey, reference_layers: Grey, positions: FloatArray, shift: FloatArray,
-             ) -> tuple[FloatArray, FloatArray]:
+def _offsets_from_shift(image_layers: Grey, reference_layers: Grey, positions: FloatArray,
+                        shift: FloatArray,
+                        ) -> tuple[FloatArray, FloatArray]:
     """Return by how much places are off the common shift (n, 2) [px], and how unclear that is (n,).
 
     Unclear is the second peak over the first: 0 is clear, 1 means two alike.
@@ -125,6 +127,6 @@ def _offsets(image_layers: Grey, reference_layers: Grey, positions: FloatArray, 
         around = energy[at[0] - SHIFT_REACH:at[0] + SHIFT_REACH + 1,
                         at[1] - SHIFT_REACH:at[1] + SHIFT_REACH + 1]
         likeness = correlation / np.sqrt(np.maximum(around * (template**2).sum(), 1e-12))
-        moved[i], best, next_best = peak(np.asarray(likeness, dtype=np.float64))
+        moved[i], best, next_best = find_peak(np.asarray(likeness, dtype=np.float64))
         clear[i] = max(next_best, 0.0) / best if best > 0 else 1.0
     return moved, clear

@@ -81,7 +81,7 @@ def smooth_part(positions: FloatArray, moved: FloatArray) -> tuple[FloatArray, M
     return surface, np.asarray(agree), terms
 
 
-def calibrated(positions: FloatArray, moved: FloatArray, sigma: FloatArray) -> FloatArray:
+def calibrate_deviations(positions: FloatArray, moved: FloatArray, sigma: FloatArray) -> FloatArray:
     """Return standard deviations with which matches that agree have a chi-square of 1, (n, 2).
 
     In each axis they are larger by a constant variance, or smaller by a factor. Where too few

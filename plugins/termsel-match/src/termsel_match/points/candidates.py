@@ -18,10 +18,10 @@ from termsel_match.images.masks import open_masked, tell_of_idle
 from termsel_match.images.overview import start_by_overview
 from termsel_match.images.positions import require_same_area
 from termsel_match.images.rasters import GreyRaster
-from termsel_match.images.starts import Start, start_of, turned
+from termsel_match.images.starts import Start, start_of, transform_plane
 from termsel_match.images.warps import NotShown, Reference, open_reference, references_of
 from termsel_match.matchers import Matcher, Matches
-from termsel_match.points.calibration import calibrated
+from termsel_match.points.calibration import calibrate_deviations
 from termsel_match.points.cells import (
     FOUND,
     NO_DATA,
@@ -30,7 +30,7 @@ from termsel_match.points.cells import (
     OUTSIDE,
     UNLIKE,
     Looking,
-    in_cells,
+    match_cells,
 )
 
 log = logging.getLogger("termsel.match")
@@ -174,7 +174,7 @@ def match_points(
     if len(points) < LEAST_CANDIDATES:
         raise TermselError(f"not enough candidates: {len(points)} found, at least "
                            f"{LEAST_CANDIDATES} needed", file=image,
-                           hint=_advice(cells, search, dem))
+                           hint=_advice_on_cells(cells, search, dem))
     if dem is None:
         log.info("Note: the heights are unknown. Give --dem FILE for RPCs and 3D models.")
     return Candidates(_calibrate_sigma(points, rough, crs), crs, size, dict(cells),
@@ -211,9 +211,9 @@ def _points_of_files(picture: GreyRaster, files: list[Path],
                 area = None if len(files) == 1 else seen_reference.footprint(picture.size)
                 if len(files) > 1 and area is None:
                     continue
-                matches, ends = in_cells(picture, seen_reference,
-                                         replace(looking, progress=progress), area)
-                points = _points(matches, seen_reference)
+                matches, ends = match_cells(picture, seen_reference,
+                                            replace(looking, progress=progress), area)
+                points = _points_of_matches(matches, seen_reference)
                 own_crs = seen_reference.crs
         except NotShown as error:
             # A tile beyond the image.
@@ -222,7 +222,7 @@ def _points_of_files(picture: GreyRaster, files: list[Path],
         crs = crs or own_crs
         if own_crs != crs:
             # Tiles may be in two zones: all points are in the CRS of the first.
-            plane = turned(points.ground[:, :2], own_crs, crs)
+            plane = transform_plane(points.ground[:, :2], own_crs, crs)
             points = replace(points, ground=np.column_stack([plane, points.ground[:, 2]]))
         several.append(points)
         cells += ends
@@ -236,13 +236,13 @@ def _calibrate_sigma(points: Points, rough: Start, crs: str) -> Points:
     """Return points with standard deviations by which those that agree differ from others."""
     assert points.sigma is not None
     z = points.ground[:, 2]
-    ground = np.column_stack([turned(points.ground[:, :2], crs, rough.crs),
+    ground = np.column_stack([transform_plane(points.ground[:, :2], crs, rough.crs),
                               np.where(np.isfinite(z), z, rough.height)])
     moved = points.image - rough.project(ground)
     is_finite = np.isfinite(moved).all(axis=1)
     if not is_finite.all():
         return points
-    return replace(points, sigma=calibrated(points.image, moved, points.sigma))
+    return replace(points, sigma=calibrate_deviations(points.image, moved, points.sigma))
 
 
 def _number_points(several: list[Points]) -> Points:
@@ -258,7 +258,7 @@ def _number_points(several: list[Points]) -> Points:
                   attributes={"score": score})
 
 
-def _points(matches: Matches, reference: Reference) -> Points:
+def _points_of_matches(matches: Matches, reference: Reference) -> Points:
     """Return matches as points with scores; with a DEM only those where it has a height."""
     assert matches.sigma is not None
     ground = reference.ground(matches.second)
@@ -270,7 +270,7 @@ def _points(matches: Matches, reference: Reference) -> Points:
                   attributes={"score": scores})
 
 
-def _advice(cells: Counter[str], search: float, dem: Path | str | None) -> str:
+def _advice_on_cells(cells: Counter[str], search: float, dem: Path | str | None) -> str:
     """Return a sentence on why most cells have no candidates, and what to do."""
     total = sum(cells.values())
     # The reason that most cells have.

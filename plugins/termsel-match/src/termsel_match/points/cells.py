@@ -12,10 +12,10 @@ from time import monotonic
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel_match.images.rasters import GreyRaster, stretched
+from termsel_match.images.rasters import GreyRaster, stretch_to_bytes
 from termsel_match.images.warps import Reference
 from termsel_match.matchers import Matcher, Matches, Window
-from termsel_match.matchers.refinement import Layers, refined
+from termsel_match.matchers.refinement import Layers, refine_matches
 
 log = logging.getLogger("termsel.match")
 
@@ -71,8 +71,9 @@ Area = tuple[int, int, int, int]
 """Line and sample of the first pixel, lines and samples."""
 
 
-def in_cells(picture: GreyRaster, reference: Reference, looking: Looking, area: Area | None = None,
-             ) -> tuple[Matches, Counter[str]]:
+def match_cells(picture: GreyRaster, reference: Reference, looking: Looking,
+                area: Area | None = None,
+                ) -> tuple[Matches, Counter[str]]:
     """Return matches, first in the image and second in the reference [px], and how cells ended.
 
     Parameters
@@ -107,7 +108,7 @@ def in_cells(picture: GreyRaster, reference: Reference, looking: Looking, area: 
             break
         matches_of_cells: list[Matches] = []
         # A large block is looked at in several places, until one has enough.
-        for window in _windows((extents[0], extents[1]), blocks, all_blocks[number], step):
+        for window in _windows_of_block((extents[0], extents[1]), blocks, all_blocks[number], step):
             in_image = (window[0] + first_line, window[1] + first_sample, *window[2:])
             matches, end = _best_in_window(picture, reference, looking, in_image, inner, step)
             matches_of_cells = max(matches_of_cells, matches, key=_count)
@@ -119,10 +120,10 @@ def in_cells(picture: GreyRaster, reference: Reference, looking: Looking, area: 
         if looking.progress is not None:
             looking.progress((done + 1) / blocks**2)
     in_order = chain.from_iterable(of_cells[number] for number in sorted(of_cells))
-    return joined(list(in_order)), ends
+    return join_matches(list(in_order)), ends
 
 
-def joined(several: list[Matches]) -> Matches:
+def join_matches(several: list[Matches]) -> Matches:
     """Return the matches of several parts as one; all have standard deviations. Empty for []."""
     none = np.empty((0, 2))
     first = np.concatenate([none, *(matches.first for matches in several)])
@@ -133,8 +134,8 @@ def joined(several: list[Matches]) -> Matches:
     return Matches(first, second, score, sigma)
 
 
-def _windows(size: tuple[int, int], across: int, block: tuple[int, int], step: int,
-             ) -> list[tuple[int, int, int, int]]:
+def _windows_of_block(size: tuple[int, int], across: int, block: tuple[int, int], step: int,
+                      ) -> list[tuple[int, int, int, int]]:
     """Return first line and sample, lines and samples [px] of the windows of a block, in turn.
 
     `block` is its row and column of `across` in either direction; one window if it is small.
@@ -168,7 +169,7 @@ def _best_in_window(picture: GreyRaster, reference: Reference, looking: Looking,
                         samples + 2 * border, step)
     if not grey[1].any():
         return [], NO_DATA
-    if stretched(*grey) is None:
+    if stretch_to_bytes(*grey) is None:
         return [], NO_TEXTURE
     shape = (lines + 2 * reach) // step, (samples + 2 * reach) // step
     patch = reference.patch(first_line - reach, first_sample - reach, shape, step)
@@ -189,7 +190,8 @@ def _best_in_window(picture: GreyRaster, reference: Reference, looking: Looking,
     of_cells = []
     for number in product(range(inner), repeat=2):
         in_cell = np.flatnonzero(used & (cell == number).all(axis=1))[:_TRIED]
-        best = _best_apart(_place_matches(looking.matcher, matches, in_cell, first, second))
+        best = _best_spread_matches(
+            _place_matches(looking.matcher, matches, in_cell, first, second))
         if best.sigma is not None and len(best.score):
             # From reduced pixels of the window to pixels of the image, and to those of the
             # reference.
@@ -206,7 +208,7 @@ def _place_matches(matcher: Matcher, matches: Matches, numbers: NDArray[np.intp]
     """
     if matcher.places_exactly:
         return matches.take(numbers)
-    return refined(Layers(first.pixels[None], first.known), Layers(second.pixels[None],
+    return refine_matches(Layers(first.pixels[None], first.known), Layers(second.pixels[None],
                    second.known), matches.first[numbers], matches.second[numbers])
 
 
@@ -214,7 +216,7 @@ def _count(several: list[Matches]) -> int:
     return sum(len(matches.score) for matches in several)
 
 
-def _best_apart(matches: Matches) -> Matches:
+def _best_spread_matches(matches: Matches) -> Matches:
     """Return the matches with the best scores that are apart in both images, at most `_EACH`."""
     best: list[int] = []
     # From the best on; a match too near to a better one says the same again.

@@ -50,14 +50,14 @@ class ArosicsTable(Reader):
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if the header has AROSICS' columns."""
-        return set(_AROSICS) <= set(_header(head))
+        return set(_AROSICS) <= set(_read_header(head))
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
         ids = []
         roles = []
         rows = []
-        for line, cells in _rows(path, _AROSICS):
+        for line, cells in _read_rows(path, _AROSICS):
             values = [_number(cells, name, path, line) for name in _AROSICS[1:]]
             if _NO_MATCH in values:
                 continue
@@ -90,21 +90,21 @@ class MatchesCsv(Reader):
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if the header names lines and samples of both images."""
-        header = set(_header(head))
+        header = set(_read_header(head))
         # Tables of lines of termsel have columns of these names, too.
         return any(set(names) <= header for names in _POSITION_COLUMNS) and not {"line1",
                                                                                  "z1"} & header
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
-        header = _header(text_of(path).encode())
+        header = _read_header(text_of(path).encode())
         names = next((names for names in _POSITION_COLUMNS if set(names) <= set(header)),
                      _POSITION_COLUMNS[0])
         ids = []
         rows = []
         sigma = []
         lines = []
-        for line, cells in _rows(path, names):
+        for line, cells in _read_rows(path, names):
             lines.append(f"line {line}")
             rows.append([_number(cells, name, path, line) for name in names])
             ids.append((cells.get("id") or "").strip() or f"M{len(rows):03d}")
@@ -123,7 +123,7 @@ class MatchesCsv(Reader):
             raise TermselError(NEEDS_REFERENCE, file=path, hint=(
                 "Give it with --set reference=ORTHO.tif. If the second places are on the ground, "
                 f"declare the columns: {columns}."))
-        inside = in_image(positions[:, :2], self.options["raster"], lines)
+        inside = are_in_image(positions[:, :2], self.options["raster"], lines)
         return with_ground(path, [ids[i] for i in np.flatnonzero(inside)], positions[inside, :2],
                            positions[inside, 2:], reference,
                            np.repeat(sigma, 2).reshape(-1, 2)[inside] if sigma else None)
@@ -138,7 +138,7 @@ def _are_beyond(at: FloatArray, reference: str) -> bool:
     return bool(((at < -0.5) | (at > last)).any(axis=1).mean() > 0.5)
 
 
-def in_image(positions: FloatArray, image: str, names: Sequence[str]) -> BoolArray:
+def are_in_image(positions: FloatArray, image: str, names: Sequence[str]) -> BoolArray:
     """Return which matches (n, 2), line and sample, are in the image, (n,); a note tells of others.
 
     A matcher yields some wrong matches, and those outside are. Where many are outside, or no image
@@ -206,14 +206,14 @@ def bytes_of(path: Path) -> bytes:
                            hint="Check the name and the folder.") from error
 
 
-def _header(head: bytes) -> list[str]:
+def _read_header(head: bytes) -> list[str]:
     """Return the names in the first line of a table that is not blank; [""] without one."""
     text = head.decode("utf-8-sig", errors="replace")
     first = next((line for line in text.splitlines() if line.strip()), "")
     return [cell.strip().strip('"') for cell in first.split(",")]
 
 
-def _rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
+def _read_rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
     """Yield line number and cells by name of each row; raises TermselError if a column is missing.
     """
     reader = csv.DictReader(text_of(path).splitlines(), skipinitialspace=True)

@@ -59,8 +59,8 @@ class Scenery:
     changed: float
 
 
-def scenery(rng: np.random.Generator, extent: float, cell: float,
-            suns: tuple[FloatArray, FloatArray]) -> Scenery:
+def simulate_scenery(rng: np.random.Generator, extent: float, cell: float,
+                     suns: tuple[FloatArray, FloatArray]) -> Scenery:
     """Return the scenery of a square.
 
     Parameters
@@ -72,9 +72,9 @@ def scenery(rng: np.random.Generator, extent: float, cell: float,
         For either day the shadow of a metre of height: east and south [m].
     """
     n = round(extent / cell)
-    parcels, count = _parcels(rng, extent, cell, n)
-    roads = tuple(_highways(rng, extent) + _streets(rng, extent))
-    footprints, heights, roofs = _houses(rng, extent, roads)
+    parcels, count = _random_parcels(rng, extent, cell, n)
+    roads = tuple(_random_highways(rng, extent) + _town_streets(rng, extent))
+    footprints, heights, roofs = _houses_along_roads(rng, extent, roads)
     areas = np.zeros(count, dtype=np.intp)
     for row in parcels:
         areas += np.bincount(row, minlength=count)
@@ -83,12 +83,12 @@ def scenery(rng: np.random.Generator, extent: float, cell: float,
     changed = np.zeros(count, dtype=bool)
     changed[order[np.cumsum(areas[order]) <= CHANGED * n * n]] = True
     bright = rng.uniform(70, 170, count)
-    shared = _texture(rng, n, cell)
+    shared = _random_texture(rng, n, cell)
     days = []
     for day in (0, 1):
         # Parcels have a brightness, and a little of it differs from day to day.
         level = bright + rng.normal(0, 6, count)
-        texture = _texture(rng, n, cell)
+        texture = _random_texture(rng, n, cell)
         weight = np.full(count, _OWN)
         if day == 1:
             level = np.where(changed, rng.uniform(70, 170, count), level)
@@ -136,7 +136,7 @@ def _draw(image: Bytes, shapes: list[FloatArray], cell: float, value: int, *,
                       lineType=kind, shift=_FRACTION_BITS)
 
 
-def _texture(rng: np.random.Generator, n: int, cell: float) -> NDArray[np.float32]:
+def _random_texture(rng: np.random.Generator, n: int, cell: float) -> NDArray[np.float32]:
     """Return brightness (n, n) of all wavelengths, with the mean 0."""
     total = np.zeros((n, n), dtype=np.float32)
     wave_texture = np.empty((n, n), dtype=np.float32)
@@ -149,8 +149,8 @@ def _texture(rng: np.random.Generator, n: int, cell: float) -> NDArray[np.float3
     return total
 
 
-def _parcels(rng: np.random.Generator, extent: float, cell: float, n: int,
-             ) -> tuple[NDArray[np.uint16], int]:
+def _random_parcels(rng: np.random.Generator, extent: float, cell: float, n: int,
+                    ) -> tuple[NDArray[np.uint16], int]:
     """Return the number of the parcel of each cell (n, n), and how many parcels there are."""
     across = max(3, round(extent / PARCEL)) + 2
     grid = np.stack(np.meshgrid(*(np.arange(-1, across - 1),) * 2), axis=-1).reshape(-1, 2)
@@ -168,7 +168,7 @@ def _parcels(rng: np.random.Generator, extent: float, cell: float, n: int,
     return labels, len(seeds)
 
 
-def _highways(rng: np.random.Generator, extent: float) -> list[Road]:
+def _random_highways(rng: np.random.Generator, extent: float) -> list[Road]:
     """Return roads through the square, of straight pieces with gentle bends."""
     roads = []
     count = max(6, round(extent / 250))
@@ -187,7 +187,7 @@ def _highways(rng: np.random.Generator, extent: float) -> list[Road]:
     return roads
 
 
-def _streets(rng: np.random.Generator, extent: float) -> list[Road]:
+def _town_streets(rng: np.random.Generator, extent: float) -> list[Road]:
     """Return the streets of a town, a turned grid."""
     town = _TOWN * extent
     centre = rng.uniform(0.3, 0.7, 2) * extent
@@ -203,8 +203,8 @@ def _streets(rng: np.random.Generator, extent: float) -> list[Road]:
     return streets
 
 
-def _houses(rng: np.random.Generator, extent: float, roads: tuple[Road, ...],
-            ) -> tuple[list[FloatArray], list[float], list[int]]:
+def _houses_along_roads(rng: np.random.Generator, extent: float, roads: tuple[Road, ...],
+                        ) -> tuple[list[FloatArray], list[float], list[int]]:
     """Return footprints, heights [m] and brightness of houses along the roads."""
     footprints = []
     heights = []

@@ -13,7 +13,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from termsel import FeatureSet, Points, Rpc, TermselError, fit, rpc_of
 from termsel.simulate import Angle, Pushbroom, Terrain, pushbroom_at
-from termsel_match.simulated.scenery import Bytes, FloatArray, Scenery, scenery
+from termsel_match.simulated.scenery import Bytes, FloatArray, Scenery, simulate_scenery
 
 Shakes = tuple[tuple[tuple[float, float, float], ...], ...]
 
@@ -177,20 +177,20 @@ class World:
     @cached_property
     def ground(self) -> Scenery:
         """What is on the ground."""
-        return scenery(self._rng(3), self.side, self.cell, (np.array([-0.9, -0.5]),
+        return simulate_scenery(self._rng(3), self.side, self.cell, (np.array([-0.9, -0.5]),
                                                              np.array([0.6, -0.9])))
 
     def image(self) -> NDArray[np.uint16]:
         """Return the image: 11 bits, by rays that meet houses and terrain."""
-        day = self._brightness(0)
+        day = self._lit_brightness(0)
         low = float(self.heights.min()) - 1
         high = float(self.heights.max()) + _TALLEST + 1
-        at_low = self._rays(low)
-        at_high = self._rays(high)
+        at_low = self._ray_mesh(low)
+        at_high = self._ray_mesh(high)
         rows = []
         for top in range(0, self.size, _RENDERED_LINES):
             lines = np.arange(top, min(top + _RENDERED_LINES, self.size), dtype=np.float64)
-            start, end = (_all_rays(mesh, lines, self.size) for mesh in (at_low, at_high))
+            start, end = (_interpolate_rays(mesh, lines, self.size) for mesh in (at_low, at_high))
             # A ray is straight between the lowest ground and the tallest roof.
             cells = self._cells_met(start, (end - start) / (high - low), low)
             rows.append(cv2.remap(day, *cells, cv2.INTER_LINEAR))
@@ -200,7 +200,7 @@ class World:
 
     def ortho(self) -> Bytes:
         """Return the orthoimage of the other day, of the whole square, 8 bits."""
-        bright = self._brightness(1).astype(np.float32)
+        bright = self._lit_brightness(1).astype(np.float32)
         n = len(bright) // _CELLS_PER_PIXEL
         mean = cv2.resize(bright[:n * _CELLS_PER_PIXEL, :n * _CELLS_PER_PIXEL], (n, n),
                           interpolation=cv2.INTER_AREA)
@@ -245,7 +245,7 @@ class World:
             mapped.append(self.corner + vertices * [1, -1])
         return mapped
 
-    def _brightness(self, day: int) -> Bytes:
+    def _lit_brightness(self, day: int) -> Bytes:
         """Return the brightness on a day (0 or 1), lit by its sun and blurred as the optics see it.
         """
         bright = self.ground.days[day]
@@ -264,9 +264,9 @@ class World:
         return np.asarray(cv2.GaussianBlur(lit_image, (0, 0), 0.5 * _CELLS_PER_PIXEL),
                           dtype=np.uint8)
 
-    def _rays(self, height: float) -> tuple[FloatArray, FloatArray]:
+    def _ray_mesh(self, height: float) -> tuple[FloatArray, FloatArray]:
         """Return where a mesh of rays reaches a height: east and south of the corner [m]."""
-        steps = _mesh(self.size)
+        steps = _mesh_positions(self.size)
         image = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
         east, north = _to_plane().transform(*self.camera.locate(image, height).T)
         shape = len(steps), len(steps)
@@ -294,26 +294,27 @@ class World:
         # From the tallest house down to the terrain: the first cell that is high enough.
         free = np.ones(base.shape, dtype=bool)
         for above in np.arange(_TALLEST, 0, -_RAY_STEP):
-            at = self._cells(start + rise * (base + above - low))
+            at = self._to_cells(start + rise * (base + above - low))
             tall = cv2.remap(self.ground.buildings, *at, cv2.INTER_NEAREST)
             hit = free & (tall >= 10 * above)
             height = np.where(hit, base + above, height)
             free &= ~hit
-        return self._cells(start + rise * (height - low))
+        return self._to_cells(start + rise * (height - low))
 
-    def _cells(self, metres: FloatArray,
-               ) -> list[NDArray[np.float32]]:
+    def _to_cells(self, metres: FloatArray,
+                  ) -> list[NDArray[np.float32]]:
         """Return east and south of the corner [m] as columns and rows of cells."""
         return [(axis / self.cell - 0.5).astype(np.float32) for axis in metres]
 
 
-def _mesh(size: int) -> FloatArray:
+def _mesh_positions(size: int) -> FloatArray:
     return np.arange(-2, -(-size // _RAY_MESH) + 3, dtype=np.float64) * _RAY_MESH
 
 
-def _all_rays(mesh: tuple[FloatArray, FloatArray], lines: FloatArray, size: int) -> FloatArray:
+def _interpolate_rays(
+        mesh: tuple[FloatArray, FloatArray], lines: FloatArray, size: int) -> FloatArray:
     """Return a mesh of rays interpolated at all samples of lines, shape (2, lines, samples)."""
-    steps = _mesh(size)
+    steps = _mesh_positions(size)
     samples = np.arange(size)
     return np.stack([RectBivariateSpline(steps, steps, axis)(lines, samples) for axis in mesh])
 

@@ -15,12 +15,12 @@ import numpy as np
 from termsel import TermselError, get, open_dem
 from termsel.toolkit import csv_table, write_text
 from termsel_match.images.masks import open_masked, tell_of_idle
-from termsel_match.images.rasters import FloatArray, grid
-from termsel_match.images.starts import Start, start_of, turned
+from termsel_match.images.rasters import FloatArray, spread_pixels
+from termsel_match.images.starts import Start, start_of, transform_plane
 from termsel_match.images.warps import COVERS, Reference
 from termsel_match.matchers import Matcher
 from termsel_match.points.calibration import smooth_part
-from termsel_match.points.cells import Looking, in_cells
+from termsel_match.points.cells import Looking, match_cells
 
 log = logging.getLogger("termsel.match")
 
@@ -34,7 +34,7 @@ class RawReference(Reference):
     def seen(self, image: FloatArray) -> FloatArray:
         """Return where places of the other image, (n, 2), are in this one; NaN for none."""
         ground = self.start.locate(image, self.heights)
-        plane = turned(ground[:, :2], self.start.crs, self.own_start.crs)
+        plane = transform_plane(ground[:, :2], self.start.crs, self.own_start.crs)
         positions = np.array(self.own_start.project(np.column_stack([plane, ground[:, 2]])))
         positions[~np.isfinite(positions).all(axis=1)] = np.nan
         return positions
@@ -158,12 +158,12 @@ def match_ties(
                           tell)
         with open_masked(paths[i], band, masks) as picture, \
                 _open_reference(paths[j], starts[j], starts[i], dem, band, masks) as seen_image:
-            in_second = seen_image.seen(grid(picture.size, (COVERS, COVERS)))
+            in_second = seen_image.seen(spread_pixels(picture.size, (COVERS, COVERS)))
             any_overlap |= bool(np.isfinite(in_second).any())
-            if not _overlaps(seen_image, in_second):
+            if not _is_any_inside(seen_image, in_second):
                 pairs.append(PairOfImages(names[i], names[j], 0, 0))
                 continue
-            matches = in_cells(picture, seen_image, looking)[0]
+            matches = match_cells(picture, seen_image, looking)[0]
             moved = matches.second - seen_image.seen(matches.first)
         finite = np.flatnonzero(np.isfinite(moved).all(axis=1))
         # Matches that agree with a smooth surface of displacements, as those of a true pair do.
@@ -209,7 +209,7 @@ def _open_reference(path: Path, own_start: Start, start: Start, dem: Path | str,
                            own_start=own_start)
 
 
-def _overlaps(seen_image: RawReference, positions: FloatArray) -> bool:
+def _is_any_inside(seen_image: RawReference, positions: FloatArray) -> bool:
     """Return whether any of the positions (n, 2) lies in an image; NaN is no position."""
     last = np.array(seen_image.picture.size) - 1
     # Comparisons with nan are false: what has no position is not inside.

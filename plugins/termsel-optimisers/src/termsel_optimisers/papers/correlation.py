@@ -61,7 +61,7 @@ def activation_probabilities(sums: FloatArray, scale: float, offset: float) -> F
     return np.asarray(np.clip(probability, 0.0, 1.0))
 
 
-def seeded_population(probability: FloatArray, n: int, rng: np.random.Generator) -> BoolArray:
+def seed_population(probability: FloatArray, n: int, rng: np.random.Generator) -> BoolArray:
     """Return n chromosomes (n, g) in which gene i is on exactly round(P_i n) times, at random."""
     # The first round(P_i n) of each column, which are then put in a random order.
     on = np.arange(n)[:, None] < np.rint(probability * n)
@@ -125,7 +125,7 @@ class CorrelationSeededGA(GeneticAlgorithm):
         size = self.population_size(problem)
 
         def population() -> BoolArray:
-            return problem.genome.repair(seeded_population(probability, size, rng), rng)
+            return problem.genome.repair(seed_population(probability, size, rng), rng)
 
         box.register("population", population)
         return box

@@ -33,7 +33,7 @@ def renew(pheromone: FloatArray, deposited: FloatArray, evaporation: float, tau_
     return np.clip((1.0 - evaporation) * pheromone + evaporation * deposited, tau_min, tau_max)
 
 
-def grafts(stock: BoolArray, scion: BoolArray, genome: Genome) -> BoolArray:
+def graft_segments(stock: BoolArray, scion: BoolArray, genome: Genome) -> BoolArray:
     """Return copies of `stock` (g,), each with one segment of `scion`, shape (segments, g)."""
     grafted = np.repeat(stock[None], len(genome.segments), axis=0)
     for row, columns in zip(grafted, genome.slices().values(), strict=True):
@@ -49,8 +49,8 @@ def has_settled(chance: FloatArray, limit: float) -> bool:
     return len(chance) > 0 and bool(np.minimum(chance, 1.0 - chance).mean() < limit)
 
 
-def _elite(n: int, ants_1: BoolArray, evaluation_1: Evaluation, ants_2: BoolArray,
-           evaluation_2: Evaluation) -> tuple[BoolArray, Evaluation]:
+def _best_ants(n: int, ants_1: BoolArray, evaluation_1: Evaluation, ants_2: BoolArray,
+               evaluation_2: Evaluation) -> tuple[BoolArray, Evaluation]:
     """Return the best n of two groups of ants, from best to worst, and their evaluation."""
     evaluation = Evaluation(np.concatenate([evaluation_1.objectives, evaluation_2.objectives]),
                             np.concatenate([evaluation_1.violation, evaluation_2.violation]))
@@ -113,17 +113,19 @@ class AntColony(Solver):
         pheromone = np.full((2, problem.genome.size), 0.5)
         for index in itertools.count():
             yield Generation(index, ants, evaluation, {"pheromone": pheromone})
-            ranked, ranked_evaluation = _elite(o["elite"], best, best_evaluation, ants, evaluation)
+            ranked, ranked_evaluation = _best_ants(
+                o["elite"], best, best_evaluation, ants, evaluation)
             best = ranked[:1]
             best_evaluation = ranked_evaluation.take(np.arange(1))
             pheromone = renew(pheromone, deposit(ranked), o["evaporation"], o["tau_min"],
                               o["tau_max"])
             chance = pheromone[1] / pheromone.sum(axis=0)  # limits change their sum
             if has_settled(chance[problem.genome.free], o["restart"]):
-                champion, champion_evaluation = _elite(1, champion, champion_evaluation, best,
-                                                       best_evaluation)
-                grafted = grafts(champion[0], best[0], problem.genome)
-                champion, champion_evaluation = _elite(1, champion, champion_evaluation, grafted,
+                champion, champion_evaluation = _best_ants(
+                    1, champion, champion_evaluation, best, best_evaluation)
+                grafted = graft_segments(champion[0], best[0], problem.genome)
+                champion, champion_evaluation = _best_ants(1, champion, champion_evaluation,
+                                                           grafted,
                                               problem.evaluate(grafted))
                 # The next start knows nothing of this one; the champion is not lost to it.
                 best = best[:0]

@@ -56,13 +56,13 @@ class FigureCondition(Criterion):
         figures = np.empty(len(fits.terms))
         for i, terms in enumerate(fits.terms):
             rows = at_zero + image[i].reshape(-1, 1) * (at_one - at_zero)
-            variance = self._variance(fits, i, rows)
+            variance = self._prediction_variance(fits, i, rows)
             if denominators is not None:
                 variance = variance / denominators[i].reshape(-1) ** 2
             figures[i] = np.sqrt(2 * variance.mean()) * fits.pixels if terms.any() else np.inf
         return figures
 
-    def _variance(self, fits: Fits, i: int, rows: FloatArray) -> FloatArray:
+    def _prediction_variance(self, fits: Fits, i: int, rows: FloatArray) -> FloatArray:
         """Return the variance of model i in each row of the places (2n,), in scaled units.
 
         Infinite if it has too little redundancy, or its terms depend on each other.

@@ -129,7 +129,7 @@ class Lasso(TermRegression):
 
     def choose(self, regression: Regression) -> BoolArray:
         """Return the columns (k,) in use at the penalty with the least held-out error."""
-        path = _path(regression, np.ones(len(regression.target), dtype=bool))
+        path = _lasso_path(regression, np.ones(len(regression.target), dtype=bool))
         if not path:
             return regression.kept
         # The middle of each segment, in logarithms.
@@ -141,10 +141,10 @@ class Lasso(TermRegression):
             square += _held_out_squares(regression, fold != held_out, penalties)
         # Of those that leave rounding alone the first, with the largest penalty.
         chosen = path[int(np.maximum(square, regression.rounding).argmin())]
-        return regression.without_surplus(_selection(regression, chosen))
+        return regression.without_surplus(_columns_on_segment(regression, chosen))
 
 
-def _path(regression: Regression, rows: BoolArray) -> list[PathSegment]:
+def _lasso_path(regression: Regression, rows: BoolArray) -> list[PathSegment]:
     """Return the path of the free columns over the rows (m,) in use.
 
     [] if there is no room for any.
@@ -155,7 +155,7 @@ def _path(regression: Regression, rows: BoolArray) -> list[PathSegment]:
     return lasso_path(standard.columns, standard.target, room)
 
 
-def _selection(regression: Regression, segment: PathSegment) -> BoolArray:
+def _columns_on_segment(regression: Regression, segment: PathSegment) -> BoolArray:
     """Return the columns (k,) in use on a segment of the path, with those always kept."""
     selection = regression.kept.copy()
     selection[np.flatnonzero(regression.free)[segment.active]] = True
@@ -168,8 +168,8 @@ def _held_out_squares(regression: Regression, rows: BoolArray, penalties: FloatA
     Penalties are for all rows; with unit columns they scale with the root of the number of rows.
     """
     unit = regression.unit
-    path = _path(regression, rows)
-    selections = [regression.kept, *(_selection(regression, segment) for segment in path)]
+    path = _lasso_path(regression, rows)
+    selections = [regression.kept, *(_columns_on_segment(regression, segment) for segment in path)]
     squares = []
     for selection in selections:
         x = np.linalg.lstsq(unit[np.ix_(rows, selection)], regression.target[rows],

@@ -45,22 +45,22 @@ class NestedRegression(TermRegression):
         errors = rational_errors(regression, selection)
         while selection.sum() < regression.most:
             # By the errors of the quotient itself, not by those of the linear equations.
-            share = explained_share(regression, selection, errors)
+            share = explained_shares(regression, selection, errors)
             best = regression.largest(share)
             if share[best] <= 0.0:
                 break
             selection = selection.copy()
             selection[best] = True
-            former_rms = rms(errors)
+            former_rms = rms_of_targets(errors)
             errors = rational_errors(regression, selection)
-            new_rms = rms(errors)
+            new_rms = rms_of_targets(errors)
             if (selection.sum() >= regression.least and (new_rms < thumb).all()
                     and (np.abs(new_rms - former_rms) < thumb).all()):
                 break
         return selection
 
 
-def rms(errors: FloatArray) -> FloatArray:
+def rms_of_targets(errors: FloatArray) -> FloatArray:
     """Return the root mean square of each target's errors (m, r), shape (r,)."""
     return np.asarray(np.sqrt((errors**2).mean(axis=0)))
 
@@ -82,7 +82,8 @@ def rational_errors(regression: Regression, selection: BoolArray) -> FloatArray:
     return np.asarray(errors)
 
 
-def explained_share(regression: Regression, selection: BoolArray, errors: FloatArray) -> FloatArray:
+def explained_shares(
+        regression: Regression, selection: BoolArray, errors: FloatArray) -> FloatArray:
     """Return the share of the errors' squares that each free column explains alone, shape (k,).
 
     This is R^2 of a regression without intercept; R^2 / (1 - R^2) grows with it. It is 0 for

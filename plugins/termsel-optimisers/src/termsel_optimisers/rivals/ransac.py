@@ -64,7 +64,7 @@ class Ransac(Method):
         ready = model.prepared(data.scaling, data.features.crs)
         terms = np.ones(len(model.terms), dtype=bool)
         return self.estimator.fit(model, data.features, data.scaling, terms,
-                                  self._agreeing(ready, data))
+                                  self._points_that_vote(ready, data))
 
     def model(self, heights: bool, points: int = 0) -> RationalModel:
         """Return the polynomial for a number of points: affine, or quadratic if they are many.
@@ -78,7 +78,7 @@ class Ransac(Method):
         """Return the errors of features where all is drawn again without them."""
         return held_out_by_refits(self.fit, fitted.control, heights=fitted.model.uses_height)
 
-    def _agreeing(self, model: RationalModel, data: FitData) -> BoolArray:
+    def _points_that_vote(self, model: RationalModel, data: FitData) -> BoolArray:
         """Return which points vote for the polynomial that the most vote for, shape (n,).
 
         Raises Undetermined if points are too few, or no more agree than determine the polynomial.

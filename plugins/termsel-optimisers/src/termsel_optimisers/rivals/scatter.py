@@ -52,7 +52,7 @@ class ScatterMatrix(TermRegression):
         # Columns that are always in use are swept first; the constant is in none of the products.
         for j in np.flatnonzero(selection & ~regression.constant):
             if scatter[j, j] > self.options["tolerance"]:
-                scatter = swept(scatter, int(j))
+                scatter = sweep_pivot(scatter, int(j))
         visited = {selection.tobytes()}
         while selection.sum() < regression.most:
             gain = explained_squares(scatter, len(selection))
@@ -65,10 +65,10 @@ class ScatterMatrix(TermRegression):
             larger = selection.copy()
             larger[best] = True
             # Up to the fewest columns the best one enters whatever its F.
-            if selection.sum() >= regression.least and self._f(
+            if selection.sum() >= regression.least and self._partial_f(
                     regression, scatter, gain[best], larger, selection, entering=True) <= f_in:
                 break
-            scatter = swept(scatter, best)
+            scatter = sweep_pivot(scatter, best)
             selection = larger
             while True:
                 loss = np.where(selection & regression.free,
@@ -79,18 +79,19 @@ class ScatterMatrix(TermRegression):
                 if (worst == best or not np.isfinite(loss[worst])
                         or selection.sum() <= regression.least):
                     break
-                if self._f(regression, scatter, loss[worst], selection, smaller,
-                           entering=False) >= f_out:
+                if self._partial_f(regression, scatter, loss[
+                        worst], selection, smaller, entering=False) >= f_out:
                     break
-                scatter = swept(scatter, worst)
+                scatter = sweep_pivot(scatter, worst)
                 selection = smaller
             if selection.tobytes() in visited:
                 break
             visited.add(selection.tobytes())
         return selection
 
-    def _f(self, regression: Regression, scatter: FloatArray, change: float, with_it: BoolArray,
-           without: BoolArray, *, entering: bool) -> float:
+    def _partial_f(self, regression: Regression, scatter: FloatArray, change: float,
+                   with_it: BoolArray,
+                   without: BoolArray, *, entering: bool) -> float:
         """Return the F of a column that enters, or leaves if not `entering`.
 
         `with_it` and `without` (k,) are the columns in use with and without the column, and
@@ -140,7 +141,7 @@ def scatter_of(regression: Regression) -> tuple[FloatArray, FloatArray]:
     return columns.T @ columns, np.where(lengths > 1e-12, lengths, 0.0)
 
 
-def swept(scatter: FloatArray, pivot: int) -> FloatArray:
+def sweep_pivot(scatter: FloatArray, pivot: int) -> FloatArray:
     """Return the matrix after the elimination transformation of a pivot, which undoes itself."""
     d = scatter[pivot, pivot]
     row = scatter[pivot].copy()

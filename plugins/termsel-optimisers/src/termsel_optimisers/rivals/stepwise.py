@@ -12,7 +12,7 @@ from termsel_optimisers.arrays import BoolArray, FloatArray
 from termsel_optimisers.rivals.nested import DEPENDENT
 
 
-def gains(regression: Regression, selection: BoolArray) -> tuple[FloatArray, float]:
+def gains_of_entering(regression: Regression, selection: BoolArray) -> tuple[FloatArray, float]:
     """Return how much each further column lowers the residual sum of squares (k,), and that sum.
 
     The gain is 0 for columns that depend on the chosen ones (k,), and for these; the sum is that
@@ -30,7 +30,7 @@ def gains(regression: Regression, selection: BoolArray) -> tuple[FloatArray, flo
     return (share**2).sum(axis=1), float((residuals**2).sum())
 
 
-def losses(regression: Regression, selection: BoolArray) -> tuple[FloatArray, float]:
+def losses_of_leaving(regression: Regression, selection: BoolArray) -> tuple[FloatArray, float]:
     """Return what dropping each chosen column adds to the residual sum of squares, and that sum.
 
     The loss (k,) is infinite for columns that are not chosen; the sum is that with all chosen ones,
@@ -46,8 +46,8 @@ def losses(regression: Regression, selection: BoolArray) -> tuple[FloatArray, fl
     return loss, float(((regression.target - regression.unit[:, selection] @ x) ** 2).sum())
 
 
-def significance(regression: Regression, change: float, square: float,
-                 selection: BoolArray) -> float:
+def p_value_of_change(
+        regression: Regression, change: float, square: float, selection: BoolArray) -> float:
     """Return the probability of a change this large if a column is not part of the target.
 
     The partial F test of one column: F = (change / r) / (square / f) with r and f degrees of
@@ -123,7 +123,7 @@ class Stepwise(TermRegression):
         None if none is significant or there is no room.
         """
         count = int(selection.sum())
-        gain, square = gains(regression, selection)
+        gain, square = gains_of_entering(regression, selection)
         gain[~regression.free] = 0.0
         # Of columns that gain the same but for rounding the first one enters, on any machine.
         best = regression.largest(gain)
@@ -132,8 +132,9 @@ class Stepwise(TermRegression):
         grown = with_column(selection, best, True)
         required = count < regression.least  # whatever its significance
         if not required and (regression.explained(square)
-                             or significance(regression, gain[best], max(square - gain[best], 0.0),
-                                             grown) >= alpha):
+                             or p_value_of_change(regression, gain[best],
+                                                  max(square - gain[best], 0.0),
+                                                  grown) >= alpha):
             return None
         return grown
 
@@ -141,17 +142,17 @@ class Stepwise(TermRegression):
 def _prune(regression: Regression, selection: BoolArray, alpha: float) -> BoolArray:
     """Return the choice without insignificant columns, dropped one at a time, the weakest first."""
     while selection.sum() > regression.least:
-        loss, square = losses(regression, selection)
+        loss, square = losses_of_leaving(regression, selection)
         loss[~regression.free] = np.inf  # columns that are always in use
         weakest = int(loss.argmin())
         if (not np.isfinite(loss[weakest])
-                or significance(regression, loss[weakest], square, selection) <= alpha):
+                or p_value_of_change(regression, loss[weakest], square, selection) <= alpha):
             break
         selection = with_column(selection, weakest, False)
     return selection
 
 
-def independent(regression: Regression, max_columns: int) -> BoolArray:
+def independent_columns(regression: Regression, max_columns: int) -> BoolArray:
     """Return the kept columns and the first others that depend on no earlier one.
 
     They are `max_columns` at most.
@@ -201,4 +202,5 @@ class TTest(TermRegression):
         m = len(regression.target)
         # As many as possible, and yet enough redundancy for the first tests.
         max_columns = min(regression.most, m - (self.options["redundancy"] or ceil(m / 4)))
-        return _prune(regression, independent(regression, max_columns), self.options["alpha"])
+        return _prune(
+            regression, independent_columns(regression, max_columns), self.options["alpha"])

@@ -14,7 +14,7 @@ from termsel_optimisers.arrays import BoolArray, FloatArray
 _LEAST = 1e-9  # variance of a rank sum below which it is rounding
 
 
-def qualification(genes: BoolArray, evaluation: Evaluation) -> FloatArray:
+def gene_qualification(genes: BoolArray, evaluation: Evaluation) -> FloatArray:
     """Return how much better chromosomes (p, g) with a gene rank than the others, shape (g,).
 
     The statistic of Wilcoxon's rank sum test in units of its standard deviation, with the
@@ -44,7 +44,7 @@ class TransgenicGA(GeneticAlgorithm):
 
     - A gene is qualified if the chromosomes that have it and those that lack it rank
       differently in the current population, by a two-sided rank sum test at level `alpha`
-      (`qualification`).
+      (`gene_qualification`).
     - A transgenic chromosome is a parent, drawn by tournament like all others, whose qualified
       genes are set as in the better chromosomes, on or off.
     - The share `transgenic` of the parents is transgenic, and each mates with an unchanged one.
@@ -69,7 +69,7 @@ class TransgenicGA(GeneticAlgorithm):
                  n: int) -> BoolArray:
         """Return n children (n, g) of selected parents, some with the genes of good chromosomes."""
         parents = genes[box.select(evaluation.order(), n)]
-        coefficient = qualification(genes, evaluation)
+        coefficient = gene_qualification(genes, evaluation)
         limit = NormalDist().inv_cdf(1.0 - self.options["alpha"] / 2.0)
         # Rows 0 and 1 are a pair, 2 and 3, and so on: one of each pair at most.
         transgenic = slice(0, 2 * round(self.options["transgenic"] * n), 2)

@@ -25,8 +25,8 @@ class Writing:
     def __call__(self, name: str, *content: Element | str | None,
                  attributes: Mapping[str, str] | None = None) -> Element:
         """Return an element of the name "prefix:name"; content of None is left out."""
-        element = Element(self._qualified(name), {self._qualified(key): value
-                                                  for key, value in (attributes or {}).items()})
+        element = Element(self._qualify_name(name), {self._qualify_name(key): value
+                                                     for key, value in (attributes or {}).items()})
         for child in content:
             if isinstance(child, str):
                 element.text = child
@@ -34,7 +34,7 @@ class Writing:
                 element.append(child)
         return element
 
-    def _qualified(self, name: str) -> str:
+    def _qualify_name(self, name: str) -> str:
         """Return a name with the address of its prefix, as ElementTree has it."""
         prefix, colon, local = name.partition(":")
         # ElementTree writes {uri}name for a prefix of its own.

@@ -9,7 +9,7 @@ georeference does not show is "Unknown", as the standard allows.
 from __future__ import annotations
 
 from termsel_standards.quality.elements import Element, Writing
-from termsel_standards.quality.report import Quality, Source, decimal
+from termsel_standards.quality.report import Quality, Source, decimal_text
 
 STANDARD = ("FGDC Content Standard for Digital Geospatial Metadata", "FGDC-STD-001-1998")
 _UNKNOWN, _NONE = "Unknown", "None"
@@ -21,18 +21,18 @@ def fgdc_xml(report: Quality) -> str:
     """Return the report as an XML document whose root is `metadata`."""
     # Dates of the FGDC have no dashes.
     date = report.made[:10].replace("-", "")
-    west, east, south, north = map(decimal, report.bounds)
+    west, east, south, north = map(decimal_text, report.bounds)
     identification = _x(
-        "idinfo", _x("citation", _citation(report.title, report.organisation, date)),
+        "idinfo", _x("citation", _citation_element(report.title, report.organisation, date)),
         _x("descript", _x("abstract", f"Georeference of {report.title}"), _x("purpose", _UNKNOWN)),
-        _x("timeperd", _when(_UNKNOWN), _x("current", _UNKNOWN)),
+        _x("timeperd", _date_element(_UNKNOWN), _x("current", _UNKNOWN)),
         _x("status", _x("progress", "Complete"), _x("update", "None planned")),
         *_bounds_and_use(west, east, south, north))
     # Only figures on the ground are of positional accuracy; those in px have no place here.
-    figures = [_x("qhorizpa", _x("horizpav", decimal(measure.value)),
+    figures = [_x("qhorizpa", _x("horizpav", decimal_text(measure.value)),
                   _x("horizpae", f"{measure.name} [m]: {measure.description}"))
                for measure in report.measures if measure.unit == "m"]
-    sources = [_source(source, f"source {i}") for i, source in enumerate(report.sources, 1)]
+    sources = [_source_element(source, f"source {i}") for i, source in enumerate(report.sources, 1)]
     sources_used = [_x("srcused", f"source {i}") for i, _ in enumerate(report.sources, 1)]
     quality = _x(
         "dataqual",
@@ -42,7 +42,7 @@ def fgdc_xml(report: Quality) -> str:
             *figures)),
         _x("lineage", *sources, _x("procstep", _x("procdesc", _process(report)), *sources_used,
                                    _x("procdate", date))))
-    metadata = _x("metainfo", _x("metd", date), _x("metc", _contact(report.organisation)),
+    metadata = _x("metainfo", _x("metd", date), _x("metc", _contact_element(report.organisation)),
                   _x("metstdn", STANDARD[0]), _x("metstdv", STANDARD[1]))
     return _x.text(_x("metadata", identification, quality, metadata))
 
@@ -62,24 +62,24 @@ def _process(report: Quality) -> str:
     return f"{report.lineage} Software: {software}. Settings: {settings}."
 
 
-def _source(source: Source, short: str) -> Element:
+def _source_element(source: Source, short: str) -> Element:
     """Return a source with its checksum as an element; `short` is what others call it."""
-    return _x("srcinfo", _x("srccite", _citation(source.name, "", _UNKNOWN)),
-              _x("typesrc", "digital file"), _x("srctime", _when(_UNKNOWN),
+    return _x("srcinfo", _x("srccite", _citation_element(source.name, "", _UNKNOWN)),
+              _x("typesrc", "digital file"), _x("srctime", _date_element(_UNKNOWN),
                                                 _x("srccurr", _UNKNOWN)),
               _x("srccitea", short), _x("srccontr",
                                         f"{source.description}; sha256 {source.sha256}"))
 
 
-def _citation(title: str, origin: str, date: str) -> Element:
+def _citation_element(title: str, origin: str, date: str) -> Element:
     return _x("citeinfo", _x("origin", origin or _UNKNOWN), _x("pubdate", date), _x("title", title))
 
 
-def _when(date: str) -> Element:
+def _date_element(date: str) -> Element:
     return _x("timeinfo", _x("sngdate", _x("caldate", date)))
 
 
-def _contact(organisation: str) -> Element:
+def _contact_element(organisation: str) -> Element:
     """Return the organisation as an element; what is not known says so."""
     return _x("cntinfo", _x("cntorgp", _x("cntorg", organisation or _UNKNOWN)),
               _x("cntaddr", _x("addrtype", _UNKNOWN), _x("city", _UNKNOWN), _x("state", _UNKNOWN),

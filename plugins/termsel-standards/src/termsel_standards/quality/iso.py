@@ -9,7 +9,7 @@ https://standards.iso.org/iso/19115/-3 and https://standards.iso.org/iso/19157/-
 from __future__ import annotations
 
 from termsel_standards.quality.elements import Element, Writing
-from termsel_standards.quality.report import Measure, Quality, Source, decimal
+from termsel_standards.quality.report import Measure, Quality, Source, decimal_text
 
 _ISO = "http://standards.iso.org/iso"
 _LISTS = f"{_ISO}/19115/resources/Codelists/cat/codelists.xml"
@@ -28,39 +28,41 @@ def iso_xml(report: Quality) -> str:
     """Return the report as an XML document whose root is mdb:MD_Metadata."""
     # The order of the elements is that of the schema.
     content = [
-        _x("mdb:contact", _responsible(report.organisation, "pointOfContact")),
-        _x("mdb:dateInfo", _date(report.made)),
-        _x("mdb:metadataStandard", _citation("ISO 19115-1:2014")),
+        _x("mdb:contact", _organisation_element(report.organisation, "pointOfContact")),
+        _x("mdb:dateInfo", _date_element(report.made)),
+        _x("mdb:metadataStandard", _citation_element("ISO 19115-1:2014")),
         _x("mdb:referenceSystemInfo", _x("mrs:MD_ReferenceSystem", _x(
-            "mrs:referenceSystemIdentifier", _identifier(report.crs)))),
+            "mrs:referenceSystemIdentifier", _identifier_element(report.crs)))),
         _x("mdb:identificationInfo", _x(
-            "mri:MD_DataIdentification", _x("mri:citation", _citation(report.title)),
-            _string("mri:abstract", f"Georeference of {report.title}"),
-            _x("mri:spatialRepresentationType", _code(
+            "mri:MD_DataIdentification", _x("mri:citation", _citation_element(report.title)),
+            _string_element("mri:abstract", f"Georeference of {report.title}"),
+            _x("mri:spatialRepresentationType", _code_element(
                 "mcc:MD_SpatialRepresentationTypeCode", "grid")),
-            _x("mri:extent", _extent(report)))),
+            _x("mri:extent", _extent_element(report)))),
         _x("mdb:dataQualityInfo", _x(
-            "mdq:DQ_DataQuality", _x("mdq:scope", _scope(report)),
-            *(_x("mdq:report", element) for element in _elements(report)))),
-        _x("mdb:resourceLineage", _lineage(report))]
+            "mdq:DQ_DataQuality", _x("mdq:scope", _scope_element(report)),
+            *(_x("mdq:report", element) for element in _quality_elements(report)))),
+        _x("mdb:resourceLineage", _lineage_element(report))]
     return _x.text(_x("mdb:MD_Metadata", *content))
 
 
-def _elements(report: Quality) -> list[Element]:
+def _quality_elements(report: Quality) -> list[Element]:
     """Return an element of data quality for each figure, and one with the statements, if any."""
     # Figures on the ground are external accuracy, those in the image accuracy of the grid.
     elements = [_x("mdq:DQ_AbsoluteExternalPositionalAccuracy" if measure.unit == "m"
                    else "mdq:DQ_GriddedDataPositionalAccuracy", _measure(measure),
-                   _evaluation(report),
+                   _evaluation_element(report),
                    _x("mdq:result", _x(
-                   "mdq:DQ_QuantitativeResult", _time("mdq:dateTime", report.made),
-                   _x("mdq:resultScope", _scope(report)),
-                   _x("mdq:value", _x("gco:Record", decimal(measure.value))), _unit(measure.unit))))
+                   "mdq:DQ_QuantitativeResult", _time_element("mdq:dateTime", report.made),
+                   _x("mdq:resultScope", _scope_element(report)),
+                   _x("mdq:value",
+                      _x("gco:Record", decimal_text(measure.value))), _unit_element(measure.unit))))
                 for measure in report.measures]
     if report.statements:
         elements.append(_x("mdq:DQ_AbsoluteExternalPositionalAccuracy", *(
-            _x("mdq:result", _x("mdq:DQ_DescriptiveResult", _time("mdq:dateTime", report.made),
-                                _string("mdq:statement", words)))
+            _x("mdq:result",
+               _x("mdq:DQ_DescriptiveResult", _time_element("mdq:dateTime", report.made),
+                                _string_element("mdq:statement", words)))
             for words in report.statements)))
     return elements
 
@@ -68,14 +70,14 @@ def _elements(report: Quality) -> list[Element]:
 def _measure(measure: Measure) -> Element:
     """Return which measure a figure is of, as an element."""
     identification = _x("mdq:measureIdentification",
-                        _identifier(measure.identifier, "ISO 19157:2013")) \
+                        _identifier_element(measure.identifier, "ISO 19157:2013")) \
         if measure.identifier else None
     return _x("mdq:measure", _x("mdq:DQ_MeasureReference", identification,
-                                _string("mdq:nameOfMeasure", measure.name),
-                                _string("mdq:measureDescription", measure.description)))
+                                _string_element("mdq:nameOfMeasure", measure.name),
+                                _string_element("mdq:measureDescription", measure.description)))
 
 
-def _evaluation(report: Quality) -> Element:
+def _evaluation_element(report: Quality) -> Element:
     """Return the method by which figures were found, with its sample of points, as an element."""
     # An inspection of a sample: the independent points stand for all of the image. Without any
     # the data are held against themselves.
@@ -86,103 +88,104 @@ def _evaluation(report: Quality) -> Element:
         scheme = "control features, each predicted without it; no independent points"
         points = report.control_features
     content = [
-        _time("mdq:dateTime", report.made),
-        _string("mdq:evaluationMethodDescription", report.method),
-        _x("mdq:evaluationMethodType", _code("mdq:DQ_EvaluationMethodTypeCode", kind)),
-        _string("mdq:samplingScheme", scheme),
-        _string("mdq:lotDescription", report.title),
-        _string("mdq:samplingRatio", f"{points} points of the image")]
+        _time_element("mdq:dateTime", report.made),
+        _string_element("mdq:evaluationMethodDescription", report.method),
+        _x("mdq:evaluationMethodType", _code_element("mdq:DQ_EvaluationMethodTypeCode", kind)),
+        _string_element("mdq:samplingScheme", scheme),
+        _string_element("mdq:lotDescription", report.title),
+        _string_element("mdq:samplingRatio", f"{points} points of the image")]
     return _x("mdq:evaluationMethod", _x("mdq:DQ_SampleBasedInspection", *content))
 
 
-def _lineage(report: Quality) -> Element:
+def _lineage_element(report: Quality) -> Element:
     """Return the sources of the result and the programs that made it, as an element."""
     # The program itself is the processor; others are documentation of it.
-    software = [_x("mrl:documentation", _citation(name, edition))
+    software = [_x("mrl:documentation", _citation_element(name, edition))
                 for name, edition in report.software.items() if name != "termsel"]
-    return _x("mrl:LI_Lineage", _string("mrl:statement", report.lineage),
-              _x("mrl:scope", _scope(report)),
+    return _x("mrl:LI_Lineage", _string_element("mrl:statement", report.lineage),
+              _x("mrl:scope", _scope_element(report)),
               _x("mrl:processStep", _x(
-                  "mrl:LE_ProcessStep", _string("mrl:description", report.lineage),
-                  *(_x("mrl:source", _source(source)) for source in report.sources),
+                  "mrl:LE_ProcessStep", _string_element("mrl:description", report.lineage),
+                  *(_x("mrl:source", _source_element(source)) for source in report.sources),
                   _x("mrl:processingInformation", _x(
                       "mrl:LE_Processing",
-                      _x("mrl:identifier", _identifier("termsel", version=report.software.get(
+                      _x("mrl:identifier",
+                         _identifier_element("termsel", version=report.software.get(
                           "termsel", ""))),
-                      _x("mrl:softwareReference", _citation(
+                      _x("mrl:softwareReference", _citation_element(
                           "termsel", report.software.get("termsel", ""))),
                       *software,
-                      _string("mrl:runTimeParameters", "; ".join(
+                      _string_element("mrl:runTimeParameters", "; ".join(
                           f"{name}: {value}" for name, value in report.parameters.items())))))))
 
 
-def _source(source: Source) -> Element:
+def _source_element(source: Source) -> Element:
     """Return a source with its checksum as an element."""
-    return _x("mrl:LI_Source", _string("mrl:description", source.description),
+    return _x("mrl:LI_Source", _string_element("mrl:description", source.description),
               _x("mrl:sourceCitation", _x(
-                  "cit:CI_Citation", _string("cit:title", source.name),
-                  _x("cit:identifier", _identifier(source.sha256, "sha256")))))
+                  "cit:CI_Citation", _string_element("cit:title", source.name),
+                  _x("cit:identifier", _identifier_element(source.sha256, "sha256")))))
 
 
-def _scope(report: Quality) -> Element:
+def _scope_element(report: Quality) -> Element:
     """Return the extent that figures are of, the whole data set, as an element."""
-    return _x("mcc:MD_Scope", _x("mcc:level", _code("mcc:MD_ScopeCode", "dataset")),
-              _x("mcc:extent", _extent(report)))
+    return _x("mcc:MD_Scope", _x("mcc:level", _code_element("mcc:MD_ScopeCode", "dataset")),
+              _x("mcc:extent", _extent_element(report)))
 
 
-def _extent(report: Quality) -> Element:
+def _extent_element(report: Quality) -> Element:
     """Return the bounds in longitude and latitude as an element."""
     names = ("westBoundLongitude", "eastBoundLongitude", "southBoundLatitude", "northBoundLatitude")
     return _x("gex:EX_Extent", _x("gex:geographicElement", _x(
         "gex:EX_GeographicBoundingBox", *(
-            _x(f"gex:{name}", _x("gco:Decimal", decimal(value)))
+            _x(f"gex:{name}", _x("gco:Decimal", decimal_text(value)))
             for name, value in zip(names, report.bounds, strict=True)))))
 
 
-def _responsible(name: str, role: str) -> Element:
+def _organisation_element(name: str, role: str) -> Element:
     """Return an organisation with a role as an element; without a name that is unknown."""
     # The schema wants a name, or why there is none.
-    party = _string("cit:name", name) if name else \
+    party = _string_element("cit:name", name) if name else \
         _x("cit:name", attributes={"gco:nilReason": "unknown"})
-    return _x("cit:CI_Responsibility", _x("cit:role", _code("cit:CI_RoleCode", role)),
+    return _x("cit:CI_Responsibility", _x("cit:role", _code_element("cit:CI_RoleCode", role)),
               _x("cit:party", _x("cit:CI_Organisation", party)))
 
 
-def _citation(title: str, edition: str = "") -> Element:
+def _citation_element(title: str, edition: str = "") -> Element:
     """Return a title, with its edition if that is not "", as an element."""
-    return _x("cit:CI_Citation", _string("cit:title", title),
-              _string("cit:edition", edition) if edition else None)
+    return _x("cit:CI_Citation", _string_element("cit:title", title),
+              _string_element("cit:edition", edition) if edition else None)
 
 
-def _identifier(code: str, space: str = "", version: str = "") -> Element:
+def _identifier_element(code: str, space: str = "", version: str = "") -> Element:
     """Return a code, with its space and version if they are not "", as an element."""
-    return _x("mcc:MD_Identifier", _string("mcc:code", code),
-              _string("mcc:codeSpace", space) if space else None,
-              _string("mcc:version", version) if version else None)
+    return _x("mcc:MD_Identifier", _string_element("mcc:code", code),
+              _string_element("mcc:codeSpace", space) if space else None,
+              _string_element("mcc:version", version) if version else None)
 
 
-def _date(when: str) -> Element:
+def _date_element(when: str) -> Element:
     """Return the date of creation as an element."""
-    return _x("cit:CI_Date", _time("cit:date", when),
-              _x("cit:dateType", _code("cit:CI_DateTypeCode", "creation")))
+    return _x("cit:CI_Date", _time_element("cit:date", when),
+              _x("cit:dateType", _code_element("cit:CI_DateTypeCode", "creation")))
 
 
-def _time(name: str, when: str) -> Element:
+def _time_element(name: str, when: str) -> Element:
     return _x(name, _x("gco:DateTime", when))
 
 
-def _string(name: str, text: str) -> Element:
+def _string_element(name: str, text: str) -> Element:
     return _x(name, _x("gco:CharacterString", text))
 
 
-def _code(name: str, value: str) -> Element:
+def _code_element(name: str, value: str) -> Element:
     """Return a value of one of the standard's lists as an element."""
     # A value of a list is given as text and, for programs, by the list that it is of.
     return _x(name, value, attributes={
         "codeList": f"{_LISTS}#{name.partition(':')[2]}", "codeListValue": value})
 
 
-def _unit(unit: str) -> Element:
+def _unit_element(unit: str) -> Element:
     """Return the unit of a figure, m or px, as an element."""
     # Metres have a definition at OGC; px get one of their own.
     if unit == "m":

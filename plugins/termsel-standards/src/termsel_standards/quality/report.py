@@ -17,7 +17,7 @@ import numpy as np
 
 from termsel import Option, Result, TermselError
 from termsel.toolkit import as_plain_data, require_regular
-from termsel.toolkit.coordinates import LOCAL, horizontal
+from termsel.toolkit.coordinates import LOCAL, horizontal_crs
 from termsel.toolkit.files import Prediction, prediction_of
 from termsel_standards.outline import outline_of
 
@@ -170,9 +170,10 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
     return Quality(
         title=title or Path(result.data.source).stem or "scene", organisation=organisation,
         made=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        crs=horizontal(result.features.crs), bounds=(west, east, south, north),
-        measures=_measures(result) if prediction is None else _predicted_figures(prediction),
-        statements=_statements(result, prediction),
+        crs=horizontal_crs(result.features.crs), bounds=(west, east, south, north),
+        measures=_tested_measures(result) if prediction is None
+        else _predicted_measures(prediction),
+        statements=_standard_statements(result, prediction),
         check_points=result.accuracy.image.n if result.accuracy else 0,
         control_features=counts.control,
         predicted=prediction is not None, method=method,
@@ -182,7 +183,7 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
         sources=tuple(sources), software=software, parameters=settings)
 
 
-def _measures(result: Result) -> tuple[Measure, ...]:
+def _tested_measures(result: Result) -> tuple[Measure, ...]:
     """Return the figures of the independent points, each with its meaning; () without such points.
     """
     if result.accuracy is None:
@@ -207,7 +208,7 @@ def _measures(result: Result) -> tuple[Measure, ...]:
                                "px"))
 
 
-def _predicted_figures(prediction: Prediction) -> tuple[Measure, ...]:
+def _predicted_measures(prediction: Prediction) -> tuple[Measure, ...]:
     """Return the figures of a predicted accuracy, named as predicted."""
     source = f"predicted {prediction.method}, with a {100 * prediction.level:g} % interval"
     measures = []
@@ -221,7 +222,7 @@ def _predicted_figures(prediction: Prediction) -> tuple[Measure, ...]:
         f"{prediction.high:.3g} px; no independent test", prediction.rmse, "px"))
 
 
-def _statements(result: Result, prediction: Prediction | None) -> tuple[str, ...]:
+def _standard_statements(result: Result, prediction: Prediction | None) -> tuple[str, ...]:
     """Return the statements of standards, or why they are not made."""
     accuracy = result.accuracy
     if accuracy is None:
@@ -253,7 +254,7 @@ def file_sha256(path: Path) -> str:
     return digest.hexdigest()
 
 
-def decimal(value: float) -> str:
+def decimal_text(value: float) -> str:
     """Return a number without an exponent, to nine significant digits."""
     return np.format_float_positional(value, 9, fractional=False, trim="0")
 

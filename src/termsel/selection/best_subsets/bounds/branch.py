@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 from termsel.data.features import FloatArray
 from termsel.selection.best_subsets.bounds import check_errors, held_out
 from termsel.selection.best_subsets.columns.arrays import (
@@ -24,12 +24,13 @@ from termsel.selection.best_subsets.columns.arrays import (
 )
 from termsel.selection.best_subsets.columns.kernels import record
 
-_compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
+_compiled = partial(compile_lazily, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 
 @_compiled
-def branch(kind: int, vectors: Vectors, limits: Limits, records: Records, position: WalkPosition,
-           check: CheckSpace | None, work: FloatArray | None) -> int:
+def decide_branch(kind: int, vectors: Vectors, limits: Limits, records: Records,
+                  position: WalkPosition,
+                  check: CheckSpace | None, work: FloatArray | None) -> int:
     """Decide all subsets of n columns in addition to those in use already.
 
     For the errors of check points the kind is LINEAR or RATIONAL, of one system and one target,
@@ -56,9 +57,9 @@ def branch(kind: int, vectors: Vectors, limits: Limits, records: Records, positi
         score = np.inf
         new = size + depth + (joining < n)
         if work is not None:
-            score = held_out.score(kind, vectors, depth, joining, limits)
+            score = held_out.held_out_score(kind, vectors, depth, joining, limits)
         if check is not None:
-            score = check_errors.score(kind, vectors, depth, joining, limits)
+            score = check_errors.score_with_column(kind, vectors, depth, joining, limits)
         if score <= records.best[new]:
             cursor[depth] = joining
             record(score, new, joined_mask, vectors=vectors, depth=depth, cursor=cursor,
@@ -89,9 +90,10 @@ def branch(kind: int, vectors: Vectors, limits: Limits, records: Records, positi
                     end = held_out.first_prunable_column(
                         vectors.top[depth, 0], vectors.leverage[depth], first, n, worst, work)
                 if check is not None and open_subsets > check_errors.BLOCK:
-                    end = check_errors.closed_from(kind, vectors, limits, depth=depth, first=first,
-                                                   worst=worst, upper=check.upper[depth],
-                                                   space=check.bound)
+                    end = check_errors.first_closed_column(kind, vectors, limits, depth=depth,
+                                                           first=first,
+                                                           worst=worst, upper=check.upper[depth],
+                                                           space=check.bound)
                 # All subsets of closed columns alone, but for the node itself, without any of them.
                 pruned += counts[n - end, room_below] - 1
                 if check is not None and room_below > 1 and open_subsets <= check_errors.BLOCK:

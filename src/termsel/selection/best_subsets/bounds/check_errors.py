@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 from termsel.data.features import FloatArray, IntArray
-from termsel.selection.best_subsets.bounds.closed import first_closed
+from termsel.selection.best_subsets.bounds.closed import first_closed_by_parts
 from termsel.selection.best_subsets.columns.arrays import (
     BoundSpace,
     Limits,
@@ -20,7 +20,13 @@ from termsel.selection.best_subsets.columns.arrays import (
     SubsetBlock,
     Vectors,
 )
-from termsel.selection.best_subsets.columns.blocks import SHARE, eliminate, pairs, prepare, single
+from termsel.selection.best_subsets.columns.blocks import (
+    SHARE,
+    count_open_pairs,
+    eliminate,
+    is_single_column_pruned,
+    prepare,
+)
 from termsel.selection.best_subsets.columns.kernels import (
     RATIONAL,
     arrays_at_depth,
@@ -29,20 +35,21 @@ from termsel.selection.best_subsets.columns.kernels import (
     score_of,
 )
 
-_compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
+_compiled = partial(compile_lazily, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 BLOCK = 1 << 7  # subsets up to which inner products alone cost less than a bound
 
 
 @_compiled
-def score(kind: int, vectors: Vectors, depth: int, c: int, limits: Limits) -> float:
+def score_with_column(kind: int, vectors: Vectors, depth: int, c: int, limits: Limits) -> float:
     """Return the score with column c."""
     return score_of(kind, arrays_at_depth(vectors, depth), c, 1, 1, limits)
 
 
 @_compiled
-def closed_from(kind: int, vectors: Vectors, limits: Limits, depth: int, first: int, worst: float,
-                upper: FloatArray, space: BoundSpace) -> int:
+def first_closed_column(kind: int, vectors: Vectors, limits: Limits, depth: int, first: int,
+                        worst: float,
+                        upper: FloatArray, space: BoundSpace) -> int:
     """Return a column from which on no subset scores less than the worst of the best scores."""
     n = vectors.top.shape[2] - 1
     limit = _allowed_residuals(worst, limits)
@@ -50,8 +57,9 @@ def closed_from(kind: int, vectors: Vectors, limits: Limits, depth: int, first: 
         return int(n)
     if limit < 0.0:  # what no column can change is already more
         return first
-    return int(first_closed(vectors.top[depth, 0], vectors.extra[depth, 0], first, n=n, limit=limit,
-                            upper=upper, rational=kind == RATIONAL, space=space))
+    return int(first_closed_by_parts(vectors.top[depth, 0], vectors.extra[depth, 0], first, n=n,
+                                     limit=limit,
+                                     upper=upper, rational=kind == RATIONAL, space=space))
 
 
 @_compiled
@@ -106,8 +114,9 @@ def decide_block(kind: int, vectors: Vectors, limits: Limits, records: Records, 
             return False
         size = limits.size + depth + level + 1
         # What cannot be ruled out by inner products is scored from the vectors.
-        if not single(i, level, _root_of_score(best[size], limits), error_accuracy, sum_accuracy,
-                      b):
+        if not is_single_column_pruned(i, level, _root_of_score(best[size], limits), error_accuracy,
+                                       sum_accuracy,
+                                       b):
             _score_exactly(kind, vectors, limits, records=records, depth=depth, first=first,
                            count=level + 1, cursor=cursor, mask=mask, b=b)
         if i == count - 1:
@@ -115,8 +124,8 @@ def decide_block(kind: int, vectors: Vectors, limits: Limits, records: Records, 
         # Nothing is below pairs: they need no elimination of their own.
         if room_below - level == 2:
             root_limit = _root_of_score(best[size + 1], limits)
-            if pairs(i, level, count, share=share, root_limit=root_limit,
-                     error_accuracy=error_accuracy, sum_accuracy=sum_accuracy, b=b):
+            if count_open_pairs(i, level, count, share=share, root_limit=root_limit,
+                                error_accuracy=error_accuracy, sum_accuracy=sum_accuracy, b=b):
                 for c in range(i + 1, count):
                     if not b.row[c] > 0.0:  # NaN rules nothing out
                         b.cursor[level + 1] = c
@@ -159,7 +168,7 @@ def _score_exactly(kind: int, vectors: Vectors, limits: Limits, records: Records
             for later in range(level + 1, count):
                 _remove_column(vectors, depth + level, i, first + b.cursor[later])
     last_depth = depth + count - 1
-    subset_score = score(kind, vectors, last_depth, cursor[last_depth], limits)
+    subset_score = score_with_column(kind, vectors, last_depth, cursor[last_depth], limits)
     size = limits.size + last_depth + 1
     if subset_score <= records.best[size]:
         record(subset_score, size, mask, vectors=vectors, depth=last_depth, cursor=cursor,

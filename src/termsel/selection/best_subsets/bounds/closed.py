@@ -32,11 +32,11 @@ from functools import partial
 
 import numpy as np
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 from termsel.data.features import FloatArray
 from termsel.selection.best_subsets.columns.arrays import BoundSpace
 
-_compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
+_compiled = partial(compile_lazily, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 _DUAL_STEPS = 8  # of tau and U; each costs as much as a test
 _LIMIT_GAIN = 0.9  # a step that lowers no limit to this share is the last
@@ -46,8 +46,8 @@ _SPHERE, _SCALE = 0.15, 0.1  # weights of facts 3 and 1; the rest is of fact 4
 
 
 @_compiled
-def first_closed(top: FloatArray, extra: FloatArray, first: int, n: int, limit: float,
-                 upper: FloatArray, rational: bool, space: BoundSpace) -> int:
+def first_closed_by_parts(top: FloatArray, extra: FloatArray, first: int, n: int, limit: float,
+                          upper: FloatArray, rational: bool, space: BoundSpace) -> int:
     """Return a column from which on no subset scores `limit`, the B of the module's text, or less.
 
     That is j: all subsets that add some of j, ..., n - 1 alone score more. It is `first` if none of

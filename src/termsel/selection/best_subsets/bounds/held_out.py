@@ -27,12 +27,18 @@ from functools import partial
 
 import numpy as np
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 from termsel.data.features import FloatArray
 from termsel.selection.best_subsets.columns.arrays import Limits, Vectors
-from termsel.selection.best_subsets.columns.kernels import PRESS, dot, remove, squares, subtract
+from termsel.selection.best_subsets.columns.kernels import (
+    PRESS,
+    dot_product,
+    remove,
+    squared_remainder,
+    subtract,
+)
 
-_compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
+_compiled = partial(compile_lazily, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 # A step of the loop has one place to be called from.
 _inlined = partial(_compiled, forceinline=True)
@@ -42,7 +48,7 @@ _ROUNDING = 1e-6  # of a minimum, relative
 
 
 @_inlined
-def score(kind: int, vectors: Vectors, depth: int, c: int, limits: Limits) -> float:
+def held_out_score(kind: int, vectors: Vectors, depth: int, c: int, limits: Limits) -> float:
     """Return the sum of squared held-out errors with column c, or infinity without any."""
     n = vectors.square.shape[2] - 1
     r = vectors.share.shape[3]
@@ -51,8 +57,9 @@ def score(kind: int, vectors: Vectors, depth: int, c: int, limits: Limits) -> fl
     if kind != PRESS:
         for f in range(vectors.share.shape[1]):
             for j in range(r):
-                total += squares(vectors.extra[depth, f, n + j], vectors.extra[depth, f, c],
-                                 vectors.share[depth, f, c, j])
+                total += squared_remainder(vectors.extra[depth, f, n + j],
+                                           vectors.extra[depth, f, c],
+                                           vectors.share[depth, f, c, j])
         return total
     v = vectors.top[depth, 0, c]
     leverage = vectors.leverage[depth]
@@ -108,21 +115,21 @@ def first_prunable_column(top: FloatArray, leverage: FloatArray, first: int, n: 
     # From the last column up: after column i the targets lack all of i, ..., n - 1.
     for i in range(n - 1, first - 1, -1):
         for later in range(n - 1, i, -1):
-            subtract(work[i], work[i], work[later], dot(work[i], work[later]))
-        length = np.sqrt(dot(work[i], work[i]))
+            subtract(work[i], work[i], work[later], dot_product(work[i], work[later]))
+        length = np.sqrt(dot_product(work[i], work[i]))
         if length > 0.0:  # however short: one direction more leaves no more of the targets
             for k in range(rows):
                 work[i, k] /= length
         least_squares = 0.0
         for j in range(n, vectors):
-            subtract(work[j], work[j], work[i], dot(work[j], work[i]))
-            least_squares += dot(work[j], work[j])
+            subtract(work[j], work[j], work[i], dot_product(work[j], work[i]))
+            least_squares += dot_product(work[j], work[j])
         if not least_squares > limit * (1.0 + _ROUNDING):
             return i + 1
     return first
 
 
-def least_held_out(vectors: Vectors) -> float:
+def held_out_lower_bound(vectors: Vectors) -> float:
     """Return a lower bound of the scores of all subsets of a node."""
     rows = vectors.top[0, 0].T
     leverage = vectors.leverage[0]

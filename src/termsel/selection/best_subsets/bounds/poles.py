@@ -22,17 +22,17 @@ from functools import partial
 
 import numpy as np
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 from termsel.selection.best_subsets.bounds.trees import (
     BOUND_ROUNDING,
     DEPENDENT,
     Tree,
     eliminate,
-    square,
+    squared_length,
     write,
 )
 
-_compiled = partial(compiled, fastmath={"reassoc", "contract", "arcp", "nsz"})
+_compiled = partial(compile_lazily, fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 _GUARD_ROUNDS = 3  # of guard points added at a node, at most
 _SWEEPS = 4  # over the weights after each
@@ -168,14 +168,14 @@ def _residuals_if_dependent(tree: Tree, d: int) -> float:
     work = tree.work
     write(tree, d, False)
     for i in range(n):
-        length = square(work, i, n)
+        length = squared_length(work, i, n)
         if i < tree.used[d] and length <= tree.floors[0, 0]:
             return np.inf
         if length > 0.0:
             eliminate(work, i, n + r, n, length)
     total = float(tree.rss[d])
     for j in range(r):
-        total += square(work, n + j, n)
+        total += squared_length(work, n + j, n)
     return total
 
 

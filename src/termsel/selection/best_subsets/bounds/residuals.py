@@ -15,20 +15,20 @@ from functools import partial
 
 import numpy as np
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 from termsel.data.features import IntArray
 from termsel.selection.best_subsets.bounds.poles import node_bound, order_columns
 from termsel.selection.best_subsets.bounds.trees import (
     BOUND_ROUNDING,
     Tree,
     eliminate,
-    square,
+    squared_length,
     write,
 )
 from termsel.selection.best_subsets.columns.arrays import Limits, Records, Vectors, WalkPosition
-from termsel.selection.best_subsets.columns.kernels import RSS, walk
+from termsel.selection.best_subsets.columns.kernels import RSS, enumerate_subsets
 
-_compiled = partial(compiled, fastmath={"reassoc", "contract", "arcp", "nsz"})
+_compiled = partial(compile_lazily, fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 
 @_compiled
@@ -196,7 +196,7 @@ def _enumerate_node(tree: Tree, d: int, n: int, room: int, all_in_use: bool, lim
         denominators[n, k] = records.guard[len(records.guard) - 1, k]
     # Columns in use one by one, by modified Gram-Schmidt; the denominators by the same shares.
     for i in range(p):
-        length = square(work, i, n)
+        length = squared_length(work, i, n)
         if length <= tree.floors[0, 0]:
             return  # no subset has a score
         eliminate(work, i, n + r, n, length)
@@ -211,7 +211,7 @@ def _enumerate_node(tree: Tree, d: int, n: int, room: int, all_in_use: bool, lim
     squares = np.full((depths, 1, count + 1), np.inf)
     share = np.zeros((depths, 1, count + 1, r))
     for c in range(count):
-        squares[0, 0, c] = square(work, p + c, n)
+        squares[0, 0, c] = squared_length(work, p + c, n)
         for j in range(r):
             product = 0.0
             for t in range(n):
@@ -228,5 +228,5 @@ def _enumerate_node(tree: Tree, d: int, n: int, room: int, all_in_use: bool, lim
     remaining_limits = Limits(limits.margin, limits.tolerance, tree.rss[d], limits.slack, p, room)
     tree.mask[0] = used_mask
     position = WalkPosition(tree.cursor, tree.cursor, tree.mask, counts)
-    walk(RSS, vectors, remaining_limits, records=remaining_records, position=position,
-         single=single, press=None)
+    enumerate_subsets(RSS, vectors, remaining_limits, records=remaining_records, position=position,
+                      single=single, press=None)

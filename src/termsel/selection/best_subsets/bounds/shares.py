@@ -10,7 +10,8 @@ _TOLERANCE = 1e-9  # of the linear programs
 _MAXIMUM_ROUNDING = 1e-4  # of their maxima, relative: some 1e-6 where columns are nearly dependent
 
 
-def largest_shares(denominators: FloatArray, guard: FloatArray, margin: float) -> FloatArray:
+def largest_denominator_shares(
+        denominators: FloatArray, guard: FloatArray, margin: float) -> FloatArray:
     """Return how large a denominator may be relative to the sum of all, and 1 relative to it.
 
     A denominator is 1 + d b, with the same coefficients b at all points. Where none of them is

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 from termsel.adjustment.solve import TOLERANCE
 from termsel.data.features import FloatArray
 
-_compiled = partial(compiled, fastmath={"reassoc", "contract", "arcp", "nsz"})
+_compiled = partial(compile_lazily, fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 DEPENDENT = 1e-7  # part of its length that a column keeps, below which weights are left at zero
 BOUND_ROUNDING = 1e-6  # of bounds, relative; they are accurate to 1e-16 / DEPENDENT
@@ -135,7 +135,7 @@ def eliminate(work: FloatArray, i: int, stop: int, n: int, square: float) -> Non
 
 
 @_compiled
-def square(work: FloatArray, i: int, n: int) -> float:
+def squared_length(work: FloatArray, i: int, n: int) -> float:
     """Return the squared length of a row."""
     total = 0.0
     for t in range(n):

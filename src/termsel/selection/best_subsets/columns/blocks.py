@@ -22,11 +22,11 @@ from functools import partial
 
 import numpy as np
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 from termsel.data.features import FloatArray
 from termsel.selection.best_subsets.columns.arrays import Products, SubsetBlock
 
-_compiled = partial(compiled, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
+_compiled = partial(compile_lazily, _nrt=False, fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 SHARE = 1e-5
 _ACCURACY = 1e-8  # 100 times 1e-15 e / SHARE
@@ -131,8 +131,9 @@ def eliminate(i: int, level: int, count: int, b: SubsetBlock) -> None:
 
 
 @_compiled
-def single(i: int, level: int, root_limit: float, error_accuracy: float, sum_accuracy: float,
-           b: SubsetBlock) -> bool:
+def is_single_column_pruned(i: int, level: int, root_limit: float, error_accuracy: float,
+                            sum_accuracy: float,
+                            b: SubsetBlock) -> bool:
     """Return whether with one more column the root of the score is certainly above `root_limit`."""
     products = b.errors
     share = b.control.f[level, i] / b.control.diagonal[level, i]
@@ -147,8 +148,9 @@ def single(i: int, level: int, root_limit: float, error_accuracy: float, sum_acc
 
 
 @_compiled
-def pairs(i: int, level: int, count: int, share: float, root_limit: float, error_accuracy: float,
-          sum_accuracy: float, b: SubsetBlock) -> int:
+def count_open_pairs(i: int, level: int, count: int, share: float, root_limit: float,
+                     error_accuracy: float,
+                     sum_accuracy: float, b: SubsetBlock) -> int:
     """Return how many subsets with column i and one to its right may score `root_limit` squared.
 
     Where b.row is positive the score is certainly higher.

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 from termsel.data.features import FloatArray, IntArray
 from termsel.selection.best_subsets.columns.arrays import (
     Depth,
@@ -30,12 +30,12 @@ leave-one-out errors, or of residuals."""
 # Sums may be taken in any order (SIMD), yet infinities and NaN keep their meaning. A subset costs
 # as much as two atomic operations on a reference count or the passing of some arrays, so slices
 # are not counted (_nrt=False: nothing may be allocated here) and calls are inlined.
-_compiled = partial(compiled, _nrt=False, forceinline=True,
+_compiled = partial(compile_lazily, _nrt=False, forceinline=True,
                     fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 
 @_compiled
-def dot(a: FloatArray, b: FloatArray) -> float:
+def dot_product(a: FloatArray, b: FloatArray) -> float:
     """Return a'b."""
     total = 0.0
     for row in range(len(a)):
@@ -65,7 +65,7 @@ def subtract_measured(difference: FloatArray, a: FloatArray, b: FloatArray, rati
 
 
 @_compiled
-def squares(t: FloatArray, v: FloatArray, ratio: float) -> float:
+def squared_remainder(t: FloatArray, v: FloatArray, ratio: float) -> float:
     """Return the squared length of t - ratio v."""
     total = 0.0
     for row in range(len(t)):
@@ -138,9 +138,11 @@ def score_of(kind: int, level: Depth, c: int, systems: int, r: int, limits: Limi
     for f in range(systems):
         for j in range(r):
             if kind == LINEAR:
-                total += squares(level.extra[f, n + j], level.extra[f, c], level.share[f, c, j])
+                total += squared_remainder(
+                    level.extra[f, n + j], level.extra[f, c], level.share[f, c, j])
             elif kind == RSS:
-                total += squares(level.top[f, n + j], level.top[f, c], level.share[f, c, j])
+                total += squared_remainder(
+                    level.top[f, n + j], level.top[f, c], level.share[f, c, j])
             else:
                 total += _rational_squares(level.extra[f, n + j, :half], level.extra[f, c, :half],
                                            level.extra[f, n + j, half:], level.extra[f, c, half:],
@@ -166,9 +168,9 @@ def _keeps_guard(vectors: Vectors, depth: int, cursor: IntArray, records: Record
         # Back substitution: v_q is orthogonal to all columns that joined before it, so that
         # v_q'y = |v_q|^2 x_q + sum over later s of (v_q'a_s) x_s.
         v = vectors.top[q, 0, cursor[q]]
-        product = dot(v, vectors.top[q, 0, n])
+        product = dot_product(v, vectors.top[q, 0, n])
         for s in range(q + 1, depth + 1):
-            product -= dot(v, vectors.top[q, 0, cursor[s]]) * x[s]
+            product -= dot_product(v, vectors.top[q, 0, cursor[s]]) * x[s]
         # No column, n, is of infinite length: its coefficient is 0.
         x[q] = product / vectors.square[q, 0, cursor[q]]
         subtract(sums, sums, guard[cursor[q]], -x[q])
@@ -218,14 +220,14 @@ def remove(vectors: Vectors, depth: int, f: int, i: int, c: int, n: int, r: int)
         ratio = vectors.share[depth, f, i, c - n]
         subtract(top[depth + 1, f, c], top[depth, f, c], top[depth, f, i], ratio)
     else:
-        ratio = dot(top[depth, f, i], top[depth, f, c]) / vectors.square[depth, f, i]
+        ratio = dot_product(top[depth, f, i], top[depth, f, c]) / vectors.square[depth, f, i]
         length, product = subtract_measured(top[depth + 1, f, c], top[depth, f, c],
                                             top[depth, f, i], ratio, top[depth + 1, f, n])
         vectors.square[depth + 1, f, c] = length
         vectors.share[depth + 1, f, c, 0] = product / length
         for j in range(1, r):
-            vectors.share[depth + 1, f, c, j] = dot(top[depth + 1, f, c],
-                                                    top[depth + 1, f, n + j]) / length
+            vectors.share[depth + 1, f, c, j] = dot_product(
+                top[depth + 1, f, c], top[depth + 1, f, n + j]) / length
     subtract(extra[depth + 1, f, c], extra[depth, f, c], extra[depth, f, i], ratio)
 
 
@@ -244,8 +246,9 @@ def _open_leverage(vectors: Vectors, depth: int, i: int) -> None:
 
 
 @_compiled
-def walk(kind: int, vectors: Vectors, limits: Limits, records: Records, position: WalkPosition,
-         single: bool | None, press: bool | None) -> None:
+def enumerate_subsets(kind: int, vectors: Vectors, limits: Limits, records: Records,
+                      position: WalkPosition,
+                      single: bool | None, press: bool | None) -> None:
     """Enumerate all subsets of n columns in addition to those in use already.
 
     The kind is LINEAR, RATIONAL, PRESS or RSS. If f = r = 1, `single` is None: a type of its own,
@@ -284,7 +287,7 @@ def walk(kind: int, vectors: Vectors, limits: Limits, records: Records, position
             for f in range(systems):
                 if depth > 0:
                     # v_c - (v_i'v_c / v_i'v_i) v_i: one step of modified Gram-Schmidt.
-                    product = dot(level_above.top[f, i], level_above.top[f, c])
+                    product = dot_product(level_above.top[f, i], level_above.top[f, c])
                     ratio = product / level_above.square[f, i]
                     length, product = subtract_measured(
                         level.top[f, c], level_above.top[f, c], level_above.top[f, i], ratio,
@@ -294,7 +297,8 @@ def walk(kind: int, vectors: Vectors, limits: Limits, records: Records, position
                     level.square[f, c] = length
                     level.share[f, c, 0] = product / length
                     for j in range(1, r):
-                        level.share[f, c, j] = dot(level.top[f, c], level.top[f, n + j]) / length
+                        level.share[
+                            f, c, j] = dot_product(level.top[f, c], level.top[f, n + j]) / length
                 dependent |= level.square[f, c] <= vectors.floor[f, c]
             if dependent:
                 level.square[0, c] = 0.0  # a mark not to descend

@@ -24,7 +24,7 @@ def fewer_rows(rows: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > rows.shape[1] else rows
 
 
-def ordered_by_gain(control: FloatArray, forced: IntArray, free: IntArray, k: int) -> IntArray:
+def order_by_gain(control: FloatArray, forced: IntArray, free: IntArray, k: int) -> IntArray:
     """Return the free columns, (f,), by how much each explains in addition to those before it.
 
     Forced ones are before all of them. The first k columns of `control` are the design, the others
@@ -48,7 +48,7 @@ def ordered_by_gain(control: FloatArray, forced: IntArray, free: IntArray, k: in
     return np.array(order, dtype=np.intp)
 
 
-def ordered_by_halves(free: IntArray, below: BoolArray) -> IntArray:
+def order_by_halves(free: IntArray, below: BoolArray) -> IntArray:
     """Return columns of a quotient: half of each side, then the rest, the denominator's last.
 
     Models list terms of low degree first. Those of high degree in the denominator change little,

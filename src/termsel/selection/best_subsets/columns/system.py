@@ -147,8 +147,8 @@ class NodeResult:
     pruned: int
 
 
-def better(best: FloatArray, masks: Masks, other_best: FloatArray,
-           other_masks: Masks) -> tuple[FloatArray, Masks]:
+def better_of_each_size(best: FloatArray, masks: Masks, other_best: FloatArray,
+                        other_masks: Masks) -> tuple[FloatArray, Masks]:
     """Return the better subset of each size: its score and its mask, both (k + 1,).
 
     Of equal scores it is the smallest mask.

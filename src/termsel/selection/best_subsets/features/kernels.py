@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 from termsel.data.features import FloatArray
 from termsel.selection.best_subsets.features.arrays import (
     EntrySpace,
@@ -26,7 +26,7 @@ from termsel.selection.best_subsets.features.arrays import (
     WalkState,
 )
 
-_compiled = partial(compiled, _nrt=False)
+_compiled = partial(compile_lazily, _nrt=False)
 
 OPEN, UNKNOWN, SCORED, CARRIED = 0, 1, 2, 3
 """Too few rows; too badly conditioned for a score; scored; scored, and carried along from here."""
@@ -44,8 +44,9 @@ _SINGULAR = 1e-14  # pivot, relative to the trace, up to which a normal matrix i
 
 
 @_compiled
-def walk(rows: FeatureRows, state: WalkState, space: EntrySpace, first: int, size: int,
-         limits: SelectionLimits, remaining: RemainingSelections) -> int:
+def enumerate_selections(rows: FeatureRows, state: WalkState, space: EntrySpace, first: int,
+                         size: int,
+                         limits: SelectionLimits, remaining: RemainingSelections) -> int:
     """Decide a selection of some size and all with features from `first` on in addition.
 
     Return how many may be within the limits: the first rows of `remaining` hold them.

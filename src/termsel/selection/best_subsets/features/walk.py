@@ -33,7 +33,7 @@ from termsel.selection.best_subsets.features.arrays import (
     SelectionLimits,
     WalkState,
 )
-from termsel.selection.best_subsets.features.kernels import walk
+from termsel.selection.best_subsets.features.kernels import enumerate_selections
 
 _WORD = 64
 _MASK_WORDS = 2  # of which a mask consists
@@ -133,7 +133,7 @@ class Selections:
     @property
     def needs_compilation(self) -> bool:
         """True if the first walk will spend some seconds on compilation."""
-        return bool(self.systems) and not is_compiled(walk)
+        return bool(self.systems) and not is_compiled(enumerate_selections)
 
     def reach(self, squares: FloatArray) -> FloatArray:
         """Return limits of computed squared errors, of the shape of `squares`, raised by rounding.
@@ -152,7 +152,7 @@ class Selections:
         not known.
         """
         if not self.systems:
-            selections = self._all_selections(branch)
+            selections = self._list_all_selections(branch)
             return selections, np.full(len(selections), -np.inf)
         size = self.count(branch)
         if not size:
@@ -167,14 +167,15 @@ class Selections:
         walk_limits = SelectionLimits(max(self.min_size - fixed, 0),
                                       min(self.max_size - fixed, free),
                                       np.ascontiguousarray(squares_of_sizes), self.floor)
-        count = walk(self._padded_rows, state, space, first=branch.first, size=len(branch.used),
-                     limits=walk_limits, remaining=remaining)
+        count = enumerate_selections(self._padded_rows, state, space, first=branch.first,
+                                     size=len(branch.used),
+                                     limits=walk_limits, remaining=remaining)
         selections = np.tile(self.on, (count, 1))
         in_mask = (remaining.masks[:count, None] & self._padded_rows.bits) != 0
         selections[:, self.free] = in_mask.any(axis=2)  # over the words of a mask
         return selections, remaining.scores[:count] + self.floor
 
-    def _all_selections(self, branch: Branch) -> BoolArray:
+    def _list_all_selections(self, branch: Branch) -> BoolArray:
         """Return all selections of a branch, (s, n), one by one, where none is scored."""
         fixed = int(self.on.sum())
         used = len(branch.used)

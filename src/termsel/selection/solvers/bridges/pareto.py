@@ -62,9 +62,9 @@ class Nsga2(Solver):
         """Yield generations without end (see `Solver.generations`)."""
         # All that varies genes is termsel's; pymoo has the survival and the tournaments.
         # pymoo takes long to import, and those who search otherwise know this class, too.
-        from termsel.selection.solvers.bridges.pymoo_operators import operators
-        from termsel.selection.solvers.bridges.pymoo_problem import steps
+        from termsel.selection.solvers.bridges.pymoo_operators import common_operators
+        from termsel.selection.solvers.bridges.pymoo_problem import step_algorithm
 
         population = population_size(self.options["population"], problem)
-        yield from steps(self.algorithm(pop_size=population, **operators(
+        yield from step_algorithm(self.algorithm(pop_size=population, **common_operators(
             problem.genome, self.options["mutation"], rng)), problem, rng)

@@ -14,7 +14,7 @@ from pymoo.operators.mutation.bitflip import BitflipMutation
 from termsel.selection.problems.genome import Genome
 from termsel.selection.problems.segments import Genes
 from termsel.selection.solvers.bridges.pymoo_problem import Keep
-from termsel.selection.solvers.genetic.operators import crossover, evenly, mutation
+from termsel.selection.solvers.genetic.operators import cross_pairs, draw_evenly, mutate_genes
 
 
 class _Start(Sampling):
@@ -26,7 +26,7 @@ class _Start(Sampling):
         self.rng = rng
 
     def _do(self, problem: PymooProblem, n_samples: int, **_: Any) -> Genes:
-        return evenly(self.genome, self.rng, n_samples)
+        return draw_evenly(self.genome, self.rng, n_samples)
 
 
 class _Mate(Crossover):
@@ -40,7 +40,7 @@ class _Mate(Crossover):
             **__: Any) -> Genes:
         # pymoo has (parent, mating, gene); `crossover` takes parents in turn.
         pairs = X.swapaxes(0, 1).reshape(-1, self.genome.size)
-        children = crossover(pairs, self.genome, 1.0, random_state, points=2)
+        children = cross_pairs(pairs, self.genome, 1.0, random_state, points=2)
         return children.reshape(-1, 2, self.genome.size).swapaxes(0, 1)
 
 
@@ -54,10 +54,11 @@ class _Mutate(Mutation):
 
     def _do(self, problem: PymooProblem, X: Genes, *_: Any, random_state: np.random.Generator,
             **__: Any) -> Genes:
-        return mutation(X, self.genome, self.rate, random_state)
+        return mutate_genes(X, self.genome, self.rate, random_state)
 
 
-def operators(genome: Genome, rate: float | None, rng: np.random.Generator) -> dict[str, Any]:
+def common_operators(
+        genome: Genome, rate: float | None, rng: np.random.Generator) -> dict[str, Any]:
     """Return the start, crossover, mutation and repair that all algorithms have.
 
     The rate, the chance that a gene changes, is by default 1 over the number of genes. On fronts of

@@ -39,12 +39,12 @@ class Variables:
         for segment in genome.segments:
             self.kinds += [segment.dtype] * segment.size
             names += [f"{segment.name}.{i}" for i in range(segment.size)]
-        low, high = _bounds(genome)
+        low, high = _gene_ranges(genome)
         # In the order of the genes.
         self.named = {}
         for name, kind, lowest, highest in zip(names, self.kinds, low.tolist(), high.tolist(),
                                                strict=True):
-            self.named[name] = _variable(kind, lowest, highest)
+            self.named[name] = _pymoo_variable(kind, lowest, highest)
 
     def genes(self, X: Any) -> Genes:
         """Return the genes (p, size) of variables; they may not be valid."""
@@ -64,7 +64,7 @@ class Variables:
         return np.array(individuals)
 
 
-def _variable(kind: type, low: float, high: float) -> Variable:
+def _pymoo_variable(kind: type, low: float, high: float) -> Variable:
     if kind is np.bool_:
         return Binary()
     return Real(bounds=(low, high)) if kind is np.float64 else Integer(bounds=(int(low), int(high)))
@@ -88,7 +88,7 @@ class _Posed(PymooProblem):
 
     def __init__(self, problem: Problem, **options: Any) -> None:
         bits = problem.genome.dtype == np.bool_
-        low, high = (0, 1) if bits else _bounds(problem.genome)
+        low, high = (0, 1) if bits else _gene_ranges(problem.genome)
         super().__init__(n_var=problem.genome.size, n_obj=len(problem.objectives), n_ieq_constr=1,
                          xl=low, xu=high, vtype=bool if bits else None, **options)
         self.problem = problem
@@ -123,7 +123,7 @@ def _count_broken_rules(problem: Problem, genes: Genes) -> FloatArray:
     return count
 
 
-def _bounds(genome: Genome) -> tuple[FloatArray, FloatArray]:
+def _gene_ranges(genome: Genome) -> tuple[FloatArray, FloatArray]:
     """Return the range of each gene, shape (g,) each."""
     low = []
     high = []
@@ -218,8 +218,9 @@ def _begin_algorithm(algorithm: Algorithm, posed: _Posed, rng: np.random.Generat
     algorithm.random_state = rng
 
 
-def steps(algorithm: Algorithm, problem: Problem, rng: np.random.Generator,
-          horizon: int | None = None, chance: OwnChance | None = None) -> Iterator[Generation]:
+def step_algorithm(algorithm: Algorithm, problem: Problem, rng: np.random.Generator,
+                   horizon: int | None = None,
+                   chance: OwnChance | None = None) -> Iterator[Generation]:
     """Yield the generations of a pymoo algorithm that is not yet set up; it is changed.
 
     What draws from a global random state, as some of pymoo's operators do, gets one of its own. The

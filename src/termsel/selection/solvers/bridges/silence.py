@@ -50,8 +50,8 @@ class _Silence:
             self.tell(message)
 
 
-def heard(running: Iterator[Generation], solver: Solver, ledger: Ledger,
-          tell: Callable[[str], None]) -> Iterator[Generation]:
+def warn_of_silence(running: Iterator[Generation], solver: Solver, ledger: Ledger,
+                    tell: Callable[[str], None]) -> Iterator[Generation]:
     """Yield what a solver yields, and say where one of others is silent for long.
 
     Nothing but Ctrl-C ends code that neither yields nor evaluates. The ledger counts evaluations;

@@ -12,7 +12,7 @@ from termsel.core.options import COUNT, Option
 from termsel.selection.problems.base import Problem
 from termsel.selection.problems.segments import SEGMENTS, AnySegment
 from termsel.selection.solvers.base import Generation, Solver
-from termsel.selection.solvers.genetic.operators import mutation
+from termsel.selection.solvers.genetic.operators import mutate_genes
 
 
 class FastMutation(Solver):
@@ -47,7 +47,7 @@ class FastMutation(Solver):
         parent_evaluation = evaluation.take(best)
         for index in itertools.count(1):
             rate = float(rng.choice(strengths, p=chances)) / n
-            child = problem.genome.repair(mutation(parent, problem.genome, rate, rng), rng)
+            child = problem.genome.repair(mutate_genes(parent, problem.genome, rate, rng), rng)
             child_evaluation = problem.evaluate(child)
             if (child_evaluation.violation[0], child_evaluation.objectives[0, 0]) <= (
                     parent_evaluation.violation[0], parent_evaluation.objectives[0, 0]):

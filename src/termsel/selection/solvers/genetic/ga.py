@@ -15,7 +15,7 @@ from termsel.selection.problems.base import Evaluation, Problem
 from termsel.selection.problems.genome import Genome
 from termsel.selection.problems.segments import SEGMENTS, AnySegment, Genes
 from termsel.selection.solvers.base import Generation, Solver
-from termsel.selection.solvers.genetic.operators import crossover, evenly, mutation
+from termsel.selection.solvers.genetic.operators import cross_pairs, draw_evenly, mutate_genes
 
 SMALLEST_POPULATION, LARGEST_POPULATION = 20, 200
 """Fewest and most chromosomes that a budget of evaluations leads to."""
@@ -36,7 +36,7 @@ LONG_SEARCH = GENERATIONS * LARGEST_POPULATION
 difference to shorter searches."""
 
 
-def tournament(order: IntArray, n: int, size: int, rng: np.random.Generator) -> IntArray:
+def select_by_tournament(order: IntArray, n: int, size: int, rng: np.random.Generator) -> IntArray:
     """Return n winners of tournaments, for each of which `size` individuals are drawn.
 
     The order (p,) is of individuals from best to worst.
@@ -46,7 +46,7 @@ def tournament(order: IntArray, n: int, size: int, rng: np.random.Generator) -> 
     return order[drawn]
 
 
-def two_best(order: IntArray, n: int) -> IntArray:
+def repeat_two_best(order: IntArray, n: int) -> IntArray:
     """Return the two best in turn, as the parents of n children (Valadan Zoej et al. 2002, 3.2).
 
     The order (p,) is of individuals from best to worst.
@@ -54,7 +54,7 @@ def two_best(order: IntArray, n: int) -> IntArray:
     return np.resize(order[:2], n)
 
 
-def repeated(genes: Genes, others: Genes) -> BoolArray:
+def are_repeated(genes: Genes, others: Genes) -> BoolArray:
     """Return which chromosomes (n, size) are among others, or come before in their own order."""
     everyone = np.ascontiguousarray(np.concatenate([others, genes]))
     # A row as one value of so many bytes, as those of numbers are equal where their bytes are.
@@ -142,18 +142,19 @@ class GeneticAlgorithm(Solver):
         size = self.population_size(problem)
         is_short = problem.budget is not None and problem.budget <= SHORT_SEARCH
         first = o.get("first") or ("shares" if size >= LARGEST_POPULATION or is_short else "half")
-        draw = evenly if first == "half" else Genome.random
+        draw = draw_evenly if first == "half" else Genome.random
         box.register("population", draw, problem.genome, rng, size)
         box.register("evaluate", problem.evaluate)
         if o["parents"] == "two-best":
-            box.register("select", two_best)
+            box.register("select", repeat_two_best)
         else:
             size_of_tournament = o["tournament"] or (2 if self.keeps_best(problem) else 3)
-            box.register("select", tournament, size=size_of_tournament, rng=rng)
-        box.register("mate", crossover, genome=problem.genome, probability=o["crossover"], rng=rng,
+            box.register("select", select_by_tournament, size=size_of_tournament, rng=rng)
+        box.register("mate", cross_pairs, genome=problem.genome, probability=o["crossover"],
+                     rng=rng,
                      points=2 if o.get("points") == "two" else 0)
         rate = 1.0 / problem.genome.size if o["mutation"] is None else o["mutation"]
-        box.register("mutate", mutation, genome=problem.genome, probability=rate, rng=rng)
+        box.register("mutate", mutate_genes, genome=problem.genome, probability=rate, rng=rng)
         return box
 
     def survivors(self, genes: Genes, evaluation: Evaluation) -> IntArray:
@@ -181,7 +182,7 @@ class GeneticAlgorithm(Solver):
             # Operators may break forced genes and counts: nothing else is ever evaluated.
             children = problem.genome.repair(children, rng)
             if keeps_best:
-                children = self._unlike(children, genes, box, problem, rng)
+                children = self._mutate_repeated(children, genes, box, problem, rng)
             offspring = box.evaluate(children)
             genes = np.concatenate([genes[survivors], children])
             evaluation = Evaluation(
@@ -194,11 +195,11 @@ class GeneticAlgorithm(Solver):
             yield Generation(index, genes, evaluation)
 
     @staticmethod
-    def _unlike(children: Genes, parents: Genes, box: base.Toolbox, problem: Problem,
-                rng: np.random.Generator) -> Genes:
+    def _mutate_repeated(children: Genes, parents: Genes, box: base.Toolbox, problem: Problem,
+                         rng: np.random.Generator) -> Genes:
         """Return children of which those that repeat a chromosome are mutated, again if need be."""
         for _ in range(MUTATIONS_OF_COPIES):
-            copies = repeated(children, parents)
+            copies = are_repeated(children, parents)
             if not copies.any():
                 break
             children[copies] = problem.genome.repair(box.mutate(children[copies]), rng)

@@ -14,7 +14,7 @@ from termsel.data.features import BoolArray, IntArray
 from termsel.selection.problems.base import Evaluation, Problem
 from termsel.selection.problems.genome import Genome
 from termsel.selection.problems.segments import AnySegment, Bits, Genes, Subset, random_subsets
-from termsel.selection.solvers.genetic.ga import GeneticAlgorithm, tournament
+from termsel.selection.solvers.genetic.ga import GeneticAlgorithm, select_by_tournament
 from termsel.selection.solvers.genetic.operators import replace_one, set_crossover
 
 
@@ -55,7 +55,7 @@ class Coding:
         return self.segment.members(mask)
 
 
-def coding(genome: Genome) -> Coding:
+def coding_of_genome(genome: Genome) -> Coding:
     """Return how a genome is coded as tuples; refuse one of several segments."""
     if len(genome.segments) > 1:
         names = ", ".join(segment.name for segment in genome.segments)
@@ -115,7 +115,7 @@ class SteadyStateGA(GeneticAlgorithm):
     def toolbox(self, problem: Problem, rng: np.random.Generator) -> base.Toolbox:
         """Return the DEAP toolbox: that of the GA with operators on tuples, and immigrants."""
         o = self.options
-        code = coding(problem.genome)
+        code = coding_of_genome(problem.genome)
         n = code.numbers
         box = base.Toolbox()
         box.register("tuples", code.tuples)
@@ -123,7 +123,7 @@ class SteadyStateGA(GeneticAlgorithm):
         box.register("immigrants", random_subsets, n=n, m=code.m, rng=rng)
         box.register("population", lambda: code.genes(box.immigrants(o["population"])))
         box.register("evaluate", problem.evaluate)
-        box.register("select", tournament, size=o["tournament"], rng=rng)
+        box.register("select", select_by_tournament, size=o["tournament"], rng=rng)
         box.register("mate", set_crossover, probability=o["crossover"], rng=rng)
         box.register("mutate", replace_one, n=n, probability=o["mutation"], rng=rng)
         return box

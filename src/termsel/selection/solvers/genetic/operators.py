@@ -32,7 +32,7 @@ HALVINGS = 20
 """Neighbours of a number are a half, a quarter, ... of its range away, this many times."""
 
 
-def evenly(genome: Genome, rng: np.random.Generator, n: int) -> Genes:
+def draw_evenly(genome: Genome, rng: np.random.Generator, n: int) -> Genes:
     """Return n individuals, shape (n, size), whose bits are on with chance 1/2; others as ever."""
     genes = genome.random(rng, n)
     for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
@@ -41,8 +41,8 @@ def evenly(genome: Genome, rng: np.random.Generator, n: int) -> Genes:
     return genome.repair(genes, rng)
 
 
-def crossover(genes: Genes, genome: Genome, probability: float, rng: np.random.Generator,
-              points: int = 0) -> Genes:
+def cross_pairs(genes: Genes, genome: Genome, probability: float, rng: np.random.Generator,
+                points: int = 0) -> Genes:
     """Return children of neighbours: of genes (p, g) rows 0 and 1 are a pair, 2 and 3, and so on.
 
     A pair mates with a chance. Bits and categories are swapped with chance 1/2, or between two
@@ -51,7 +51,7 @@ def crossover(genes: Genes, genome: Genome, probability: float, rng: np.random.G
     crossover (Davis 1985). Subsets keep what both parents have.
     """
     if genome.dtype == np.bool_:
-        mate = two_point_crossover if points else uniform_crossover
+        mate = cross_at_two_points if points else uniform_crossover
         return mate(genes, probability, rng)
     # An odd individual at the end stays as it is.
     pairs = len(genes) // 2
@@ -68,8 +68,8 @@ def crossover(genes: Genes, genome: Genome, probability: float, rng: np.random.G
     return children
 
 
-def mutation(genes: Genes, genome: Genome, probability: float,
-             rng: np.random.Generator) -> Genes:
+def mutate_genes(genes: Genes, genome: Genome, probability: float,
+                 rng: np.random.Generator) -> Genes:
     """Return valid genes (p, g), each changed with the given chance.
 
     Bits flip. Categories become another one. Numbers change by polynomial mutation (Deb, Goyal
@@ -101,7 +101,7 @@ def _cross_pairs(segment: AnySegment, parents_1: Genes, parents_2: Genes,
         case CustomSegment():
             return segment.crossed(parents_1, parents_2, rng)
         case _:
-            swap = (_between_two_places(parents_1, rng) if points
+            swap = (_are_between_two_places(parents_1, rng) if points
                     else rng.random(parents_1.shape) < 0.5)
             return np.where(swap, parents_2, parents_1), np.where(swap, parents_1, parents_2)
 
@@ -146,9 +146,9 @@ def _mutate_segment(segment: AnySegment, genes: Genes, probability: float,
                      ) % len(segment.choices)
             return np.where(rng.random(genes.shape) < probability, categories, genes)
         case Integers() | Reals():
-            return _polynomial(segment, genes, probability, rng)
+            return _mutate_polynomially(segment, genes, probability, rng)
         case Permutation():
-            return _reversed_parts(genes, min(probability * segment.size, 1.0), rng)
+            return _reverse_parts(genes, min(probability * segment.size, 1.0), rng)
         case Subset():
             return replace_one(genes.astype(np.intp), len(segment.labels),
                                min(probability * segment.m, 1.0), rng)
@@ -156,8 +156,8 @@ def _mutate_segment(segment: AnySegment, genes: Genes, probability: float,
             return segment.mutated(genes, probability, rng)
 
 
-def _polynomial(segment: Integers | Reals, genes: Genes, probability: float,
-                rng: np.random.Generator) -> Genes:
+def _mutate_polynomially(segment: Integers | Reals, genes: Genes, probability: float,
+                         rng: np.random.Generator) -> Genes:
     """Change numbers by polynomial mutation (Deb, Goyal 1996)."""
     from pymoo.operators.mutation.pm import mut_pm
 
@@ -173,7 +173,7 @@ def _polynomial(segment: Integers | Reals, genes: Genes, probability: float,
     return segment.repaired(mutants)
 
 
-def _reversed_parts(genes: Genes, probability: float, rng: np.random.Generator) -> Genes:
+def _reverse_parts(genes: Genes, probability: float, rng: np.random.Generator) -> Genes:
     """Reverse a random part of some permutations."""
     # Inversion: neighbours stay neighbours, but for the two ends of the part.
     mutants = genes.copy()
@@ -201,7 +201,7 @@ def uniform_crossover(genes: Genes, probability: float, rng: np.random.Generator
     return children
 
 
-def two_point_crossover(genes: Genes, probability: float, rng: np.random.Generator) -> Genes:
+def cross_at_two_points(genes: Genes, probability: float, rng: np.random.Generator) -> Genes:
     """Return children of neighbours (p, g); a mating pair swaps the genes between two places.
 
     Rows 0 and 1 are a pair, 2 and 3, and so on, which mates with the given chance.
@@ -209,7 +209,7 @@ def two_point_crossover(genes: Genes, probability: float, rng: np.random.Generat
     pairs = len(genes) // 2
     first = genes[0:2 * pairs:2]
     second = genes[1:2 * pairs:2]
-    swap = _between_two_places(first, rng)
+    swap = _are_between_two_places(first, rng)
     swap &= rng.random((pairs, 1)) < probability
     children = genes.copy()
     children[0:2 * pairs:2] = np.where(swap, second, first)
@@ -217,7 +217,7 @@ def two_point_crossover(genes: Genes, probability: float, rng: np.random.Generat
     return children
 
 
-def _between_two_places(genes: Genes, rng: np.random.Generator) -> BoolArray:
+def _are_between_two_places(genes: Genes, rng: np.random.Generator) -> BoolArray:
     """Return which genes (n, size) lie between two places, random ones for each chromosome."""
     n, size = genes.shape
     places = np.sort(rng.integers(0, size + 1, (n, 2)), axis=1)
@@ -275,7 +275,7 @@ def replace_one(tuples: IntArray, n: int, probability: float,
     return np.sort(changed, axis=1)
 
 
-def steps(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
+def neighbours_of_segment(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
     """Yield the neighbours of one chromosome's genes of a segment that is not bits, (n, size).
 
     Integers and real numbers are a half, a quarter, ... of their range away, or at a bound;

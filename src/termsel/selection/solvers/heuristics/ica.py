@@ -13,7 +13,7 @@ from termsel.selection.problems.base import Evaluation, Problem
 from termsel.selection.solvers.base import Generation, Solver
 
 
-def costs(evaluation: Evaluation) -> FloatArray:
+def finite_costs(evaluation: Evaluation) -> FloatArray:
     """Return one finite cost per country, shape (p,), in the order of `Evaluation.order`.
 
     A feasible country costs its first objective, an infeasible one more than every feasible one;
@@ -32,12 +32,12 @@ def costs(evaluation: Evaluation) -> FloatArray:
     return cost
 
 
-def normalised_cost(cost: FloatArray, worst: float) -> FloatArray:
+def normalise_cost(cost: FloatArray, worst: float) -> FloatArray:
     """Return how much better imperialists, cost (k,), are than the worst country, equation (5)."""
     return worst - cost
 
 
-def shares(normalised: FloatArray) -> FloatArray:
+def normalised_powers(normalised: FloatArray) -> FloatArray:
     """Return the normalised power of e imperialists, (e,), equation (6).
 
     If all are as bad as the worst country, and the equation is 0/0, all are equal.
@@ -46,7 +46,7 @@ def shares(normalised: FloatArray) -> FloatArray:
     return normalised / total if total > 0 else np.full(len(normalised), 1 / len(normalised))
 
 
-def sizes(share: FloatArray, colonies: int) -> IntArray:
+def count_colonies(share: FloatArray, colonies: int) -> IntArray:
     """Return the numbers of colonies of imperialists, (e,), equation (7), from their power.
 
     Rounded by largest remainder: as in the paper wherever its rounded numbers add up to the
@@ -114,7 +114,7 @@ def normalised_power(power: FloatArray) -> FloatArray:
     return np.asarray(highest / np.maximum(power, 1e-12 * highest))
 
 
-def possession(normalised: FloatArray) -> FloatArray:
+def possession_probability(normalised: FloatArray) -> FloatArray:
     """Return the probability of each empire to possess the colony, (e,), equation (10)."""
     return np.asarray(normalised / normalised.sum())
 
@@ -148,7 +148,7 @@ class Empires:
         """
         k = len(self.imperialists)
         # D = Pr - R: chance decides where powers are about equal.
-        winner = int(np.argmax(possession(normalised_power(power)) - drawn))
+        winner = int(np.argmax(possession_probability(normalised_power(power)) - drawn))
         has_colonies = np.bincount(self.empire, minlength=k) > 1  # the imperialist is one of them
         weakest = int(np.argmax(np.where(has_colonies, power, -np.inf)))
         is_colony = self.empire == weakest
@@ -186,7 +186,8 @@ class Empires:
 def found_empires(cost: FloatArray, k: int, rng: np.random.Generator) -> Empires:
     """Return the first empires: the best k countries, N_imp, and colonies drawn for each."""
     order = np.argsort(cost, kind="stable")
-    size = sizes(shares(normalised_cost(cost[order[:k]], cost.max())), len(cost) - k)
+    size = count_colonies(
+        normalised_powers(normalise_cost(cost[order[:k]], cost.max())), len(cost) - k)
     # The best k found an empire each; the others are dealt out at random, in the numbers above.
     empire = np.empty(len(cost), dtype=np.intp)
     empire[order[:k]] = np.arange(k)
@@ -205,9 +206,10 @@ class ImperialistCompetition(Solver):
 
     Our choices where the paper states nothing:
 
-    - Costs of infeasible countries: see `costs`. Ties and divisions by zero in equations (6),
-      (8) and (9), and rounding in equation (7): see `shares`, `total_power`,
-      `normalised_power` and `sizes`.
+    - Costs of infeasible countries: see `finite_costs`. Ties and divisions by zero in equations
+    (6),
+      (8) and (9), and rounding in equation (7): see `normalised_powers`, `total_power`,
+      `normalised_power` and `count_colonies`.
     - The share P of colonies that revolt: each colony with chance P, after assimilation and
       before its cost is taken. Figure 4 marks four of eight genes, two of which change: each
       gene is redrawn with chance 1/2 (option `redrawn`).
@@ -264,15 +266,15 @@ class ImperialistCompetition(Solver):
         o = self.options
         genes = problem.genome.random(rng, o["population"])
         evaluation = problem.evaluate(genes)
-        cost = costs(evaluation)
+        cost = finite_costs(evaluation)
         first_empires = min(max(2, round(o["imperialists"] * len(genes))), len(genes) // 2)
         world = found_empires(cost, first_empires, rng)
-        yield self._generation(0, genes, evaluation, cost, world, first_empires)
+        yield self._generation_of_empires(0, genes, evaluation, cost, world, first_empires)
         index = 0
         while len(world.imperialists) > 1:
             index += 1
             genes, evaluation = self._move(problem, genes, evaluation, world, rng)
-            cost = costs(evaluation)
+            cost = finite_costs(evaluation)
             world = world.crown(cost)
             if o["uniting"] is not None:
                 world = world.unite(genes, cost, o["uniting"])
@@ -282,7 +284,7 @@ class ImperialistCompetition(Solver):
                     break
                 power = total_power(cost, world.empire, world.imperialists, o["alpha"])
                 world = world.compete(cost, power, rng.random(len(power))).crown(cost)
-            yield self._generation(index, genes, evaluation, cost, world, first_empires)
+            yield self._generation_of_empires(index, genes, evaluation, cost, world, first_empires)
 
     def _move(self, problem: Problem, genes: BoolArray, evaluation: Evaluation, world: Empires,
               rng: np.random.Generator) -> tuple[BoolArray, Evaluation]:
@@ -310,9 +312,9 @@ class ImperialistCompetition(Solver):
         violation[colonies] = moved_evaluation.violation
         return genes, Evaluation(objectives, violation)
 
-    def _generation(self, index: int, genes: BoolArray, evaluation: Evaluation,
-                    cost: FloatArray, world: Empires,
-                    first_empires: int) -> Generation:
+    def _generation_of_empires(self, index: int, genes: BoolArray, evaluation: Evaluation,
+                               cost: FloatArray, world: Empires,
+                               first_empires: int) -> Generation:
         """Return a generation with the figures of the empires that its charts show.
 
         There were `first_empires`; those that have vanished have no country.

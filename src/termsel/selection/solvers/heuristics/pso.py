@@ -16,7 +16,7 @@ from termsel.selection.solvers.base import Generation, Solver
 from termsel.selection.solvers.genetic.operators import from_keys, n_keys
 
 
-def improved(evaluation: Evaluation, best: Evaluation) -> BoolArray:
+def are_improved(evaluation: Evaluation, best: Evaluation) -> BoolArray:
     """Return which individuals, (p,), beat those in the same row of `best`, feasible ones first."""
     return np.asarray(
         (evaluation.violation < best.violation)
@@ -24,7 +24,7 @@ def improved(evaluation: Evaluation, best: Evaluation) -> BoolArray:
            & (evaluation.objectives[:, 0] < best.objectives[:, 0])))
 
 
-def leaders(order: IntArray, reach: int) -> IntArray:
+def find_leaders(order: IntArray, reach: int) -> IntArray:
     """Return the best particle in the neighbourhood of each, shape (p,).
 
     The order (p,) is of particles from best to worst; `reach` counts neighbours on either side in a
@@ -39,7 +39,7 @@ def leaders(order: IntArray, reach: int) -> IntArray:
     return np.asarray(order[rank[ring_neighbours].min(axis=1)])
 
 
-def sigmoid(velocity: FloatArray) -> FloatArray:
+def chance_of_gene(velocity: FloatArray) -> FloatArray:
     """Return the chance that a gene is on, 1 / (1 + exp(-v)), of the shape of the velocity v."""
     return np.asarray(1.0 / (1.0 + np.exp(-velocity)))
 
@@ -124,7 +124,7 @@ class BinarySwarm(Solver):
                                         best_evaluation=best_evaluation, rng=rng)
             if bits:
                 # The velocity is the chance of a gene: the position itself is drawn from it.
-                switched_on = rng.random(position.shape) < sigmoid(velocity)
+                switched_on = rng.random(position.shape) < chance_of_gene(velocity)
                 position = genes = genome.repair(switched_on, rng)
             else:
                 # Keys are not those of repaired genes: the swarm moves on as if nothing was
@@ -132,8 +132,9 @@ class BinarySwarm(Solver):
                 position = np.clip(position + velocity, 0.0, 1.0)
                 genes = genome.repair(from_keys(position, genome), rng)
             evaluation = problem.evaluate(genes)
-            best_position, best_evaluation = _best_of_own(best_position, best_evaluation, position,
-                                                          evaluation)
+            best_position, best_evaluation = _personal_best(best_position, best_evaluation,
+                                                            position,
+                                                            evaluation)
             yield Generation(index, genes, evaluation, {"velocity": velocity})
 
 
@@ -153,16 +154,16 @@ def _next_velocities(parameters: Mapping[str, Any], index: int, velocity: FloatA
     # v <- w v + c1 r1 (own best - x) + c2 r2 (leader - x), with w from first to last.
     inertia = parameters["inertia"] + share * (parameters["inertia_last"] - parameters["inertia"])
     pull = parameters["cognition"] * rng.random(position.shape) * (best_position - position)
-    leader = best_position[leaders(best_evaluation.order(), parameters["neighbours"])]
+    leader = best_position[find_leaders(best_evaluation.order(), parameters["neighbours"])]
     pull += parameters["society"] * rng.random(position.shape) * (leader - position)
     limit = parameters["velocity"]
     return np.asarray(np.clip(inertia * velocity + pull, -limit, limit))
 
 
-def _best_of_own(best_position: Genes, best_evaluation: Evaluation, position: Genes,
-                 evaluation: Evaluation) -> tuple[Genes, Evaluation]:
+def _personal_best(best_position: Genes, best_evaluation: Evaluation, position: Genes,
+                   evaluation: Evaluation) -> tuple[Genes, Evaluation]:
     """Return the best place of each particle so far, and its evaluation."""
-    is_better = improved(evaluation, best_evaluation)
+    is_better = are_improved(evaluation, best_evaluation)
     return np.where(is_better[:, None], position, best_position), Evaluation(
         np.where(is_better[:, None], evaluation.objectives, best_evaluation.objectives),
         np.where(is_better, evaluation.violation, best_evaluation.violation))

@@ -12,25 +12,26 @@ from termsel.selection.problems.base import Evaluation, Problem
 from termsel.selection.problems.genome import Genome
 from termsel.selection.problems.segments import SEGMENTS, AnySegment, Bits, Genes, Subset
 from termsel.selection.solvers.base import Generation, Solver
-from termsel.selection.solvers.genetic.operators import mutation, steps
+from termsel.selection.solvers.genetic.operators import mutate_genes, neighbours_of_segment
 
 BATCH = 2000
 """Most neighbours evaluated before a step: all of a small genome; all of a large one would not
 fit into memory."""
 
 
-def moves(genes: Genes, problem: Problem) -> Iterator[Genes]:
-    """Yield the moves that the problem itself offers, then all `neighbours`."""
+def improving_moves(genes: Genes, problem: Problem) -> Iterator[Genes]:
+    """Yield the moves that the problem itself offers, then all `neighbour_batches`."""
     yield from problem.moves(genes)
-    yield from neighbours(genes, problem.genome)
+    yield from neighbour_batches(genes, problem.genome)
 
 
-def neighbours(genes: Genes, genome: Genome) -> Iterator[Genes]:
+def neighbour_batches(genes: Genes, genome: Genome) -> Iterator[Genes]:
     """Yield all valid individuals one step away, in batches (n, size) of up to BATCH.
 
     Of bits, first come the selections with one gene more or less, then those in which a gene that
     is on is replaced by another of its segment. Forced genes stay and each segment keeps its
-    cardinality. Of other genes see `termsel.selection.solvers.genetic.operators.steps`.
+    cardinality. Of other genes see
+    `termsel.selection.solvers.genetic.operators.neighbours_of_segment`.
     """
     if genome.dtype == np.bool_:
         yield from _neighbours_of_bits(genes, genome)
@@ -55,7 +56,7 @@ def _neighbours_in_segment(genes: Genes, genome: Genome, segment: AnySegment) ->
                                 off=select(segment.labels, genome.off[labels]))
         yield from _neighbours_of_bits(genes.astype(bool), segment_genome)
     else:
-        for stepped in steps(segment, genes):
+        for stepped in neighbours_of_segment(segment, genes):
             if isinstance(segment, Subset):
                 # One member gives way to another: neither may be forced.
                 moved = segment.mask(stepped) ^ segment.mask(genes[None])
@@ -102,8 +103,8 @@ def descend(problem: Problem, genes: Genes, evaluation: Evaluation, index: int =
             ) -> Iterator[Generation]:
     """Step to better neighbours while there are any; yield each selection, the start first.
 
-    A step goes to the best of the first batch of `neighbours` that has a better one; when the
-    descent ends, no neighbour is better. If several segments of the genome have a better
+    A step goes to the best of the first batch of `neighbour_batches` that has a better one; when
+    the descent ends, no neighbour is better. If several segments of the genome have a better
     neighbour, the step combines the best of each, if that is better still: line and sample are
     often independent. The start, genes (1, size), comes with its evaluation and the number of the
     first generation.
@@ -114,11 +115,11 @@ def descend(problem: Problem, genes: Genes, evaluation: Evaluation, index: int =
         yield Generation(index, genes, evaluation)
         index += 1
         better = False
-        for around in moves(genes[0], problem):
+        for around in improving_moves(genes[0], problem):
             neighbour_evaluation = problem.evaluate_near(around, genes[0])
             # The first batch with a better one is enough: further ones may be very many.
             best_neighbour = neighbour_evaluation.take(neighbour_evaluation.order()[:1])
-            if _rank(best_neighbour) < _rank(evaluation):
+            if _comparison_key(best_neighbour) < _comparison_key(evaluation):
                 genes, evaluation = _combine_best_changes(problem, genes, evaluation, around,
                                                           neighbour_evaluation)
                 better = True
@@ -143,7 +144,7 @@ def climb(problem: Problem, genes: Genes, evaluation: Evaluation,
         yield climbed
         # In turn from the neighbourhood of the best and from anywhere.
         if start % 2:
-            elsewhere = genome.repair(_shaken(best.genes, genome, rng), rng)
+            elsewhere = genome.repair(_shake_genes(best.genes, genome, rng), rng)
         else:
             elsewhere = genome.random(rng, 1)
         climbed = list(descend(problem, elsewhere, problem.evaluate(elsewhere), best.index + 1))
@@ -160,38 +161,40 @@ def climb(problem: Problem, genes: Genes, evaluation: Evaluation,
         climbed += descend(problem, combined, combined_evaluation, reached.index + 1)
 
 
-def _shaken(genes: Genes, genome: Genome, rng: np.random.Generator) -> Genes:
+def _shake_genes(genes: Genes, genome: Genome, rng: np.random.Generator) -> Genes:
     """Return genes, a random share of which is changed, at most half."""
     if genome.dtype == np.bool_:
         return genes ^ (rng.uniform(size=(1, genome.size)) < rng.uniform(0.0, 0.5))
-    return mutation(genes, genome, rng.uniform(0.0, 0.5), rng)
+    return mutate_genes(genes, genome, rng.uniform(0.0, 0.5), rng)
 
 
 def _combine_best_changes(problem: Problem, genes: Genes, evaluation: Evaluation, around: Genes,
                           neighbour_evaluation: Evaluation) -> tuple[Genes, Evaluation]:
     """Return the best of a selection, its neighbours, and the best change of each segment."""
     order = neighbour_evaluation.order()
-    best = _better(genes, evaluation, around[order[:1]], neighbour_evaluation.take(order[:1]))
+    best = _better_of_two(genes, evaluation, around[order[:1]],
+                          neighbour_evaluation.take(order[:1]))
     # Changes of single segments are improvements alone; together they are so where these add up.
     joined = genes.copy()
     changes = 0
     for columns in problem.genome.slices().values():
         changed = order[(around[order, columns] != genes[0, columns]).any(axis=1)][:1]
-        if len(changed) and _rank(neighbour_evaluation.take(changed)) < _rank(evaluation):
+        if len(changed) and _comparison_key(neighbour_evaluation.take(changed)) \
+                < _comparison_key(evaluation):
             joined[0, columns] = around[changed[0], columns]
             changes += 1
-    return _better(*best, joined, problem.evaluate(joined)) if changes > 1 else best
+    return _better_of_two(*best, joined, problem.evaluate(joined)) if changes > 1 else best
 
 
-def _better(genes: Genes, evaluation: Evaluation, other_genes: Genes,
-            other_evaluation: Evaluation) -> tuple[Genes, Evaluation]:
+def _better_of_two(genes: Genes, evaluation: Evaluation, other_genes: Genes,
+                   other_evaluation: Evaluation) -> tuple[Genes, Evaluation]:
     """Return the better of two individuals with its evaluation; the first of equals."""
-    if _rank(other_evaluation) < _rank(evaluation):
+    if _comparison_key(other_evaluation) < _comparison_key(evaluation):
         return other_genes, other_evaluation
     return genes, evaluation
 
 
-def _rank(evaluation: Evaluation) -> tuple[float, float]:
+def _comparison_key(evaluation: Evaluation) -> tuple[float, float]:
     """Return violation and objective of a single individual, in the order in which they compare."""
     return float(evaluation.violation[0]), float(evaluation.objectives[0, 0])
 

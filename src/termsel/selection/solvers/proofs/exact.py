@@ -10,16 +10,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from termsel.core.errors import TermselError, amount
-from termsel.core.isolation.parts import part as part_of
+from termsel.core.errors import TermselError, amount_in_words
+from termsel.core.isolation.parts import value_of_slot as part_of
 from termsel.core.options import COUNT, Option
 from termsel.selection.best_subsets import subsets
 from termsel.selection.problems.base import EnumerablePart, Problem
 from termsel.selection.problems.segments import AnySegment, Bits, Genes, Subset
 from termsel.selection.solvers.base import Generation, Solver
-from termsel.selection.solvers.heuristics.swap import neighbours
+from termsel.selection.solvers.heuristics.swap import neighbour_batches
 from termsel.selection.solvers.proofs.exact_features import (
-    duration,
+    duration_in_words,
     proof_generations,
     quick_optimum,
 )
@@ -49,7 +49,7 @@ _REPORT_STATES = 4
 """States between two reports at most: a budget of time ends at a report."""
 
 
-def gap(problem: Problem, reached: float) -> dict[str, Any] | None:
+def gap_to_optimum(problem: Problem, reached: float) -> dict[str, Any] | None:
     """Return the gap between a solution and the proven optimum, if that is known quickly.
 
     Given the first objective that is reached, it is a certificate with the optimum and the gap,
@@ -129,15 +129,15 @@ class Exact(Solver):
         max_terms = self.options["max_terms"]
         workers = self.options["workers"] or os.cpu_count() or 1
         systems = problem.row_systems()
-        certify = _certifier(problem, max_terms) if self.options["certificate"] else None
+        certify = _certificate_maker(problem, max_terms) if self.options["certificate"] else None
         if systems is not None:
             yield from proof_generations(problem, systems, workers, max_terms)
             return
         subproblems = problem.parts()
         space = space_of(problem, subproblems, max_terms)
         log.info("exact: %s to enumerate or exclude by bounds (%s, %s)%s",
-                 amount(count(problem, max_terms), "subset"), space,
-                 amount(len(subproblems), "part"),
+                 amount_in_words(count(problem, max_terms), "subset"), space,
+                 amount_in_words(len(subproblems), "part"),
                  _estimate(problem, subproblems, max_terms, workers))
         index, reported, decided = 0, 0.0, 0
         placeholder = np.zeros((1, problem.genome.size), dtype=bool)
@@ -164,7 +164,8 @@ class Exact(Solver):
                 index += 1
 
 
-def _certifier(problem: Problem, max_terms: int | None) -> Callable[[Genes], dict[str, Any] | None]:
+def _certificate_maker(
+        problem: Problem, max_terms: int | None) -> Callable[[Genes], dict[str, Any] | None]:
     """Return a function of the optimum's genes that returns its certificate, None without one.
 
     Raises TermselError where the package of certificates is not installed.
@@ -190,7 +191,7 @@ def _require_unbeaten(problem: Problem, proof: Proof, generation: Generation,
         return
     # Of all sizes, and of the neighbours of the optimum, none may be better than the optimum.
     values = [front.objectives[front.violation == 0, 0]]
-    for genes in neighbours(generation.genes[-1], problem.genome):
+    for genes in neighbour_batches(generation.genes[-1], problem.genome):
         if max_terms is not None:  # larger ones are outside of the space that is proven
             sizes = [genes[:, subproblem.genes].sum(axis=1) for subproblem in proof.parts]
             genes = genes[np.all(np.array(sizes) <= max_terms, axis=0)]
@@ -215,4 +216,4 @@ def _estimate(problem: Problem, subproblems: tuple[EnumerablePart, ...], max_ter
                                            folds=subproblem.folds, workers=workers,
                                            max_terms=limits_of(problem, subproblem, max_terms)[1])
                   for subproblem in subproblems)
-    return f"; about {duration(seconds)}"
+    return f"; about {duration_in_words(seconds)}"

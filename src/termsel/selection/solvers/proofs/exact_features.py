@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from termsel.core.errors import TermselError, amount
+from termsel.core.errors import TermselError, amount_in_words
 from termsel.data.features import BoolArray, FloatArray
 from termsel.selection.best_subsets.features.walk import Branch, Selections
 from termsel.selection.problems.segments import Bits, Genes, Subset
@@ -36,7 +36,7 @@ _REPORTS = 4  # so many reports, then as many with a further branch between them
 _TIMED = 1 << 16  # selections of which the time of all is estimated
 
 
-def _segment(problem: Problem) -> Bits | Subset:
+def _feature_segment(problem: Problem) -> Bits | Subset:
     segment, = problem.genome.segments
     assert isinstance(segment, Bits | Subset)  # of features
     return segment
@@ -45,7 +45,7 @@ def _segment(problem: Problem) -> Bits | Subset:
 def selections_of(problem: Problem, systems: tuple[RowSystem, ...]) -> Selections:
     """Return all selections of a problem that selects features alone; refuse too many features."""
     genome = problem.genome
-    segment = _segment(problem)
+    segment = _feature_segment(problem)
     n = len(segment.labels)
     return Selections(n, segment.minimum, segment.most, genome.on, genome.off, systems)
 
@@ -137,9 +137,9 @@ def proof_generations(problem: Problem, systems: tuple[RowSystem, ...], workers:
     total = selections.count(selections.root)
     if selections.needs_compilation:
         log.info("Compiling: the first proof on this machine takes some 6 s longer.")
-    outlook = (f"; about {duration(estimate_seconds(selections, workers))}" if systems
+    outlook = (f"; about {duration_in_words(estimate_seconds(selections, workers))}" if systems
            else "; each is evaluated, as the criterion or the model allows no other way")
-    log.info("exact: %s to enumerate or exclude by bounds (%s)%s", amount(total, "subset"),
+    log.info("exact: %s to enumerate or exclude by bounds (%s)%s", amount_in_words(total, "subset"),
              space, outlook)
     index, last = 0, 0
     placeholder = problem.genome.random(np.random.default_rng(0), 1)
@@ -169,7 +169,7 @@ def quick_optimum(problem: Problem,
     return (optimum, total, space_of(selections)) if np.isfinite(optimum) else None
 
 
-def duration(seconds: float) -> str:
+def duration_in_words(seconds: float) -> str:
     """Return a time in words."""
     years = seconds / 31_557_600
     if years > 1:
@@ -185,7 +185,7 @@ class _Records:
     def __init__(self, problem: Problem, selections: Selections) -> None:
         self.problem = problem
         self.selections = selections
-        self.segment = _segment(problem)
+        self.segment = _feature_segment(problem)
         self.best = np.full(selections.n + 1, np.inf)
         self.genes: dict[int, Genes] = {}
         # An RMSE is (squared errors / points)^1/2.

@@ -73,7 +73,7 @@ class Proof:
         """True if the optimum is proven."""
         return all(result.complete for result in self.results)
 
-    def _costs(self, floor: bool = False) -> list[FloatArray]:
+    def _costs_by_size(self, floor: bool = False) -> list[FloatArray]:
         """Return the cost of the best subset of each size, (k + 1,), of each part.
 
         With `floor` they are the least costs that the proof leaves possible.
@@ -84,7 +84,7 @@ class Proof:
             costs.append(_cost_by_size(scores, subproblem, fewest))
         return costs
 
-    def _objective(self, best: float) -> Callable[[float], float] | None:
+    def _objective_of_costs(self, best: float) -> Callable[[float], float] | None:
         """Return a function from a sum of costs to the objective, by that of the best selection.
 
         None if the objective is neither the sum itself nor an RMSE [px].
@@ -102,7 +102,7 @@ class Proof:
             return float(subproblem.pixels * np.sqrt(max(cost, 0.0) / rows))
 
         # Which it is the objective of the best selection shows.
-        total = sum(float(cost.min()) for cost in self._costs())
+        total = sum(float(cost.min()) for cost in self._costs_by_size())
         for objective in (float, rmse):
             if abs(objective(total) - best) <= 1e-6 * abs(best):
                 return objective
@@ -115,18 +115,20 @@ class Proof:
         """
         if self.complete:
             return best
-        objective = self._objective(best)
+        objective = self._objective_of_costs(best)
         if objective is None:
             return None
-        return min(best, objective(sum(float(cost.min()) for cost in self._costs(floor=True))))
+        return min(best,
+                   objective(sum(float(cost.min()) for cost in self._costs_by_size(floor=True))))
 
     def front(self) -> list[BoolArray]:
         """Return the best selection (size,) of every total size that beats all smaller ones.
 
         By number of genes; the last is the best of all. Empty where nothing is feasible.
         """
-        total, sizes = _least_joint_cost(self._costs())
-        return [self._genes(sizes[i].tolist()) for i in np.flatnonzero(_beats_smaller_sizes(total))]
+        total, sizes = _least_joint_cost(self._costs_by_size())
+        return [self._genes_of_sizes(sizes[i].tolist())
+                for i in np.flatnonzero(_beats_smaller_sizes(total))]
 
     def by_size(self, problem: Problem) -> list[SizeProof]:
         """Return the best selection of every total size, each with its own proof.
@@ -136,14 +138,14 @@ class Proof:
         other for some i. Its bound is the least sum of the bounds over all such i. The problem
         evaluates the selections.
         """
-        total, sizes = _least_joint_cost(self._costs())
+        total, sizes = _least_joint_cost(self._costs_by_size())
         feasible_sizes = np.flatnonzero(np.isfinite(total))
         if not len(feasible_sizes):
             return []
-        genes = np.array([self._genes(sizes[i].tolist()) for i in feasible_sizes])
-        values, feasible = each_of(problem, genes)
-        objective = self._objective(float(values[total[feasible_sizes].argmin()]))
-        floor = _least_joint_cost(self._costs(floor=True))[0]
+        genes = np.array([self._genes_of_sizes(sizes[i].tolist()) for i in feasible_sizes])
+        values, feasible = evaluate_each(problem, genes)
+        objective = self._objective_of_costs(float(values[total[feasible_sizes].argmin()]))
+        floor = _least_joint_cost(self._costs_by_size(floor=True))[0]
         better = _beats_smaller_sizes(total)
         proofs = []
         # Enumeration and evaluation may differ at a tolerance: what is infeasible is left out.
@@ -158,7 +160,7 @@ class Proof:
             proofs.append(SizeProof(selection, value, bound, optimal, bool(better[i])))
         return proofs
 
-    def _genes(self, sizes: list[int]) -> BoolArray:
+    def _genes_of_sizes(self, sizes: list[int]) -> BoolArray:
         """Return the genes (size,) of the best subsets of some sizes, one for each part."""
         genes = np.zeros(self.size, dtype=bool)
         for subproblem, result, size in zip(self.parts, self.results, sizes, strict=True):
@@ -199,7 +201,7 @@ class FeatureProof:
         sizes = sorted(self.genes)
         if not sizes:
             return []
-        values, _ = each_of(problem, np.array([self.genes[size] for size in sizes]))
+        values, _ = evaluate_each(problem, np.array([self.genes[size] for size in sizes]))
         # Until then nothing is known of single sizes but the floor of all selections.
         bounds = values if self.complete else np.minimum(values, self.floor)
         optimal = values <= bounds
@@ -235,7 +237,7 @@ def generation_of(problem: Problem, proof: Proof | FeatureProof, index: int, spa
         "certificate": {name: value for name, value in certificate.items() if value is not None}})
 
 
-def each_of(problem: Problem, genes: Genes) -> tuple[FloatArray, BoolArray]:
+def evaluate_each(problem: Problem, genes: Genes) -> tuple[FloatArray, BoolArray]:
     """Return the first objectives of individuals, (p,), and whether they are feasible, (p,).
 
     One by one, as sums over a population round otherwise, and a bound is to equal what it proves.

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from termsel.adjustment.solve import ROUNDING, TOLERANCE, largest
+from termsel.adjustment.solve import ROUNDING, TOLERANCE, index_of_largest
 from termsel.core.errors import TermselError
 from termsel.data.features import BoolArray, FloatArray, IntArray
 from termsel.selection.best_subsets.columns.system import SubsetSystem
@@ -116,7 +116,7 @@ class Regression:
     @staticmethod
     def largest(values: FloatArray) -> int:
         """Return the index of the largest value (k,), of those equal but for rounding the first."""
-        return int(largest(values))
+        return int(index_of_largest(values))
 
     def standardised(self, penalised: BoolArray, removed: BoolArray, rows: BoolArray | None = None,
                      ) -> Standardised:
@@ -141,7 +141,7 @@ class Regression:
         return int(r * (m - selection.sum()))
 
 
-def regressions(problem: Problem) -> list[Regression]:
+def regressions_of_problem(problem: Problem) -> list[Regression]:
     """Return the parts of a term selection as regressions over their control rows.
 
     The constant is kept unless it is forbidden, like the intercept in textbooks and in Long et al.
@@ -152,17 +152,17 @@ def regressions(problem: Problem) -> list[Regression]:
         raise TermselError("regression adds and drops single terms and cannot keep a hierarchy",
                            hint="Choose another solver, such as --solver ga or exact, or remove "
                                 "hierarchy=true.")
-    return [_regression(problem, subproblem) for subproblem in problem.parts()]
+    return [_regression_of_axes(problem, subproblem) for subproblem in problem.parts()]
 
 
-def _regression(problem: Problem, subproblem: EnumerablePart) -> Regression:
+def _regression_of_axes(problem: Problem, subproblem: EnumerablePart) -> Regression:
     """Return the control rows of one axis, or of both, as a regression."""
     rows = subproblem.system
     m, k = rows.design.shape
     none = np.zeros(k, dtype=bool)
     forced = none if rows.forced is None else rows.forced
     forbidden = none if rows.forbidden is None else rows.forbidden
-    constant = _constant(rows) & ~forbidden
+    constant = _constant_column(rows) & ~forbidden
     segment = segment_of(problem, subproblem)
     always = forced | constant
     # A redundancy of 1 remains: m rows, m - 1 columns.
@@ -173,7 +173,7 @@ def _regression(problem: Problem, subproblem: EnumerablePart) -> Regression:
                       pixels=subproblem.pixels)
 
 
-def _constant(system: SubsetSystem) -> BoolArray:
+def _constant_column(system: SubsetSystem) -> BoolArray:
     """Return the mask, (k,), of the constant: the first column that is the same in every row.
 
     No column is in it if there is none. If standard deviations weight the control rows, only check
@@ -225,7 +225,7 @@ class TermRegression(Solver):
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield the one selection (see `Solver.generations`)."""
-        of_axes = regressions(problem)
+        of_axes = regressions_of_problem(problem)
         # Each axis, where they are independent, is chosen by itself.
         selections = [self.choose(regression) for regression in of_axes]
         yield generation_of(problem, of_axes, selections, rng)

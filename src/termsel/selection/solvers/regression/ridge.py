@@ -12,7 +12,11 @@ from termsel.core.options import Option
 from termsel.data.features import BoolArray, FloatArray
 from termsel.selection.problems.base import Problem
 from termsel.selection.solvers.base import Generation, Solver
-from termsel.selection.solvers.regression.base import Regression, generation_of, regressions
+from termsel.selection.solvers.regression.base import (
+    Regression,
+    generation_of,
+    regressions_of_problem,
+)
 
 
 class Ridge(Solver):
@@ -44,7 +48,7 @@ class Ridge(Solver):
 
     def generations(self, problem: Problem, rng: np.random.Generator) -> Iterator[Generation]:
         """Yield all terms, with their coefficients (see `Solver.generations`)."""
-        of_axes = regressions(problem)
+        of_axes = regressions_of_problem(problem)
         all_terms = [regression.free | regression.kept for regression in of_axes]
         generation = generation_of(problem, of_axes, all_terms, rng)
         coefficients = np.zeros((of_axes[0].target.shape[1], problem.genome.size))
