@@ -317,8 +317,9 @@ def test_a_course_of_several_trends_is_the_sum_of_theirs() -> None:
     for solutions in courses.solutions[:3]:
         expected = np.zeros((2, 2))
         for columns, shares in zip(TREND_COLUMNS, solutions.shares, strict=True):
+            spectrum, = system.spectra([solutions.lengths], solutions.smoothness)
             course = replace(system, trend=system.trend[:, :columns]).course(
-                solutions.lengths, solutions.smoothness, solutions.ratios, shares)
+                spectrum, solutions.ratios, shares)
             expected += course.squares(course.columns(
                 places, system.positions, trend[:, :columns]), 0.01)
         course = solutions.course(system)

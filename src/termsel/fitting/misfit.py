@@ -191,6 +191,24 @@ class Course:
 
 
 @dataclass(frozen=True, eq=False)
+class Spectrum:
+    """A field's correlation K and the variances N of measurements, both diagonal in V.
+
+    V'N V = I and V'K V = `values`, so that S = N + ratio^2 K has the inverse V v^-1 V', with
+    v = 1 + ratio^2 `values`: one decomposition serves all ratios.
+    """
+
+    lengths: tuple[float, float]
+    smoothness: float
+    values: FloatArray  # (n,)
+    vectors: FloatArray  # (n, n): V
+
+    def variances(self, ratios: tuple[float, ...]) -> FloatArray:
+        """Return v of some ratios, (r, n)."""
+        return 1.0 + np.multiply.outer(np.square(ratios), self.values)
+
+
+@dataclass(frozen=True, eq=False)
 class System:
     """What all covariances are tried on."""
 
@@ -206,34 +224,72 @@ class System:
                        relative_variances=self.relative_variances[rows], trend=self.trend[rows],
                        residuals=self.residuals[rows])
 
-    def log_likelihoods(self, lengths: tuple[float, float], smoothness: float,
-                        ratios: tuple[float, ...]) -> FloatArray:
-        """Return logarithms of p(r, ratio | length, s) for each axis, (2, r, s)."""
-        correlation = matern_correlations(self.positions, self.positions, lengths, smoothness)
-        variances = np.diag(self.relative_variances)
-        by_ratio = [restricted_likelihood(variances + ratio**2 * correlation,
-                                          self.trend, self.residuals, self.noises)
-                    for ratio in ratios]
-        return np.asarray(np.stack(by_ratio, axis=1) - np.log(len(ratios)))
+    def spectra(self, lengths: Sequence[tuple[float, float]], smoothness: float) -> list[Spectrum]:
+        """Return a field's correlations of some lengths next to the variances of measurements."""
+        weights = 1.0 / np.sqrt(self.relative_variances)
+        positions = self.positions
+        correlations = np.array([matern_correlations(positions, positions, pair, smoothness)
+                                 for pair in lengths])
+        values, u = np.linalg.eigh(weights[:, None] * correlations * weights)
+        return [Spectrum(pair, smoothness, *factors) for pair, *factors in zip(
+            lengths, values, weights[:, None] * u, strict=True)]
 
-    def course(self, lengths: tuple[float, float], smoothness: float, ratios: tuple[float, ...],
-               shares: FloatArray) -> Course:
-        """Return the solutions of one covariance; `shares` (2, r, s) are of ratios and noises."""
-        correlation = matern_correlations(self.positions, self.positions, lengths, smoothness)
+    def log_likelihoods(self, spectra: Sequence[Spectrum],
+                        ratios: tuple[float, ...]) -> FloatArray:
+        """Return logarithms of p(r, ratio | length, s) for each axis, (l, 2, r, s)."""
+        variances = np.array([spectrum.variances(ratios) for spectrum in spectra])  # (l, r, n)
+        vectors = np.array([spectrum.vectors for spectrum in spectra])
+        f = self.trend.shape[1]
+        # In V the covariance is diagonal: by its roots all is white.
+        along = vectors.swapaxes(1, 2) @ np.column_stack([self.trend, self.residuals])
+        whitened = along[:, None] / np.sqrt(variances)[..., None]             # (l, r, n, f + 2)
+        q, triangle = np.linalg.qr(whitened[..., :f])
+        targets = whitened[..., f:]
+        squares = ((targets - q @ (q.swapaxes(2, 3) @ targets))**2).sum(axis=2)  # (l, r, 2)
+        # |S|^1/2, that of the variances of measurements included, and |T' S^-1 T|^1/2.
+        determinants = 0.5 * (np.log(variances).sum(axis=2)
+                              + np.log(self.relative_variances).sum()) \
+            + np.log(np.abs(np.diagonal(triangle, axis1=2, axis2=3))).sum(axis=2)
+        freedom = len(self.residuals) - f
+        logs = (-freedom * np.log(self.noises)
+                - 0.5 * squares.swapaxes(1, 2)[..., None] / self.noises**2
+                - determinants[:, None, :, None])
+        return np.asarray(logs - np.log(len(ratios)))
+
+    def course(self, spectrum: Spectrum, ratios: tuple[float, ...], shares: FloatArray) -> Course:
+        """Return the solutions of one covariance; `shares` (2, r, s) are of ratios and noises.
+
+        M^-1 has the blocks S^-1 - B G B', B G and -G, with B = S^-1 T and G = (T' B)^-1.
+        """
         noise = shares @ self.noises**2                                             # (2, r)
         n, f = self.trend.shape
         explained = np.zeros((2, n + f, n + f))
         means = np.empty((len(ratios), n + f, 2))
-        variances = np.diag(self.relative_variances)
+        vectors = spectrum.vectors
+        variances = spectrum.variances(ratios)                                      # (r, n)
+        trend_along = vectors.T @ self.trend
+        residuals_along = vectors.T @ self.residuals
         for i, ratio in enumerate(ratios):
-            scale = np.concatenate([np.full(n, ratio**2), np.ones(f)])
-            system = np.block([[variances + ratio**2 * correlation, self.trend],
-                               [self.trend.T, np.zeros((f, f))]])
-            inverse = scale[:, None] * np.linalg.inv(system)
-            means[i] = inverse[:, :n] @ self.residuals
-            explained += noise[:, i, None, None] * (inverse * scale)
-        return Course(float(shares[0].sum()), lengths, smoothness, noise @ np.square(ratios),
-                      explained, shares.sum(axis=2), means, f)
+            # B and G from the triangle R of the whitened trend: T' S^-1 T = R' R.
+            whitened = trend_along / np.sqrt(variances[i])[:, None]
+            inverse = np.linalg.inv(np.linalg.qr(whitened, mode="r"))
+            of_trend = inverse @ inverse.T
+            toward = vectors @ (trend_along / variances[i][:, None])
+            gain = toward @ of_trend
+            of_residuals = vectors @ (residuals_along / variances[i][:, None])
+            means[i, :n] = ratio**2 * (of_residuals - gain @ (self.trend.T @ of_residuals))
+            means[i, n:] = gain.T @ self.residuals
+            for axis, weight in enumerate(noise[:, i]):
+                explained[axis, :n, :n] -= weight * ratio**4 * (gain @ toward.T)
+                explained[axis, :n, n:] += weight * ratio**2 * gain
+                explained[axis, n:, n:] -= weight * of_trend
+        # The sum of all S^-1 is diagonal in V, too.
+        inverse_variances = noise * np.power(ratios, 4) @ (1.0 / variances)         # (2, n)
+        for axis in (0, 1):
+            explained[axis, :n, :n] += (vectors * inverse_variances[axis]) @ vectors.T
+            explained[axis, n:, :n] = explained[axis, :n, n:].T
+        return Course(float(shares[0].sum()), spectrum.lengths, spectrum.smoothness,
+                      noise @ np.square(ratios), explained, shares.sum(axis=2), means, f)
 
     def without_noise_of_trend(self, course: Course, shares: FloatArray) -> Course:
         """Return a course without the part of the trend's uncertainty that noise alone makes.
@@ -309,21 +365,20 @@ def misfit_of(image: FloatArray, residuals: FloatArray, noise: NoisePrior,
     relative_variances = noise.relative_variances(n)
     system = System(image, relative_variances, trend, residuals, noises)
     of_noise = restricted_likelihood(np.diag(relative_variances), trend, residuals, noises)
-    logs = [np.log(1.0 - MISFIT_PROBABILITY) + log_prior + of_noise.sum(axis=0)]
-    by_ratios = []
-    for lengths in MISFIT_LENGTHS:
-        by_ratio = system.log_likelihoods(lengths, MISFIT_SMOOTHNESS, MISFIT_RATIOS)
-        by_noise = np.logaddexp.reduce(by_ratio, axis=1)                               # (2, s)
-        logs.append(np.log(MISFIT_PROBABILITY / len(MISFIT_LENGTHS)) + log_prior
-                    + by_noise.sum(axis=0))
-        by_ratios.append(np.exp(by_ratio - by_noise[:, None]))
+    spectra = system.spectra(MISFIT_LENGTHS, MISFIT_SMOOTHNESS)
+    by_ratios = system.log_likelihoods(spectra, MISFIT_RATIOS)                        # (l, 2, r, s)
+    by_noise = np.logaddexp.reduce(by_ratios, axis=2)                                 # (l, 2, s)
+    logs = np.concatenate([
+        [np.log(1.0 - MISFIT_PROBABILITY) + log_prior + of_noise.sum(axis=0)],
+        np.log(MISFIT_PROBABILITY / len(MISFIT_LENGTHS)) + log_prior + by_noise.sum(axis=1)])
     if not np.isfinite(logs).all():  # seen on one line of the image: no trend is determined
         return None
-    shares = np.exp(np.array(logs) - np.logaddexp.reduce(logs, axis=None))             # (l, s)
+    shares = np.exp(logs - np.logaddexp.reduce(logs, axis=None))                 # (1 + l, s)
+    of_ratios = np.exp(by_ratios - by_noise[:, :, None])
     courses = []
-    for share, lengths, by_ratio in zip(shares[1:], MISFIT_LENGTHS, by_ratios, strict=True):
+    for share, spectrum, by_ratio in zip(shares[1:], spectra, of_ratios, strict=True):
         if share.sum() > NEGLIGIBLE_SHARE:
-            course = system.course(lengths, MISFIT_SMOOTHNESS, MISFIT_RATIOS, share * by_ratio)
+            course = system.course(spectrum, MISFIT_RATIOS, share * by_ratio)
             courses.append(system.without_noise_of_trend(course, share * by_ratio))
     return Misfit(image, tuple(courses))
 
