@@ -58,13 +58,14 @@ def relief(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def dem(path: Path, *, crs: str = "EPSG:4326", above: float = 0.0, unit: float = 1.0,
-        units: str = "", **tags: str) -> Path:
-    """Write heights of the relief, so much above it, in a unit."""
+        units: str = "", offset: float = 0.0, **tags: str) -> Path:
+    """Write heights of the relief, so much above it, in a unit, less an offset that is stated."""
     row, column = np.mgrid[:100, :100] + 0.5
     values = (relief(WEST + STEP * column, NORTH - STEP * row) + above) / unit
     with rasterio.open(path, "w", driver="GTiff", width=100, height=100, count=1, dtype="float64",
                        crs=crs, transform=from_origin(WEST, NORTH, STEP, STEP)) as raster:
-        raster.write(values, 1)
+        raster.write(values - offset, 1)
+        raster.offsets = (offset,)
         raster.update_tags(**tags)
         if units:
             raster.units = (units,)
@@ -281,7 +282,8 @@ def test_maps_are_the_same_whatever_the_dem_refers_to(tmp_path: Path, image: Pat
                          solver="all-terms", options={"degree": 1})
     dems = {"plain": dem(tmp_path / "plain.tif"),
             "geoid": dem(tmp_path / "geoid.tif", crs="EPSG:4326+5773", above=-GEOID),
-            "feet": dem(tmp_path / "feet.tif", unit=0.3048, units="ft")}
+            "feet": dem(tmp_path / "feet.tif", unit=0.3048, units="ft"),
+            "offset": dem(tmp_path / "offset.tif", offset=300.0)}
     maps = {}
     for name, path in dems.items():
         termsel.rectify(result, image, tmp_path / f"{name}_map.tif", dem=path, resolution=20)

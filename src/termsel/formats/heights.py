@@ -85,8 +85,9 @@ class Dem:
 
     @property
     def is_as_stored(self) -> bool:
-        """Whether the raster's own numbers are the heights [m]."""
-        return self.unit == 1.0 and self.to_datum is None
+        """Whether the numbers in the file are the heights [m], without scale, offset or datum."""
+        return self.unit == 1.0 and self.to_datum is None \
+            and self.raster.scales[0] == 1.0 and self.raster.offsets[0] == 0.0
 
     def __call__(self, xy: FloatArray) -> FloatArray:
         """Return heights, shape (n,), of x and y, shape (n, 2); NaN where there are none."""
