@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -151,3 +152,34 @@ def test_a_run_with_the_image_refuses_points_beyond_it_as_exports_do(
     path.write_text("\n".join([header, f"{columns},role", *(
         f"{row},{role}" for row, role in zip(rows, roles, strict=True))]))
     assert termsel.read(path, image=image(tmp_path)).image_size == (LINES, SAMPLES)
+
+
+def photo(folder: Path, orientation: int) -> Path:
+    """Write a JPEG whose EXIF has nothing but an orientation."""
+    rasterio = pytest.importorskip("rasterio")
+    path = folder / "photo.jpg"
+    with rasterio.open(path, "w", driver="JPEG", height=LINES, width=SAMPLES, count=1,
+                       dtype="uint8") as raster:
+        raster.write(np.full((LINES, SAMPLES), 9, np.uint8), 1)
+    # TIFF's header, then a directory of one entry: tag 274, a short (3), one of them.
+    directory = struct.pack("<HHHIHHI", 1, 274, 3, 1, orientation, 0, 0)
+    exif = b"Exif\0\0II*\0" + struct.pack("<I", 8) + directory
+    start, rest = path.read_bytes()[:2], path.read_bytes()[2:]
+    path.write_bytes(start + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + rest)
+    return path
+
+
+@pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
+@pytest.mark.parametrize(("orientation", "words"), [
+    (1, ""), (3, "turned by 180 degrees"), (2, "mirrored"), (6, "turned by 90 degrees")])
+def test_a_photo_that_viewers_turn_is_named(orientation: int, words: str, tmp_path: Path,
+                                            caplog: pytest.LogCaptureFixture) -> None:
+    """Points of a viewer that turns it by half a turn lie in the image all the same."""
+    features = termsel.read(table(tmp_path), image=photo(tmp_path, orientation))
+    assert ("as they are stored" in caplog.text) == bool(words)
+    assert words in caplog.text
+    caplog.clear()
+    result = termsel.run(features=features, model="poly2d", solver="all-terms",
+                         options={"degree": 1})
+    termsel.rectify(result, tmp_path / "photo.jpg", tmp_path / "map.tif")
+    assert words in caplog.text

@@ -289,7 +289,7 @@ def test_maps_are_the_same_whatever_the_dem_refers_to(tmp_path: Path, image: Pat
         termsel.rectify(result, image, tmp_path / f"{name}_map.tif", dem=path, resolution=20)
         with rasterio.open(tmp_path / f"{name}_map.tif") as raster:
             maps[name] = raster.read(1).astype(float)
-    for name in ("geoid", "feet"):
+    for name in ("geoid", "feet", "offset"):
         assert maps[name].shape == maps["plain"].shape
         assert np.mean(np.abs(maps[name] - maps["plain"]) > 1) < 0.001
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from termsel.core.errors import TermselError
 from termsel.core.options import Option
 from termsel.data.coordinates.earth import is_mirrored
+from termsel.data.distant_rasters import with_dataset
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
 from termsel.data.rasters import open_raster
 
@@ -45,6 +47,30 @@ def image_size_of(image: Path | str) -> tuple[int, int]:
     """Return lines and samples of an image."""
     with open_raster(image) as raster:
         return int(raster.height), int(raster.width)
+
+
+_SHOWN = {"2": "mirrored", "3": "turned by 180 degrees", "4": "mirrored upside down",
+          "5": "mirrored and turned by 90 degrees", "6": "turned by 90 degrees",
+          "7": "mirrored and turned by 90 degrees", "8": "turned by 90 degrees"}
+"""How viewers show an image by the orientation in its EXIF, as GDAL gives it; 1 is as stored."""
+
+
+def note_on_exif_orientation(image: Path | str) -> None:
+    """Say of an image that viewers turn by its EXIF that pixels count as they are stored.
+
+    Half a turn leaves every point within the image and turns its map: nothing else would show.
+    """
+    with open_raster(image) as raster:
+        shown = _SHOWN.get(with_dataset(raster, _exif_orientation))
+    if shown:
+        log.warning("Note: by its EXIF viewers show %s %s. Lines and samples count in the pixels "
+                    "as they are stored, as in a GIS. If the points were measured in such a "
+                    "viewer, give a copy with turned pixels (convert -auto-orient).", image, shown)
+
+
+def _exif_orientation(dataset: Any) -> str:
+    """Return the orientation in the EXIF of an open image, "1" to "8"; "" without one."""
+    return str(dataset.tags().get("EXIF_Orientation", "")).strip()
 
 
 def with_image_origin(features: FeatureSet, choice: str | None, states_own: bool,

@@ -15,7 +15,11 @@ from termsel.core.options import Option
 from termsel.data.features import Points
 from termsel.data.georeferenced import warn_of_map
 from termsel.data.rasters import gdal_name
-from termsel.formats.image_origin import other_image_error, require_inside
+from termsel.formats.image_origin import (
+    note_on_exif_orientation,
+    other_image_error,
+    require_inside,
+)
 from termsel.formats.pictures import Band, Picture, picture_of
 from termsel.results.result import Result
 
@@ -51,6 +55,7 @@ def picture_for(result: Result, image: Path | str | None) -> Picture:
             picture.size, f"the image of the result {lines} and {samples}", image)
     require_inside(result.features, picture.size, image)
     warn_of_map(result.features, image)
+    note_on_exif_orientation(image)
     return picture
 
 

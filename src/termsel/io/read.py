@@ -45,6 +45,7 @@ from termsel.formats.image_origin import (
     IMAGE_ORIGIN,
     UP,
     image_size_of,
+    note_on_exif_orientation,
     require_inside,
     with_image_origin,
 )
@@ -305,6 +306,7 @@ def _with_image_size(features: FeatureSet, image: Path | str | None, size: tuple
     require_inside(in_use, size, image)
     warn_of_incomplete(image)
     warn_of_map(features, image)
+    note_on_exif_orientation(image)
     return features if features.image_size else replace(features, image_size=size)
 
 
