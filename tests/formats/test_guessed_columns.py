@@ -344,3 +344,40 @@ def test_columns_in_kilometres_by_their_names_are_read_in_metres(
     name = header.split(",")[0]
     assert f"Note: {name} is in kilometres by its name, and is multiplied by 1,000." \
         in caplog.messages
+
+
+@pytest.mark.parametrize(("name", "unit"), [("z [ft]", "ft"), ("elevation_ft", "ft"),
+                                            ("H (feet)", "ft"), ("height_us-ft", "us-ft")])
+def test_heights_in_feet_by_their_name_are_metres_on_the_ground(
+        name: str, unit: str, tmp_path: Path) -> None:
+    pyproj = pytest.importorskip("pyproj")
+    path = tmp_path / "table.csv"
+    path.write_text(f"x,y,{name},line,sample\n500000,5200000,1000,1,2\n500900,5200600,2000,3,4\n")
+    read = termsel.read(path, crs="EPSG:32633")
+    assert read.z_unit.endswith("by the name of its column")
+    height = pyproj.Transformer.from_crs(read.crs, "EPSG:4979",
+                                         always_xy=True).transform(500000, 5200000, 1000)[2]
+    assert height == pytest.approx(1000 * {"ft": 0.3048, "us-ft": 1200 / 3937}[unit], abs=1e-6)
+    with pytest.raises(termsel.TermselError, match="by the name of its column, and z_unit says"):
+        termsel.read(path, crs="EPSG:32633", z_unit="metre")
+
+
+@pytest.mark.parametrize(("unit", "size"), [("gon", 0.9), ("grads", 0.9), ("rad", 180 / np.pi)])
+def test_angles_in_another_unit_by_their_name_are_degrees(
+        unit: str, size: float, tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    rows = [[10.25 + 0.01 * i, 48.5 - 0.01 * i * i, 5 * i, 7 * i * i] for i in range(4)]
+    path.write_text("\n".join([f"lon ({unit}),lat ({unit}),line,sample", *(
+        f"{lon / size!r},{lat / size!r},{line},{sample}" for lon, lat, line, sample in rows)]))
+    ground = termsel.read(path, crs="EPSG:4326").points.ground
+    np.testing.assert_allclose(ground[:, :2], np.array(rows)[:, :2], atol=1e-12)
+    with pytest.raises(termsel.TermselError, match="x is in (gons|radians) by the name"):
+        termsel.read(path, crs="EPSG:32633")
+
+
+def test_x_in_feet_by_its_name_is_no_easting_in_metres(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("x [ft],y [ft],line,sample\n980000,200000,1,2\n980900,200600,3,4\n")
+    assert len(termsel.read(path, crs="EPSG:2263").points) == 2
+    with pytest.raises(termsel.TermselError, match="x is in feet by the name of its column, and"):
+        termsel.read(path, crs="EPSG:32618")

@@ -247,9 +247,9 @@ class FeatureSet(Glance):
     image_origin : str
         Where the file counted lines and samples from, where that is not the centre of the
         upper-left pixel by the format; they count from there here.
-    kilometres : str
-        Axes, such as "xy" or "z", whose columns are in kilometres by their names; they are in
-        metres here.
+    named_units : mapping
+        Units that names of columns state of x, y and z: "km", "ft", "us-ft", "gon" or "rad". Here
+        kilometres are metres, gons and radians degrees.
 
     Raises
     ------
@@ -275,7 +275,7 @@ class FeatureSet(Glance):
     dem_difference: DemDifference | None = None
     z_unit: str = ""
     image_origin: str = ""
-    kilometres: str = ""
+    named_units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         # Selections, results and messages name a feature by its id alone.

@@ -13,13 +13,17 @@ from termsel.core.options import Option
 from termsel.data.coordinates.crs import (
     LOCAL,
     height_axis_unit,
+    is_geographic,
+    metres_per_height,
     metres_per_unit,
     short_crs_name,
     to_wgs84,
 )
 from termsel.data.coordinates.height_units import (
+    FOOT,
     METRE,
     UNITS,
+    US_FOOT,
     WORDS,
     is_unit_open,
     unit_of_plane,
@@ -28,6 +32,7 @@ from termsel.data.coordinates.height_units import (
 )
 from termsel.data.features import FeatureSet, FloatArray
 from termsel.data.rpc import Rpc
+from termsel.data.tables.columns import GON, KILOMETRE, RADIAN, UNIT_WORDS
 from termsel.formats.heights import open_dem
 
 if TYPE_CHECKING:
@@ -64,10 +69,13 @@ def with_z_unit(features: FeatureSet, stated: str | None, dem: Path | None = Non
     if declared is not None:
         unit = unit_of_size(declared)
         return features if unit in (None, METRE) else replace(features, z_unit=WORDS[str(unit)])
+    named = features.named_units.get("z", "")
+    if named in (FOOT, US_FOOT):
+        return _heights_in_unit(features, named, "by the name of its column")
     # z equal to 0 is the same in every unit.
     if not is_unit_open(features.crs) or not np.nan_to_num(heights).any():
         return features
-    if "z" in features.kilometres:
+    if features.named_units.get("z") == KILOMETRE:
         return _heights_in_unit(features, METRE, "as its column is in kilometres by its name")
     in_feet = str(unit_of_plane(features.crs))
     units = (in_feet, METRE)
@@ -81,23 +89,52 @@ def with_z_unit(features: FeatureSet, stated: str | None, dem: Path | None = Non
         hint=f"State it: --set z_unit={in_feet} or --set z_unit={METRE}.")
 
 
-def refuse_kilometres(axes: str, crs: str) -> None:
-    """Raise TermselError for x or y in kilometres by their names in a CRS that is not in metres.
+def refuse_other_units(units: Mapping[str, str], crs: str, *,
+                       are_heights_open: bool = False) -> None:
+    """Raise TermselError for coordinates in another unit by their names than the CRS counts in.
 
-    They were multiplied by 1,000, which gives metres. Heights are refused, too, where the CRS
-    declares another unit for them.
+    Parameters
+    ----------
+    units : mapping
+        Units by axis, as `termsel.data.features.FeatureSet.named_units`.
+    crs : str
+    are_heights_open : bool
+        Whether the heights of a CRS without a vertical axis may be in any unit.
     """
-    plane = None if crs == LOCAL else metres_per_unit(crs)
-    height = None if crs == LOCAL else height_axis_unit(crs)
-    for axis in axes:
-        size = height if axis == "z" else plane
-        if size not in (None, 1.0):
-            unit = unit_of_size(float(size))
+    if crs == LOCAL:
+        return
+    for axis, unit in units.items():
+        if axis == "z":
+            size = height_axis_unit(crs)
+            if size is None and are_heights_open:
+                continue
+            counted = unit_of_size(metres_per_height(crs) if size is None else size)
+        elif is_geographic(crs):
+            counted = "degrees"
+        else:
+            size = metres_per_unit(crs)
+            # Where nobody knows the unit, nothing contradicts.
+            counted = unit if size is None else unit_of_size(size)
+        if not _agree(unit, counted):
             raise TermselError(
-                f"{axis} is in kilometres by the name of its column, and {short_crs_name(crs)} is "
-                "in "
-                f"{WORDS.get(str(unit), 'another unit')}", hint="Give the coordinates in the unit "
-                "of the CRS, or transform them to a CRS in metres.")
+                f"{axis} is in {UNIT_WORDS[unit]} by the name of its column, and "
+                f"{short_crs_name(crs)} is in {UNIT_WORDS.get(str(counted), str(counted or 'another unit'))}",
+                hint="Give the coordinates in the unit of the CRS, or transform them to a CRS in "
+                     f"{_CRS_OF_UNIT.get(unit, 'feet')}.")
+
+
+_CRS_OF_UNIT = {KILOMETRE: "metres", GON: "degrees", RADIAN: "degrees"}
+"""In what a CRS counts whose coordinates may be read in a unit, for messages."""
+
+
+def _agree(named: str, counted: str | None) -> bool:
+    """Return whether coordinates named in a unit may be those of a CRS that counts in one."""
+    if named in (GON, RADIAN):
+        return counted in ("degrees", named)
+    if named == KILOMETRE:
+        return counted in (METRE, named)
+    # "ft" is written for either foot.
+    return counted in (FOOT, US_FOOT, named)
 
 
 def _convert_to_asked_unit(features: FeatureSet, stated: str) -> FeatureSet:
@@ -109,9 +146,11 @@ def _convert_to_asked_unit(features: FeatureSet, stated: str) -> FeatureSet:
         raise TermselError("plane coordinates without a CRS have z in their own unit",
                            hint="Leave z_unit out, or state the CRS of the ground coordinates.")
     unit = unit_of_plane(features.crs) or METRE if stated == OF_PLANE else stated
-    if "z" in features.kilometres and unit != METRE:
-        raise TermselError("z is in kilometres by the name of its column, and z_unit says "
-                           f"{WORDS[unit]}", hint="Leave z_unit out, or correct the name.")
+    named = features.named_units.get("z", "")
+    if named and not _agree(named, unit):
+        raise TermselError(
+            f"z is in {UNIT_WORDS[named]} by the name of its column, and z_unit says {WORDS[unit]}",
+            hint="Leave z_unit out, or correct the name.")
     return _heights_in_unit(features, unit, "as stated")
 
 

@@ -31,7 +31,7 @@ from termsel.formats.heights import Dem, refuse_void, say_difference, surface_of
 from termsel.formats.readers.csv_tables import table_text
 from termsel.formats.readers.geojson_points import table_of_places
 from termsel.formats.readers.tables import Table, read_table
-from termsel.formats.z_unit import refuse_kilometres
+from termsel.formats.z_unit import refuse_other_units
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
@@ -197,7 +197,7 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
         raise TermselError(f"the file declares the CRS {table.crs}, but the control is in {crs}",
                            file=path, hint="Transform the points to the CRS of the control.")
     try:
-        refuse_kilometres(table.axes_in_kilometres(), crs)
+        refuse_other_units(table.named_units(), crs)
     except TermselError as error:
         raise error_in_file(error, path) from error
     ground = np.full((len(table.lines), 3), np.nan)

@@ -57,7 +57,7 @@ from termsel.formats.readers.advice import (
 from termsel.formats.repeated import REPEATED, average_while_reading
 from termsel.formats.rpc_files import read_delivered_rpc, size_with_rpc, with_rpc
 from termsel.formats.swapped import SWAPPED, exchange_back
-from termsel.formats.z_unit import Z_UNIT, refuse_kilometres, with_z_unit
+from termsel.formats.z_unit import Z_UNIT, refuse_other_units, with_z_unit
 from termsel.models.image_part import RPC_OFFSET, RPC_SCALE, ImagePart, part_of
 from termsel.plugins.registry import built_in, registry
 
@@ -355,7 +355,7 @@ def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any],
         {table_path: features}, stated_crs(crs)))
     _require_crs(measured, [table_path], "columns" not in options and swapped is None)
     _say_misspelt(table_path, measured)
-    refuse_kilometres(measured.kilometres, measured.crs)
+    refuse_other_units(measured.named_units, measured.crs, are_heights_open=True)
     check_ground(measured)
     _say_doubts(measured)
     return measured
@@ -620,13 +620,13 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
         next((features.image_size for features in sets.values() if features.image_size), None),
         image_origin=next((features.image_origin for features in sets.values()
                            if features.image_origin), ""),
-        kilometres=next((features.kilometres for features in sets.values()
-                         if features.kilometres), ""))
+        named_units=next((features.named_units for features in sets.values()
+                          if features.named_units), {}))
     # Where the columns were declared, swapped axes are no mistake of a guess.
     _require_crs(measured, sets, not options.get("columns") and swapped is None)
     for path, features in sets.items():
         try:
-            refuse_kilometres(features.kilometres, measured.crs)
+            refuse_other_units(features.named_units, measured.crs, are_heights_open=True)
         except TermselError as error:
             raise error_in_file(error, path) from error
     if areas is not None:

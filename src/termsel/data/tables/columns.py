@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from itertools import chain
-from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
 
 from termsel.core.errors import TermselError, unknown_name_error
+from termsel.data.coordinates.height_units import FOOT, US_FOOT, WORDS, unit_of_word
 
 Aliases = Mapping[str, tuple[str, ...]]
 """Names that the column of each meaning may have."""
@@ -73,13 +74,35 @@ CENTRAL_EUROPEAN = ("wysokość", "długość", "szerokość", "północ")
 """Names, as they are written in Poland, that only one encoding of a text gives."""
 
 _UNIT = re.compile(
-    r"\s*[\[({<【].*$|[\s_.-]+(px|pix|pixels?|m|km|deg|degrees?|dms|wgs84|utm)$")
-_KILOMETRES = re.compile(r"[\[({<【]\s*km\s*[\])}>】]|[\s_.-]km$", re.IGNORECASE)
+    r"\s*[\[({<【].*$|[\s_.-]+(px|pix|pixels?|m|km|ft|feet|us[_-]?ft|gon|rad|deg|degrees?|dms|wgs84|utm)$")
+_UNIT_OF_NAME = re.compile(r"[\[({<【]\s*(.*?)\s*[\])}>】]|[\s_.-](km|ft|feet|us[_-]?ft|gon|rad)$",
+                           re.IGNORECASE)
+
+KILOMETRE, GON, RADIAN = "km", "gon", "rad"
+_BY_WORD = {"km": KILOMETRE, "kilometre": KILOMETRE, "kilometres": KILOMETRE,
+            "kilometer": KILOMETRE, "kilometers": KILOMETRE,
+            # Not "grad", which is a degree in German.
+            "gon": GON, "gons": GON, "grads": GON, "grades": GON,
+            "rad": RADIAN, "radian": RADIAN, "radians": RADIAN}
+FACTORS = {KILOMETRE: 1000.0, GON: 0.9, RADIAN: 180.0 / math.pi}
+"""By what numbers in a unit are multiplied: to metres, or to degrees."""
+
+UNIT_WORDS = {**WORDS, KILOMETRE: "kilometres", GON: "gons", RADIAN: "radians"}
+"""What messages call the units that names of columns state."""
 
 
-def is_in_kilometres(name: str) -> bool:
-    """Return whether the name of a column says that it is in kilometres, as E [km] and z_km do."""
-    return _KILOMETRES.search(name.strip()) is not None
+def unit_in_name(name: str) -> str:
+    """Return the unit that the name of a column states, as E [km], z_ft and lon (gon) do.
+
+    It is one of `FACTORS`, or a foot of `termsel.data.coordinates.height_units`. "" for metres,
+    degrees and any other.
+    """
+    match = _UNIT_OF_NAME.search(name.strip())
+    if match is None:
+        return ""
+    word = next(group for group in match.groups() if group is not None).lower()
+    foot = unit_of_word(word)
+    return _BY_WORD.get(word, foot if foot in (FOOT, US_FOOT) else "")
 
 
 def fold_name(name: str) -> str:
@@ -319,7 +342,7 @@ def _number_of_cell(row: int, cell: str, sign: str, may_be_blank: bool, angle: s
             return degrees
         raise BadCell(row, f"{text!r} is not a number", "Write a plain number such as 12.5."
                       ) from None
-    if not isfinite(value):
+    if not math.isfinite(value):
         raise BadCell(row, f"{text!r} is not a finite number",
                       "Leave the cell blank if the value is unknown." if may_be_blank
                       else "Correct it or remove the row.")

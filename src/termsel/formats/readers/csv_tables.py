@@ -139,7 +139,7 @@ class LinesCsv(TableReader):
             # Lines have no role to be off by, so that they are left out.
             lines = lines.take([role != "off" for role in roles])
         return FeatureSet(lines=lines, crs=table.crs, image_size=table.image_size,
-                          kilometres=table.axes_in_kilometres())
+                          named_units=table.named_units())
 
 
 def write_points_csv(points: Points, path: Path | str, crs: str = "") -> None:

@@ -23,18 +23,22 @@ from termsel.data.coordinates.crs import normalise
 from termsel.data.features import ROLES, FeatureSet, FloatArray, Points
 from termsel.data.tables.columns import (
     COMMA,
+    FACTORS,
+    GON,
     OPTIONAL,
     POINT,
+    RADIAN,
     TAKEN,
+    UNIT_WORDS,
     USE,
     Aliases,
     BadCell,
     columns_by_meaning,
     decimal_signs,
     find_declared_columns,
-    is_in_kilometres,
     parse_columns,
     read_numbers,
+    unit_in_name,
 )
 from termsel.data.tables.tabular import (
     Attributes,
@@ -219,16 +223,20 @@ class Table:
             raise self.error(f"{numbers[voids[0]]:.0f} is no height, but what rasters have where "
                              f"there is none{further}", int(voids[0]), meaning,
                              "Leave these cells blank, or correct them.")
-        if meaning[0] in "xyz" and is_in_kilometres(self.names.get(meaning, "")):
-            log.info("Note: %s is in kilometres by its name, and is multiplied by 1,000.",
-                     self.names[meaning].strip())
-            return numbers * 1000.0
-        return numbers
+        factor = FACTORS.get(self.named_units().get(meaning[0], ""))
+        if factor is None:
+            return numbers
+        log.info("Note: %s is in %s by its name, and is multiplied by %s.",
+                 self.names[meaning].strip(), UNIT_WORDS[self.named_units()[meaning[0]]],
+                 f"{factor:,.6g}")
+        return numbers * factor
 
-    def axes_in_kilometres(self) -> str:
-        """Return the axes of the ground that are in kilometres by their names, such as "xy"."""
-        return "".join(axis for axis in "xyz" if any(
-            meaning[0] == axis and is_in_kilometres(name) for meaning, name in self.names.items()))
+    def named_units(self) -> dict[str, str]:
+        """Return the units of x, y and z that names of columns state; see `unit_in_name`."""
+        units = {meaning[0]: unit_in_name(name) for meaning, name in self.names.items()
+                 if meaning[0] in "xyz"}
+        return {axis: unit for axis, unit in units.items()
+                if unit and (axis != "z" or unit not in (GON, RADIAN))}
 
 
 def points_of(table: Table, crs: str) -> FeatureSet:
@@ -238,7 +246,7 @@ def points_of(table: Table, crs: str) -> FeatureSet:
     ground = table.stack("x", "y", "z")
     sigma = table.sigma("sigma_line", "sigma_sample")
     return FeatureSet(table.points(image, ground, sigma, table.roles()), crs=crs,
-                      kilometres=table.axes_in_kilometres())
+                      named_units=table.named_units())
 
 
 log = logging.getLogger(__name__)
