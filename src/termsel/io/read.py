@@ -21,6 +21,7 @@ from termsel.core.files.names import JOURNAL, is_there
 from termsel.core.isolation.faults import PluginFault, is_own, name_of
 from termsel.core.isolation.parts import missing_package_error, values_of_slot
 from termsel.core.options import Option
+from termsel.data.coordinates.angles import with_degrees
 from termsel.data.coordinates.crs import LOCAL, WGS84, normalise, short_crs_name
 from termsel.data.coordinates.earth import say_turned, unknown_crs_error
 from termsel.data.coordinates.plausible import check_ground, note_on_mixed
@@ -289,7 +290,7 @@ def features_of(source: Any, crs: str | None = None,
             options={"columns": columns_text(columns)} if columns else {},
             readers=readers_of([path], ()), origin=partial(with_image_origin, choice=None))
     try:
-        return with_z_unit(features, None)
+        return with_z_unit(with_degrees(features), None)
     except TermselError as error:
         raise error_in_file(error, Path(source)) from error
 
@@ -313,7 +314,11 @@ def _with_image_size(features: FeatureSet, image: Path | str | None, size: tuple
 def _with_rpc_and_heights(features: FeatureSet, dem: Path | str | None,
                           rpc: Rpc | Path | str | None, z_unit: str | None,
                           image_part: ImagePart | None) -> FeatureSet:
-    """Return features with those of an RPC, a unit of z and heights of a DEM that are given."""
+    """Return features with those of an RPC, a unit of z and heights of a DEM that are given.
+
+    Longitudes and latitudes in grads become degrees before.
+    """
+    features = with_degrees(features)
     if rpc is not None:
         features = with_rpc(features, rpc, image_part)
     path = None if dem is None else Path(dem)

@@ -255,6 +255,37 @@ def is_geographic(crs: str) -> bool:
     return kind_of(normalise(crs)) == "geographic"
 
 
+@lru_cache
+def axes_of_degrees(crs: str) -> tuple[float, str]:
+    """Return the unit of longitude and latitude [deg], and the CRS with degrees in its place.
+
+    The same CRS and 1 for one in degrees, as all are where pyproj is missing.
+    """
+    parsed = None if crs in WGS84 else _with_pyproj(crs)
+    if parsed is None:
+        return 1.0, crs
+    # As pyproj gives it, radians.
+    unit = float(np.degrees(parsed.axis_info[0].unit_conversion_factor))
+    if np.isclose(unit, 1.0, rtol=1e-9):
+        return 1.0, crs
+    described = parsed.to_json_dict()
+    described.pop("id", None)
+    described["name"] = f"{parsed.name}, in degrees"
+    for axis in described["coordinate_system"]["axis"][:2]:
+        axis["unit"] = "degree"
+    return unit, str(type(parsed).from_json_dict(described).to_wkt())
+
+
+@lru_cache
+def prime_meridian_of(crs: str) -> float:
+    """Return the longitude from Greenwich [deg] of the meridian from which a CRS counts."""
+    parsed = None if crs in WGS84 else _with_pyproj(crs)
+    if parsed is None or parsed.prime_meridian is None:
+        return 0.0
+    meridian = parsed.prime_meridian
+    return float(np.degrees(meridian.longitude * meridian.unit_conversion_factor))
+
+
 def metres_per_unit(crs: str) -> float | None:
     """Return the unit of x and y of a projected CRS [m]; None for others, or where nobody knows."""
     crs = normalise(crs)

@@ -19,6 +19,7 @@ from termsel.data.coordinates.crs import (
     is_geographic,
     kind_of,
     normalise,
+    prime_meridian_of,
     short_crs_name,
     transformation_between,
 )
@@ -253,7 +254,7 @@ def degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
     """
     try:
         if is_geographic(crs):
-            lon = float(median_of(unwrap_longitudes(ground[:, 0])))
+            lon = float(median_of(unwrap_longitudes(ground[:, 0]))) + prime_meridian_of(normalise(crs))
             lat = float(median_of(ground[:, 1]))
         else:
             # Medians, as one wild coordinate must not move the scene.
