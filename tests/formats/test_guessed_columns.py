@@ -371,7 +371,7 @@ def test_angles_in_another_unit_by_their_name_are_degrees(
         f"{lon / size!r},{lat / size!r},{line},{sample}" for lon, lat, line, sample in rows)]))
     ground = termsel.read(path, crs="EPSG:4326").points.ground
     np.testing.assert_allclose(ground[:, :2], np.array(rows)[:, :2], atol=1e-12)
-    with pytest.raises(termsel.TermselError, match="x is in (gons|radians) by the name"):
+    with pytest.raises(termsel.TermselError, match=r"x is in (gons|radians) by the name"):
         termsel.read(path, crs="EPSG:32633")
 
 

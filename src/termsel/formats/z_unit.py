@@ -116,9 +116,10 @@ def refuse_other_units(units: Mapping[str, str], crs: str, *,
             # Where nobody knows the unit, nothing contradicts.
             counted = unit if size is None else unit_of_size(size)
         if not _agree(unit, counted):
+            unit_of_crs = UNIT_WORDS.get(str(counted), str(counted or "another unit"))
             raise TermselError(
                 f"{axis} is in {UNIT_WORDS[unit]} by the name of its column, and "
-                f"{short_crs_name(crs)} is in {UNIT_WORDS.get(str(counted), str(counted or 'another unit'))}",
+                f"{short_crs_name(crs)} is in {unit_of_crs}",
                 hint="Give the coordinates in the unit of the CRS, or transform them to a CRS in "
                      f"{_CRS_OF_UNIT.get(unit, 'feet')}.")
 
