@@ -254,7 +254,8 @@ def degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
     """
     try:
         if is_geographic(crs):
-            lon = float(median_of(unwrap_longitudes(ground[:, 0]))) + prime_meridian_of(normalise(crs))
+            lon = float(median_of(unwrap_longitudes(ground[:, 0])))
+            lon += prime_meridian_of(normalise(crs))
             lat = float(median_of(ground[:, 1]))
         else:
             # Medians, as one wild coordinate must not move the scene.
