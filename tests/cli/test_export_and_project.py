@@ -137,7 +137,7 @@ def test_image_the_points_were_not_measured_in(folder: Path, tmp_path: Path) -> 
     code, _, err = _termsel("export", folder, "--to", "gcp-vrt", "-o", tmp_path / "x.vrt",
                             "--image", image)
     assert code == 2
-    assert "small.tif: the image has 10 lines and 20 samples, but features extend to line" in err
+    assert "small.tif: the image has 10 lines and 20 samples, but points extend to line" in err
     assert not (tmp_path / "x.vrt").exists()
 
 
@@ -358,7 +358,7 @@ def test_heights_of_places_are_of_no_account_to_a_plane_model(tmp_path: Path) ->
     ("id,line,sample\na,1,2\n", ["--inverse", "--dem", "no.tif"],
      "no.tif: this file does not exist"),
     ("# crs: EPSG:32640\nid,x,y,z\na,1,2,3\n", [], "declares the CRS EPSG:32640"),
-    ("id,x,y,z\na,270000,3854000,3\n", [], "table.csv, column 'x': feature 'a' with x = 270000"),
+    ("id,x,y,z\na,270000,3854000,3\n", [], "table.csv, column 'x': 'a' with x = 270000"),
     ('{"type": "Feature", "geometry": {"type": "Point", "coordinates": [59, 36]}}', [],
      "this is not a GeoJSON FeatureCollection"),
     ("id,x,y,z\na,1,x,3\n", [], "line 2, column 'y': 'x' is not a number"),

@@ -170,7 +170,7 @@ BAD_FILES = {
         "only 1 control point, next to 1 selection point and 1 independent check point; "
         "at least 3 control points are needed."),
     "all points on one line": (
-        straight_line, "all control features lie on one straight line on the ground. Add control "
+        straight_line, "all control points lie on one straight line on the ground. Add control "
         "away from that line: a model needs an area."),
     "unknown role": (lambda f, t: change(f, t, 3, cells(f, 3)[1], "tie"),
                      "line 3, column 'role': unknown role 'tie'. Roles are control, check, "
@@ -178,7 +178,7 @@ BAD_FILES = {
     "empty file": (lambda f, t: written(t, b""),
                    "bad.csv: the file is empty. Give a table headed id,role,line,sample,x,y,z"),
     "header alone": (lambda f, t: written(t, b"id,line,sample,x,y,z\n"),
-                     "line 1: there are no rows below the header. Add one row per feature."),
+                     "there is a header and no row below it. Add a row for each point or line."),
     "binary file": (lambda f, t: written(t, bytes(range(256)) * 20),
                     "bad.csv: this binary file is in no format that termsel knows. Give a "),
     "wrong encoding": (
@@ -188,7 +188,7 @@ BAD_FILES = {
         lambda f, t: written(t, b"id,line,sample,x,y,z\n" + b"".join(
             b"P%d,%d,%d,%f,%f,1\n" % (i, i, i * i, 35 + i / 99, 139.7 + i * i / 99)
             for i in range(20))),
-        "line 2, column 'y': feature 'P0' with x = 35, y = 139.7 cannot be longitude and latitude "
+        "line 2, column 'y': 'P0' with x = 35, y = 139.7 cannot be longitude and latitude "
         "in EPSG:4979. x and y look swapped: --set swapped=xy exchanges them."),
     "row too short": (
         lambda f, t: written(t, b"id,line,sample,x,y,z\nA,1,2,3\n"),
@@ -248,9 +248,9 @@ BAD_WORDS = {
                        "--generations is 0, expected a whole number of at least 1."),
     "nothing to run": ([], "there is nothing to run. Give --points FILE or --lines FILE, or "),
     "off without a feature": (["--problem", "poly-terms", "--off", "P001,P999"],
-                              "--off names the feature 'P999', which the files do not have."),
+                              "--off names 'P999', an id that the files do not have."),
     "role of no feature": (["--problem", "poly-terms", "--role", "P999=check"],
-                           "--role names the feature 'P999', which the files do not have."),
+                           "--role names 'P999', an id that the files do not have."),
     "no role": (["--problem", "poly-terms", "--role", "P001=best"],
                 "unknown role 'best'. Known: check, control, independent, off. It stands in --role "
                 "P001=best."),

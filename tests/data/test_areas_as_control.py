@@ -198,7 +198,7 @@ def test_files_of_other_kinds(tmp_path: Path) -> None:
     areas, points = tmp_path / "areas.csv", tmp_path / "points.csv"
     areas.write_text(HEADER + SQUARE)
     points.write_text("id,line,sample,x,y,z\na,1,2,3,4,5\n")
-    for given_, words in (({"areas": points}, "has no areas: it is read as points-csv"),
+    for given_, words in (({"areas": points}, "a file of points or lines, not of areas"),
                           ({"points": areas}, "the file has areas. Give it as areas"),
                           ({"lines": areas, "areas": areas}, "Give it as areas, not as points"),
                           ({"points": points, "areas": areas}, "'a' is the id of an area and")):

@@ -168,24 +168,24 @@ def test_coordinates_that_fit(crs: str, xy: list[tuple[float, float]]) -> None:
 
 
 @pytest.mark.parametrize(("crs", "xy", "words"), [
-    ("EPSG:4979", [(5, 44), (5, 91)], "feature 'p1' with x = 5, y = 91"),
-    ("EPSG:4979", [(5, 44), (5, 190)], "x must be longitude and y latitude"),
-    ("EPSG:4979", [(5, 44), (-181, 9)], "feature 'p1' with x = -181, y = 9"),
+    ("EPSG:4979", [(5, 44), (5, 91)], "'p1' with x = 5, y = 91"),
+    ("EPSG:4979", [(5, 44), (5, 190)], "x and y look swapped"),
+    ("EPSG:4979", [(5, 44), (-181, 9)], "'p1' with x = -181, y = 9"),
     ("EPSG:4326", [(-34.9, -56.2), (44.0, 145.5)],
      "x and y look swapped: --set swapped=xy exchanges them"),
     ("EPSG:4979", [(500_000, 4_880_000)], "look like metres: state the projected CRS with --crs"),
     ("EPSG:4258", [(500_000, 4_880_000)], "look like metres"),
-    ("EPSG:4979", [(5, 44), (6, 45), (500_000, 45)], "feature 'p2' with x = 500000, y = 45"),
+    ("EPSG:4979", [(5, 44), (6, 45), (500_000, 45)], "'p2' with x = 500000, y = 45"),
     ("EPSG:32631", [(5.2, 44.1), (5.3, 44.2)], "in the file or by --crs, state EPSG:4979"),
     ("EPSG:4978", [(5.2, 44.1)], "look like longitude, latitude and height: state --crs EPSG:4979"),
     ("EPSG:4978", [(4_000_000, 400_000)], "from the centre of the Earth"),
     ("EPSG:2100", [(21.2, 40.5)], "look like degrees"),
     ("EPSG:32631", [(4_880_000, 500_000)], "x and y look swapped: --set swapped=xy exchanges them"),
     ("EPSG:32731", [(6_130_000, 560_000)], "x and y look swapped: --set swapped=xy exchanges them"),
-    ("EPSG:32631", [(500_000, 4_880_000), (1_500_000, 4_880_000)], "feature 'p1' with x = 1500000"),
+    ("EPSG:32631", [(500_000, 4_880_000), (1_500_000, 4_880_000)], "'p1' with x = 1500000"),
     ("EPSG:32631", [(3.1, 41.7), (500_000, 4_880_000), (507_000, 4_890_000)],
-     "1 of 3 features looks like degrees, but EPSG:32631 is a projected CRS: feature 'p0' with"),
-    ("EPSG:2100", [(268_968, 4_488_342), (21.2, 40.5), (21.3, 40.6)], "2 of 3 features look like"),
+     "1 of 3 points looks like degrees, but EPSG:32631 is a projected CRS: 'p0' with"),
+    ("EPSG:2100", [(268_968, 4_488_342), (21.2, 40.5), (21.3, 40.6)], "2 of 3 points look like"),
     ("EPSG:32631", [(500_000, 4_880_000), (4_880_000, 500_000)], "Perhaps x and y are swapped"),
     ("EPSG:32631", [(500_000, 12_000_000)], "easting and northing in EPSG:32631"),
     ("EPSG:32731", [(500_000, -3_800_000)], "easting and northing in EPSG:32731")])
@@ -205,7 +205,7 @@ def test_one_wild_value_is_not_called_metres() -> None:
 def test_vertices_of_lines_are_checked() -> None:
     lines = Lines(("l", "m"), [[[0, 0], [1, 1]]] * 2,
                   [[[5, 44, 0], [6, 44, 0]], [[5, 45, 0], [6, 145, 0]]])
-    with pytest.raises(TermselError, match="feature 'm' with x = 6, y = 145"):
+    with pytest.raises(TermselError, match="'m' with x = 6, y = 145"):
         check_ground(FeatureSet(empty_points(), lines, crs="EPSG:4979"))
 
 

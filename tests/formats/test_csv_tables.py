@@ -177,10 +177,10 @@ def test_declarations(tmp_path: Path) -> None:
     (POINTS + A + "b,,1,2,3,4\n", 3, None, "ends after 6 of 7 cells, before z"),
     (POINTS + A + "b,,1,2,3,4,5,6\n", 3, None, "8 cells, but the header has 7"),
     (POINTS + "a,,1,5,2,5,3,4,5\n", 2, None, "decimal commas, separate the columns by semicolons"),
-    (POINTS + A + "b,,1,2,3,4,5\n" + A, 4, "id", "already used on line 2"),
+    (POINTS + A + "b,,1,2,3,4,5\n" + A, 4, "id", "this row repeats line 2"),
     (POINTS + A + "b,chek,1,2,3,4,5\n", 3, "role", "unknown role 'chek'"),
-    (POINTS, 1, None, "no rows below the header"),
-    ("# crs: EPSG:4979\n" + POINTS, 2, None, "no rows below the header"),
+    (POINTS, None, None, "a header and no row below it"),
+    ("# crs: EPSG:4979\n" + POINTS, None, None, "a header and no row below it"),
     ("name;lat;row;col;z\n", 1, "x", "The columns here are: name, lat, row, col, z. "
                                     "Accepted names: x, lon, longitude"),
     ("id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2\na,1,2,3,4,5,6,7,8,9\n", 1, "z2",

@@ -121,11 +121,11 @@ def test_a_dem_of_another_place_is_said_with_the_zone(tmp_path: Path,
     path = dem(tmp_path / "dem.tif", planar(30, 20))
     xy = [[EAST + 50, NORTH - 50], [EAST + 60, NORTH - 70]]
     with_heights(points(xy, 7.0, "EPSG:32632"), path)
-    assert "dem.tif covers none of the features, which are around 45.2 N, 9.0 E" in caplog.text
-    meets = ("The raster is around 45.2 N, 3.0 E. In EPSG:32631 the features would be on it: is "
+    assert "dem.tif covers none of the points, which are around 45.2 N, 9.0 E" in caplog.text
+    meets = ("The raster is around 45.2 N, 3.0 E. In EPSG:32631 the points would be on it: is "
              "EPSG:32632 right?")
     assert meets in caplog.text
-    with pytest.raises(TermselError, match="2 of 2 features are outside") as caught:
+    with pytest.raises(TermselError, match="all points are outside") as caught:
         with_heights(points(xy, crs="EPSG:32632"), path)
     assert meets in str(caught.value)
     caplog.clear()
@@ -149,7 +149,7 @@ def test_points_without_a_height_are_all_named(tmp_path: Path) -> None:
     with pytest.raises(TermselError) as caught:
         with_heights(points(xy), path)
     assert caught.value.ids == ("p1", "p2", "p3")
-    assert "3 of 5 features are outside the raster or in areas without data: p1, p2, p3." \
+    assert "3 of 5 points are outside the raster or in areas without data: p1, p2, p3." \
         in str(caught.value)
     assert str(path) in str(caught.value)
     assert "The raster covers x 500000 to 500200, y 5000100 to 5000400" in str(caught.value)
@@ -217,7 +217,7 @@ def test_run_with_a_dem_states_the_datum(tmp_path: Path) -> None:
     done = subprocess.run([*command, "--dem", str(path)], capture_output=True, text=True,
                           check=False)
     assert (done.returncode, done.stdout) == (2, "")
-    assert "35 of 35 features are outside the raster" in done.stderr
+    assert "all points are outside the raster" in done.stderr
     done = subprocess.run([sys.executable, "-m", "termsel", "run", "--problem", "poly-terms",
                            "--dem", str(path)], capture_output=True, text=True, check=False)
     assert done.returncode == 2

@@ -229,7 +229,7 @@ def test_a_format_that_cannot_hold_a_result_says_what_it_needs(relief: termsel.R
 def test_an_rpc_is_not_a_file_of_features(relief: termsel.Result, tmp_path: Path) -> None:
     for to in ("rpb", "rpc-txt"):
         termsel.export(relief, to, tmp_path / "s.x", overwrite=True)
-        with pytest.raises(termsel.TermselError, match="contains an RPC and no control features"):
+        with pytest.raises(termsel.TermselError, match="contains an RPC and no control points"):
             termsel.read(tmp_path / "s.x")
 
 

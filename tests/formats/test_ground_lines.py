@@ -100,7 +100,7 @@ def test_lines_that_were_not_measured_stay_out(tmp_path: Path,
      "join="),
     ("a,1,2,3,x\n", {}, r"image\.csv, line 2, column 'sample2'"),
     ("a,1,2,1,2\n", {}, "'a' has zero length in the image"),
-    ("", {}, "no rows below the header")])
+    ("", {}, "a header and no row below it")])
 def test_what_cannot_be_joined(tmp_path: Path, rows: str, options: dict[str, Any],
                                words: str) -> None:
     path = roads(tmp_path, ("a", "LineString", SQUARE))

@@ -140,11 +140,11 @@ def test_a_run_with_the_image_refuses_points_beyond_it_as_exports_do(
         line: float, sample: float, tmp_path: Path) -> None:
     path = table(tmp_path)
     path.write_text(f"{path.read_text()}\nfar,{line},{sample},600000,5400000\n")
-    with pytest.raises(termsel.TermselError, match="features extend to"):
+    with pytest.raises(termsel.TermselError, match="points extend to"):
         termsel.read(path, image=image(tmp_path))
     done = CliRunner().invoke(cli, ["run", "--points", str(path), "--image", str(image(tmp_path))])
     assert done.exit_code == 2
-    assert "features extend to" in done.stderr
+    assert "points extend to" in done.stderr
     assert ": far. " in done.stderr
     assert ("image_origin=y-up" in done.stderr) == (line < 0)
     header, columns, *rows = path.read_text().splitlines()

@@ -240,7 +240,7 @@ HOSTILE: dict[str, tuple[bytes, str]] = {
     "zero bytes": (CLEAN.replace(b"P7", b"P\0"), "binary"),
     "100,000 columns": (b",".join([b"c"] * 100_000) + b"\n", "the first row has 100,000 cells"),
     "prose": (b"This is a letter.\nIt has lines, and commas.\n", "in no format"),
-    "header alone": (CLEAN.split(b"\n")[0], "line 1: there are no rows below the header"),
+    "header alone": (CLEAN.split(b"\n")[0], "there is a header and no row below it"),
     "header again": (CLEAN + CLEAN, "line 16, column 'Row': 'Row' is not a number"),
     "two equal ids": (changed(5, 0, "P2"), "line 6, column 'Name': id 'P2' is already used on"),
     "sign and side": (changed(-1, 1, "-*E"), "line 2, column 'Lon': '-1"),

@@ -54,7 +54,7 @@ def test_crs_not_known_or_contradicted(tmp_path: Path) -> None:
 def test_coordinates_that_cannot_be_name_their_file(tmp_path: Path) -> None:
     p = put(tmp_path, POINTS + A, "p.csv")
     q = put(tmp_path, LINES + L.replace("44.1", "144.1"), "l.csv")
-    with pytest.raises(TermselError, match=r"l\.csv, line 2, column 'y2': feature 'l' with x = 5"):
+    with pytest.raises(TermselError, match=r"l\.csv, line 2, column 'y2': 'l' with x = 5"):
         read_features(p, q, crs="EPSG:4979", readers=READERS)
 
 

@@ -379,7 +379,7 @@ def test_an_image_holds_all_features_or_is_refused(geographic: Result, tmp_path:
     image = np.zeros_like(geographic.features.points.image)
     # The edges of the only pixel are at -0.5 and 0.5; 5 px beyond is an error of measuring.
     for place, fits, message in (
-            (5.5, True, ""), (5.6, False, "lines and 1 samples, but features extend to line"),
+            (5.5, True, ""), (5.6, False, "lines and 1 samples, but points extend to line"),
             (-5.5, True, ""), (-5.6, False, "before the first pixel of the image")):
         image[3, axis] = place
         within = unknown.with_(features=replace(unknown.features, points=replace(

@@ -143,7 +143,7 @@ def test_without_independent_points_the_metadata_say_so(files: Path, tmp_path: P
     (("--map", "dem.tif", "--bounds", 1, 2, 3, 4), "--map and --bounds exclude each other"),
     (("--dem", "dem.tif", "--height", 4), "--dem and --height exclude each other"),
     (("--dem", "dem.tif", "--bounds", 0, 0, 9, 9, "--crs", "EPSG:4326"), "has none on this map"),
-    (("--image", "scene.tif"), "features extend to"),
+    (("--image", "scene.tif"), "points extend to"),
     (("--map", "points.csv"), "a file of text, not a raster"),
     (("-o", "sigma.png", "--res", 1e-3), "written as GeoTIFF, not as .png"),
     (("-o", "-"), "cannot write to stdout")])

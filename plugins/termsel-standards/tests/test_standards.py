@@ -52,6 +52,12 @@ def result() -> Result:
         "sigma_x": sigma, "sigma_y": sigma})))
 
 
+def _repeated(few: GroundErrors, times: int) -> GroundErrors:
+    return replace(few, ids=few.ids * times, errors=np.tile(few.errors, (times, 1)),
+                   survey=np.tile(few.survey, (times, 1)),
+                   positions=np.tile(few.positions, (times, 1)))
+
+
 def test_the_example_of_the_asprs_standards(tmp_path: Path) -> None:
     path = tmp_path / "example.csv"
     path.write_text(EXAMPLE)
@@ -63,16 +69,18 @@ def test_the_example_of_the_asprs_standards(tmp_path: Path) -> None:
     few = {one.standard: one for one in stated.statements}
     assert few["NSSDA horizontal"].value is None  # 5 points are too few
     assert few["ASPRS horizontal"].words == (
+        "not stated: 5 check points; at least 20 are needed for a statement by a reduced number, "
+        "and 30 for the full one")
+    twenty = statements_of(_repeated(read_errors(path), 4))
+    reduced = {one.standard: one for one in twenty.statements}
+    assert reduced["ASPRS horizontal"].words == (
         f"This data set was tested as required by {ASPRS}. Although the Standards call for a "
-        "minimum of thirty (30) checkpoints, this test was performed using ONLY 5 checkpoints. "
+        "minimum of thirty (30) checkpoints, this test was performed using ONLY 20 checkpoints. "
         "This data set was produced to meet a 15 cm RMSEH Horizontal Positional Accuracy Class. "
         "The tested horizontal positional accuracy was found to be RMSEH = 14.7 cm using the "
         "reduced number of checkpoints")
     # Repeated until there are enough, the points have the same RMSE, and the example's figures.
-    many = read_errors(path)
-    stated = statements_of(replace(
-        many, ids=many.ids * 6, errors=np.tile(many.errors, (6, 1)),
-        survey=np.tile(many.survey, (6, 1)), positions=np.tile(many.positions, (6, 1))))
+    stated = statements_of(_repeated(read_errors(path), 6))
     by_name = {one.standard: one for one in stated.statements}
     assert round(by_name["NSSDA horizontal"].value or 0, 3) == 0.255
     assert round(by_name["NSSDA vertical"].value or 0, 3) == 0.160

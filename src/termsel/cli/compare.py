@@ -11,7 +11,7 @@ import click
 
 from termsel.cli.bars import study_bar
 from termsel.cli.completion import complete
-from termsel.cli.messages import echo, say_written, show_messages
+from termsel.cli.messages import echo, say_written, show_messages, take_pending
 from termsel.cli.options.run_options import COLUMNS_OPTION, parse_settings
 from termsel.cli.options.shared import progress_option, remote_option
 from termsel.cli.tables import print_table
@@ -89,11 +89,14 @@ EXIT_FAILED = 1
               help="Show the runs, and the time they take by one of each kind.")
 @click.option("--status", metavar="DIR", type=click.Path(path_type=Path),
               help="Show how far the study of a folder is.")
+@click.option("--verbose", is_flag=True,
+              help="Of a batch, print every image, reason and note, as in summary.txt.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 @progress_option
 @remote_option
 def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: str | None,
-            dry_run: bool, status: Path | None, quiet: bool, **options: Any) -> None:
+            dry_run: bool, status: Path | None, verbose: bool, quiet: bool, **options: Any,
+            ) -> None:
     """Compare problems, models and solvers over many seeds, or run many images.
 
     A study file or the options say what is combined. Every combination is a cell, and every
@@ -128,7 +131,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
 
     from termsel.studies import compare as comparing
     from termsel.studies.maps import next_command
-    from termsel.studies.outputs import study_summary, write_outputs
+    from termsel.studies.outputs import screen, study_summary, write_outputs
 
     with study_bar(quiet) as observe:
         results = comparing.compare(study, out=out, workers=workers, scheduler=scheduler,
@@ -142,14 +145,19 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
              "The same command goes on.", err=True)
         sys.exit(INTERRUPTED)
     written = write_outputs(results, out)
-    echo(study_summary(results), nl=False)
-    if results.noun == "image" and (command := next_command(results, out)):
-        echo(command)
+    are_images = results.noun == "image"
+    if are_images:
+        take_pending()  # doubts of a file are among its reasons
+    echo(screen(results) if are_images and not verbose else study_summary(results), nl=False)
     say_written(written)
-    # An image that fails stops no other, so that only the exit code shows a script of it.
     if results.failures:
         echo(f"{results.failures} of {count_in_words(len(results.cells), 'image')} failed.",
              err=True)
+    # The last line is what to type.
+    if are_images and (command := next_command(results, out)):
+        echo(command)
+    # An image that fails stops no other, so that only the exit code shows a script of it.
+    if results.failures:
         sys.exit(EXIT_FAILED)
 
 

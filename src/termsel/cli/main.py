@@ -21,8 +21,14 @@ from typing import Any, NoReturn
 
 import click
 
-from termsel.cli.messages import echo, give_back_stdout, stream_of_results, take_stdout
-from termsel.cli.usage import usage_message
+from termsel.cli.messages import (
+    echo,
+    give_back_stdout,
+    say_doubts,
+    stream_of_results,
+    take_stdout,
+)
+from termsel.cli.usage import hint_for, usage_message
 from termsel.core.errors import TermselError, cut, is_printable, unknown_name_error
 from termsel.core.interrupts import INTERRUPTED, take_pending_interrupt
 from termsel.core.version import __version__
@@ -164,6 +170,11 @@ class Commands(click.Group):
             except MemoryError as error:
                 raise _too_large_error(error) from error
         except TermselError as error:
+            say_doubts(error)
+            words = sys.argv[1:] if args is None else args
+            context = self._context_of(words)
+            if context is not None:
+                error.hint = hint_for(context, error.hint)
             echo(f"Error: {error}", err=True)
             for line in _suggested_commands(sys.argv[1:] if args is None else args, error):
                 echo(line, err=True)

@@ -11,7 +11,7 @@ from typing import TextIO
 
 import click
 
-from termsel.core.errors import TermselError, make_printable
+from termsel.core.errors import DOUBT, PENDING, TermselError, make_printable
 
 _results: TextIO | None = None
 """What stdout was before `take_stdout`."""
@@ -39,8 +39,34 @@ def stream_of_results() -> TextIO:
     return _results or sys.stdout
 
 
+_pending: list[logging.LogRecord] = []
+"""Messages that wait until it shows whether they are needed; see `say_pending`."""
+
+
+def say_pending() -> None:
+    """Print the messages that waited for a result, which is about to be printed."""
+    for record in take_pending():
+        echo(record.getMessage(), err=True)
+
+
+def take_pending() -> list[logging.LogRecord]:
+    """Return the messages that wait, which then wait no longer."""
+    records = [*_pending]
+    _pending.clear()
+    return records
+
+
+def say_doubts(error: TermselError) -> None:
+    """Print the doubts of the data that wait, before an error, unless it says the same itself."""
+    for record in take_pending():
+        if getattr(record, PENDING) == DOUBT and "look swapped" not in str(error):
+            echo(record.getMessage(), err=True)
+
+
 def echo(text: str = "", *, err: bool = False, nl: bool = True) -> None:
     """Print text, made printable, with a line end unless `nl` is False."""
+    if not err and _pending:
+        say_pending()
     # If stderr cannot be written, as on a full disk, the command goes on.
     # stdout is not excused: who asks for a result must learn that it was not written.
     with suppress(OSError) if err else nullcontext():
@@ -72,6 +98,7 @@ def echo_table(text: str) -> None:
 
 def say_written(files: Iterable[object]) -> None:
     """Say on stderr which files were written."""
+    say_pending()
     echo(f"Written: {', '.join(map(str, files))}", err=True)
 
 
@@ -86,6 +113,9 @@ class _OnStderr(logging.Handler):
     # A library does not print; its messages are shown by the program alone.
 
     def emit(self, record: logging.LogRecord) -> None:
+        if hasattr(record, PENDING):
+            _pending.append(record)
+            return
         with suppress(OSError):
             print(make_printable(self.format(record)), file=sys.stderr)
 
@@ -93,6 +123,7 @@ class _OnStderr(logging.Handler):
 def show_messages() -> None:
     """Print the log messages of termsel, such as the plan of an enumeration, on stderr."""
     logger = logging.getLogger("termsel")
+    _pending.clear()  # of an earlier command of this process, as in tests
     if not logger.handlers:
         logger.addHandler(_OnStderr())
         logger.setLevel(logging.INFO)

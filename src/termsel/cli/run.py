@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from termsel.cli.bars import search_bar
-from termsel.cli.messages import echo, say_written, show_messages
+from termsel.cli.messages import echo, say_written, show_messages, take_pending
 from termsel.cli.options.run_options import RunOptions, run_options, with_files
 from termsel.cli.topics import ByTopic
 from termsel.core.interrupts import INTERRUPTED
@@ -66,6 +66,9 @@ def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **argum
             **settings.budget,
             observers=[observe] if observe else [], out=folder, overwrite=settings.overwrite,
             checkpoint=checkpoint)
+    # The summary says what is doubtful; a record has it in a field of its own.
+    if not settings.as_json:
+        take_pending()
     # With --json the record is all that stdout gets, so that programs can read it.
     echo(result.to_json() if settings.as_json else result.summary(verbose=verbose), nl=False)
     if folder is not None:

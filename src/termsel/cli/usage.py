@@ -66,6 +66,19 @@ def _first_sentence(option: click.Option) -> str:
     return (option.help or "").partition(". ")[0].rstrip(".")
 
 
+_EXCHANGES = re.compile(r"--set swapped=(?:xy|line-sample) exchanges them")
+
+
+def hint_for(ctx: click.Context, hint: str | None) -> str | None:
+    """Return the hint of an error in the words of the command that it ended.
+
+    What reads files for many commands advises --set swapped, which few of them have.
+    """
+    if hint is None or any("--set" in param.opts for param in ctx.command.params):
+        return hint
+    return _EXCHANGES.sub("exchange the names of the two columns in the header of the file", hint)
+
+
 def _unknown_option_message(error: click.NoSuchOption) -> str:
     """Return the message for an unknown option, with a near one, or with all of a few."""
     params = error.ctx.command.params if error.ctx is not None else ()

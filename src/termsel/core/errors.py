@@ -134,6 +134,14 @@ MOST_BESIDE_NEAR = 25
 """Names a message lists next to the nearest: of more, the nearest stands alone."""
 
 
+PENDING = "termsel_pending"
+"""Attribute of a log record that the command line keeps until a result, or an error, shows."""
+ON_SUCCESS = "on success"
+"""Value of it: of no interest where an error follows."""
+DOUBT = "doubt"
+"""Value of it: said by the summary of a run as well."""
+
+
 def unknown_name_error(
         kind: str, name: str, names_known: Iterable[str], hint: str = "") -> TermselError:
     """Return the error for a name of some kind that is not among the known, with the nearest."""

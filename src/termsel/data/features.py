@@ -283,7 +283,7 @@ class FeatureSet(Glance):
         if shared_ids:
             name = min(shared_ids)
             raise TermselError(f"{name!r} is the id of a point and of a line",
-                               hint="Give every feature a different id.", ids=[name])
+                               hint="Give one of them another id.", ids=[name])
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -305,8 +305,10 @@ class FeatureSet(Glance):
 
     @property
     def word(self) -> str:
-        """The word that messages use: "points", or "features" if there are lines."""
-        return "features" if len(self.lines) else "points"
+        """The word that messages use: "points", "lines", or "features" if there are both."""
+        if not len(self.lines):
+            return "points"
+        return "features" if len(self.points) else "lines"
 
     @property
     def feature(self) -> IntArray:

@@ -105,6 +105,18 @@ def heights_differ(control: FitData) -> bool:
         off_plane_heights) and _tell(off_plane_heights, *_effects_and_noise(control))
 
 
+def errors_hide_heights(control: FitData) -> bool:
+    """Return whether heights would show their effect, if the points were measured as usual.
+
+    Their errors are then so large, as by rows that are shifted, that no effect of a height shows.
+    """
+    plane, z, _ = _plane_columns(control)
+    off_plane_heights = _distances_about_plane(plane, z)[0]
+    effects, noise = _effects_and_noise(control)
+    return _tell(off_plane_heights, effects, _usual_noise(control)) \
+        and not _tell(off_plane_heights, effects, noise)
+
+
 def relief_carriers(control: FitData, limit: int = 2) -> tuple[str, ...]:
     """Return the ids of the one or two features that make all relief; () if more do.
 
@@ -217,13 +229,18 @@ def _effects_and_noise(control: FitData) -> tuple[FloatArray, float]:
     return _effects_of_height(control, scaled), _noise_of_measurement(control)
 
 
+def _usual_noise(control: FitData) -> float:
+    """Return the standard deviation of a measurement as usual [px]."""
+    return min(MEASURED, MEASURED_PART * control.scaling.image_scale)
+
+
 def _noise_of_measurement(control: FitData) -> float:
     """Return the standard deviation of a measurement [px], or more where many points show it.
 
     They do so by what a quadratic polynomial or a view leaves, without the points that fit worst:
     blunders would hide what heights do.
     """
-    floor = min(MEASURED, MEASURED_PART * control.scaling.image_scale)
+    floor = _usual_noise(control)
     points = control.scaled.points
     if len(control.features.lines) or len(points) < MANY:
         return floor

@@ -357,8 +357,8 @@ def with_roles(features: FeatureSet, named: Mapping[str, str]) -> FeatureSet:
         if name not in features.ids:
             near = get_close_matches(name, features.ids, n=3)
             raise TermselError(
-                f"{'--off' if role == 'off' else '--role'} names the feature {name!r}, which the "
-                "files do not have",
+                f"{'--off' if role == 'off' else '--role'} names {name!r}, an id that the files "
+                "do not have",
                 hint="Write each id, with commas between: ranges and patterns are not read."
                 if RANGE.search(name) else f"Did you mean {' or '.join(map(repr, near))}?" if near
                 else f"Their ids are {first_names_in_words(features.ids)}.", name=name)

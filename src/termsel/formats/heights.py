@@ -445,13 +445,15 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
         covers_some = surface.covers(ground[:, :2]).any()
         elsewhere = "" if covers_some or not len(ground) else where_raster_is(surface, features)
     if len(ground) and not unknown.any() and not covers_some:
-        log.warning("Warning: the raster %s covers none of the features, which are around %s. %s",
-                    make_printable(dem.name), place_of(features), elsewhere)
+        log.warning("Warning: the raster %s covers none of the %s, which are around %s. %s",
+                    make_printable(dem.name), features.word, place_of(features), elsewhere)
     if still_unknown.any():
         n = len(features.points)
         owner = features.points.ids + tuple(np.repeat(features.lines.ids, 2))
         names = list(dict.fromkeys(str(owner[i]) for i in np.flatnonzero(still_unknown)))
-        error = _without_heights(names, len(features), ground[still_unknown, :2],
+        count = "all points" if len(names) == len(features) and not len(features.lines) else \
+            f"{len(names)} of {len(features)} {features.word}"
+        error = _without_heights(names, count, ground[still_unknown, :2],
                                  surface_extent, is_outside, dem)
         if not covers_some:
             error.hint = f"{elsewhere} {error.hint}"
@@ -488,7 +490,8 @@ def where_raster_is(surface: Dem, features: FeatureSet) -> str:
             to_raster = Transformer.from_crs(other, CRS(surface.raster.crs.to_wkt()).to_2d(),
                                              always_xy=True)
             if replace(surface, to_raster=to_raster, crs=other).covers(xy).all():
-                return f"{place}. In {other} the features would be on it: is {stated[0]} right?"
+                return (f"{place}. In {other} the {features.word} would be on it: is {stated[0]} "
+                        "right?")
     return f"{place}: is it of another place?"
 
 
@@ -498,25 +501,27 @@ def _zones_near(lon: float) -> tuple[int, int, int]:
     return zone + 1, (zone - 1) % 60 + 1, (zone + 1) % 60 + 1
 
 
-def _without_heights(names: Sequence[str], total: int, xy: FloatArray, extent: FloatArray,
+def _without_heights(names: Sequence[str], count: str, xy: FloatArray, extent: FloatArray,
                      outside: BoolArray, dem: Path) -> TermselError:
     """Return the error for features for which a raster has no height, by the reason.
 
-    `xy` are vertices without a height, `outside` which of them are off the raster, `extent` the
-    corners of the raster.
+    `count` says how many they are, `xy` are vertices without a height, `outside` which of them are
+    off the raster, `extent` the corners of the raster.
     """
-    count = f"{len(names)} of {total} features"
     if not outside.any():
-        return TermselError(f"{count} are in areas without data: {first_names_in_words(names)}",
-                            file=dem,
-                            ids=names, hint="Fill the holes of the raster, or leave these "
-                                            "features out: --off.")
+        is_all = count.startswith("all ")
+        return TermselError("the raster has no data at any of the points" if is_all else
+                            f"{count} are in areas without data: {first_names_in_words(names)}",
+                            file=dem, ids=names,
+                            hint="Is it the right raster? Give one with heights there."
+                            if is_all else "Fill the holes of the raster, or leave these out: "
+                                           "--off.")
     reason = "outside the raster" if outside.all() else \
         "outside the raster or in areas without data"
     vertices = np.array([xy.min(axis=0), xy.max(axis=0)])
     return TermselError(
         f"{count} are {reason}: {first_names_in_words(names)}", file=dem, ids=names,
-        hint=f"The raster covers {_range_in_words(extent)}; these features are at "
+        hint=f"The raster covers {_range_in_words(extent)}; these are at "
              f"{_range_in_words(vertices)}. Give a raster of their area, or leave them out: --off.")
 
 

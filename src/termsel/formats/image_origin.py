@@ -182,18 +182,17 @@ def require_inside(features: FeatureSet, size: tuple[int, int] | None,
                 f"line and sample look swapped: they extend to line {last[0]:g} and sample "
                 f"{last[1]:g}, and the image has {size[0]} lines and {size[1]} samples",
                 file=image, hint="Exchange them: --set swapped=line-sample. Or give the image in "
-                                 "which the features were measured.")
-        raise other_image_error(size,
-                                f"but features extend to line {last[0]:g} and sample {last[1]:g}"
-                                f"{_ids_if_few(features, beyond)}", image, _off_option(features,
-                                                                                       beyond))
+                                 f"which the {features.word} were measured.")
+        reason = f"but {features.word} extend to line {last[0]:g} and sample {last[1]:g}" \
+            f"{_ids_if_few(features, beyond)}"
+        raise other_image_error(size, reason, image, _off_option(features, beyond))
     if before.any():
-        remedy = "or take the image in which the features were measured."
+        remedy = f"or take the image in which the {features.word} were measured."
         if before[:, 0].any():
             remedy = f"run again with --set image_origin=y-up or bottom-left, {remedy}"
         raise TermselError(
-            f"features extend to line {first[0]:g} and sample {first[1]:g}, before the first "
-            f"pixel of the image{_ids_if_few(features, before)}", file=image,
+            f"{features.word} extend to line {first[0]:g} and sample {first[1]:g}, before the "
+            f"first pixel of the image{_ids_if_few(features, before)}", file=image,
             hint="Lines are counted downwards and samples to the right from the upper-left pixel: "
                  f"correct them, {remedy}{_off_option(features, before)}")
 
@@ -219,4 +218,4 @@ def other_image_error(size: tuple[
     """Return the error for an image that is not the one in which features were measured."""
     return TermselError(f"the image has {size[0]} lines and {size[1]} samples, {reason}",
                         file=image,
-                        hint=f"Give the image in which the features were measured.{hint}")
+                        hint=f"Give the image in which the points were measured.{hint}")

@@ -44,7 +44,7 @@ def picture_for(result: Result, image: Path | str | None) -> Picture:
         size = size_of_features or (max(1, int(bottom) + 1), max(1, int(right) + 1))
         if size_of_features is None:
             log.warning("Warning: the size of the image is not known. The file says %d lines and "
-                        "%d samples, which hold all features; --image FILE gives the true size.",
+                        "%d samples, which hold all points; --image FILE gives the true size.",
                         *size)
         return Picture(size)
     picture = picture_of(Path(image))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from termsel.core.display.quiet import quiet_logger
-from termsel.core.errors import TermselError
+from termsel.core.errors import ON_SUCCESS, PENDING, TermselError
 from termsel.core.files.atomic import private_folder
 from termsel.core.files.names import is_there, refuse_link
 from termsel.formats.vrt import IMAGE, picture_for
@@ -41,12 +41,13 @@ def _options_of_other_formats(writer: type[Writer]) -> set[str]:
 def as_exported(result: Result, final: bool | None) -> Result:
     """Return the result with the fit that is exported (see `Result.as_exported`), and say so."""
     if result.final is not None and final is False:
-        log.info("Used: the fit without the independent check points.")
+        log.info("Used: the fit without the independent check points.",
+                 extra={PENDING: ON_SUCCESS})
     elif result.final is not None:
         control = result.final.control
         log.info("Used: the fit to all %d %s. The RMSE stated is of the fit without the "
                  "independent check points; --no-final uses that one.", len(control),
-                 control.word)
+                 control.word, extra={PENDING: ON_SUCCESS})
     return result.as_exported(final)
 
 

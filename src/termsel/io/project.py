@@ -76,7 +76,13 @@ def project_table(
         raise TermselError(f"the height of the ground cannot be {height}",
                            hint="Give a finite number.")
     if inverse:
-        table = _read_table(path, columns, "line", "sample")
+        try:
+            table = _read_table(path, columns, "line", "sample")
+        except TermselError as error:
+            if _lacks_a_column(error) and _has_columns(path, columns, "x", "y"):
+                error.hint = ("These are ground positions: leave --inverse out for their positions "
+                              "in the image.")
+            raise
         ids = table.ids()
         image = table.stack("line", "sample")
         if dem is None and height is None and model.uses_height:
@@ -96,7 +102,7 @@ def project_table(
         try:
             ids, ground = read_ground(result, path, columns, dem, height)
         except TermselError as error:
-            if _lacks_a_column(error) and _has_image_positions(path, columns):
+            if _lacks_a_column(error) and _has_columns(path, columns, "line", "sample"):
                 error.hint = ("These are image positions: add --inverse, with --dem FILE or "
                               "--height H, for ground positions.")
             raise
@@ -189,7 +195,7 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
     try:
         table = _read_table(path, columns, *names, flat=fills)
     except TermselError as error:
-        if _lacks_a_column(error) and _has_image_positions(path, columns):
+        if _lacks_a_column(error) and _has_columns(path, columns, "line", "sample"):
             error.hint = f"These are image positions; ground positions {','.join(names)} are " \
                 "needed. termsel project --inverse computes them."
         raise
@@ -250,10 +256,10 @@ def _lacks_a_column(error: TermselError) -> bool:
     return error.what.startswith(("there is no column", "there are no columns"))
 
 
-def _has_image_positions(path: Path, columns: str) -> bool:
-    """Return whether a table has line and sample."""
+def _has_columns(path: Path, columns: str, *meanings: str) -> bool:
+    """Return whether a table has columns of some meanings."""
     try:
-        _read_table(path, columns, "line", "sample")
+        _read_table(path, columns, *meanings)
     except TermselError:
         return False
     return True

@@ -52,6 +52,7 @@ from termsel.formats.image_origin import (
 )
 from termsel.formats.readers.advice import (
     EXPECTED,
+    TO_MEASURE,
     keep_readable_guesses,
     unknown_table_error,
 )
@@ -395,7 +396,7 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
     if recognising is not None:
         return recognising
     if any(name in head for name in (b"LINE_NUM_COEFF", b"lineNumCoef", b"Global_RFM")):
-        raise TermselError("this file contains an RPC and no control features", file=path,
+        raise TermselError("this file contains an RPC and no control points", file=path,
                            hint="Give control with --points and the RPC with --rpc; auto then "
                                 "corrects it. " + registry().missing("rpc-gcps"))
     if is_utf16(head) and _reader_that_recognises(
@@ -442,9 +443,16 @@ def _refuse_other_content(path: Path, head: bytes) -> None:
     # A VRT is a raster, which a package may read.
     if text.startswith("<") and not text.startswith("<VRTDataset"):
         root = re.search(r"<([A-Za-z_][\w.:-]{0,60})", text)
+        if root and root[1].lower() == "kml":
+            raise TermselError("KML has positions on the ground alone, and none in the image",
+                               file=path, hint="Convert it: ogr2ogr points.gpkg FILE. "
+                                               f"{TO_MEASURE}")
         name = f" (<{root[1]}>)" if root else ""
         raise TermselError(f"this is XML{name} of no kind that termsel reads, or it is damaged",
                            file=path, hint=EXPECTED)
+    if re.match(r'\{\s*"', text) and '"type"' not in text:
+        raise TermselError("this is JSON without control points that termsel reads, such as the "
+                           "description of an image", file=path, hint=EXPECTED)
     if text.startswith("{") and '"FeatureCollection"' in text:
         geometries = set(re.findall(r'"type"\s*:\s*"((?:Multi)?(?:Point|LineString|Polygon))"',
                                     text))
@@ -578,7 +586,7 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
                        origin: Origin | None, swapped: str | None) -> FeatureSet:
     """Return the features of all files in one CRS; the arguments are those of `read_features`."""
     if points is None and lines is None and areas is None:
-        raise TermselError("no file of features is given",
+        raise TermselError("no file of points or lines is given",
                            hint="Give --points FILE, --lines FILE or --areas FILE.")
     # What the user states holds for all files, and is needed before the first is read.
     stated = stated_crs(crs)
@@ -675,7 +683,7 @@ def _say_misspelt(path: Path, features: FeatureSet) -> None:
 
 def _check_areas(path: Path, reader: Reader, asked_for: bool) -> None:
     if not reader.areas:
-        raise TermselError(f"the file has no areas: it is read as {reader.name}", file=path,
+        raise TermselError("this is a file of points or lines, not of areas", file=path,
                            hint="Give points with --points and lines with --lines.")
     if not asked_for:
         raise TermselError("the file has areas", file=path,
@@ -688,7 +696,7 @@ def _with_areas(features: FeatureSet, areas: FeatureSet, path: Path) -> FeatureS
     shared_ids = set(features.ids) & set(areas.ids)
     if shared_ids:
         raise TermselError(f"{min(shared_ids)!r} is the id of an area and of a point or line",
-                           file=path, hint="Give every feature a different id.", ids=shared_ids)
+                           file=path, hint="Give one of them another id.", ids=shared_ids)
     try:
         return features.with_(points=features.points.join(areas.points),
                               lines=features.lines.join(areas.lines))
@@ -749,9 +757,10 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
                 f"the file declares the CRS {short_crs_name(declared)}, but {source} says "
                 f"{short_crs_name(agreed)}",
                 file=path,
-                hint=f"{'Leave --crs out' if stated else 'Transform one of the files'}, or correct "
-                     f"{'the file' if stated else 'what they declare'}; termsel does not transform "
-                     "coordinates.")
+                hint=("They differ in the heights alone. " if {declared, agreed} == WGS84 else "")
+                + f"{'Leave --crs out' if stated else 'Transform one of the files'}, or correct "
+                  f"{'the file' if stated else 'what they declare'}; termsel does not transform "
+                  "coordinates.")
     return agreed or ""
 
 

@@ -405,6 +405,6 @@ def require_heights(model: SensorModel, features: FeatureSet) -> None:
     if model.uses_height and missing:
         raise TermselError(
             f"model {model.name!r} needs heights; they are unknown for {len(missing)} of the "
-            f"features: {first_names_in_words(missing, 5)}",
+            f"{features.word}: {first_names_in_words(missing, 5)}",
             hint="Add heights, as by --dem FILE, or choose a plane model: --model poly2d.",
             ids=missing[:1])

@@ -58,8 +58,7 @@ _CONTRADICTED = 2.0
 """Times the upper end of the predicted RMSE beyond which independent points contradict it."""
 AS_DELIVERED = "rpc-as-delivered"
 """Baseline of an RPC without a correction."""
-_UNLIKE = 2.0
-"""Ratio of two figures of the same model from which on only one of them is shown."""
+
 _BENDING = ("field", "tps")
 """Models that follow local deformation."""
 _DEGREE_NAMES = {1: "affine", 2: "quadratic", 3: "cubic"}
@@ -150,7 +149,8 @@ def _facts_on_data(record: Record, brief: int) -> Iterator[Fact]:
     # Reasons with their counts, if they fit into a line.
     unused = f"not used: {'; '.join(reasons)}"
     if len(unused) > _WIDTH:
-        unused = f"not used: {count_in_words(sum(map(len, read.left_out.values())), 'feature')}"
+        noun = record.data.counts.word.removesuffix("s")
+        unused = f"not used: {count_in_words(sum(map(len, read.left_out.values())), noun)}"
     yield Fact(unused)
 
 
@@ -393,19 +393,11 @@ def _comparison_with_rival(record: Record, rival: BaselineRow) -> Iterator[str]:
         verdict = "better; leave out --model" if record.solver == "all-terms" \
             else "better; leave out the search"
     if by_held_out:
-        # Each figure once: that of this model may be the prediction above, and both may be alike.
+        # That of this model may be the prediction above, or the same as that of the other.
         shown = "" if record.predicted is None else rounded_size_text(record.predicted.rmse)
-        # Of few points the prediction weighs single errors less than leave-one-out does: two
-        # figures of this model that differ much would only puzzle; the verdict has the ratio.
-        if record.predicted is not None and not (
-                1 / _UNLIKE < own_rmse / max(record.predicted.rmse, 1e-300) < _UNLIKE):
-            yield f"{name} in leave-one-out: {verdict}"
-            return
         own = "" if rounded_size_text(own_rmse) in (shown, rounded_size_text(rival_rmse)) else \
             f" against {rounded_size_text(own_rmse)} px"
-        is_shown = rounded_size_text(rival_rmse) == rounded_size_text(own_rmse) == shown
-        figure = "" if is_shown else f" {rounded_size_text(rival_rmse)} px{own}"
-        yield f"{name}{figure} in leave-one-out: {verdict}"
+        yield f"{name} {rounded_size_text(rival_rmse)} px{own} in leave-one-out: {verdict}"
     else:
         yield f"{name} {rounded_size_text(rival_rmse)} px: {verdict}"
     if _shift_of(record) and rival.name != AS_DELIVERED:
@@ -454,7 +446,9 @@ def _facts_on_search(record: Record) -> Iterator[str]:
             yield f"optimality gap {percent_text(certificate.gap)}; --solver exact finds the " \
                 "optimum"
         elif isinstance(certificate.gap, float):
-            yield f"not proven: optimality gap at most {percent_text(certificate.gap)}"
+            yield "not proven: no selection is excluded yet, for lack of time" \
+                if certificate.gap > 1.0 else \
+                f"not proven: optimality gap at most {percent_text(certificate.gap)}"
     if len(record.front) > 1:
         sizes = [int(next(iter(member.objectives.values())) or 0) for member in record.front]
         noun = next(iter(record.front[0].objectives)).removeprefix("n_")
@@ -552,7 +546,11 @@ def _urgent_warnings(record: Record) -> Iterator[str]:
         yield f"do not use this fit: {why}. Measure more control points or take a smaller model"
     read = record.data.read
     if read and read.doubt:
-        yield f"{read.doubt.partition(':')[0]}: check them before anything else"
+        # The note says how to exchange them, and when it is the other pair.
+        doubt = read.doubt.casefold()
+        yield next((f"{note[0].lower()}{note[1:]}" for note in record.notes
+                    if note.casefold().startswith(doubt)),
+                   f"{read.doubt.partition(':')[0]}: check them before anything else")
     if read and read.mixed:
         doubt = f"{read.mixed[:1].lower()}{read.mixed[1:]}"
         yield f"correct the coordinates first: {_first_sentence_of(doubt)}"

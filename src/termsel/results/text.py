@@ -42,9 +42,12 @@ def text_of(document: Document, *, with_details: bool = True, titled: bool = Tru
     return make_printable("\n".join(lines)) + "\n"
 
 
-def text_of_blocks(blocks: Iterable[Block]) -> str:
-    """Return blocks as text, such as the facts of the first screen."""
-    return make_printable("\n".join(_lines_of_blocks(blocks))) + "\n"
+def text_of_blocks(blocks: Iterable[Block], *, all_rows: bool = False) -> str:
+    """Return blocks as text, such as the facts of the first screen.
+
+    Of long tables it has `all_rows`, or only their number.
+    """
+    return make_printable("\n".join(_lines_of_blocks(blocks, all_rows=all_rows))) + "\n"
 
 
 def _blocks_shown(blocks: Iterable[Block], with_details: bool) -> Iterator[Block]:
@@ -56,7 +59,7 @@ def _blocks_shown(blocks: Iterable[Block], with_details: bool) -> Iterator[Block
             yield block
 
 
-def _lines_of_blocks(blocks: Iterable[Block]) -> Iterator[str]:
+def _lines_of_blocks(blocks: Iterable[Block], *, all_rows: bool = False) -> Iterator[str]:
     """Yield the lines of blocks, with an empty one around each table."""
     after_table = False
     for i, block in enumerate(blocks):
@@ -65,7 +68,7 @@ def _lines_of_blocks(blocks: Iterable[Block]) -> Iterator[str]:
             yield ""
         after_table = is_table
         if isinstance(block, TableBlock):
-            yield from _lines_of_table(block)
+            yield from _lines_of_table(block, all_rows=all_rows)
         elif isinstance(block, Note):
             yield from _wrap_text(f"{block.label}: {block.text}", 4)
         elif isinstance(block, Fact) and block.label:
@@ -83,11 +86,11 @@ def _lines_of_blocks(blocks: Iterable[Block]) -> Iterator[str]:
             yield from _wrap_text(block if isinstance(block, str) else block.text)
 
 
-def _lines_of_table(table: TableBlock) -> Iterator[str]:
-    """Yield the lines of a table; of a long one how many rows it has."""
+def _lines_of_table(table: TableBlock, *, all_rows: bool) -> Iterator[str]:
+    """Yield the lines of a table; of a long one how many rows it has, unless `all_rows`."""
     if table.caption:
         yield table.caption
-    if len(table.rows) > _LONGEST_TABLE:
+    if len(table.rows) > _LONGEST_TABLE and not all_rows:
         yield f"{len(table.rows)} rows; result.json has all of them"
         return
     columns = [i for i in range(len(table.columns)) if i not in table.page_only]

@@ -383,7 +383,8 @@ def _notes_on_stated_geometry(data: FitData, auto: Auto, fitted: Fit) -> list[st
             continue
         remedy = ("Check what is stated of it, such as a focal length, and what is not, such as "
                   "the distortion of a lens.")
-        reason = f"{chosen.title} predicts the {data.features.word} better, beyond chance"
+        reason = (f"{chosen.title} predicts the {data.features.word} better, by more than chance "
+                  "explains")
         if auto.ask(method, "fit", data) is None and method.name not in auto.faults:
             try:
                 method.fit(data)
@@ -412,8 +413,8 @@ def _why_rpc_unused(data: FitData, auto: Auto, fitted: Fit | None = None) -> str
             and method.family == RPC_CORRECTIONS and len(data) <= method.max_features]
     reasons = list(filter(None, (auto.ask(method, "declines", data) for method in able)))
     if fitted is not None and auto.fewest(data) == 1:
-        reason = (f"{method_of(fitted).title} predicts the {data.features.word} better, beyond "
-                  "chance")
+        reason = (f"{method_of(fitted).title} predicts the {data.features.word} better, by more "
+                  "than chance explains")
     elif missing := registry().missing("rpc-gcps"):
         reason = f"no installed package corrects an RPC. {missing}"
     elif reasons:

@@ -16,7 +16,13 @@ from termsel.data.coordinates.metres import height_unit, is_in_degrees, offsets_
 from termsel.data.coordinates.places import distance_beyond_hull, feature_centres
 from termsel.data.coordinates.plausible import note_on_mixed
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
-from termsel.data.fit_data import MEASURED, FitData, distance_off_plane, relief_carriers
+from termsel.data.fit_data import (
+    MEASURED,
+    FitData,
+    distance_off_plane,
+    errors_hide_heights,
+    relief_carriers,
+)
 from termsel.data.roles import Observations, find_twins, twin_groups
 from termsel.fitting.extrapolation import corners_of
 from termsel.fitting.fit import Fit
@@ -331,11 +337,19 @@ def _note_on_flat(control: FitData, points: Points) -> Iterator[str]:
     # Heights without those of the one or two features that make all the relief.
     z = vertices[~np.isin(np.array(control.features.ids)[control.features.vertex_feature],
                           carrying if len(carrying) < len(control) else ()), 2]
+    hidden = len(carrying) == len(control) and errors_hide_heights(control)
     if len(carrying) < len(control):
         pass
+    elif len(control) < FEWEST_FOR_HEIGHTS:
+        yield (f"The heights were not used: {len(control)} {control.features.word} cannot show "
+               "what a height does.")
     elif (z == z[0]).all():
-        yield (f"All heights are {z[0]:g}, so they were not used. If they are not known, leave "
-               "them blank or take them from a raster (--dem FILE).")
+        yield (f"All heights are {z[0]:g}, so they were not used. " + (
+            "Is the raster of heights the right one?" if control.features.heights else
+            "If they are not known, leave them blank or take them from a raster (--dem FILE)."))
+    elif hidden:
+        yield (f"The errors of the {control.features.word} are too large to show what a height "
+               "does, so the heights were not used.")
     else:
         yield _question_on_unit(control.features, z) or (
             f"The heights of the {control.features.word} differ too little from a plane to "
@@ -345,11 +359,14 @@ def _note_on_flat(control: FitData, points: Points) -> Iterator[str]:
     # How far an error of height moves the image, by the obliqueness of usual views.
     if does[0] > 0.0:
         low, high = (f"{round(float(height) * unit, 1) + 0.0:g}" for height in (z.min(), z.max()))
+        on_one_plane = "" if hidden or len(control) < FEWEST_FOR_HEIGHTS else " on one plane"
         covered = f"the height {low} m alone" if low == high else \
-            f"heights from {low} to {high} m on one plane"
+            f"heights from {low} to {high} m{on_one_plane}"
         error = _rounded_text(HIGH / unit * does[0] / above[0])
         yield (f"The control covers {covered}. Expect about {error} px error per "
                f"{HIGH:g} m outside it.")
+    if hidden:
+        return
     # Other points off the plane of the control are seen elsewhere than a plane model says.
     off, effect = distance_off_plane(control, points.ground)
     far = effect > MEASURED
@@ -376,6 +393,9 @@ def _question_on_unit(features: FeatureSet, z: FloatArray) -> str:
     return (f"The heights span only {spread:.2g} m over {extent:.2g} km, so they were not used; "
             "are they in kilometres? Then convert them to metres.")
 
+
+FEWEST_FOR_HEIGHTS = 4
+"""Features below which heights are always on one plane, which then says nothing."""
 
 LEAST_SPREAD, LEAST_EXTENT = 3.0, 1.0
 """Spread of heights [m] below which, over so many kilometres, they may be kilometres."""

@@ -71,8 +71,8 @@ def refuse_makers(rpc: Rpc | None, observations: Observations) -> None:
     hint += "." if is_cut(rpc) else "; or give other points, and these the role off."
     raise TermselError(
         f"the RPC {name} was fitted by termsel to {at_least}{len(makers)} of these "
-        f"{len(features)} features ({named}). They would seem to confirm it, and all accuracy "
-        "stated from them would be too good", hint=hint, ids=makers)
+        f"{len(features)} {features.word} ({named}). They would seem to confirm it, and all "
+        "accuracy stated from them would be too good", hint=hint, ids=makers)
 
 
 def doubt_of_rpc(observations: Observations) -> str:
@@ -86,7 +86,7 @@ def rpc_without_record(rpc: Rpc) -> str:
     """Return what follows from a file that lost which control its RPC was fitted to, or ""."""
     if not rpc.control_count or rpc.control_digests:
         return ""
-    return (f"{_WITHOUT_RECORD} to {count_in_words(rpc.control_count, 'control feature')} that "
+    return (f"{_WITHOUT_RECORD} to {count_in_words(rpc.control_count, 'control point')} that "
             "its file "
             "no longer names: if these points are among them, the accuracy stated is too good. "
             "Give the RPC that the vendor delivered, or the file that termsel wrote.")

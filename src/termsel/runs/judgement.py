@@ -141,8 +141,8 @@ def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
                 (b, name) for _, b, name in rivals])
         elif held_out is not None:
             verdict = verdict_on_choice(held_out, rival_held_out, best.name, among)
-            sentences.append(f"In leave-one-out its model has {_px_text(held_out)}, and {title}, "
-                             "the "
+            sentences.append("In leave-one-out, in which each is predicted by a fit without it, "
+                             f"its model has {_px_text(held_out)}, and {title}, the "
                              f"best conventional model, {_px_text(rival_held_out)}{deficient}: "
                              f"{verdict}.")
     if noise is not None and measured is not None:

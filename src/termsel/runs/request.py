@@ -351,7 +351,7 @@ def _refuse_of_others(settings: Mapping[str, Any], names: Collection[str]) -> No
             raise TermselError(
                 f"{key!r} is an option of the {role} {' or '.join([first, *others[:2]])}, which "
                 "this run does not use",
-                hint=f"Choose --{role} {first}, or leave {key} out.",
+                hint=f"{_option_of_files(key)}Choose --{role} {first}, or leave {key} out.",
                 name=key)
         near = get_close_matches(key, [*names, *owners], n=1, cutoff=_MISSPELT)
         if near and near[0] not in names:
@@ -360,6 +360,15 @@ def _refuse_of_others(settings: Mapping[str, Any], names: Collection[str]) -> No
                 f"unknown option {key!r}",
                 hint=f"Did you mean {near[0]!r}? It is an option of the {role} {first}: add "
                      f"--{role} {first}.", name=key)
+
+
+def _option_of_files(key: str) -> str:
+    """Return the question whether an option of the data is meant, such as camera_focal for focal.
+    """
+    from termsel.io.read import read_options  # it reads files, which a call from Python may not
+
+    meant = next((option.name for option in read_options() if option.name == f"camera_{key}"), "")
+    return f"Did you mean {meant}? " if meant else ""
 
 
 _MISSPELT = 0.8

@@ -79,8 +79,7 @@ def require_enough(observations: Observations, criterion: Criterion, model: Sens
         raise TermselError(
             f"{_count_of_control(control)}{others}; at least {count_in_words(fewest, noun)} "
             f"{'is' if fewest == 1 else 'are'} needed",
-            hint=("Measure more, or give more features the role control." if others
-                  else "Measure more.")
+            hint=_remedy_for_few(observations, fewest)
                  + without_selection
                  + CORRECTED * ("rpc" in model.options))
     if criterion.needs_check and len(check) < MIN_CHECK:
@@ -89,23 +88,22 @@ def require_enough(observations: Observations, criterion: Criterion, model: Sens
             f"{criterion.name} needs at least {MIN_CHECK}",
             hint="Give more points the role check: they choose among selections. Or choose by "
                  "leave-one-out, without selection points: --criterion press.")
-    _refuse_one_number(control)
+    _refuse_one_number(observations)
     # The geometry of control matters where nothing else determines the model.
     if fewest == 1:
         return  # what is known of the image makes up for what they do not determine
     if not np.ptp(control.image_vertices(), axis=0).any():
-        raise TermselError("all control features have the same place in the image",
+        raise TermselError(f"all control {control.word} have the same place in the image",
                            hint="Check that the columns line and sample hold image coordinates.")
     if not np.ptp(control.ground_vertices()[:, :2], axis=0).any():
         raise TermselError(
-            f"all {count_in_words(len(control), 'control feature')} have the same place on the "
-            "ground",
-            hint="Check that the columns x and y hold the position of each feature.")
+            f"all {len(control)} control {control.word} have the same place on the ground",
+            hint="Check that the columns x and y hold the position of each of them.")
     # The singular values of centred plan coordinates: the second is 0 on one straight line.
     spread = np.linalg.svd(control.ground_vertices()[:, :2]
                            - control.ground_vertices()[:, :2].mean(axis=0), compute_uv=False)
     if len(control) > 2 and spread[1] < 1e-6 * spread[0]:
-        raise TermselError("all control features lie on one straight line on the ground",
+        raise TermselError(f"all control {control.word} lie on one straight line on the ground",
                            hint="Add control away from that line: a model needs an area.")
     # Lines measure across themselves alone.
     if not len(control.points) and orientation_spread(control.lines) < ALL_PARALLEL:
@@ -118,10 +116,11 @@ _ALL_ALIKE = 5
 """Points from which on the same line or sample at all of them is that of a wrong column."""
 
 
-def _refuse_one_number(control: FeatureSet) -> None:
+def _refuse_one_number(observations: Observations) -> None:
     """Raise TermselError where all points have the same line, or the same sample."""
-    image = control.points.image
-    if len(control.points) < _ALL_ALIKE:
+    points = observations.together.points
+    image = points.image
+    if len(points) < _ALL_ALIKE:
         return
     is_one_number = np.ptp(image, axis=0) == 0.0
     if is_one_number.sum() != 1:  # both: all are at one place, which is said by itself
@@ -129,9 +128,7 @@ def _refuse_one_number(control: FeatureSet) -> None:
     axis = int(np.argmax(is_one_number))
     name = ("line", "sample")[axis]
     raise TermselError(
-        f"all {count_in_words(len(control.points), 'control point')} have {name} "
-        f"{image[0, axis]:g}",
-        column=name,
+        f"all points have {name} {image[0, axis]:g}", column=name,
         hint=f"Is that the right column? Name the one that holds it: --columns {name}=NAME.")
 
 
@@ -147,8 +144,25 @@ def _others_in_words(observations: Observations) -> str:
              (observations.independent, "independent check point"))
     others = [count_in_words(len(features), noun) for features, noun in kinds if len(features)]
     if observations.off:
-        others.append(f"{count_in_words(len(observations.off), 'feature')} with the role off")
+        noun = observations.features.word.removesuffix("s")
+        others.append(f"{count_in_words(len(observations.off), noun)} that {OFF_IN_WORDS}")
     return f", next to {' and '.join(others)}" if others else ""
+
+
+OFF_IN_WORDS = "take no part (role off, or switched off in QGIS)"
+"""What points of the role off do, and why."""
+
+
+def _remedy_for_few(observations: Observations, fewest: int) -> str:
+    """Return what helps against too few control points or lines: those that have another role."""
+    total = len(observations.features)
+    if total < fewest:
+        return "Measure more."
+    if len(observations.off) >= fewest:
+        return ("Switch points on in the file, such as in QGIS's georeferencer, or give them the "
+                "role control: --role ID=control.")
+    return ("Give more points the role control, in the column role or by --role ID=control, or "
+            "measure more.")
 
 
 def _number(number: int, noun: str) -> str:

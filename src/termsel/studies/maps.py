@@ -247,10 +247,15 @@ def next_command(study: Study, folder: Path) -> str:
         words = ["termsel", "rectify", quote(str(folder)),
                  quote(str(place)) if has_picture else "IMAGES", "--output",
                  quote(str(folder.with_name(f"{folder.name}-maps")))]
+        dem = dem_of_batch(folder)
         if read_result(folder / IMAGES / names[first["cell"]]).fit.model.uses_height:
-            words += ["--dem", quote(dem_of_batch(folder) or "DEM")]
-        return f"Next: {' '.join(words)}   (maps of those fit for use" + (
-            ")" if has_picture else "; IMAGES is their folder)")
+            words += ["--dem", quote(dem or "DEM")]
+        command = " ".join(words)
+        if has_picture and (dem or "DEM" not in words):
+            return f"Next: {command}   (maps of those fit for use)"
+        # What is not known cannot be typed: the page of the worst can, until it is.
+        worst = quote(str(folder / IMAGES / names[rows[0]["cell"]]))
+        return f"Next: termsel report {worst}   (the least certain; maps: {command})"
     # Rows begin with the worst.
     worst = next((row for row in rows if row["verdict"] in (UNFIT, DOUBTFUL)), None)
     if worst is None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
+from textwrap import shorten
 
-from termsel.core.errors import count_in_words
+from termsel.core.errors import count_in_words, make_printable
 from termsel.core.files.atomic import atomic_path, write_text
 from termsel.core.isolation.parts import (
     lack_of,
@@ -18,12 +19,14 @@ from termsel.core.isolation.parts import (
 )
 from termsel.results.blocks import Block
 from termsel.results.text import text_of_blocks
-from termsel.studies.cells.image_table import image_reasons, image_table
+from termsel.studies.cells.image_table import count_of_verdicts, image_reasons, image_table
 from termsel.studies.cells.table import csv_of, usual_notes_in_words, with_notes_once
 from termsel.studies.cells.verdicts import FIT, FIT_WITHOUT_A_LIMIT
 from termsel.studies.study import Study
 
-NAMES = ("study.csv", "study.parquet")
+SUMMARY = "summary.txt"
+"""Everything that is said of a batch of images, of which the screen shows the worst."""
+NAMES = ("study.csv", "study.parquet", SUMMARY)
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,8 @@ def output_names() -> tuple[str, ...]:
 def write_outputs(study: Study, out: Path) -> list[Path]:
     """Write a study's files, and return them: study.csv, then what packages add.
 
-    study.csv has a row for each image, or for each cell of a study of searches.
+    study.csv has a row for each image, or for each cell of a study of searches. Of images
+    summary.txt has what `study_summary` returns.
 
     study.parquet holds the same as study.csv, where pandas and pyarrow are installed.
     """
@@ -68,6 +72,9 @@ def write_outputs(study: Study, out: Path) -> list[Path]:
         with atomic_path(out / "study.parquet") as path:
             study.to_pandas().to_parquet(path, index=False)
         written.append(out / "study.parquet")
+    if study.noun == "image":
+        write_text(out / SUMMARY, study_summary(study))
+        written.append(out / SUMMARY)
     for output in values_of_slot("study"):
         written += output.write(study, out)
     return written
@@ -99,6 +106,69 @@ REMEDY_FOR_SWAPPED = (
 """What to do about images of a batch whose axes look swapped."""
 
 
+_MOST_ROWS, _MOST_REASONS = 4, 2
+"""Images, and reasons of verdicts, on the screen of a batch: with what was written, how many
+failed and the next command it has twelve lines at most."""
+_MOST_IDS = 3
+"""Blunders of an image that its row names."""
+_WIDTH = 88
+"""Characters of a line of the screen."""
+
+
+def screen(study: Study) -> str:
+    """Return what a terminal shows of a batch of images: the worst of them, and how many more.
+
+    Parameters
+    ----------
+    study : Study
+        Of images.
+
+    Returns
+    -------
+    str
+        Nine lines at most. `study_summary` has every image, reason and note.
+    """
+    rows = study.rows
+    shown = rows if len(rows) <= _MOST_ROWS + 1 else rows[:_MOST_ROWS]
+    caption = count_of_verdicts(rows)
+    if study.spec.accept is None and any(row["verdict"] == FIT for row in rows):
+        caption = f"{caption}; --accept 5m would set a limit"
+    reasons = image_reasons(rows)
+    room = _MOST_REASONS + _MOST_ROWS - len(shown)
+    remedy = [SWAPPED_IN_SHORT] if any("swapped" in reason for reason in reasons) else []
+    lines = [*(shorten(_first_sentence(reason), _WIDTH, placeholder=" ...")
+               for reason in reasons[:room - len(remedy)]), *remedy]
+    table = image_table(shown)
+    named = [(*cells, _few_of(row["blunders"] or ()))
+             for (*cells, _), row in zip(table.rows, shown, strict=True)]
+    table = replace(table, caption=caption, rows=named)
+    hidden = [count_in_words(number, noun) for number, noun in (
+        (len(rows) - len(shown), "more image"),
+        (len(reasons) - room + len(remedy), "more reason"),
+        (len(study.remarks) + len(usual_notes_in_words(rows)), "note")) if number > 0]
+    if hidden:
+        lines.append(f"{' and '.join(hidden) if len(hidden) < 3 else ', '.join(hidden)}: "
+                     f"--verbose, or {SUMMARY}")
+    return text_of_blocks([table]) + make_printable("".join(f"{line}\n" for line in lines))
+
+
+def _few_of(ids: Sequence[str]) -> str:
+    """Return ids, of many the first and how many more there are."""
+    if len(ids) <= _MOST_IDS:
+        return ", ".join(ids)
+    return f"{', '.join(ids[:_MOST_IDS - 1])} and {len(ids) - _MOST_IDS + 1} more"
+
+
+def _first_sentence(reason: str) -> str:
+    """Return the first sentence of a reason."""
+    return reason.partition(". ")[0]
+
+
+SWAPPED_IN_SHORT = ("Swapped: exchange the names of the two columns in that file, and repeat "
+                    "this command.")
+"""What to do about images whose axes look swapped, in one line."""
+
+
 def _image_text(study: Study) -> str:
     """Return remarks, the table of images, and the reasons of verdicts, as text."""
     title = [study.spec.title] if study.spec.title else []
@@ -108,7 +178,7 @@ def _image_text(study: Study) -> str:
     remedy = (REMEDY_FOR_SWAPPED,) if any("swapped" in reason for reason in reasons) else ()
     blocks: tuple[Block, ...] = (*title, *study.remarks, *usual_notes_in_words(study.rows),
                                  image_table(study.rows), *meaning, *reasons, *remedy)
-    return text_of_blocks(blocks).lstrip("\n")
+    return text_of_blocks(blocks, all_rows=True).lstrip("\n")
 
 
 def study_page(study: Study) -> str:

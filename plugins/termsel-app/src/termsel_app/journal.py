@@ -214,7 +214,7 @@ def patches_of(entry: Mapping[str, Any]) -> list[Patch]:
 def _parse_record(record: Any) -> dict[str, Any]:
     """Return a record; raises TermselError if it is no JSON object."""
     if not isinstance(record, dict):
-        raise TermselError("it has no features")
+        raise TermselError("it has no points or lines")
     return record
 
 

@@ -36,6 +36,9 @@ MEAN = 0.25
 """ASPRS: largest mean error, as a share of the RMSE of the class."""
 QUADRANT, MIN_DISTANCE = 0.2, 0.1
 """NSSDA, appendix 3-C: least share of points in a quadrant, and distance over the diagonal."""
+LEAST_REDUCED = NSSDA_POINTS
+"""Check points below which ASPRS is not stated by a reduced number either. The 2024 edition has no
+lower limit; this is that of NSSDA and of the edition of 2014, as an RMSE of fewer says little."""
 # Errors that a test of normality needs.
 _FEWEST = 3
 
@@ -221,8 +224,8 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
     Notes
     -----
     The words are those of ASPRS, edition 2, version 2, section 7.16. With fewer than 30 check
-    points they are those for a reduced number. Of the 3D statement the part on vegetated ground is
-    left out, as nothing shows which points are there.
+    points they are those for a reduced number; with fewer than 20 none is stated. Of the 3D
+    statement the part on vegetated ground is left out, as nothing shows which points are there.
 
     ASPRS, edition 2, adds the error of the survey: the horizontal accuracy is the root of the sum
     of the squares of the RMSE against the check points and of the RMSE of their survey, and the
@@ -328,6 +331,10 @@ def _asprs_statement(direction: str, points: int, value: float | None,
     name = f"ASPRS {direction}"
     if value is None:
         return Statement(name, None, "not stated, as no heights were tested")
+    if points < LEAST_REDUCED:
+        return Statement(name, value, f"not stated: {count_in_words(points, 'check point')}; at "
+                         f"least {LEAST_REDUCED} are needed for a statement by a reduced number, "
+                         f"and {ASPRS_POINTS} for the full one")
     class_ = class_of(value) if stated_class is None else stated_class
     kind, figure_words = _WORDS[direction]
     if value > class_:
@@ -411,7 +418,7 @@ def _limiting_notes(ground_errors: GroundErrors, total: float, survey: float | N
         notes.append(f"ASPRS asks for {distribution.required} check points for this area; this is "
                      f"a test by {count_in_words(len(ground_errors.ids), 'check point')}.")
     if ground_errors.blunders:
-        notes.append(f"{', '.join(ground_errors.blunders)}: all other features contradict "
+        notes.append(f"{', '.join(ground_errors.blunders)}: all other points contradict "
                      f"{'it' if len(ground_errors.blunders) == 1 else 'them'}. Look at the image "
                      "before you file these figures.")
     if survey is None:

@@ -180,10 +180,19 @@ class RunOptions:
         if self.dataset is not None and self.files:
             raise TermselError("--dataset cannot be combined with files",
                                hint="Give --dataset NAME, or --points FILE and --lines FILE.")
+        if self.rpc is not None and not self.files:
+            raise TermselError("an RPC alone has nothing to be corrected by", file=self.rpc,
+                               hint="Give control points, too: termsel run --points FILE "
+                                    f"--rpc {shlex.quote(str(self.rpc))}.")
         for name, value in self._options_of_files.items():
             if value and not self.files:
                 raise TermselError(f"{name} requires --points or --lines",
                                    hint=f"Give --points FILE, or leave {name} out.")
+        if self.solver == "exact" and (self.evaluations or self.generations):
+            name = "evaluations" if self.evaluations else "generations"
+            raise TermselError(f"--{name} does not bound exact, which decides on many subsets at "
+                               "once",
+                               hint="Give --seconds S, or leave it out: exact ends with the proof.")
         if self.problem is None and self.dataset is None and not self.files:
             raise TermselError("there is nothing to run",
                                hint="Give --points FILE or --lines FILE, or --problem NAME or "
@@ -324,6 +333,8 @@ class RunOptions:
 _IMAGES = {".tif", ".tiff", ".jp2", ".img", ".png", ".jpg", ".jpeg", ".vrt", ".ntf", ".dim"}
 _RPCS = {".rpb", ".rpc"}
 _PAGES = {".html", ".htm", ".pdf", ".svg"}
+_COMMENTS = 20
+"""Lines at the head of a table among which its header is looked for, below comments."""
 
 
 def with_files(files: Sequence[Path], arguments: Mapping[str, Any]) -> dict[str, Any]:
@@ -394,7 +405,9 @@ def _kind_of(path: Path) -> str:
         return "rpc"
     try:
         with path.open(encoding="utf-8", errors="replace") as file:
-            header = file.readline(1000).lower()
+            # Comments, such as that of the CRS, come before the header.
+            first_lines = [file.readline(1000).lower() for _ in range(_COMMENTS)]
+            header = next((line for line in first_lines if line[:1] != "#"), "")
     except OSError:  # the reader says what is wrong with it
         return "points"
     return "lines" if "line1" in header else "points"

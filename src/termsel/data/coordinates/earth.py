@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from termsel.core.errors import TermselError
+from termsel.core.errors import DOUBT, PENDING, TermselError
 from termsel.data.coordinates.crs import (
     EARTH,
     EXAMPLES,
@@ -62,7 +62,8 @@ def position_in_words(position: tuple[float, float]) -> str:
 def say_turned(features: FeatureSet) -> None:
     """Say so where axes look swapped, or where lines or samples are counted the other way."""
     if note := note_on_turned(features):
-        log.warning("%s: %s", "Warning" if find_swapped_axes(features) else "Note", note)
+        log.warning("%s: %s", "Warning" if find_swapped_axes(features) else "Note", note,
+                    extra={PENDING: DOUBT})
 
 
 def note_on_turned(features: FeatureSet) -> str:
@@ -70,9 +71,12 @@ def note_on_turned(features: FeatureSet) -> str:
     if doubt := find_swapped_axes(features):
         exchanging, exchanging_others = _exchange_option(doubt)
         location = place_of(features)
-        standing = f" As they stand, x and y are near {location}." if location else ""
-        return (f"{doubt}.{standing} --set {exchanging} exchanges them; or else give --set "
-                f"{exchanging_others}.")
+        are_ground = exchanging == "swapped=xy"
+        other = "line and sample" if are_ground else "x and y"
+        condition = f"If {location} is {'' if are_ground else 'not '}the place" if location \
+            else "Or else"
+        return (f"{doubt}. --set {exchanging} exchanges them. {condition}, {other} are swapped: "
+                f"--set {exchanging_others}.")
     # Computed points, and what names its sensor, say how the image was seen.
     is_declared = lattice_of(features.points) is not None or _SENSOR in features.points.attributes
     turn = None if is_declared else _rotation_to_east_north_up(features)
@@ -141,7 +145,7 @@ def find_swapped_axes(features: FeatureSet) -> str:
     if turn is None or np.linalg.det(turn) >= 0 or not _is_diagonal(turn):
         return ""
     pair = "x and y" if turn[0, 1] + turn[1, 0] > 0 else "line and sample"
-    return f"{pair} look swapped: the image is a mirror image of the ground about its diagonal"
+    return f"{pair} look swapped: the image mirrors the ground"
 
 
 def is_mirrored(features: FeatureSet) -> bool | None:

@@ -135,8 +135,8 @@ def _check_metres(xy: FloatArray, features: FeatureSet, crs: str) -> None:
             return
         n = len(np.unique(features.vertex_feature[degrees]))
         verb = "looks" if n == 1 else "look"
-        problem = f"{n} of {count_in_words(len(features), 'feature')} {verb} like degrees"
-        hint = "Transform these features to the CRS of the others, or remove them."
+        problem = f"{n} of {len(features)} {features.word} {verb} like degrees"
+        hint = "Transform them to the CRS of the others, or remove them."
     else:
         problem = "the ground coordinates look like degrees"
         hint = (f"Where {short_crs_name(crs)} is stated, in the file or by --crs, state EPSG:4979 "
@@ -165,7 +165,7 @@ def _check_range(xy: FloatArray, features: FeatureSet, low: tuple[float, float],
         return
     first = int(np.argmax(is_outside))
     if not outside(xy[:, ::-1]).any():
-        hint = f"x and y look swapped: --set swapped=xy exchanges them. {hint}"
+        hint = "x and y look swapped: --set swapped=xy exchanges them."
     elif not outside(xy[is_outside][:, ::-1]).any():
         hint = f"Perhaps x and y are swapped there. {hint}"
     name, column = _name_vertex(features, first, int(np.argmax(beyond(xy)[first])))
@@ -182,7 +182,7 @@ def _name_vertex(features: FeatureSet, i: int, axis: int) -> tuple[str, str]:
 
 
 def _coordinate_values(xy: FloatArray, name: str, i: int) -> str:
-    return f"feature {name!r} with x = {xy[i, 0]:.10g}, y = {xy[i, 1]:.10g}"
+    return f"{name!r} with x = {xy[i, 0]:.10g}, y = {xy[i, 1]:.10g}"
 
 
 # Ground coordinates that are not all of one kind: zones of UTM, and minutes typed as decimals.

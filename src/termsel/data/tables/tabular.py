@@ -177,11 +177,11 @@ def check_ids(ids: Sequence[str], kind: str, *, unique: bool) -> None:
     for name in ids:
         if wrong := reason_to_refuse_id(name):
             raise TermselError(f"the id {cut(name, 40)!r} of a {kind} {wrong}", ids=[name],
-                               hint="Give every feature a short id of letters, digits and signs.")
+                               hint=f"Give every {kind} a short id of letters, digits and signs.")
     twice = [name for name, count in Counter(ids).items() if count > 1] if unique else []
     if twice:
         raise TermselError(f"{kind} id {twice[0]!r} is used {Counter(ids)[twice[0]]} times",
-                           hint="Give every feature a different id.", ids=twice[:1])
+                           hint=f"Give every {kind} a different id.", ids=twice[:1])
 
 
 # Attributes of features: further columns of their file, such as source or date, as text.

@@ -35,6 +35,9 @@ TO_MEASURE = ("termsel app IMAGE --map FILE shows such points as a layer, such a
               "measure them; with a result, termsel project DIR --points FILE computes them.")
 """How places in the image of points on the ground are found."""
 
+MOST_GUESSES = 2
+"""Readings of a table that a message shows."""
+
 _ROWS = 200
 _BELONGS = 0.9
 """Share of a column's variance that ground explains of an image, or an image of its ground."""
@@ -232,6 +235,10 @@ def _with_readings(error: TermselError, header: Sequence[str], rows: Sequence[Se
 
 def _guess(error: TermselError, before: str, guesses: list[str], first_points: list[str]) -> None:
     """Put guesses into an error, after the hint that it had before."""
+    if len(guesses) > MOST_GUESSES:
+        # Beyond that nobody compares them; all columns are declared by hand.
+        guesses = guesses[:MOST_GUESSES]
+        first_points = first_points[:MOST_GUESSES]
     error.guesses = guesses
     error.first_points = first_points
     error.options["--columns"] = guesses[0]

@@ -25,7 +25,7 @@ def read_frame(frame: Any, columns: str = "", decimal: str | None = None) -> Fea
     """
     records, crs = _table_records(frame)
     if not records:
-        raise TermselError("the table has no rows", hint="Give one row per feature.")
+        raise TermselError("the table has no rows", hint="Give a row for each point or line.")
     cells = rows_of_records(records, "row", _GROUND)
     stated = parse_columns(columns)
     header = cells.rows[0]

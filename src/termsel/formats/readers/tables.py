@@ -16,7 +16,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from termsel.core.errors import TermselError, amount_in_words, cut, first_names_in_words
+from termsel.core.errors import (
+    TermselError,
+    amount_in_words,
+    count_in_words,
+    cut,
+    first_names_in_words,
+)
 from termsel.core.files.texts import unguard_cell
 from termsel.core.options import Option
 from termsel.data.coordinates.crs import normalise
@@ -128,8 +134,8 @@ class Table:
         names = [unguard_cell(cell.strip()) for cell in self.columns["id"]]
         for row, name in enumerate(names):
             if wrong := reason_to_refuse_id(name):
-                raise self.error(f"the id {wrong}", row, "id", "Give every feature a short id of "
-                                                               "letters, digits and signs.")
+                raise self.error(f"the id {wrong}", row, "id", "Give every point or line a short "
+                                                               "id of letters, digits and signs.")
         return names
 
     def points(self, image: FloatArray, ground: FloatArray, sigma: FloatArray | None,
@@ -140,6 +146,8 @@ class Table:
         for row, name in enumerate(ids):
             # Ids that the program made up cannot be twice.
             if first.setdefault(name, row) != row and "id" in self.names:
+                if self._row(row) == self._row(first[name]):
+                    raise self._repeated_row(row, first[name])
                 raise self.error(f"id {name!r} is already used on {self.row_name} "
                                  f"{self.lines[first[name]]}", row, "id",
                                  "Give every point a different id.")
@@ -155,6 +163,19 @@ class Table:
         except TermselError as error:
             raise self.placed(error) from error
 
+    def _row(self, row: int) -> tuple[str, ...]:
+        """Return the cells of a row, of the columns that are known."""
+        return tuple(cells[row].strip() for cells in self.columns.values())
+
+    def _repeated_row(self, row: int, first: int) -> TermselError:
+        """Return the error for a row that is the copy of another, with how many more there are."""
+        rows = [self._row(i) for i in range(len(self.lines))]
+        further = len(rows) - len(set(rows)) - 1
+        more = f", and {count_in_words(further, 'more row')} " \
+            f"{'repeats' if further == 1 else 'repeat'} others" if further else ""
+        return self.error(f"this row repeats {self.row_name} {self.lines[first]}{more}", row, "id",
+                          "Delete the copies: a point that is there twice would weigh twice.")
+
     def roles(self) -> list[str]:
         """Return the role of each row, "off" where it is not enabled."""
         cells = self.columns.get("role", [""] * len(self.lines))
@@ -162,7 +183,8 @@ class Table:
         for cell, role in role_of_cell.items():
             if role not in ("", *ROLES):
                 raise self.error(f"unknown role {cell.strip()!r}", cells.index(cell), "role",
-                                 f"Roles are {', '.join(ROLES)}, or blank.")
+                                 f"Roles are {', '.join(ROLES)}, or blank. A point that tests the "
+                                 "result is independent; check points choose the model.")
         flags = self.columns.get("enabled", ())
         enabled = {}
         for cell in set(flags):
@@ -285,7 +307,7 @@ def sniff_table(path: Path, head: bytes, aliases: Aliases, columns: str = "",
 def _column_by_meaning(path: Path | None, line: int | None, header: Sequence[str],
                        rows: list[list[str]], aliases: Aliases, stated: Mapping[str, int],
                        fixed: Collection[int], *, flat: bool) -> dict[str, int]:
-    """Return the number of the column of each meaning, counted from 0.
+    """Return the number of the column of each meaning, count_in_words from 0.
 
     `line` is that of the header, for errors; `stated` has the columns that the user named by
     meaning, `fixed` the columns that nobody can declare, such as those of a geometry. Heights have
@@ -548,8 +570,8 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
         rows = rows[1:]
         lines = lines[1:]
     if not rows:
-        raise TermselError("there are no rows below the header", file=path, line=line,
-                           hint="Add one row per feature.")
+        raise TermselError("there is a header and no row below it", file=path,
+                           hint="Add a row for each point or line.")
     # Messages name a column as the file does, not by its meaning.
     column_names = {meaning: header[i].strip() for meaning, i in column_of.items()}
     columns = {}

@@ -11,9 +11,6 @@ from termsel.results.blocks import TableBlock
 from termsel.studies.cells.table import Row, usual_notes
 from termsel.studies.cells.verdicts import FIT, VERDICTS
 
-_MOST_REASONS = 10
-"""Images whose reasons a terminal shows."""
-
 
 def image_table(rows: Sequence[Row]) -> TableBlock:
     """Return one row an image: its verdict, its RMSE in px and metres, and its blunders."""
@@ -26,7 +23,7 @@ def image_table(rows: Sequence[Row]) -> TableBlock:
 
 
 def image_reasons(rows: Sequence[Row]) -> list[str]:
-    """Return why images are not fit for use, the worst first; of many only how many more."""
+    """Return why images are not fit for use, the worst first."""
     usual = usual_notes(rows)
     lines = []
     for row in rows:
@@ -34,9 +31,7 @@ def image_reasons(rows: Sequence[Row]) -> list[str]:
         if row["verdict"] != FIT and reason:
             image = image_name(row)
             lines.append(reason if reason.startswith(image) else f"{image}: {reason}")
-    more = len(lines) - _MOST_REASONS
-    return [*lines[:_MOST_REASONS], f"{more} more: study.csv has all reasons"] if more > 0 \
-        else lines
+    return lines
 
 
 def image_name(row: Row) -> str:

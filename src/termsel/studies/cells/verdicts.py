@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from termsel.core.errors import TermselError, count_in_words, rounded_size_text
-from termsel.data.record.figures import MANY_INDEPENDENT, rmse_interval
+from termsel.data.record.figures import EXACTLY, MANY_INDEPENDENT, rmse_interval
 from termsel.data.record.search import clauses_on_unused_data
 from termsel.studies.cells.neighbours import ELSEWHERE
 
@@ -101,7 +101,7 @@ def _verdict_on_image(
     against = _contradiction_clauses(row, usual)
     if accept is None:
         if _rmse_interval(row, "px") is None:
-            return DOUBTFUL, "its accuracy cannot be estimated"
+            return DOUBTFUL, f"its accuracy cannot be estimated{_why_unknown(row)}"
         against += _too_uncertain_clause(row)
         if against:
             return DOUBTFUL, "; ".join(against)
@@ -130,6 +130,15 @@ def _too_uncertain_clause(row: Mapping[str, Any]) -> list[str]:
     points = count_in_words((row["n_control"] or 0) + (row["n_check"] or 0), "point")
     return [f"{points} leave its RMSE between {rounded_size_text(low)} and "
             f"{rounded_size_text(high)} px"]
+
+
+def _why_unknown(row: Mapping[str, Any]) -> str:
+    """Return why the accuracy of an image is not known, as the end of a clause."""
+    points = count_in_words(row["n_control"] or 0, "control point")
+    if any(EXACTLY in note for note in row["notes"] or ()):
+        return f": {points} determine the model exactly; measure at least one more"
+    return f": {points} are too few to be left out in turn; measure more" \
+        if (row["n_control"] or 0) < MANY_INDEPENDENT else ""
 
 
 def _how_verified(row: Mapping[str, Any]) -> str:

@@ -224,7 +224,11 @@ def _pixel_size(stated: Mapping[str, str], named: SurveyCamera | None,
     if named is None or size is None:
         lacks = "the size of a pixel" if named is None else "the size of the image"
         raise TermselError(f"a focal length in mm does not give that in px without {lacks}",
-                           hint="State camera_pixel in um, or the image: --image FILE.")
+                           hint="Add the size of a pixel in micrometres, such as --set "
+                                "camera_pixel=4.4, or give the image: --image FILE."
+                           if named is None else
+                           "Give the image: --image FILE. Or add the size of a pixel in "
+                           "micrometres, such as --set camera_pixel=4.4.")
     # A photo that was turned for display is as wide as its camera is high.
     lengths = sorted((named.width, named.height))
     pixels = sorted(size)

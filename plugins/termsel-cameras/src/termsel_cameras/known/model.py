@@ -262,8 +262,9 @@ class KnownFrame(SensorModel):
         measured = self.measured(features, noise)
         camera = camera_of(measured)
         if camera is None:
-            raise Undetermined("no camera of this focal length has all control points in front",
-                               hint="Check the focal length and the heights.")
+            raise Undetermined("no camera of this focal length can see all control points",
+                               hint="Check the focal length (in px; in mm write 35mm) and the "
+                                    "heights.")
         if len(features.points) == 3:
             return self._camera_of_three_points(measured, camera)
         return camera

@@ -158,7 +158,7 @@ class _Flight:
         if afresh:
             self.cameras = [None] * len(self.photos)
         if not np.isfinite(costs).any():
-            raise TermselError("no focal length has all control points in front of the cameras",
+            raise TermselError("with no focal length can the cameras see all control points",
                                hint="Check lines, samples and heights. A focal length that is "
                                     "given is in px: mm divided by the size of a pixel in mm.")
         return float(focals[int(np.argmin(costs))])

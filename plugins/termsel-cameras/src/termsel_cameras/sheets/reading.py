@@ -122,7 +122,8 @@ def from_greenwich(features: FeatureSet, meridian: float) -> FeatureSet:
     """
     if not is_geographic(features.crs):
         raise TermselError(f"longitudes in degrees have a prime meridian, not {features.crs}",
-                           hint="Leave prime_meridian out, or state --crs EPSG:4326.")
+                           hint="Leave the prime meridian out: coordinates of maps count from that "
+                                "of their CRS.")
     longitudes = without_independent(features).ground_vertices()[:, 0]
     # Whole turns, lest a map west of its meridian by more than that comes to lie below -180.
     turns = np.floor((np.median(longitudes) + meridian + 180.0) / 360.0) if len(longitudes) else 0.0

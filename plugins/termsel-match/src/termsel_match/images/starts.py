@@ -177,7 +177,7 @@ def _start_by_rpc(path: Path) -> Start:
     half = abs(rpc.ground_scale[2])
     description = f"the RPC of {path.name}"
     if rpc.control_count:
-        description += f", which termsel fitted to {rpc.control_count} control features"
+        description += f", which termsel fitted to {rpc.control_count} control points"
     offsets = np.array(rpc.ground_offset[:2])
     steps = np.linspace(-1.0, 1.0, _PLACES_ALONG)
     shares = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
