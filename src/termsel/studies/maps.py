@@ -254,8 +254,8 @@ def next_command(study: Study, folder: Path) -> str:
         if has_picture and (dem or "DEM" not in words):
             return f"Next: {command}   (maps of those fit for use)"
         # What is not known cannot be typed: the page of the worst can, until it is.
-        worst = quote(str(folder / IMAGES / names[rows[0]["cell"]]))
-        return f"Next: termsel report {worst}   (the least certain; maps: {command})"
+        page = quote(str(folder / IMAGES / names[rows[0]["cell"]]))
+        return f"Next: termsel report {page}   (the least certain; maps: {command})"
     # Rows begin with the worst.
     worst = next((row for row in rows if row["verdict"] in (UNFIT, DOUBTFUL)), None)
     if worst is None:
