@@ -12,6 +12,10 @@ from termsel.fitting.figures import Baseline
 from termsel.fitting.method import Method
 from termsel.runs.judgement import judge, judge_choice, name_conventional
 
+DLT = "a direct linear transformation (DLT)"
+RFM = "rational function model"
+LEFT_OUT = "In leave-one-out, in which each is predicted by a fit without it,"
+
 
 def rmse(independent: float | None, n: int = 20) -> dict[str, Rmse | None]:
     """RMSE by role, of which a judgement looks at the independent one alone."""
@@ -93,7 +97,7 @@ def test_one_independent_point_is_a_point() -> None:
     assert judged(1.0, n=1) == ("The selection is no better than all lines (1.00 px against 1.00 "
                                 f"px) at 1 independent check point.{NONE}")
     assert judge_choice(candidate("dlt"), None, rmse(1.0, 1), (), None) == (
-        "The automatic choice is a DLT. The RMSE at 1 independent check point, "
+        f"The automatic choice is {DLT}. The RMSE at 1 independent check point, "
         "which took no part, is 1.00 px.")
 
 
@@ -104,7 +108,7 @@ def test_a_conventional_fit_that_is_not_determined_is_said_to_be() -> None:
 
 
 @pytest.mark.parametrize(("name", "mine", "theirs", "sentence"), [
-    ("affine", 1.051, 1.0, "A simpler model, an affine polynomial fitted to control and selection "
+    ("affine", 1.051, 1.0, "A simpler model, an affine polynomial fitted to control and "
      "points, is 1.1 times better (1.00 px)."),
     ("affine", 1.049, 1.0, "It is no better than the automatic choice, an affine polynomial fitted "
      "to control and selection points (1.00 px)."),
@@ -115,10 +119,10 @@ def test_a_conventional_fit_that_is_not_determined_is_said_to_be() -> None:
     ("regularised-cubic", 4.0, 2.0, "The automatic choice, a regularised cubic polynomial fitted "
      "to control and selection points, is 2.0 times better (2.00 px): omit --problem, "
      "--solver and --model."),
-    ("rfm-3", 4.0, 2.0, "The automatic choice, a third-order RFM fitted to control and selection "
-     "points, is 2.0 times better (2.00 px): omit --problem, --solver and --model."),
-    ("rfm-2", 4.0, 2.0, "A simpler model, a second-order RFM fitted to control and selection "
-     "points, is 2.0 times better (2.00 px).")])
+    ("rfm-3", 4.0, 2.0, f"The automatic choice, a third-order {RFM} fitted to control and "
+     "selection points, is 2.0 times better (2.00 px): omit --problem, --solver and --model."),
+    ("rfm-2", 4.0, 2.0, f"A simpler model, a second-order {RFM} fitted to control and "
+     "selection points, is 2.0 times better (2.00 px).")])
 def test_the_selection_against_the_choice_of_auto(
         name: str, mine: float, theirs: float, sentence: str) -> None:
     others = (baseline("cubic", 0.001), baseline(name, theirs))
@@ -162,19 +166,19 @@ CHOSEN = ("The automatic choice is a quadratic polynomial, with a predicted "
 
 @pytest.mark.parametrize(("others", "sentence"), [
     ((), ""),
-    ((baseline("dlt", 2.0, predicted=3.0),), " There a DLT, the best conventional model in "
+    ((baseline("dlt", 2.0, predicted=3.0),), f" There {DLT}, the best conventional model in "
      "cross-validation, has 2.00 px: 2.0 times as large."),
     # The best by leave-one-out, not by independent points; of the plain ones; not the choice.
     ((baseline("affine", 0.5, predicted=4.0), baseline("dlt", 2.0, predicted=3.0)),
-     " There a DLT, the best conventional model in cross-validation, has 2.00 px: 2.0 times as "
+     f" There {DLT}, the best conventional model in cross-validation, has 2.00 px: 2.0 times as "
      "large. At these points an affine polynomial is 2.0 "
      "times better (0.50 px), which only these points show."),
     ((baseline("dlt", 1.02, predicted=3.0), baseline("rfm-3", 0.1, predicted=0.1),
       baseline("selected", 0.1, predicted=0.1), baseline("quadratic", 0.1, predicted=0.1)),
-     " There a DLT, the best conventional model in cross-validation, has 1.02 px: no practical "
+     f" There {DLT}, the best conventional model in cross-validation, has 1.02 px: no practical "
      "difference."),
-    ((baseline("rfm-2", 0.25, predicted=3.0),), " There a second-order RFM, the best conventional "
-     "model in cross-validation, has 0.25 px: second-order RFM is better by 75 %."),
+    ((baseline("rfm-2", 0.25, predicted=3.0),), f" There a second-order {RFM}, the best "
+     "conventional model in cross-validation, has 0.25 px: second-order RFM is better by 75 %."),
     ((baseline("dlt", 2.0),), ""),
     ((baseline("quadratic", 2.0, predicted=1.0),), ""),
     ((baseline("all-terms", 2.0, predicted=1.0),), "")])
@@ -210,6 +214,6 @@ def test_without_many_check_points_both_models_are_compared_in_leave_one_out() -
     rival = baseline("dlt", None, predicted=2.0)
     text = judge_choice(candidate("quadratic"), 2.5, rmse(None), (rival,), None, held_out=2.1,
                         among=7)
-    assert text.endswith(" In leave-one-out its model has 2.10 px, and a DLT, the best "
+    assert text.endswith(f" {LEFT_OUT} its model has 2.10 px, and {DLT}, the best "
                          "conventional model, 2.00 px: no practical difference.")
     assert "2.50 px against" not in text
