@@ -109,7 +109,7 @@ def test_a_conventional_fit_that_is_not_determined_is_said_to_be() -> None:
 
 @pytest.mark.parametrize(("name", "mine", "theirs", "sentence"), [
     ("affine", 1.051, 1.0, "A simpler model, an affine polynomial fitted to control and "
-     "points, is 1.1 times better (1.00 px)."),
+     "selection points, is 1.1 times better (1.00 px)."),
     ("affine", 1.049, 1.0, "It is no better than the automatic choice, an affine polynomial fitted "
      "to control and selection points (1.00 px)."),
     ("affine", 1.0, 1.049, "It is no better than the automatic choice, an affine polynomial fitted "
