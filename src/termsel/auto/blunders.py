@@ -36,6 +36,7 @@ from termsel.adjustment.bayesian.field import GaussianProcess
 from termsel.adjustment.bayesian.held_out import chance_of
 from termsel.auto.auto import Auto
 from termsel.auto.contradictions import FALSE_ALARM, MIN_STRAIN, Division, Test, polynomial_of
+from termsel.auto.likeliest_majority import likeliest_majority
 from termsel.auto.majority import (
     ADDED_PART,
     MAX_BLUNDER_SHARE,
@@ -102,6 +103,8 @@ def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
     if by_majority is not None:
         max_share = MAX_MINORITY
         used, test = by_majority
+        # Half of the points may support a model so wrong that it predicts blunders, ever more.
+        predictable = test.strain <= MIN_STRAIN
     else:
         max_share = MAX_BLUNDER_SHARE
         # A core without blunders first, then all that it predicts: one blunder may hide another.
@@ -109,10 +112,11 @@ def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
         if core is None:
             return None
         used, test = _judge_by_field(control, *_readmit_predicted(control, *core, test_of_all))
+        predictable = everything
     while not (used.all() or test.by_field) and (
             choice := auto.choose(control.take(used), with_contained=False)):
         # Another model, such as an RFM, may predict what the polynomial of the tests does not.
-        extended = used | _features_predicted_by(choice.chosen, control.features)
+        extended = used | (predictable & _features_predicted_by(choice.chosen, control.features))
         if (extended == used).all():
             break
         used = extended
@@ -138,7 +142,7 @@ def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
     # Beyond chance, but where the prediction is too weak to accuse it.
     undecided = retained & far & ~decided
     # Who is suspected by a polynomial may be right by the geometry of the sensor.
-    cleared = _points_a_model_explains(control, auto, blunders | undecided)
+    cleared = predictable & _points_a_model_explains(control, auto, blunders | undecided)
     suspects = test.suspects(blunders & ~cleared, blunders & ~cleared & ~(far & decided),
                              undecided & ~cleared, everything)
     # A field predicts little without a point, but the polynomial judged all points before it. In
@@ -156,6 +160,11 @@ def _majority_and_test(control: FitData) -> tuple[BoolArray, Test] | None:
     None where the usual search will do: the points that agree with a majority may predict others as
     well, by more than the polynomial that found it.
     """
+    return likeliest_majority(control, _majority_of_polynomials(control))
+
+
+def _majority_of_polynomials(control: FitData) -> tuple[BoolArray, Test] | None:
+    """Return the points that agree with a polynomial, (n,), and all that these predict; or None."""
     agreeing = majority(control)
     if agreeing is None:
         return None

@@ -10,9 +10,7 @@ concentration goes on from them with the cubic terms of the plane, which cameras
 aircraft need. Their noise shows which points disagree; those that agree are the majority.
 
 An image that bends more, such as an aircraft's, leaves such noise to these polynomials that no
-point is gross next to it. From the best halves the regularised polynomial goes on, which has more
-terms: each time the points that it predicts are those of its next fit, and of all the sets of
-points that this leads to the one counts under which all points are likeliest, each right or wrong.
+point is gross next to it: `termsel.auto.likeliest_majority` goes on from the best halves.
 
 A bend of the image that a polynomial does not follow makes points disagree as well. So a majority
 is one only if the others are gross, and disagree with each other, or have one error and lie among
@@ -21,13 +19,12 @@ it: where the image bends, the errors of neighbours are alike and those of all v
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from statistics import NormalDist
 
 import numpy as np
 
-from termsel.adjustment.equations import weights_of
-from termsel.auto.contradictions import Division, Test, polynomial_of
+from termsel.auto.contradictions import Test, polynomial_of
 from termsel.data.features import BoolArray, FloatArray, IntArray, Points
 from termsel.data.fit_data import FitData
 from termsel.data.monomials import evaluate_monomials
@@ -82,19 +79,6 @@ MAX_DEVIATION = 0.25
 GROSS_STRAIN = 6.0
 """Standard deviations that the others disagree by, in the median."""
 
-NOISE_OF_CONTRADICTION = 4.0
-"""Noise of all points by that of the closest half, from which on the regularised polynomial seeks a
-majority. Of points without blunders it is between 1 and 3, where the image bends up to 7."""
-
-STARTS = 3
-"""Halves of each polynomial that the regularised one goes on from."""
-
-PREDICTED_STRAIN = 3.0
-"""Standard deviations within which the regularised polynomial takes a point into its next fit."""
-
-REGULARISED_STEPS = 12
-"""Most fits of the regularised polynomial from one half; four are usual."""
-
 
 def majority(control: FitData) -> BoolArray | None:
     """Return which points (n,) agree; None where a third or fewer disagree, or not grossly.
@@ -105,18 +89,10 @@ def majority(control: FitData) -> BoolArray | None:
     if n < MIN_SEEN_POINTS or len(control.features.lines):
         return None
     scaled = control.scaled.points
-    exponents = polynomial_of(control.heights, 2).exponents
-    design = evaluate_monomials(scaled.ground, exponents)
-    is_affine = np.array(exponents).sum(axis=1) <= 1
-    if n < POINTS_BY_TERM * len(exponents):
-        design = design[:, is_affine]
-        is_affine = is_affine[is_affine]
-    designs = [design]
-    if n >= MIN_CUBIC_POINTS:
-        designs.append(np.hstack([design, evaluate_monomials(scaled.ground, CUBIC_OF_PLANE)]))
+    designs, is_affine = designs_of(scaled.ground, heights=control.heights)
     rng = np.random.default_rng(0)  # the same points have the same blunders
     sampled = rng.permutation(n)[:MAX_SAMPLED_POINTS]
-    halves = _closest_halves([columns[sampled] for columns in designs], scaled.image[sampled],
+    halves = closest_halves([columns[sampled] for columns in designs], scaled.image[sampled],
                              is_affine, rng)
     # The fewer terms, the clearer is who disagrees.
     for columns, closest in zip(designs, halves, strict=True):
@@ -125,17 +101,22 @@ def majority(control: FitData) -> BoolArray | None:
         agreeing = _majority_over_blunders(columns, scaled, half)
         if agreeing is not None:
             return agreeing
-    if n < MIN_CUBIC_POINTS:
-        return None
-    # Do all sampled points have far more noise together than their closest half has?
-    columns = designs[-1][sampled]
-    image = scaled.image[sampled]
-    noise_of_half, _ = _noise_and_strains(columns, image, halves[-1][0])
-    noise_of_all, _ = _noise_and_strains(columns, image, np.ones(len(sampled), dtype=bool))
-    if noise_of_all <= NOISE_OF_CONTRADICTION * noise_of_half:
-        return None
-    return _regularised_majority(control, sampled,
-                                 [half for of_design in halves for half in of_design[:STARTS]])
+    return None
+
+
+def designs_of(ground: FloatArray, *, heights: bool) -> tuple[list[FloatArray], BoolArray]:
+    """Return the terms (n, k) of each polynomial, and which of the first (k,) are affine ones."""
+    n = len(ground)
+    exponents = polynomial_of(heights, 2).exponents
+    design = evaluate_monomials(ground, exponents)
+    is_affine = np.array(exponents).sum(axis=1) <= 1
+    if n < POINTS_BY_TERM * len(exponents):
+        design = design[:, is_affine]
+        is_affine = is_affine[is_affine]
+    designs = [design]
+    if n >= MIN_CUBIC_POINTS:
+        designs.append(np.hstack([design, evaluate_monomials(ground, CUBIC_OF_PLANE)]))
+    return designs, is_affine
 
 
 def _majority_over_blunders(design: FloatArray, scaled: Points,
@@ -149,36 +130,7 @@ def _majority_over_blunders(design: FloatArray, scaled: Points,
     if np.median(strains[minority]) < GROSS_STRAIN / AGREEING_STRAIN:
         return None
     errors = _residuals(design, scaled.image, agreeing)[minority]
-    return None if _may_be_bend(scaled.ground, agreeing, errors) else agreeing
-
-
-def _regularised_majority(control: FitData, sampled: IntArray,
-                          halves: Sequence[BoolArray]) -> BoolArray | None:
-    """Return which points (n,) agree under the regularised polynomial, beginning with some halves.
-
-    None where a third or fewer disagree, or not grossly. Halves are of the points that are sampled.
-    """
-    is_sampled = np.zeros(len(control), dtype=bool)
-    is_sampled[sampled] = True
-    data = control.take(is_sampled)
-    points = data.scaled.points
-    quadratic = evaluate_monomials(points.ground, polynomial_of(data.heights, 2).exponents)
-    # What errors blunders have is told by those that all points leave.
-    distances = _distances_from_fit(quadratic, points.image, np.ones(len(data), dtype=bool))
-    distances *= data.scaling.image_scale
-    # Features that are taken keep the order of all; halves have that of the sample.
-    order = np.argsort(sampled)
-    fits = [fit for half in halves for fit in _regularised_fits(data, half[order])]
-    if not fits:
-        return None
-    used, test = max(fits, key=lambda fit: _log_likelihood(fit[1], distances,
-                                                           weights_of(data.features.points)))
-    if (~used).mean() <= MAX_BLUNDER_SHARE or not is_outvoted(data, ~used, test):
-        return None
-    used_of_all = is_sampled.copy()
-    used_of_all[is_sampled] = used
-    test_of_all = Division(control, used_of_all).shrunken_test()
-    return None if test_of_all is None else test_of_all.strain <= PREDICTED_STRAIN
+    return None if may_be_bend(scaled.ground, agreeing, errors) else agreeing
 
 
 def is_outvoted(data: FitData, minority: BoolArray, test: Test) -> bool:
@@ -188,41 +140,10 @@ def is_outvoted(data: FitData, minority: BoolArray, test: Test) -> bool:
     points = data.scaled.points
     design = evaluate_monomials(points.ground, polynomial_of(data.heights, 2).exponents)
     errors = _residuals(design, points.image, ~minority)[minority]
-    return not _may_be_bend(points.ground, ~minority, errors)
+    return not may_be_bend(points.ground, ~minority, errors)
 
 
-def _regularised_fits(data: FitData, half: BoolArray) -> Iterator[tuple[BoolArray, Test]]:
-    """Yield the points of each regularised polynomial, (n,), from a half on, and its test of all.
-    """
-    used = half
-    earlier_sets = set[bytes]()
-    while used.tobytes() not in earlier_sets and len(earlier_sets) < REGULARISED_STEPS:
-        earlier_sets.add(used.tobytes())
-        test = Division(data, used).shrunken_test()
-        if test is None:
-            break
-        yield used, test
-        used = test.strain <= PREDICTED_STRAIN
-        if used.sum() < len(data) // 2:
-            used = np.zeros(len(data), dtype=bool)
-            used[np.argsort(test.strain, kind="stable")[:len(data) // 2]] = True
-
-
-def _log_likelihood(test: Test, distances: FloatArray, weights: FloatArray) -> float:
-    """Return the log-likelihood of all points, each as likely right as wrong.
-
-    A right one is predicted by the others, with the strain s and the variances u and v of both
-    coordinates: exp(-s^2) / (2 pi sqrt(u v)). The error of a wrong one is normal, with the mean
-    square of the distances (n,) that all points have from their polynomial.
-    """
-    deviations = (test.noise * test.spread)[:, None] / weights
-    mean_square = (distances**2).mean() / 2
-    right = -np.log(deviations).sum(axis=1) - test.strain**2
-    wrong = -np.log(mean_square) - distances**2 / (2 * mean_square)
-    return float(np.logaddexp(right, wrong).sum())
-
-
-def _closest_halves(designs: Sequence[FloatArray], image: FloatArray, is_affine: BoolArray,
+def closest_halves(designs: Sequence[FloatArray], image: FloatArray, is_affine: BoolArray,
                     rng: np.random.Generator) -> list[list[BoolArray]]:
     """Return for each design the halves (n,) that are found, those of least trimmed squares first.
 
@@ -272,7 +193,7 @@ def _concentrate_half(design: FloatArray, image: FloatArray,
     n = len(design)
     least = np.inf
     for _ in range(STEPS):
-        squares = _distances_from_fit(design, image, half) ** 2
+        squares = distances_from_fit(design, image, half) ** 2
         closest = np.argsort(squares, kind="stable")[:(n + 1) // 2]
         trimmed = float(squares[closest].sum())
         if trimmed >= least:
@@ -320,7 +241,7 @@ def _noise_and_strains(design: FloatArray, image: FloatArray, used: BoolArray) -
     have a noise that is uncertain: the limit is Student's, as improbable as AGREEING_STRAIN of
     normal errors.
     """
-    errors = _distances_from_fit(design, image, used)
+    errors = distances_from_fit(design, image, used)
     freedom = 2 * max(int(used.sum()) - design.shape[1], 1)
     part = float(used.mean())
     share = 1.0 if part == 1.0 else 1.0 + (1.0 - part) * np.log(1.0 - part) / part
@@ -332,7 +253,7 @@ def _noise_and_strains(design: FloatArray, image: FloatArray, used: BoolArray) -
     return noise, errors / (limit * np.maximum(noise, 1e-12) * np.sqrt(variance))
 
 
-def _distances_from_fit(design: FloatArray, image: FloatArray, used: BoolArray) -> FloatArray:
+def distances_from_fit(design: FloatArray, image: FloatArray, used: BoolArray) -> FloatArray:
     """Return the distance of each point (n,) from the polynomial of some."""
     return np.asarray(np.linalg.norm(_residuals(design, image, used), axis=1))
 
@@ -343,13 +264,14 @@ def _residuals(design: FloatArray, image: FloatArray, used: BoolArray) -> FloatA
     return np.asarray(image - design @ coefficients)
 
 
-def _may_be_bend(ground: FloatArray, agreeing: BoolArray, errors: FloatArray) -> bool:
+def may_be_bend(ground: FloatArray, agreeing: BoolArray, errors: FloatArray,
+                unlike: float = UNLIKE) -> bool:
     """Return whether the errors (m, 2) of points that disagree may be a bend of the image.
 
     Those of a bend vary, and are alike in neighbours. Blunders differ, or have one error among
     points that have none.
     """
-    if _unlike_neighbours(ground[~agreeing], errors):
+    if _unlikeness(ground[~agreeing], errors) > unlike:
         return False
     shift = errors.mean(axis=0)
     deviation = np.sqrt(((errors - shift) ** 2).sum(axis=1).mean())
@@ -371,8 +293,8 @@ def _rows_spread_over_table(rows: FloatArray) -> FloatArray:
     return rows[np.linspace(0, len(rows) - 1, min(len(rows), MAX_SAMPLED_POINTS)).astype(np.intp)]
 
 
-def _unlike_neighbours(ground: FloatArray, errors: FloatArray) -> bool:
-    """Return whether errors (n, 2) of points differ from those of their nearest neighbours.
+def _unlikeness(ground: FloatArray, errors: FloatArray) -> float:
+    """Return how much errors (n, 2) of points differ from those of their nearest neighbours.
 
     Of independent errors the squared difference is twice the square in the mean; gross ones must
     not decide alone, so that each error counts by its direction and the root of its size.
@@ -383,4 +305,4 @@ def _unlike_neighbours(ground: FloatArray, errors: FloatArray) -> bool:
     distances = np.linalg.norm(ground[:, None] - ground, axis=2)
     np.fill_diagonal(distances, np.inf)
     differences = tempered - tempered[distances.argmin(axis=1)]
-    return bool((differences ** 2).sum() > UNLIKE * 2 * (tempered ** 2).sum())
+    return float((differences**2).sum() / np.maximum(2 * (tempered**2).sum(), 1e-300))

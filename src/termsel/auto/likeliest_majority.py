@@ -1,0 +1,378 @@
+"""The half of many points that agrees best, where the image bends more than polynomials follow.
+
+An aircraft's or a panoramic image leaves such noise to the polynomials of `termsel.auto.majority`
+that blunders of some tens of pixels do not stand out, and few points have to carry all terms. So
+the points that agree are those under which all are likeliest: a right one is predicted by the other
+right ones, under a cubic polynomial whose terms are believed to be small, and the error of a wrong
+one is normal, as large as what all points together leave. From the halves of the polynomials on,
+each point goes where it is likelier, until none moves (classification EM; Celeux and Govaert 1992).
+How small terms and noise are is each time chosen by the evidence.
+
+Points without blunders disagree as well where the image bends. A majority counts only if it makes
+all points far likelier than one polynomial of all does, if the others are gross next to it, and if
+their errors differ from those of their neighbours or are one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+
+from termsel.adjustment.equations import weights_of
+from termsel.auto.contradictions import Division, Test, polynomial_of
+from termsel.auto.majority import (
+    MAX_BLUNDER_SHARE,
+    MAX_SAMPLED_POINTS,
+    MIN_POINTS,
+    closest_halves,
+    designs_of,
+    distances_from_fit,
+    may_be_bend,
+)
+from termsel.data.features import BoolArray, FloatArray
+from termsel.data.fit_data import FitData
+from termsel.data.monomials import evaluate_monomials
+
+Majority: TypeAlias = tuple[BoolArray, Test]
+"""Points (n,) that agree, and what they predict for all."""
+
+FIRST_STARTS = 3
+"""Halves of each polynomial that are climbed from at first."""
+
+REFINED = 4
+"""Sets climbed to that the regularised polynomial of all solutions judges."""
+
+SAMPLES = 4000
+SAMPLE_SIZE = 10
+"""Random samples under each scale of terms, and their size: of points half of which are wrong, four
+samples of 4,000 have none."""
+
+SAMPLED_SCALES = (1, 4, 7)
+SAMPLED_NOISE = 4
+"""Numbers of the scales and of the noise of samples."""
+
+SAMPLED_STARTS = 12
+"""Samples of each scale that are climbed from."""
+
+CLIMBED_STEPS = 12
+"""Most steps of a climb; five are usual."""
+
+NOISES = 2.0 ** -np.arange(9)
+"""Noise of right points, by the distances that all points have from their quadratic polynomial."""
+
+TERM_SCALES = tuple((quadratic, quadratic * cubic) for quadratic in (0.003, 0.01, 0.03, 0.1)
+                    for cubic in (1.0, 0.3, 0.1))
+"""Standard deviations of quadratic and cubic coefficients of scaled coordinates."""
+
+AFFINE_SCALE = 10.0
+"""Standard deviation of the others, which nothing is believed of."""
+
+MIN_GAIN = 0.5
+"""Gain of the log-likelihood for each point, next to a polynomial of all, from which on a majority
+counts. Of scenes without blunders whose errors are no bend it is up to 0.47."""
+
+MIN_SEEN_GAIN = 0.3
+"""Such a gain by one solution, from which on further starts and all solutions are asked: that takes
+longer."""
+
+UNLIKE_AT_FIRST = 0.2
+"""Difference of the errors of neighbours, as UNLIKE, from which on they are."""
+
+CLEAR_GAIN = 1.8
+"""Gain of the first starts, from which on further ones would find the same."""
+
+GROSS_STRAIN = 5.0
+"""Standard deviations that the others disagree by, in the median."""
+
+UNLIKE = 0.5
+"""Squared difference of the errors of neighbours, by that of independent errors, from which on they
+are no bend. Of bends that pass all else it is at most 0.4."""
+
+PREDICTED_STRAIN = 3.0
+"""Standard deviations within which the regularised polynomial takes a point into its next fit."""
+
+REGULARISED_STEPS = 12
+"""Most fits of the regularised polynomial from one set; four are usual."""
+
+
+@dataclass(frozen=True, eq=False)
+class SetsJudged:
+    """What sets of points make of all points, by their likeliest solutions."""
+
+    log_likelihood: FloatArray  # (m,)
+    log_odds: FloatArray  # (m, n): of each point, right by wrong
+    errors: FloatArray  # (m, n, 2): from what the others of the set predict, scaled
+    variances: FloatArray  # (m, n): of these errors
+
+
+@dataclass(frozen=True, eq=False)
+class Likelihoods:
+    """All that the likelihood of points needs of them."""
+
+    design: FloatArray  # (n, k)
+    powers: FloatArray  # (k,): total powers of the terms
+    image: FloatArray  # (n, 2), scaled
+    distances: FloatArray  # (n,): from the quadratic polynomial of all points, scaled
+
+    @cached_property
+    def scales(self) -> FloatArray:
+        """Standard deviations of the coefficients, (s, k)."""
+        return np.array([np.where(self.powers <= 1, AFFINE_SCALE,
+                                  np.where(self.powers == 2, quadratic, cubic))
+                         for quadratic, cubic in TERM_SCALES])
+
+    @cached_property
+    def mean_square(self) -> float:
+        """Of the distances, for each coordinate."""
+        return float((self.distances**2).mean()) / 2
+
+    @cached_property
+    def noises(self) -> FloatArray:
+        """Noise of right points, (q,)."""
+        return np.asarray(np.sqrt(self.mean_square) * NOISES)
+
+    @cached_property
+    def log_wrong(self) -> FloatArray:
+        """Density of the error of a wrong point, (n,)."""
+        return np.asarray(-np.log(2 * np.pi * self.mean_square)
+                          - self.distances**2 / (2 * self.mean_square))
+
+    def judge(self, sets: BoolArray) -> SetsJudged:
+        """Return what sets (m, n) make of all points.
+
+        With the scales S of the coefficients, the design A of the set and its image b, the columns
+        of V and the values w are those of S A'A S; z = V' S A'b. A noise s^2 then has the
+        coefficients S V z / (w + s^2), and the evidence is that of b as normal with the variance
+        A S^2 A' + s^2.
+        """
+        count, n = sets.shape
+        k = self.design.shape[1]
+        used = sets.astype(float)
+        products = (self.design[:, :, None] * self.design[:, None, :]).reshape(n, k * k)
+        gram = (used @ products).reshape(count, 1, k, k)
+        values, vectors = np.linalg.eigh(
+            gram * self.scales[:, :, None] * self.scales[:, None, :])         # (m, s, k), (.., k)
+        values = np.maximum(values, 0.0)
+        right_side = np.stack([(used * self.image[:, axis]) @ self.design for axis in (0, 1)], 2)
+        z = vectors.transpose(0, 1, 3, 2) @ (self.scales[:, :, None] * right_side[:, None])
+        squares = used @ (self.image**2).sum(axis=1)
+        scale, noise = self._likeliest(values, z, squares, used.sum(axis=1))
+
+        rows = np.arange(count)
+        vectors = self.scales[scale][:, :, None] * vectors[rows, scale]       # S V
+        variance = self.noises[noise]**2
+        inverse = 1.0 / (values[rows, scale] + variance[:, None])             # (m, k)
+        coefficients = vectors @ (z[rows, scale] * inverse[:, :, None])
+        errors = self.image - self.design @ coefficients
+        leverage = ((self.design @ vectors)**2 * inverse[:, None, :]).sum(axis=2)
+        # A point of the set is predicted by the others of it: r / (1 - h), with s^2 / (1 - h).
+        redundancy = np.maximum(1.0 - leverage, 1e-6)
+        errors = np.where(sets[:, :, None], errors / redundancy[:, :, None], errors)
+        variances = variance[:, None] * np.where(sets, 1.0 / redundancy, 1.0 + leverage)
+        log_right = (-np.log(2 * np.pi * variances) - (errors**2).sum(axis=2) / (2 * variances))
+        return SetsJudged(np.logaddexp(log_right, self.log_wrong).sum(axis=1),
+                          log_right - self.log_wrong, errors, variances)
+
+    def _likeliest(self, values: FloatArray, z: FloatArray, squares: FloatArray,
+                   points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the numbers of the scales and of the noise with the largest evidence, (m,) each.
+        """
+        variance = self.noises**2
+        sums = values[..., None] + variance                                   # (m, s, k, q)
+        points = points[:, None, None]
+        log_determinant = (np.log(sums / variance).sum(axis=2)
+                           + points * np.log(2 * np.pi * variance))
+        explained = ((z**2).sum(axis=3)[..., None] / sums).sum(axis=2)
+        quadratic_form = (squares[:, None, None] - explained) / variance
+        # Twice the logarithm of the determinant's root: line and sample have one each.
+        evidence = -log_determinant - quadratic_form / 2
+        best = evidence.reshape(len(evidence), -1).argmax(axis=1)
+        return np.divmod(best, len(variance))
+
+    def climb(self, sets: BoolArray) -> list[tuple[float, BoolArray]]:
+        """Return log-likelihoods and sets (n,) that these (m, n) lead to, the likeliest first."""
+        reached: dict[bytes, tuple[float, BoolArray]] = {}
+        for _ in range(CLIMBED_STEPS):
+            new = {each.tobytes(): each for each in sets if each.tobytes() not in reached}
+            if not new:
+                break
+            sets = np.array(list(new.values()))
+            judged = self.judge(sets)
+            for each, likelihood in zip(sets, judged.log_likelihood, strict=True):
+                reached[each.tobytes()] = float(likelihood), each
+            sets = likelier_right(judged.log_odds)
+        return sorted(reached.values(), key=lambda found: -found[0])
+
+    def sampled(self, rng: np.random.Generator) -> BoolArray:
+        """Return sets (m, n) of the points that the best random samples make likelier right.
+
+        A sample predicts all others as a random field of these terms does, so that it says little
+        of places far from it.
+        """
+        n = len(self.design)
+        samples = np.argpartition(rng.random((SAMPLES, n)), SAMPLE_SIZE, axis=1)[:, :SAMPLE_SIZE]
+        variance = self.noises[SAMPLED_NOISE]**2
+        sets = []
+        for scales in self.scales[list(SAMPLED_SCALES)]:
+            covariance = (self.design * scales**2) @ self.design.T
+            within = covariance[samples[:, :, None], samples[:, None, :]]
+            to_all = covariance[samples]                                      # (m, size, n)
+            weights = np.linalg.solve(within + variance * np.eye(SAMPLE_SIZE), to_all)
+            predicted = weights.transpose(0, 2, 1) @ self.image[samples]
+            variances = np.diag(covariance) - (to_all * weights).sum(axis=1) + variance
+            squares = ((self.image - predicted)**2).sum(axis=2)
+            log_odds = (-np.log(2 * np.pi * variances) - squares / (2 * variances)
+                        - self.log_wrong)
+            # What a sample predicts of itself says nothing.
+            np.put_along_axis(log_odds, samples, 0.0, axis=1)
+            best = np.argsort(-np.logaddexp(log_odds, 0.0).sum(axis=1),
+                              kind="stable")[:SAMPLED_STARTS]
+            odds_of_best = log_odds[best]
+            np.put_along_axis(odds_of_best, samples[best], np.inf, axis=1)
+            sets.append(likelier_right(odds_of_best))
+        return np.concatenate(sets)
+
+    def is_contradicted(self, used: BoolArray) -> bool:
+        """Return whether more than a third of the points are gross next to a set (n,), and no bend.
+        """
+        if (~used).mean() <= MAX_BLUNDER_SHARE:
+            return False
+        judged = self.judge(used[None])
+        squares = (judged.errors[0, ~used]**2).sum(axis=1)
+        strains = np.sqrt(squares / 2 / judged.variances[0, ~used])
+        return bool(np.median(strains) >= GROSS_STRAIN) and not self.may_be_bend(used, UNLIKE)
+
+    def may_be_bend(self, used: BoolArray, unlike: float) -> bool:
+        """Return whether the errors of the points beyond a set (n,) may be a bend of the image."""
+        # The second and third term are the scaled coordinates of the plane.
+        return may_be_bend(self.design[:, 1:3], used, self.judge(used[None]).errors[0, ~used],
+                           unlike)
+
+
+def likelier_right(log_odds: FloatArray) -> BoolArray:
+    """Return the points (m, n) that are likelier right than wrong; at least half of the n are."""
+    rank = np.argsort(np.argsort(-log_odds, axis=1, kind="stable"), axis=1)
+    return np.asarray((log_odds > 0) | (rank < log_odds.shape[1] // 2))
+
+
+def likeliest_majority(control: FitData, of_polynomials: Majority | None) -> Majority | None:
+    """Return the points (n,) under which all are likeliest, and their test of all points.
+
+    That of polynomials, if there is one, where none is likelier. None where a third or fewer
+    disagree, or not grossly, or all agree about as well; for fewer than MIN_POINTS; and for lines.
+    """
+    n = len(control)
+    if n < MIN_POINTS or len(control.features.lines):
+        return of_polynomials
+    if n <= MAX_SAMPLED_POINTS:
+        return _likeliest_of(control, of_polynomials)
+    if of_polynomials is not None:
+        return of_polynomials
+    is_sampled = np.zeros(n, dtype=bool)
+    is_sampled[np.random.default_rng(0).permutation(n)[:MAX_SAMPLED_POINTS]] = True
+    of_sample = _likeliest_of(control.take(is_sampled), None)
+    if of_sample is None:
+        return None
+    is_sampled[is_sampled] = of_sample[0]
+    test = Division(control, is_sampled).shrunken_test()
+    if test is None:
+        return None
+    used = test.strain <= PREDICTED_STRAIN
+    test = Division(control, used).shrunken_test()
+    return None if test is None else (used, test)
+
+
+def _likeliest_of(data: FitData, of_polynomials: Majority | None) -> Majority | None:
+    """Return the likeliest majority of not too many points; that of polynomials if none is."""
+    n = len(data)
+    points = data.scaled.points
+    everything = np.ones(n, dtype=bool)
+    designs, is_affine = designs_of(points.ground, heights=data.heights)
+    distances = distances_from_fit(designs[0], points.image, everything)
+    if not distances.any():
+        return of_polynomials
+    exponents = polynomial_of(data.heights, 3).exponents
+    likelihoods = Likelihoods(evaluate_monomials(points.ground, exponents),
+                              np.array(exponents).sum(axis=1), points.image, distances)
+    rng = np.random.default_rng(0)  # the same points have the same majority
+    halves = closest_halves(designs, points.image, is_affine, rng)
+    of_all = float(likelihoods.judge(everything[None]).log_likelihood[0])
+    least = of_all + MIN_SEEN_GAIN * n
+    reached = likelihoods.climb(np.array([half for of_design in halves
+                                          for half in of_design[:FIRST_STARTS]]))
+    # Most points without blunders end here.
+    if not any(likelihood > least and not likelihoods.may_be_bend(used, UNLIKE_AT_FIRST)
+               for likelihood, used in reached[:REFINED]):
+        return of_polynomials
+    likelihood, used = reached[0]
+    if likelihood - of_all < CLEAR_GAIN * n or not likelihoods.is_contradicted(used):
+        starts = [half for of_design in halves for half in of_design]
+        reached = likelihoods.climb(np.concatenate([starts, likelihoods.sampled(rng)]))
+    return _likeliest_fit(data, likelihoods, [used for likelihood, used in reached[:REFINED]
+                                              if likelihood > least], of_polynomials)
+
+
+def _likeliest_fit(data: FitData, likelihoods: Likelihoods, sets: Sequence[BoolArray],
+                   of_polynomials: Majority | None) -> Majority | None:
+    """Return the likeliest points (n,) under the regularised polynomial, from some sets on.
+
+    With their test. Where all points are about as likely under one polynomial, and where none is
+    likelier, the majority of polynomials.
+    """
+    distances = likelihoods.distances * data.scaling.image_scale
+    weights = weights_of(data.features.points)
+
+    def likelihood(fit: Majority) -> float:
+        return _log_likelihood(fit[1], distances, weights)
+
+    everything = np.ones(len(data), dtype=bool)
+    test_of_all = Division(data, everything).shrunken_test()
+    fits = {used.tobytes(): (used, test) for start in sets
+            for used, test in _regularised_fits(data, start)}
+    if not fits or test_of_all is None:
+        return of_polynomials
+    used, test = max(fits.values(), key=likelihood)
+    gain = likelihood((used, test)) - likelihood((everything, test_of_all))
+    if gain < MIN_GAIN * len(data) or not likelihoods.is_contradicted(used):
+        return of_polynomials
+    # The likeliest are chosen for agreeing, and some that they predict are not among them.
+    used = used | (test.strain <= PREDICTED_STRAIN)
+    test = Division(data, used).shrunken_test() or test
+    if of_polynomials is not None and likelihood(of_polynomials) >= likelihood((used, test)):
+        return of_polynomials
+    return used, test
+
+
+def _regularised_fits(data: FitData, start: BoolArray) -> list[Majority]:
+    """Return the points of each regularised polynomial, (n,), from some on, and its test of all.
+    """
+    fits: dict[bytes, Majority] = {}
+    used = start
+    while used.tobytes() not in fits and len(fits) < REGULARISED_STEPS:
+        test = Division(data, used).shrunken_test()
+        if test is None:
+            break
+        fits[used.tobytes()] = used, test
+        used = test.strain <= PREDICTED_STRAIN
+        if used.sum() < len(data) // 2:
+            used = np.zeros(len(data), dtype=bool)
+            used[np.argsort(test.strain, kind="stable")[:len(data) // 2]] = True
+    return list(fits.values())
+
+
+def _log_likelihood(test: Test, distances: FloatArray, weights: FloatArray) -> float:
+    """Return the log-likelihood of all points, each as likely right as wrong.
+
+    A right one is predicted by the others, with the strain s and the variances u and v of both
+    coordinates: exp(-s^2) / (2 pi sqrt(u v)). The error of a wrong one is normal, with the mean
+    square of the distances (n,) that all points have from their polynomial.
+    """
+    deviations = (test.noise * test.spread)[:, None] / weights
+    mean_square = (distances**2).mean() / 2
+    right = -np.log(deviations).sum(axis=1) - test.strain**2
+    wrong = -np.log(mean_square) - distances**2 / (2 * mean_square)
+    return float(np.logaddexp(right, wrong).sum())
