@@ -40,6 +40,9 @@ from termsel.data.monomials import evaluate_monomials
 Majority: TypeAlias = tuple[BoolArray, Test]
 """Points (n,) that agree, and what they predict for all."""
 
+LEAST_DISTANCE = 1e-6
+"""Distances of scaled coordinates below which rounding shows in variances."""
+
 FIRST_STARTS = 3
 """Halves of each polynomial that are climbed from at first."""
 
@@ -80,7 +83,7 @@ MIN_SEEN_GAIN = 0.3
 longer."""
 
 UNLIKE_AT_FIRST = 0.2
-"""Difference of the errors of neighbours, as UNLIKE, from which on they are."""
+"""Difference of the errors of neighbours, as CLEARLY_UNLIKE, from which on they are."""
 
 CLEAR_GAIN = 1.8
 """Gain of the first starts, from which on further ones would find the same."""
@@ -88,7 +91,7 @@ CLEAR_GAIN = 1.8
 GROSS_STRAIN = 5.0
 """Standard deviations that the others disagree by, in the median."""
 
-UNLIKE = 0.5
+CLEARLY_UNLIKE = 0.5
 """Squared difference of the errors of neighbours, by that of independent errors, from which on they
 are no bend. Of bends that pass all else it is at most 0.4."""
 
@@ -137,7 +140,7 @@ class Likelihoods:
 
     @cached_property
     def log_wrong(self) -> FloatArray:
-        """Density of the error of a wrong point, (n,)."""
+        """Density of the error of a blunder, (n,)."""
         return np.asarray(-np.log(2 * np.pi * self.mean_square)
                           - self.distances**2 / (2 * self.mean_square))
 
@@ -223,7 +226,8 @@ class Likelihoods:
             to_all = covariance[samples]                                      # (m, size, n)
             weights = np.linalg.solve(within + variance * np.eye(SAMPLE_SIZE), to_all)
             predicted = weights.transpose(0, 2, 1) @ self.image[samples]
-            variances = np.diag(covariance) - (to_all * weights).sum(axis=1) + variance
+            explained = (to_all * weights).sum(axis=1)
+            variances = np.maximum(np.diag(covariance) - explained, 0.0) + variance
             squares = ((self.image - predicted)**2).sum(axis=2)
             log_odds = (-np.log(2 * np.pi * variances) - squares / (2 * variances)
                         - self.log_wrong)
@@ -244,7 +248,8 @@ class Likelihoods:
         judged = self.judge(used[None])
         squares = (judged.errors[0, ~used]**2).sum(axis=1)
         strains = np.sqrt(squares / 2 / judged.variances[0, ~used])
-        return bool(np.median(strains) >= GROSS_STRAIN) and not self.may_be_bend(used, UNLIKE)
+        are_gross = bool(np.median(strains) >= GROSS_STRAIN)
+        return are_gross and not self.may_be_bend(used, CLEARLY_UNLIKE)
 
     def may_be_bend(self, used: BoolArray, unlike: float) -> bool:
         """Return whether the errors of the points beyond a set (n,) may be a bend of the image."""
@@ -293,7 +298,7 @@ def _likeliest_of(data: FitData, of_polynomials: Majority | None) -> Majority | 
     everything = np.ones(n, dtype=bool)
     designs, is_affine = designs_of(points.ground, heights=data.heights)
     distances = distances_from_fit(designs[0], points.image, everything)
-    if not distances.any():
+    if distances.max() < LEAST_DISTANCE:
         return of_polynomials
     exponents = polynomial_of(data.heights, 3).exponents
     likelihoods = Likelihoods(evaluate_monomials(points.ground, exponents),
