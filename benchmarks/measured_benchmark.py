@@ -102,7 +102,8 @@ common as well."""
 
 def _highest_factor(scored: Sequence[Score], best: dict[str, float]) -> str:
     """Return what factor over the rivals a choice in hindsight has, and what three would take."""
-    near = Counter(each.method.title for each in scored if ratio(each, best) <= NEAR)
+    near = Counter(each.method.title for each in scored
+                   if ratio_to_best(each, best) <= NEAR)
     del near[AUTO.title]
     rival, of_rival = near.most_common(1)[0]
     sets = len(best)
