@@ -92,7 +92,8 @@ def section(case: Case) -> list[str]:
     everything = independent(task, np.ones(case.n, dtype=bool))
     lines = [f"## {case.title}", "",
              f"{proof.certificate['of']:,} selections, proven in {seconds:.1f} s of processor "
-             f"time: {optimum:.4f} px. On the", f"independent points the optimum has {own:.3f} px, "
+             f"time: {optimum:.4f} px. On the",
+             f"independent check points the optimum has {own:.3f} px, "
              f"and the model of all candidates {everything:.3f} px.",
              "", "| solver | optimum reached | median gap [%] | worst gap [%] | independent [px] |",
              "|---|---:|---:|---:|---:|"]
@@ -127,8 +128,8 @@ def page() -> str:
     lines = ["# Control features: searches and the proven optimum", "",
              f"Made by `python -m benchmarks.control_features --write`: {SEEDS} seeds, "
              f"{EVALUATIONS:,} evaluations each. The",
-             "scenes are simulated, with 24 check points and 200 independent points; `rpc-gcps` "
-             "has its own. The gap is that of the check",
+             "scenes are simulated, with 24 selection points and 200 independent check points; "
+             "`rpc-gcps` has its own. The gap is that of the check",
              "RMSE to the optimum that `exact` proves over all selections ([how]"
              "(../explanation/searching.md#exact-features)).",
              "The independent RMSE is the median over the seeds. **A search minimises the check "
