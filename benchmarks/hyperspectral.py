@@ -23,7 +23,7 @@ from termsel.core.threads import one_blas_thread
 from termsel.data.features import FloatArray
 from termsel.formats.rpc_files import rpc_items
 from termsel.testing import invoke
-from termsel_match.simulated.world import CRS, World
+from termsel_match.simulated.world import WORLD_CRS, World
 from termsel_match.simulated.world_files import write_world
 
 SIZE, SEED, OFF = 420, 4, 12.0
@@ -77,7 +77,7 @@ def heights_at(dem: Path, lonlat: FloatArray) -> FloatArray:
     """Return heights of the DEM (n,) at longitudes and latitudes."""
     from pyproj import Transformer
 
-    x, y = Transformer.from_crs("EPSG:4326", CRS, always_xy=True).transform(*lonlat.T)
+    x, y = Transformer.from_crs("EPSG:4326", WORLD_CRS, always_xy=True).transform(*lonlat.T)
     with rasterio.open(dem) as raster:
         sample, line = ~raster.transform @ (np.asarray(x), np.asarray(y))
         heights = raster.read(1).astype(np.float64)
@@ -165,7 +165,7 @@ def to_degrees(ground: FloatArray) -> FloatArray:
     """Return longitude, latitude and height of places in the plane."""
     from pyproj import Transformer
 
-    lon, lat = Transformer.from_crs(CRS, "EPSG:4326", always_xy=True).transform(*ground.T[:2])
+    lon, lat = Transformer.from_crs(WORLD_CRS, "EPSG:4326", always_xy=True).transform(*ground.T[:2])
     return np.column_stack([lon, lat, ground[:, 2]])
 
 

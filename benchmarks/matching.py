@@ -28,7 +28,7 @@ from termsel_match.images.starts import Start
 from termsel_match.judgement.selection import select_points, with_lines
 from termsel_match.lines.rounds import are_bands_in_place, iterate_lines
 from termsel_match.points.candidates import match_points
-from termsel_match.simulated.world import CRS, World
+from termsel_match.simulated.world import WORLD_CRS, World
 from termsel_match.simulated.world_files import write_world
 
 PAGE = Path(__file__).parents[1] / "docs/evidence/matching.md"
@@ -87,7 +87,7 @@ def iterative(features: FeatureSet, rpc: str) -> termsel.Fit:
 def _geographic(plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     from pyproj import Transformer
 
-    lon, lat = Transformer.from_crs(CRS, "EPSG:4326", always_xy=True).transform(*plane.T)
+    lon, lat = Transformer.from_crs(WORLD_CRS, "EPSG:4326", always_xy=True).transform(*plane.T)
     return np.asarray(lon), np.asarray(lat)
 
 
@@ -136,9 +136,10 @@ def scene(seed: int, size: int, keep: Path) -> dict[str, float]:
             both = with_lines(best, lines.features)
             found["points and lines"] = error(both.result)
     # The last check of the rounds: with a model that is right, and with one that is wrong.
-    right_model = fitted(true, CRS, rpc)
+    right_model = fitted(true, WORLD_CRS, rpc)
     for name, off in (("in place", 0.0), ("elsewhere", WRONG)):
-        at = Start("a model", CRS, 520.0, lambda ground, off=off: right_model.project(ground) + off,
+        at = Start("a model", WORLD_CRS, 520.0, lambda ground,
+                   off=off: right_model.project(ground) + off,
                    lambda seen, heights, off=off: right_model.locate(seen - off, heights))
         found[name] = float(are_bands_in_place(image, roads, at, dem=dem, search=60.0).mean())
     return found

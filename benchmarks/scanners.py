@@ -22,7 +22,7 @@ from termsel.data.features import FeatureSet
 from termsel.data.fit_data import FitData
 from termsel.runs.request import auto_of_all
 from termsel_bench.scenes.cameras import ALL_KINDS, CHOSEN, FRESH, Ranges, image_of
-from termsel_cameras.scanners.photos import CANDIDATES as CAMERAS
+from termsel_cameras.scanners.photos import PHOTO_METHODS as CAMERAS
 
 COUNTS = (6, 8, 12, 16)
 INDEPENDENT = 100

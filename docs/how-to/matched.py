@@ -17,7 +17,7 @@ import termsel
 from termsel import FeatureSet
 from termsel_match.judgement.selection import select_points
 from termsel_match.points.candidates import match_points
-from termsel_match.simulated.world import CRS, World
+from termsel_match.simulated.world import WORLD_CRS, World
 from termsel_match.simulated.world_files import write_world
 
 PICTURE = Path(__file__).parents[1] / "_static/matched.png"
@@ -36,9 +36,9 @@ def main() -> None:
         found = match_points(place / "image.tif", place / "ortho.tif", dem=place / "dem.tif")
         features = FeatureSet(found.points, crs=found.crs, image_size=found.image_size)
         selected = select_points(features, "rpc-drift", {"rpc": str(place / "image.RPB")})
-        with termsel.open_dem(place / "dem.tif", CRS) as dem:
+        with termsel.open_dem(place / "dem.tif", WORLD_CRS) as dem:
             roads = [np.column_stack([dense, dem(dense)]) for dense in map(_dense, world.vectors())]
-        to_wgs84 = Transformer.from_crs(CRS, "EPSG:4326", always_xy=True)
+        to_wgs84 = Transformer.from_crs(WORLD_CRS, "EPSG:4326", always_xy=True)
 
         def delivered(ground: np.ndarray) -> np.ndarray:
             lon, lat = to_wgs84.transform(ground[:, 0], ground[:, 1])

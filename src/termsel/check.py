@@ -24,10 +24,11 @@ from operator import mul
 from pathlib import Path
 from typing import Any
 
-__all__ = ["SCHEMA", "UPPER", "Axis", "Node", "Refused", "check", "checksum", "is_certificate",
+__all__ = ["CERTIFICATE_SCHEMA", "UPPER", "Axis", "Node", "Refused", "check", "checksum",
+           "is_certificate",
            "main", "require_together"]
 
-SCHEMA = "termsel-certificate-2"
+CERTIFICATE_SCHEMA = "termsel-certificate-2"
 _ONE = 1 << 256  # the quadratic form is in units of its inverse
 _PLACES = 128  # binary places of what is eliminated
 UPPER = 1 << 64  # limits are in units of its inverse
@@ -72,7 +73,8 @@ def check(path: str | Path) -> tuple[list[str], int]:
         raise Refused(f"cannot be read ({error.strerror})") from error
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, ZeroDivisionError,
             OverflowError, RecursionError) as error:
-        raise Refused(f"is not a certificate of the form {SCHEMA} ({error!r:.80})") from error
+        raise Refused(f"is not a certificate of the form {CERTIFICATE_SCHEMA} "
+                      f"({error!r:.80})") from error
 
 
 def _read_certificate(path: Path) -> bytes:
@@ -98,8 +100,9 @@ def is_certificate(path: str | Path) -> bool:
 def _proven_lines(content: Any) -> tuple[list[str], int]:
     """Return the lines that say what a certificate proves, and how many selections stay open."""
     stated = content.pop("sha256")
-    if content["schema"] != SCHEMA:
-        raise Refused(f"it is a {content['schema']!r:.40}, not a {SCHEMA}; write it again")
+    if content["schema"] != CERTIFICATE_SCHEMA:
+        raise Refused(f"it is a {content['schema']!r:.40}, not a {CERTIFICATE_SCHEMA}; write it "
+                      "again")
     if stated != checksum(content):
         raise Refused("the checksum is not that of the content; write it again")
     axes = [Axis(axis_content) for axis_content in content["axes"]]

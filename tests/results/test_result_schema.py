@@ -12,7 +12,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 import termsel
-from termsel.data.record.record import SCHEMA
+from termsel.data.record.record import RESULT_SCHEMA
 from termsel.data.record.schema import json_schema
 
 Record = dict[str, Any]
@@ -69,7 +69,7 @@ def record() -> Record:
 
 def test_schema_is_a_schema() -> None:
     Draft202012Validator.check_schema(SCHEMA_FILE)
-    assert SCHEMA_FILE["properties"]["schema"]["enum"] == [SCHEMA_FILE["$id"]] == [SCHEMA]
+    assert SCHEMA_FILE["properties"]["schema"]["enum"] == [SCHEMA_FILE["$id"]] == [RESULT_SCHEMA]
 
 
 def test_every_key_has_a_description() -> None:

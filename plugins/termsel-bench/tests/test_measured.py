@@ -94,7 +94,7 @@ def test_a_search_of_terms_makes_check_points_where_there_are_no_roles() -> None
 def test_a_method_is_told_the_focal_length_of_a_photo() -> None:
     photo = read_measured_set("measured-photo-001")
     seen, _hidden = photo.trial(0)
-    assert set(seen.points.attributes[suite.FOCAL]) == {"3131.847740584272"}
+    assert set(seen.points.attributes[suite.FOCAL_COLUMN]) == {"3131.847740584272"}
     assert photo.features.image_size == (1407, 1500)
     with pytest.raises(TermselError, match="the set states none"):
         Method("peer", "opencv").positions(read_measured_set("measured-map-001").features,

@@ -16,8 +16,8 @@ pytest.importorskip("termsel_cameras", reason="termsel-cameras is not installed:
 import termsel
 from termsel import FeatureSet, Points
 from termsel.testing import checks
-from termsel_cameras import Frame
-from termsel_cameras.scanners.photos import CANDIDATES
+from termsel_cameras import FrameCamera
+from termsel_cameras.scanners.photos import PHOTO_METHODS
 
 HIGH, FOCAL = 3000.0, 6000.0
 
@@ -63,7 +63,7 @@ def test_few_points_of_a_photo_are_enough(kind: str) -> None:
     assert 0.3 < rmse(fitted, scene) / np.sqrt((sigma**2).sum(axis=1).mean()) < 3.0
     assert fitted.adjustment.converged
     assert fitted.adjustment.steps
-    for camera in CANDIDATES:
+    for camera in PHOTO_METHODS:
         if camera.name == f"{kind}-camera":
             assert "converged" in camera.describe(fitted)
         else:
@@ -116,10 +116,10 @@ def test_one_blunder_hardly_moves_a_robust_fit() -> None:
     image = scene.points.image.copy()
     image[3] += 60.0
     bad = replace(scene, points=replace(scene.points, image=image))
-    assert rmse(termsel.fit(bad, Frame()), scene) < 30.0
+    assert rmse(termsel.fit(bad, FrameCamera()), scene) < 30.0
 
 
-@pytest.mark.parametrize("candidate", CANDIDATES, ids=lambda one: one.name)
+@pytest.mark.parametrize("candidate", PHOTO_METHODS, ids=lambda one: one.name)
 def test_candidates_keep_the_rules(candidate: termsel.Method) -> None:
     kind = candidate.name.partition("-")[0]
     for check in checks(candidate, features=[photo(kind, 10), photo("frame", 3)]):
@@ -169,7 +169,7 @@ def oblique(seed: int, count: int = 8) -> tuple[FeatureSet, FloatArray, FloatArr
 
 
 def test_a_camera_that_points_name_may_look_towards_the_horizon() -> None:
-    frame, errors = CANDIDATES[0], []
+    frame, errors = PHOTO_METHODS[0], []
     for seed in range(4):
         control, ground, image = oblique(seed)
         assert not frame.tried(termsel.FitData.of(control))  # nobody says that it is a photo

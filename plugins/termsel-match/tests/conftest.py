@@ -18,7 +18,7 @@ from pyproj import Transformer
 
 from termsel import Points, TermselError
 from termsel.testing import invoke
-from termsel_match.simulated.world import CRS, World
+from termsel_match.simulated.world import WORLD_CRS, World
 from termsel_match.simulated.world_files import write_world
 
 
@@ -38,7 +38,7 @@ class Place:
         return np.asarray(np.linalg.norm(points.image - self.world.camera.project(lonlat), axis=1))
 
     @staticmethod
-    def geographic(ground: NDArray[np.float64], crs: str = CRS) -> NDArray[np.float64]:
+    def geographic(ground: NDArray[np.float64], crs: str = WORLD_CRS) -> NDArray[np.float64]:
         """Return places in longitude, latitude and height."""
         to_wgs84 = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
         return np.column_stack([*to_wgs84.transform(ground[:, 0], ground[:, 1]), ground[:, 2]])

@@ -15,7 +15,7 @@ pytest.importorskip("termsel_match", reason="termsel-match is not installed: "
 
 from termsel import read_result, write_points_csv
 from termsel_match.points.calibration import calibrate_deviations, smooth_part
-from termsel_match.simulated.world import CRS, World
+from termsel_match.simulated.world import WORLD_CRS, World
 from termsel_match.simulated.world_files import write_world
 
 
@@ -70,9 +70,9 @@ def test_ties_of_a_triplet_hold_a_block(views: tuple[Path, dict[str, View]], say
     control = worlds["A"].independent(12)
     noise = np.random.default_rng(0).normal(0, 0.3, control.image.shape)
     points = type(control)(control.ids, control.image + noise, control.ground)
-    write_points_csv(points, folder / "control.csv", CRS)
+    write_points_csv(points, folder / "control.csv", WORLD_CRS)
     (folder / "block.toml").write_text(
-        f'crs = "{CRS}"\nties = "ties.csv"\ndem = "dem.tif"\n'
+        f'crs = "{WORLD_CRS}"\nties = "ties.csv"\ndem = "dem.tif"\n'
         + "".join(f'[[image]]\nname = "{name}"\nimage = "{name}.tif"\nmodel = "shift"\n'
                   + ('points = "control.csv"\n' if name == "A" else "") for name in "ABC"))
     code, text = says("block", folder / "block.toml", "--out", folder / "adjusted")

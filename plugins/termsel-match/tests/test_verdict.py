@@ -33,9 +33,9 @@ from termsel_match.judgement.evidence import (
     unsupported_share,
 )
 from termsel_match.judgement.repeats import repetition_distance
-from termsel_match.judgement.selection import Selected, _rms_at_unused, select_points
+from termsel_match.judgement.selection import SelectedCandidates, _rms_at_unused, select_points
 from termsel_match.judgement.verdict import reasons_to_reject
-from termsel_match.simulated.world import CRS, World
+from termsel_match.simulated.world import WORLD_CRS, World
 from termsel_match.simulated.world_files import write_world
 
 SIZE = (1000, 1000)
@@ -74,7 +74,7 @@ def test_the_limit_does_not_grow_with_a_fault_of_the_reference(place: Any) -> No
 
 
 @pytest.fixture(scope="module")
-def straight(place: Any) -> Selected:
+def straight(place: Any) -> SelectedCandidates:
     """Return the selection of places without a seam."""
     return select_points(measured(place), "rpc-drift", {"rpc": str(place / "image.RPB")})
 
@@ -86,7 +86,8 @@ def test_a_smooth_correction_that_follows_a_seam_is_remarked(
     points, rng = place.world.independent(), np.random.default_rng(2)
     image = points.image + rng.normal(0, 0.15, points.image.shape)
     image[points.image[:, 0] > before] += seam * np.array([0.6, -0.8])
-    features = FeatureSet(replace(points, image=image, roles=()), crs=CRS, image_size=(500, 500))
+    features = FeatureSet(
+        replace(points, image=image, roles=()), crs=WORLD_CRS, image_size=(500, 500))
     chosen = select_points(features, "rpc-drift", {"rpc": str(place / "image.RPB")})
     change = drift_along(chosen, chosen.points.take(chosen.agrees), 500)
     assert change.matters(2.0)
@@ -118,7 +119,7 @@ def test_jitter_is_corrected_as_far_as_candidates_call_for_it() -> None:
         points, exact = world.independent(260), world.independent(460).take(np.arange(260, 460))
         image = points.image + np.random.default_rng(2).normal(0, 0.2, points.image.shape)
         image[:60] += np.random.default_rng(3).uniform(-30, 30, (60, 2))  # wrong ones
-        features = FeatureSet(replace(points, image=image, roles=()), crs=CRS,
+        features = FeatureSet(replace(points, image=image, roles=()), crs=WORLD_CRS,
                               image_size=(500, 500))
         chosen = select_points(features, "rpc-drift", {"rpc": json.dumps(asdict(world.rpc))})
         away = chosen.result.project(exact.ground) - exact.image
@@ -135,7 +136,7 @@ def test_a_smooth_correction_is_not_taken_where_no_candidate_holds_it(
     points, rng = world.independent(260), np.random.default_rng(2)
     points = points.take(points.image[:, 0] > 80)  # the first lines have none
     image = points.image + rng.normal(0, 0.2, points.image.shape)
-    write_points_csv(replace(points, image=image, roles=()), tmp_path / "c.csv", CRS)
+    write_points_csv(replace(points, image=image, roles=()), tmp_path / "c.csv", WORLD_CRS)
     done = judge(tmp_path / "place" / "image.tif", None, dem=tmp_path / "place" / "dem.tif",
                  points=tmp_path / "c.csv")
     assert done.selected.called_for is not None
@@ -157,7 +158,7 @@ def test_what_no_correction_can_follow_is_said_and_in_sigma(place: Any, tmp_path
     image[:, 0] += away * np.sin(points.image[:, 1] / 80)  # across the lines
     table = tmp_path / "c.csv"
     write_points_csv(replace(points, image=image, sigma=np.full(image.shape, 0.2), roles=()),
-                     table, CRS)
+                     table, WORLD_CRS)
     done = judge(place / "image.tif", None, dem=place / "dem.tif", points=table)
     assert any("the model misses" in one for one in done.remarks) == (away > 0.0)
     assert away or not done.reasons
@@ -190,7 +191,7 @@ def test_where_no_plainer_correction_is_possible_the_richer_one_stays(
     write_world(world, tmp_path / "place")
     points = world.independent(260)
     points = points.take(points.image[:, 0] > 80)
-    write_points_csv(replace(points, roles=()), tmp_path / "c.csv", CRS)
+    write_points_csv(replace(points, roles=()), tmp_path / "c.csv", WORLD_CRS)
 
     def once(*args: Any, plainer_than: Any = None, **options: Any) -> Any:
         if plainer_than is not None:
@@ -205,7 +206,7 @@ def test_where_no_plainer_correction_is_possible_the_richer_one_stays(
     assert read_result(tmp_path / "out" / "result").model == "rpc-jitter"
 
 
-def test_roles_are_all_along_the_lines(straight: Selected) -> None:
+def test_roles_are_all_along_the_lines(straight: SelectedCandidates) -> None:
     line = straight.points.image[:, 0]
     for part in (straight.independent, ~straight.independent):
         spread = np.sort(line[part])
@@ -213,7 +214,7 @@ def test_roles_are_all_along_the_lines(straight: Selected) -> None:
     assert straight.independent.sum() == 50
 
 
-def test_a_correction_without_a_seam_changes_nowhere(straight: Selected) -> None:
+def test_a_correction_without_a_seam_changes_nowhere(straight: SelectedCandidates) -> None:
     assert not drift_along(straight, straight.points.take(straight.agrees), 500).matters(2.0)
     certificate = straight.result.certificate
     assert certificate is None or certificate.of == 1  # all are used: nothing to prove

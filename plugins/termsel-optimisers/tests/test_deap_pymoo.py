@@ -38,7 +38,7 @@ from termsel.testing.problems import Counted, Watched
 from termsel.toolkit import Progress
 from termsel_optimisers import from_deap, from_pymoo, to_deap
 from termsel_optimisers.deap_algorithms import Deap
-from termsel_optimisers.pymoo_algorithms import ALGORITHMS, SINGLE, UNFIT, Pymoo
+from termsel_optimisers.pymoo_algorithms import PYMOO_ALGORITHMS, SINGLE, UNFIT, Pymoo
 
 
 class Free(termsel.Problem):
@@ -216,7 +216,7 @@ def test_variables_have_the_ranges_of_their_genes() -> None:
     assert posed.xu.tolist() == [1, 3, 9000, 1, 2, 1, 1, 4, 4]
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize("algorithm", PYMOO_ALGORITHMS)
 def test_each_algorithm_of_pymoo_runs_and_repeats(algorithm: str) -> None:
     task = termsel.prepare("poly-terms", solver="pymoo", options={
         "degree": 2, "algorithm": algorithm, "population": 20})
@@ -244,7 +244,7 @@ def test_generators_that_pymoo_makes_without_a_seed_have_one(algorithm: str) -> 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("check", [
-    check for algorithm in ALGORITHMS for check in checks(
+    check for algorithm in PYMOO_ALGORITHMS for check in checks(
         Pymoo, options=[{"algorithm": algorithm}], expected_failures={
             "feasible_first": "C-TAEA weighs the violation against the objectives"}
         if algorithm == "ctaea" else {})], ids=lambda check: check.name)
@@ -275,7 +275,7 @@ def test_a_population_smaller_than_the_directions_is_refused(algorithm: str) -> 
 def test_every_algorithm_of_pymoo_is_offered_or_has_a_reason() -> None:
     known = {one.name for where in (pymoo.algorithms.moo, pymoo.algorithms.soo.nonconvex)
              for one in pkgutil.iter_modules(where.__path__)}
-    assert known == set(ALGORITHMS) | set(UNFIT)
+    assert known == set(PYMOO_ALGORITHMS) | set(UNFIT)
 
 
 @pytest.mark.parametrize(("algorithm", "said"), [

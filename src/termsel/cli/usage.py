@@ -193,8 +193,8 @@ def _value_name(option: click.Parameter) -> str:
     return (option.metavar or option.type.name.upper().partition(" ")[0]).strip("[].")
 
 
-_UNITS = {"METRES": "metres", "M": "metres", "PX": "px", "--height": "metres",
-          "--seconds": "seconds", "--timeout": "seconds"}
+_UNIT_OF_VALUE = {"METRES": "metres", "M": "metres", "PX": "px", "--height": "metres",
+                  "--seconds": "seconds", "--timeout": "seconds"}
 """Units that options take, by how the help calls their values, or by their names."""
 
 _FACTORS = {"metres": {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "dm": 0.1, "m": 1.0, "km": 1e3},
@@ -205,7 +205,7 @@ _FACTORS = {"metres": {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "dm": 0.1, "m": 1.0, 
 
 def _remedy_for_unit(name: str, param: click.Parameter, typed: str) -> str:
     """Return what to type for a number with a unit: the number in the unit of the option."""
-    unit = _UNITS.get(_value_name(param)) or _UNITS.get(name)
+    unit = _UNIT_OF_VALUE.get(_value_name(param)) or _UNIT_OF_VALUE.get(name)
     match = _WITH_UNIT.fullmatch(typed)
     if unit is None or match is None:
         # The help tells the unit, and the number may be of another.

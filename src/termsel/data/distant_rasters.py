@@ -28,7 +28,7 @@ from termsel.core.files.drivers import (
 )
 from termsel.core.isolation.helper import Helper, ProcessEndedError
 
-_CHILD = "from termsel.data.raster_server import serve; serve({drivers!r}, {remote!r})"
+_SERVE_RASTERS = "from termsel.data.raster_server import serve; serve({drivers!r}, {remote!r})"
 
 OPEN_RASTER = "open"
 CLOSE_RASTER = "close"
@@ -145,7 +145,7 @@ def _raster_helper(drivers: tuple[str, ...], remote: bool) -> Helper:
         # The helper inherits the permission, which is a state of this process.
         if remote:
             stack.enter_context(allow_remote())
-        helper = Helper(_CHILD.format(drivers=drivers, remote=remote),
+        helper = Helper(_SERVE_RASTERS.format(drivers=drivers, remote=remote),
                         program_environment(os.environ))
     # A helper without its parent would wait for questions for ever.
     atexit.register(helper.end)

@@ -68,7 +68,7 @@ MAX_VIEW_POINTS = 200
 BEST = 5 / 6
 """Part of the points, those that fit best, that show how well they are measured."""
 
-_STEPS, _HALVINGS, _GAIN = 30, 8, 1e-6
+_PROJECTION_STEPS, _HALVINGS, _GAIN = 30, 8, 1e-6
 _DETERMINED = 1e-9
 
 
@@ -256,7 +256,7 @@ def _least_distance_matrix(columns: FloatArray, image: FloatArray) -> FloatArray
         return None
     residuals = image - _image_seen(matrix, columns)
     # From there to the least distances in the image, halving steps that do not gain.
-    for _ in range(_STEPS):
+    for _ in range(_PROJECTION_STEPS):
         step = _gauss_newton_step(matrix, columns, residuals)
         for halving in range(_HALVINGS):
             trial = matrix + 0.5**halving * step

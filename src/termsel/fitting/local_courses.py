@@ -209,7 +209,7 @@ class Groups:
 
 
 @dataclass(frozen=True, eq=False)
-class Cell:
+class CourseCell:
     """A part of the control, and what it shows of places near by."""
 
     positions: FloatArray  # (n, 2): of control in the cell and around it
@@ -238,11 +238,11 @@ class LocalCourses:
     noise: float  # variance of a measurement of unit weight
 
     @cached_property
-    def _spread_cell(self) -> Cell:
+    def _spread_cell(self) -> CourseCell:
         """All of few points, or those that are spread over them."""
         system = self.control.take(rows_of_field(len(self.control.positions)))
-        return Cell(system.positions,
-                    tuple(solutions.course(system) for solutions in self.solutions))
+        return CourseCell(system.positions,
+                          tuple(solutions.course(system) for solutions in self.solutions))
 
     @cached_property
     def _centres(self) -> FloatArray:
@@ -255,7 +255,7 @@ class LocalCourses:
         return np.array([positions[rows].mean(axis=0)
                          for rows in _halve_rows(positions, np.arange(n), most)])
 
-    def cell_of(self, number: int) -> Cell:
+    def cell_of(self, number: int) -> CourseCell:
         """Return the cell of a number, by groups of the control that are small next to it."""
         if len(self._centres) == 1:
             return self._spread_cell
@@ -268,7 +268,7 @@ class LocalCourses:
             return self._spread_cell
         within = _variation_within_groups(self.control.positions, self.control.residuals,
                                           self.control.relative_variances, groups)
-        return Cell(system.positions, tuple(
+        return CourseCell(system.positions, tuple(
             solutions.course(system, within.discrepancies(solutions.lengths, solutions.smoothness))
             for solutions in self.solutions))
 
@@ -310,7 +310,7 @@ class LocalCourses:
 
 
 @lru_cache(maxsize=KEPT_CELLS)
-def _kept_cell(courses: LocalCourses, number: int) -> Cell:
+def _kept_cell(courses: LocalCourses, number: int) -> CourseCell:
     """Return a cell, kept for places that are asked for one by one, as by clicks on a map."""
     return courses.cell_of(number)
 

@@ -15,7 +15,7 @@ from termsel.data.features import FloatArray
 from termsel.data.record.figures import SensorFigure
 from termsel.data.scaling import Scaling
 
-_STEPS, _STEP = 20, 1e-4
+_ORIENTATION_STEPS, _STEP = 20, 1e-4
 """Steps to the projection centre in ground coordinates, and that of a derivative, scaled."""
 
 
@@ -40,7 +40,7 @@ def exterior_orientation(rotation: FloatArray, centre: FloatArray,
     jacobian = _local_jacobian(local)
     ground = np.zeros(3)
     # Newton steps: local coordinates bend with the Earth, by little over one image.
-    for _ in range(_STEPS):
+    for _ in range(_ORIENTATION_STEPS):
         ground = ground + np.linalg.solve(jacobian, centre - local(ground[None])[0])
     x, y, z = scaling.unscaled(ground[None])[0].tolist()
     up = jacobian[:, 2] / np.linalg.norm(jacobian[:, 2])

@@ -57,7 +57,7 @@ _FOCALS = (0.8, 1.6, 3.2, 6.4)
 _N_STARTS, _FIRST_STEPS, _N_FURTHER = 12, 6, 3
 """Starts that are improved, by how many steps, and how many of them further."""
 
-_STEPS, _REFIT_STEPS = 40, 10
+_CAMERA_STEPS, _REFIT_STEPS = 40, 10
 _ROUNDS, _ROUNDS_IF_NORMAL = 12, 3
 _CONVERGED_GAIN, _MAX_DAMPING = 1e-5, 1e2
 """Part of the cost by which steps have converged, and the damping beyond which none helps."""
@@ -288,7 +288,7 @@ class Measured:
                                       axis=1)
 
     def descended(self, cameras: Cameras, rows: FloatArray, sigma: float,
-                  steps: int = _STEPS) -> tuple[Cameras, FloatArray]:
+                  steps: int = _CAMERA_STEPS) -> tuple[Cameras, FloatArray]:
         """Return the cameras where damped steps from some cameras end, and their costs (s,)."""
         costs = self.costs(cameras, rows, sigma)
         damping = np.full(len(cameras), 1e-3)
@@ -405,7 +405,7 @@ def cameras_of(measured: Measured) -> Cameras:
     candidates = _starting_cameras(measured)
     costs = np.zeros(len(candidates))
     # Many starts for few steps, then the best for many: most starts lead to the same camera.
-    for count, steps in ((_N_STARTS, _FIRST_STEPS), (_N_FURTHER, _STEPS)):
+    for count, steps in ((_N_STARTS, _FIRST_STEPS), (_N_FURTHER, _CAMERA_STEPS)):
         if not len(candidates):  # every camera has a point behind it
             break
         candidates = candidates.take(np.arange(min(count, len(candidates))))

@@ -17,10 +17,10 @@ SKY = "above the horizon"
 FAR_OR_SKY = f"{SKY} or much farther away than any control"
 NEAR_OR_FAR = "much nearer or farther away than any control"
 
-_ACROSS = 41  # places along either side of the image by which parts of it are told
+_SKY_NODES_ACROSS = 41  # places along either side of the image by which parts of it are told
 
 
-def image_places(fitted: Fit, across: int = _ACROSS) -> FloatArray:
+def image_places(fitted: Fit, across: int = _SKY_NODES_ACROSS) -> FloatArray:
     """Return lines and samples of a grid over the image, its corners included, (across^2, 2)."""
     (first_line, first_sample), (last_line, last_sample) = fitted.image_box()
     lines = np.linspace(first_line, last_line, across)

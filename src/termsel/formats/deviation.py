@@ -35,7 +35,7 @@ GDALWARP = {"order 1": "-order 1", "order 2": "-order 2", "order 3": "-order 3",
 
 _ALIKE_PX = 0.01  # px
 _SPLINED = 5000  # GCPs; a spline through more fills the memory, that of GDAL, too
-_ACROSS = 15  # places along either side of the image at which files are compared
+_GRID_NODES_ACROSS = 15  # places along either side of the image at which files are compared
 
 
 def places_of(fitted: Fit, heights: tuple[float, float] | None = None) -> FloatArray:
@@ -48,7 +48,7 @@ def places_of(fitted: Fit, heights: tuple[float, float] | None = None) -> FloatA
     low, high = heights or (middle[2] - half[2], middle[2] + half[2])
     levels: set[float] = {float(low + share * (high - low)) for share in (0.0, 0.5, 1.0)} \
         if fitted.model.uses_height else {middle_height(fitted)}
-    image = image_places(fitted, _ACROSS)
+    image = image_places(fitted, _GRID_NODES_ACROSS)
     ground = np.concatenate([ground_where_held(fitted, image, level) for level in sorted(levels)])
     return np.asarray(ground[np.isfinite(ground[:, :2]).all(axis=1)])
 

@@ -13,7 +13,7 @@ SWAPPED = Option(
     "swapped", None, "Coordinates that the file has exchanged: x and y on the ground, or line and "
     "sample. They are exchanged back, whatever the format.", choices=(XY, LINE_SAMPLE))
 
-_GROUND = [1, 0, 2]  # y, x, z
+_SWAPPED_GROUND_ORDER = [1, 0, 2]  # y, x, z
 _IMAGE = [1, 0]  # sample, line
 
 
@@ -41,8 +41,9 @@ def exchange_back(features: FeatureSet, choice: str | None) -> FeatureSet:
     points = features.points
     lines = features.lines
     if SWAPPED.parse(choice) == XY:
-        return features.with_(points=replace(points, ground=points.ground[:, _GROUND]),
-                              lines=replace(lines, ground=lines.ground[..., _GROUND]))
+        return features.with_(points=replace(points,
+                                             ground=points.ground[:, _SWAPPED_GROUND_ORDER]),
+                              lines=replace(lines, ground=lines.ground[..., _SWAPPED_GROUND_ORDER]))
     sigma = None if points.sigma is None else points.sigma[:, _IMAGE]
     return features.with_(points=replace(points, image=points.image[:, _IMAGE], sigma=sigma),
                           lines=replace(lines, image=lines.image[..., _IMAGE]))

@@ -14,7 +14,7 @@ from termsel.core.files.mismatches import KINDS_OF_JSON, mismatch_in_words
 from termsel.core.version import __version__
 from termsel.data.features import FeatureSet
 from termsel.data.record.figures import as_plain_data
-from termsel.data.record.record import SCHEMA, PluginRecord, Record
+from termsel.data.record.record import RESULT_SCHEMA, PluginRecord, Record
 from termsel.data.roles import ASSIGNABLE, Observations, observations_by_role, with_merged_twins
 from termsel.data.scaling import Scaling
 from termsel.fitting.figures import number, residuals_of, restrict_to_control, rmse_by_role
@@ -35,10 +35,10 @@ def record_from(content: Any) -> Record:
     Raises TermselError if it is damaged, or of another version.
     """
     schema = content.get("schema") if isinstance(content, dict) else None
-    if schema != SCHEMA:
+    if schema != RESULT_SCHEMA:
         has = f"its schema is {schema!r:.60}" if schema is not None else "it states no schema"
         raise TermselError(f"this is not a result that this version of termsel reads: {has}, "
-                           f"expected {SCHEMA!r}",
+                           f"expected {RESULT_SCHEMA!r}",
                            hint="Repeat the run with this version, or read the result with the one "
                                 "that wrote it.")
     try:

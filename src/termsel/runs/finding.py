@@ -18,7 +18,14 @@ from termsel.data.coordinates.earth import find_swapped_axes, place_of
 from termsel.data.coordinates.plausible import note_on_mixed
 from termsel.data.features import select
 from termsel.data.record.figures import Predicted
-from termsel.data.record.record import SCHEMA, Counts, DataRecord, IdsByRole, Record, WhatWasRead
+from termsel.data.record.record import (
+    RESULT_SCHEMA,
+    Counts,
+    DataRecord,
+    IdsByRole,
+    Record,
+    WhatWasRead,
+)
 from termsel.data.roles import Observations
 from termsel.fitting.accuracy import accuracy_of
 from termsel.fitting.figures import Baseline, Rmses, residuals_of, rmse_by_role, rmse_record
@@ -219,7 +226,7 @@ def result_of(request: Request, finding: Finding) -> Result:
     else:
         judgement = finding.judgement(rmse, baselines)
     record = Record(
-        schema=SCHEMA, problem=request.recipe.name, model=fitted.model.name,
+        schema=RESULT_SCHEMA, problem=request.recipe.name, model=fitted.model.name,
         data=data_of(request, observations), selection=finding.selection.record(),
         rmse=rmse_record(rmse), baselines=tuple(row.row() for row in baselines),
         judgement=judgement, outliers=outliers, blunder_test=finding.verdict.test,

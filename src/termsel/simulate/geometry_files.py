@@ -14,8 +14,9 @@ from termsel.core.files.atomic import write_text
 from termsel.formats.base import error_in_file, parse_json, read_head, read_text
 from termsel.simulate.pushbroom import Pushbroom
 
-SCHEMA = "termsel-pushbroom-1"
-_EXPECTED = f"Expected JSON with the schema {SCHEMA}, from termsel.simulate.write_geometry."
+GEOMETRY_SCHEMA = "termsel-pushbroom-1"
+_EXPECTED = f"Expected JSON with the schema {GEOMETRY_SCHEMA}, from " \
+    "termsel.simulate.write_geometry."
 _TYPES = {**get_type_hints(Pushbroom), "offset": tuple[float, float, float]}
 
 
@@ -40,7 +41,7 @@ def geometry_text(sensor: Pushbroom) -> str:
     >>> geometry["schema"]
     'termsel-pushbroom-1'
     """
-    return json.dumps({"schema": SCHEMA, **asdict(sensor)}, indent=1) + "\n"
+    return json.dumps({"schema": GEOMETRY_SCHEMA, **asdict(sensor)}, indent=1) + "\n"
 
 
 def geometry_from(text: str) -> Pushbroom:
@@ -68,7 +69,7 @@ def geometry_from(text: str) -> Pushbroom:
     True
     """
     content = parse_json(text, _EXPECTED)
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+    if not isinstance(content, dict) or content.get("schema") != GEOMETRY_SCHEMA:
         raise TermselError("this is not the geometry of a pushbroom scanner", hint=_EXPECTED)
     for name in _TYPES:
         if name not in content:

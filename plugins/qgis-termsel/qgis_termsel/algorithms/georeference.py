@@ -40,7 +40,7 @@ INPUTS = "qgis.json"
 _WITHOUT_CHECK = "--criterion press"
 """What termsel proposes where check points are too few."""
 
-_DEGREES = {"linear": 1, "quadratic": 2, "cubic": 3}
+_DEGREE_BY_NAME = {"linear": 1, "quadratic": 2, "cubic": 3}
 
 
 def inputs_of(folder):
@@ -58,7 +58,7 @@ def model_named(candidate, model):
     """Return the parameter MODEL for a candidate of auto; "" if only auto can fit it."""
     # Polynomials of auto are called by their degree, not by their model.
     if model in ("poly2d", "poly3d"):
-        return f"{model} {_DEGREES[candidate]}" if candidate in _DEGREES else ""
+        return f"{model} {_DEGREE_BY_NAME[candidate]}" if candidate in _DEGREE_BY_NAME else ""
     # Its other forms only auto fits.
     if model == "rpc-affine":
         return model if candidate == "rpc-by-affine" else ""

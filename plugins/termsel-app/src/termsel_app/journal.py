@@ -18,7 +18,7 @@ from termsel import TermselError
 from termsel.toolkit import lock_folder, path_inside, require_regular
 from termsel_app.control import MAX_FEATURES, ControlFeatures, Patch, checked_record
 
-SCHEMA = "termsel-app-1"
+JOURNAL_SCHEMA = "termsel-app-1"
 JOURNAL_NAME = "session.jsonl"
 MAX_JOURNAL_BYTES = 2**28
 """Bytes of a journal that are read."""
@@ -43,7 +43,7 @@ class Journal:
     def begin(self, header: Mapping[str, Any]) -> None:
         """Write the first line of a new session: the schema and the header, which names its files.
         """
-        self.append({"schema": SCHEMA, **header})
+        self.append({"schema": JOURNAL_SCHEMA, **header})
 
     def append(self, entry: Mapping[str, Any]) -> None:
         """Write an entry and wait until it is on the disk.
@@ -161,8 +161,9 @@ def read_entries(file: FileIO, path: Path) -> tuple[list[dict[str, Any]], int]:
 def _parse_header(entry: dict[str, Any], path: Path) -> dict[str, Any]:
     """Return the header in the first entry of a journal; raises TermselError if it is no session's.
     """
-    if entry.get("schema") != SCHEMA:
-        raise TermselError(f"this is no session of termsel app: its first line lacks {SCHEMA}",
+    if entry.get("schema") != JOURNAL_SCHEMA:
+        raise TermselError("this is no session of termsel app: its first line lacks "
+                           f"{JOURNAL_SCHEMA}",
                            file=path, line=1,
                            hint="Give the folder of a session, or choose another --out.")
     return {key: value for key, value in entry.items() if key != "schema"}

@@ -40,7 +40,7 @@ PROPOSED, CELLS = 12, 4
 """New points that are proposed at once, and parts of the image along a side that they lie in."""
 FAR = 3.0
 """Standard deviations from the prediction beyond which a candidate is not proposed."""
-CANDIDATES = "candidates.csv"
+CANDIDATES_FILE = "candidates.csv"
 _MATCHERS = ("sift", "phase", "structure")
 
 
@@ -184,11 +184,11 @@ def propose_points(session: Session) -> list[dict[str, Any]]:
     arguments = ["match-points", from_folder(str(session.files.image), session.folder),
                  "--reference", from_folder(str(session.maps.rasters[0].raster.path),
                                             session.folder),
-                 "--start", "points.csv", "--output", CANDIDATES, "--overwrite", "--quiet"]
+                 "--start", "points.csv", "--output", CANDIDATES_FILE, "--overwrite", "--quiet"]
     if session.files.dem is not None:
         arguments += ["--dem", from_folder(session.files.dem, session.folder)]
     call(arguments, session.folder)
-    candidates = termsel.read(session.folder / CANDIDATES)
+    candidates = termsel.read(session.folder / CANDIDATES_FILE)
     points = candidates.points
     plane = transform_places(
         transformer_between(candidates.crs, session.maps.shown), points.ground[:, :2])

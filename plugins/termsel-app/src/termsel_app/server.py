@@ -189,7 +189,7 @@ def _origin_of_tiles(address: str) -> str:
     return f"{scheme}://{path.partition('/')[0].replace('{s}', '*').replace(';', '')}"
 
 
-class State(Guarded):
+class PageState(Guarded):
     """All that the page shows when it is opened."""
 
     def get(self, secret: str) -> None:
@@ -411,7 +411,7 @@ async def _serve(session: Session, port: int, started: Callable[[str, str], None
     pages = Pages(session, sockets[0].getsockname()[1])
     settings = {"pages": pages}
     application = Application([
-        (r"/([^/]*)/state", State, settings),
+        (r"/([^/]*)/state", PageState, settings),
         (r"/([^/]*)/tile/(image|warped|map\d{1,3})/(\d{1,2})/(-?\d{1,8})/(-?\d{1,8})\.png", Tile,
          settings),
         (r"/([^/]*)/call/([a-z]+)", Call, settings), (r"/([^/]*)/events", Events, settings),

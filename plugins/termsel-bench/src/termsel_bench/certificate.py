@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from termsel import Problem, TermselError
 from termsel.check import (
-    SCHEMA,
+    CERTIFICATE_SCHEMA,
     UPPER,
     Axis,
     Node,
@@ -116,7 +116,7 @@ def content_of(axes: Sequence[dict[str, Any]], max_steps: int = MOST_NODES) -> d
 
     All trees together have about `most` steps at most; what is not decided by then is open.
     """
-    content: dict[str, Any] = {"schema": SCHEMA, "axes": [
+    content: dict[str, Any] = {"schema": CERTIFICATE_SCHEMA, "axes": [
         {**axis, "nodes": tree_of(axis, max_steps // len(axes))} for axis in axes]}
     # As read again: the checksum is of what the file says.
     return {**content, "sha256": checksum(json.loads(json.dumps(content)))}

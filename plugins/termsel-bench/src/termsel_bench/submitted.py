@@ -18,7 +18,7 @@ from termsel_bench.protocol import Score, score_all
 from termsel_bench.scenes.catalogue import SETS, frozen_checksums
 from termsel_bench.scenes.measured import checksums_of_measured
 
-SCHEMA = "termsel-bench-1"
+SUBMISSION_SCHEMA = "termsel-bench-1"
 
 REPEATED_SHARE = 0.01
 """Share by which a repeated RMSE may differ: machines and versions of libraries round otherwise."""
@@ -57,7 +57,7 @@ def texts_of(scored: Sequence[Score]) -> dict[str, str]:
             continue
         stated_method = of_method[0].method
         content = {
-            "schema": SCHEMA, "termsel": __version__,
+            "schema": SUBMISSION_SCHEMA, "termsel": __version__,
             "method": {"kind": stated_method.kind, "name": stated_method.name,
                        "options": dict(stated_method.options),
                        "problem": stated_method.problem},
@@ -109,9 +109,9 @@ def _read(path: Path, packages: Sequence[str]) -> Submitted:
 
     try:
         content: Any = json.loads(read_text(path))
-        if content["schema"] != SCHEMA:
+        if content["schema"] != SUBMISSION_SCHEMA:
             raise refused(f"is no file of a benchmark: its schema is {content['schema']!r}, not "
-                          f"{SCHEMA!r}")
+                          f"{SUBMISSION_SCHEMA!r}")
         stated = content["method"]
         sets = content["sets"]
         method = Method(str(stated["kind"]), str(stated["name"]),

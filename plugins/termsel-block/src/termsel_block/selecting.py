@@ -46,7 +46,7 @@ _MOST_ROWS = 30_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Selected:
+class SelectedControl:
     """What a search selected of a block.
 
     Parameters
@@ -161,7 +161,7 @@ class OwdisBlock(Problem):
 
 def select(block: Block, *, solver: str | Solver = "ga", seed: int = 1,
            evaluations: int | None = None, least: int = 1, most: int | None = None,
-           tie_candidates: int = 100, refined: bool = True) -> Selected:
+           tie_candidates: int = 100, refined: bool = True) -> SelectedControl:
     """Select the control and the ties of a block that are enough.
 
     Parameters
@@ -193,7 +193,7 @@ def select(block: Block, *, solver: str | Solver = "ga", seed: int = 1,
     result = adjust(_with_selection(_without_check(block), set(control), set(ties)))
     everything = np.ones((1, problem.genome.size), bool)
     check_of_all = float(problem.evaluate(everything).objectives[0, 0])
-    return Selected(
+    return SelectedControl(
         control=control, ties=ties, search=outcome, check=float(outcome.objectives[0]),
         check_of_all=check_of_all, result=result, independent=_independent_rmse(result),
         independent_of_all=_independent_rmse(problem.whole))
@@ -382,14 +382,14 @@ def _spread_ties(result: BlockResult, count: int) -> IntArray:
     return np.sort(usable[picked])
 
 
-def table_of(selected: Selected) -> str:
+def table_of(selected: SelectedControl) -> str:
     """Return the selected control features and ties as CSV with the columns kind, image and id."""
     return csv_table([("kind", "image", "id"),
                       *(("control", image, name) for image, name in selected.control),
                       *(("tie", "", name) for name in selected.ties)])
 
 
-def text_of(selected: Selected) -> str:
+def text_of(selected: SelectedControl) -> str:
     """Return the summary of a selection: its size, RMSEs, and whether it is proven, lines of text.
     """
     lines = [f"Selected: {count_in_words(len(selected.control), 'control feature')} and "

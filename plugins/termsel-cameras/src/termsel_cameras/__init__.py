@@ -16,8 +16,8 @@ from termsel_cameras.problem import RECIPE
 from termsel_cameras.radial import Radial2D, Radial3D
 from termsel_cameras.scanners.candidate import RADAR, SCANNER
 from termsel_cameras.scanners.lattice import SentinelLattice
-from termsel_cameras.scanners.photos import CANDIDATES as PHOTO_CAMERAS
-from termsel_cameras.scanners.photos import Frame, Panoramic
+from termsel_cameras.scanners.photos import PHOTO_METHODS as PHOTO_CAMERAS
+from termsel_cameras.scanners.photos import FrameCamera, Panoramic
 from termsel_cameras.scanners.radar import Radar
 from termsel_cameras.scanners.scanner import Scanner
 from termsel_cameras.scanners.sensors import SENSORS, Sensor
@@ -28,7 +28,7 @@ from termsel_cameras.sheets.series import SHEET_OF_SERIES, SeriesSheet
 if TYPE_CHECKING:
     import click
 
-__all__ = ["SENSORS", "Frame", "KnownFrame", "Panoramic", "Radar", "Radial2D", "Radial3D",
+__all__ = ["SENSORS", "FrameCamera", "KnownFrame", "Panoramic", "Radar", "Radial2D", "Radial3D",
            "Scanner", "Sensor", "SentinelLattice", "SeriesSheet", "TrackedScanner",
            "simulate_map"]
 
@@ -37,7 +37,7 @@ __all__ = ["SENSORS", "Frame", "KnownFrame", "Panoramic", "Radar", "Radial2D", "
 def termsel_models() -> Iterable[type[SensorModel]]:
     """Return the models of cameras, scanners and radar, of radial distortion and of the sheet."""
     return [Radial2D, Radial3D, KnownFrame, SeriesSheet,
-            Scanner, TrackedScanner, Radar, Frame, Panoramic]
+            Scanner, TrackedScanner, Radar, FrameCamera, Panoramic]
 
 
 @hookimpl

@@ -25,7 +25,7 @@ from termsel.toolkit.models import ASSIGNABLE, empty_lines
 from termsel_cameras.photo import DIGITS
 
 MAP_NAME = "old-map"
-CRS = "EPSG:32633"
+MAP_CRS = "EPSG:32633"
 
 SIZE = (6000, 8000)
 """Lines and samples of the scan [px]."""
@@ -127,7 +127,7 @@ def simulate_map(
     ground = np.column_stack([ORIGIN[0] + right, ORIGIN[1] + up, np.full(n_points, np.nan)])
     roles = tuple(ASSIGNABLE[i % 3] for i in range(n_points))
     points = Points(tuple(f"M{i + 1:03d}" for i in range(n_points)), image, ground, None, roles)
-    return FeatureSet(points, empty_lines(), CRS, SIZE, noise)
+    return FeatureSet(points, empty_lines(), MAP_CRS, SIZE, noise)
 
 
 def _spread_places(rng: Generator, count: int) -> FloatArray:

@@ -15,12 +15,12 @@ from termsel_cameras.radial import FloatArray
 ROLES = ("control", "check", "independent")
 
 PHOTO_NAME = "aerial-photo"
-CRS = "EPSG:32633"
+PHOTO_CRS = "EPSG:32633"
 
 SIZE = (3800, 3800)
 """Lines and samples of the scan [px]."""
 
-FOCAL = 2500.0
+PHOTO_FOCAL = 2500.0
 """Of the camera [px]."""
 
 HEIGHT = 3000.0
@@ -52,7 +52,7 @@ def read_photo_points() -> FeatureSet:
     """Return the measured points of the photo: easting, northing in UTM zone 33 and height [m]."""
     rng = np.random.default_rng(_PHOTO_SEED)
     # Ground beyond the image on all sides, so that its corners have points, too.
-    reach = 0.62 * SIZE[0] / FOCAL * HEIGHT
+    reach = 0.62 * SIZE[0] / PHOTO_FOCAL * HEIGHT
     ground = rng.uniform(-reach, reach, (20 * _PHOTO_POINTS, 3))
     ground[:, 2] = RELIEF * (np.sin(ground[:, 0] / 700.0) + np.cos(ground[:, 1] / 900.0)) / 2
     image = project_into_scan(ground)
@@ -64,7 +64,7 @@ def read_photo_points() -> FeatureSet:
     roles = tuple(ROLES[i % 3] for i in range(len(image)))
     points = Points(tuple(f"A{i + 1:03d}" for i in range(len(image))), image,
                     ground + np.array([*ORIGIN, 0.0]), None, roles)
-    return FeatureSet(points, crs=CRS, image_size=SIZE, noise=NOISE)
+    return FeatureSet(points, crs=PHOTO_CRS, image_size=SIZE, noise=NOISE)
 
 
 def project_into_scan(ground: FloatArray) -> FloatArray:
@@ -81,7 +81,7 @@ def project_into_scan(ground: FloatArray) -> FloatArray:
               @ np.array([[cos_kappa, -sin_kappa, 0], [sin_kappa, cos_kappa, 0], [0, 0, 1]]))
     x, y, z = ((ground - [0.0, 0.0, HEIGHT]) @ turned).T
     # Lines count downwards.
-    ideal = FOCAL * np.column_stack([y / z, -x / z])
+    ideal = PHOTO_FOCAL * np.column_stack([y / z, -x / z])
     distorted = ideal.copy()
     # Brown's distortion acts on measured places, so that the ideal one is inverted by steps.
     k1, k2 = DISTORTION

@@ -15,7 +15,7 @@ SOURCE, MASK, TRANSFORMATION = "iiif_source", "iiif_mask", "iiif_transformation"
 """Attributes in which the first point of a map keeps what is not of a point."""
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_POINT = re.compile(rf"\s*({_NUMBER})[\s,]+({_NUMBER})\s*,?")
+_CORNER = re.compile(rf"\s*({_NUMBER})[\s,]+({_NUMBER})\s*,?")
 
 Pair = Annotated[list[float], msgspec.Meta(min_length=2)]
 Service = Literal["ImageService1", "ImageService2", "ImageService3", "Canvas"]
@@ -93,7 +93,7 @@ class _Target(msgspec.Struct):
     service: Annotated[list[_OneService], msgspec.Meta(min_length=1, max_length=1)] | None = None
 
 
-class Annotation(msgspec.Struct):
+class MapAnnotation(msgspec.Struct):
     """One map."""
 
     type: Literal["Annotation"]
@@ -139,7 +139,7 @@ def _parse_map(item: Any, path: str) -> Map:
     """Return one map of an annotation; raises ValueError with its place in the file if it is none.
     """
     try:
-        annotation = msgspec.convert(item, Annotation)
+        annotation = msgspec.convert(item, MapAnnotation)
     except msgspec.ValidationError as error:
         # msgspec names the place within the item: the path of the item comes before it.
         raise ValueError(str(error).replace("`$", f"`{path}")) from error
@@ -221,7 +221,7 @@ def polygon_corners(points: str) -> list[tuple[float, float]]:
     at = 0
     # One pair of numbers after the other, as SVG separates them by commas or blanks.
     while at < len(points.rstrip()):
-        match = _POINT.match(points, at)
+        match = _CORNER.match(points, at)
         if match is None:
             return []
         pairs.append((float(match[1]), float(match[2])))

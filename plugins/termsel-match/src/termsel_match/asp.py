@@ -12,7 +12,7 @@ import numpy as np
 from termsel import FeatureSet, Reader, TermselError
 from termsel_match.images.rasters import FloatArray
 from termsel_match.points.readers import (
-    IMAGE,
+    RASTER_OPTION,
     REFERENCE,
     are_in_image,
     bytes_of,
@@ -43,7 +43,7 @@ class AspMatches(Reader):
     name = "asp-match"
     summary = ("ASP's .match files, and text from its parse_match_file.py: two counts, then the "
                "interest points")
-    declared_options = (REFERENCE, IMAGE)
+    declared_options = (REFERENCE, RASTER_OPTION)
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if two equal counts are followed by an interest point."""

@@ -20,8 +20,8 @@ from termsel_match.images.starts import Start
 from termsel_match.images.warps import COVERS, NotShown, open_reference, references_of
 from termsel_match.judgement.picture import draw
 from termsel_match.judgement.repeats import repetition_distance
-from termsel_match.judgement.selection import Selected, select_points, with_lines
-from termsel_match.judgement.structures import Correction
+from termsel_match.judgement.selection import SelectedCandidates, select_points, with_lines
+from termsel_match.judgement.structures import ModelCorrection
 from termsel_match.judgement.verdict import (
     Evidence,
     Georeferenced,
@@ -176,7 +176,8 @@ def judge(
         make_folder(Path(folder))
         write_points_csv(candidates.points, Path(folder) / CANDIDATES, candidates.crs)
 
-    def made(plainer_than: Correction | None = None) -> tuple[Selected, Matched | None, str]:
+    def made(plainer_than: ModelCorrection | None = None) -> tuple[
+            SelectedCandidates, Matched | None, str]:
         """Return the selection, the lines matched from its model, and why there are none."""
         result_folder = None if folder is None else Path(folder) / RESULT
         selected = select_points(candidates.features, model, options, accept=accept,
@@ -196,7 +197,7 @@ def judge(
                 unused = error.what
         return selected, lines, unused
 
-    def said_of(selected: Selected) -> tuple[Evidence, Bounds | None]:
+    def said_of(selected: SelectedCandidates) -> tuple[Evidence, Bounds | None]:
         return _judge_candidates(image, reference, candidates, selected, dem=dem, extent=extent,
                                  seed=seed,
                                  masks=matching.get("masks", ()))
@@ -242,7 +243,7 @@ def model_for(start: Path | str | None, image: Path) -> tuple[str, dict[str, Any
 
 
 def _judge_candidates(image: Path | str, reference: Path | str | None, candidates: Candidates,
-                      selected: Selected, *, dem: Path | str, extent: str, seed: int,
+                      selected: SelectedCandidates, *, dem: Path | str, extent: str, seed: int,
                       masks: Sequence[Path | str]) -> tuple[Evidence, Bounds | None]:
     """Return what candidates say of the model, and the bounds that the map gets in their CRS.
 

@@ -17,7 +17,7 @@ from termsel.toolkit import attribute_errors_to, modules_here
 from termsel.toolkit.searches import SEGMENTS, OwnChance
 from termsel_optimisers.deap_toolbox import Individual, register, to_deap
 
-ALGORITHMS = ("eaSimple", "eaMuPlusLambda", "eaMuCommaLambda")
+DEAP_ALGORITHMS = ("eaSimple", "eaMuPlusLambda", "eaMuCommaLambda")
 """Of deap.algorithms, by name."""
 
 CHECK = "Check your loop, and the operators with their arguments: select, mate, mutate."
@@ -44,7 +44,7 @@ class Deap(Solver):
     declared_options = (
         Option("algorithm", "eaSimple", "eaSimple, eaMuPlusLambda or eaMuCommaLambda of "
                "deap.algorithms, or a loop of your own as module:function.",
-               from_files=ALGORITHMS),
+               from_files=DEAP_ALGORITHMS),
         POPULATION,
         Option("children", None, "Children of a generation, lambda, of eaMuPlusLambda and "
                "eaMuCommaLambda; by default twice the population.", int, 2, 200_000),
@@ -94,11 +94,11 @@ def _algorithm_of_name(loop_name: str) -> Callable[..., Any]:
     module, _, name = loop_name.rpartition(":")
     # Without a module it is one of DEAP's own.
     if not module:
-        if name in ALGORITHMS:
+        if name in DEAP_ALGORITHMS:
             loop: Callable[..., Any] = getattr(algorithms, name)
             return loop
         raise TermselError(f"there is no algorithm {loop_name!r}",
-                           hint=f"Known are {', '.join(ALGORITHMS)}; a loop of yours is "
+                           hint=f"Known are {', '.join(DEAP_ALGORITHMS)}; a loop of yours is "
                                 "module:function.")
     try:
         with modules_here():

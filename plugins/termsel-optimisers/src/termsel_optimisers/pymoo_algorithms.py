@@ -24,7 +24,7 @@ from termsel.toolkit.searches import (
 )
 from termsel_optimisers.survivals import RveaSurvival, with_safe_survival
 
-ALGORITHMS = {
+PYMOO_ALGORITHMS = {
     "nsga2": "moo.nsga2:NSGA2", "nsga3": "moo.nsga3:NSGA3", "unsga3": "moo.unsga3:UNSGA3",
     "rvea": "moo.rvea:RVEA", "ctaea": "moo.ctaea:CTAEA", "age": "moo.age:AGEMOEA",
     "age2": "moo.age2:AGEMOEA2", "sms": "moo.sms:SMSEMOA", "spea2": "moo.spea2:SPEA2",
@@ -73,7 +73,7 @@ class Pymoo(Solver):
     segments = SEGMENTS
     declared_options = (
         Option("algorithm", "nsga2", "The algorithm, as pymoo names its module.",
-               choices=tuple(ALGORITHMS)),
+               choices=tuple(PYMOO_ALGORITHMS)),
         *OPTIONS,
         Option("horizon", None, "Generations over which rvea shifts its weight from convergence "
                "to spread; by default as many as the usual budget has.", int, 1,
@@ -84,7 +84,7 @@ class Pymoo(Solver):
         algorithm = options.get("algorithm")
         if isinstance(algorithm, str) and algorithm in UNFIT:
             raise TermselError(f"pymoo's algorithm {algorithm!r} {UNFIT[algorithm]}",
-                               hint=f"Choose one of: {', '.join(ALGORITHMS)}.")
+                               hint=f"Choose one of: {', '.join(PYMOO_ALGORITHMS)}.")
         super().__init__(**options)
         if self.options["horizon"] and self.options["algorithm"] != "rvea":
             raise TermselError("option 'horizon' is for algorithm=rvea, and the algorithm is "
@@ -99,7 +99,7 @@ class Pymoo(Solver):
         """Yield generations without end (see `Solver.generations`)."""
         name = self.options["algorithm"]
         population = population_size(self.options["population"], problem)
-        module, _, class_name = ALGORITHMS[name].partition(":")
+        module, _, class_name = PYMOO_ALGORITHMS[name].partition(":")
         algorithm_class = getattr(import_module(f"pymoo.algorithms.{module}"), class_name)
         arguments = common_operators(problem.genome, self.options["mutation"], rng)
         # An individual for each direction, at least.

@@ -81,8 +81,9 @@ class Correction(Estimator):
         # Rows were weighed; errors of held-out features are in px again.
         held_out = HeldOut.of(
             _rows_as_vectors(believed.without_each[0] / unit, scaling.features(in_use)), in_use)
-        solution = Solution(coefficients, believed.effective, len(believed.right),
-                            float(np.sqrt(believed.noise)) / scaling.image_scale, held_out)
+        solution = RefinementSolution(coefficients, believed.effective, len(believed.right),
+                                      float(np.sqrt(believed.noise)) / scaling.image_scale,
+                                      held_out)
         return fit_of(ready, scaling, control, used, self, solution)
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
@@ -100,7 +101,7 @@ class Correction(Estimator):
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class RefinementSolution:
     """What a procedure found for a refinement of an RPC.
 
     Parameters
@@ -124,7 +125,7 @@ class Solution:
 
 
 def fit_of(model: Any, scaling: Scaling, control: FeatureSet, used: BoolArray,
-           estimator: Estimator, solution: Solution) -> Fit:
+           estimator: Estimator, solution: RefinementSolution) -> Fit:
     """Return a solution as a fit to the features in use, `used` (n,).
 
     Its terms have no standard deviations of their own.

@@ -19,7 +19,7 @@ from termsel import (
     Scaling,
     Undetermined,
 )
-from termsel_rpc.correction import BoolArray, CorrectedRpc, Correction, Solution, fit_of
+from termsel_rpc.correction import BoolArray, CorrectedRpc, Correction, RefinementSolution, fit_of
 from termsel_rpc.image_space import RpcAffine
 from termsel_rpc.refinement import FloatArray
 
@@ -143,7 +143,7 @@ class Local(Estimator):
             raise Undetermined("the points do not show local deformation beyond the RPC: its "
                                f"probability is {field.probability:.2g}",
                                hint="Choose rpc-affine, or --strategy auto.")
-        solution = Solution(
+        solution = RefinementSolution(
             np.zeros(len(ready.terms)), field.effective, 2 * len(in_use.points), float("nan"),
             HeldOut.of(field.errors * scaling.image_scale, in_use))
         return fit_of(ready, scaling, control, used, self, solution)

@@ -30,7 +30,7 @@ from termsel.data.features import FloatArray, IntArray
 ROWS_PER_LOG = 8
 """Rows whose squares are multiplied before a logarithm is taken: they do not overflow."""
 
-POINTS_AT_ONCE = 128
+POINTS_PER_REFLECTION = 128
 """Points that are worked on together: what is read again stays in a cache."""
 
 # Nothing is allocated, and sums are taken in the order in which they are written.
@@ -102,8 +102,8 @@ class BidiagonalSolutions:
         """Return b' (I + s^2 M M')^-1 b of directions b, (m, n), shape (u, n)."""
         n = directions.shape[1]
         quadratic_forms = np.empty((len(self._form), n))
-        for start in range(0, n, POINTS_AT_ONCE):
-            points = slice(start, min(start + POINTS_AT_ONCE, n))
+        for start in range(0, n, POINTS_PER_REFLECTION):
+            points = slice(start, min(start + POINTS_PER_REFLECTION, n))
             along = self._rotation @ directions[:, points]                    # (g, m, points): U'b
             sums = np.zeros((len(self._form), along.shape[2]))
             z = np.empty(along.shape[2])  # scratch: R'z = U'b, whose |z|^2 is the form

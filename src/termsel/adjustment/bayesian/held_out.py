@@ -28,7 +28,7 @@ MIN_POINTS = 5
 MIN_LOG_POWER = -300.0
 """Powers are not taken below this natural logarithm, lest numbers lose precision and time."""
 
-POINTS_AT_ONCE, CELLS_AT_ONCE = 64, 8
+HELD_OUT_POINTS_AT_ONCE, CELLS_AT_ONCE = 64, 8
 """Points and cells that are worked on together: what is read again stays in a cache."""
 
 # Nothing is allocated. Sums may be taken in any order. `max` would be compiled on its own.
@@ -100,9 +100,9 @@ def leave_each_point_out(line: AxisErrors, sample: AxisErrors, cells: WeightedCe
     # The factor of a cell, (l_line l_sample)^-1/2 (S / S')^h S, begins with S and its probability.
     weight = cells.share * cells.square
     figures = np.empty((count, 7))
-    for start in range(0, count, POINTS_AT_ONCE):
-        width = min(POINTS_AT_ONCE, count - start)
-        if start == 0 or width < POINTS_AT_ONCE:  # the last points may be fewer
+    for start in range(0, count, HELD_OUT_POINTS_AT_ONCE):
+        width = min(HELD_OUT_POINTS_AT_ONCE, count - start)
+        if start == 0 or width < HELD_OUT_POINTS_AT_ONCE:  # the last points may be fewer
             workspace = _Workspace(
                 line=np.empty((4, len(line.redundancies), width)),
                 sample=np.empty((4, len(sample.redundancies), width)),

@@ -30,7 +30,7 @@ from termsel.core.files.drivers import (
 from termsel.core.files.names import require_regular
 from termsel.core.isolation.helper import Helper, ProcessEndedError
 
-_CHILD = "from termsel.core.files.apart import serve; serve()"
+_SERVE_VECTORS = "from termsel.core.files.apart import serve; serve()"
 
 _MEMORY = 600 << 20
 """Bytes for a small file."""
@@ -93,7 +93,7 @@ def _vector_helper(drivers: tuple[str, ...], remote: bool) -> Helper:
     with ExitStack() as stack:
         if remote:
             stack.enter_context(allow_remote())
-        helper = Helper(f"{_CHILD.removesuffix('()')}({drivers!r}, {remote!r})",
+        helper = Helper(f"{_SERVE_VECTORS.removesuffix('()')}({drivers!r}, {remote!r})",
                         program_environment(os.environ))
     atexit.register(helper.end)
     HELPERS.append(helper)

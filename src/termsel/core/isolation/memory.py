@@ -10,8 +10,9 @@ from termsel.core.errors import TermselError
 
 _ARRAY = re.compile(r"shape \((?P<shape>[\d, ]+)\)")
 _SIZE = re.compile(r"allocate (?P<amount>[\d.]+) (?P<unit>\w+)")
-_UNITS = {"bytes": 1.0, "B": 1.0, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30, "TiB": 2.0**40,
-          "PiB": 2.0**50, "EiB": 2.0**60}
+_BYTES_BY_UNIT = {"bytes": 1.0, "B": 1.0, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30,
+                  "TiB": 2.0**40,
+                  "PiB": 2.0**50, "EiB": 2.0**60}
 _SHARE = 0.8
 """Part of the free memory that may be counted on."""
 
@@ -24,7 +25,7 @@ def out_of_memory(error: MemoryError) -> TermselError:
     """
     message = str(error)
     size = _SIZE.search(message)
-    required = float(size["amount"]) * _UNITS.get(size["unit"], 0.0) if size else 0.0
+    required = float(size["amount"]) * _BYTES_BY_UNIT.get(size["unit"], 0.0) if size else 0.0
     array = _ARRAY.search(message)
     shape = [int(length) for length in array["shape"].split(",") if length.strip()] if array else []
     free = _free_bytes()

@@ -42,7 +42,7 @@ from termsel.data.record.search import (
     TermFrequencies,
 )
 
-SCHEMA: Final = "termsel-result-1"
+RESULT_SCHEMA: Final = "termsel-result-1"
 """Name and version of the layout."""
 
 

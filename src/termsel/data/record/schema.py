@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from termsel.data.record.figures import RecordPart
-from termsel.data.record.record import SCHEMA, Record
+from termsel.data.record.record import RESULT_SCHEMA, Record
 
 
 def json_schema() -> dict[str, Any]:
@@ -29,7 +29,7 @@ def json_schema() -> dict[str, Any]:
         for key, content in definition["properties"].items():
             definition["properties"][key] = {"description": docs[key], **content}
     root_schema = definitions.pop(root["$ref"].rpartition("/")[2])
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "$id": SCHEMA,
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "$id": RESULT_SCHEMA,
             "title": "termsel result", **root_schema, "$defs": definitions}
 
 

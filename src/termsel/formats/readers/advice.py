@@ -57,7 +57,7 @@ _SCORES = frozenset((
     "distance", "dist", "quality", "weight", "prob", "probability", "rms", "rmse", "residual",
     "residuals", "resid", "error", "err", "similarity", "ssim"))
 """Names of columns that say how good a match or a point is."""
-_ACROSS = frozenset(("x", "col", "column", "cols"))
+_NAMES_OF_SAMPLE = frozenset(("x", "col", "column", "cols"))
 _DOWN = frozenset(("y", "row", "rows"))
 """Words in names of columns that say along which axis they run."""
 
@@ -358,7 +358,7 @@ def _number_columns(rows: Sequence[Sequence[str]]) -> dict[int, FloatArray]:
 def _axis_in_name(name: str) -> str:
     """Return whether a name says that its column runs across or down an image; "" if neither."""
     words = set(re.split(r"[\W_\d]+", name.casefold()))
-    across = bool(words & _ACROSS)
+    across = bool(words & _NAMES_OF_SAMPLE)
     down = bool(words & _DOWN)
     return "" if across == down else "across" if across else "down"
 

@@ -286,7 +286,7 @@ COLUMNS: tuple[Option, ...] = (
 _DECLARATION = re.compile(r"#\s*(crs|units?)\s*[:=](.*)", re.IGNORECASE)
 _IMAGE_SIZE = re.compile(r"#\s*image_size\s*[:=]\s*(\d{1,7})\s*,\s*(\d{1,7})\s*", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
-_UNITS = re.compile(r"(deg|degrees?|m|met(re|er)s?)", re.IGNORECASE)
+_GROUND_UNIT = re.compile(r"(deg|degrees?|m|met(re|er)s?)", re.IGNORECASE)
 
 
 def sniff_table(path: Path, head: bytes, aliases: Aliases, columns: str = "",
@@ -496,7 +496,7 @@ def _declared_crs(path: Path | None, comments: Mapping[int, str]) -> str:
                 raise TermselError(f"the CRS is {name} here, but {crs} in an earlier comment",
                                    file=path, line=line, hint="Remove one of them.")
             crs = name
-        elif not all(_UNITS.fullmatch(unit.strip()) for unit in value.split(",")):
+        elif not all(_GROUND_UNIT.fullmatch(unit.strip()) for unit in value.split(",")):
             raise TermselError(f"units {value!r} are not supported", file=path, line=line,
                                hint="Convert the ground coordinates to degrees or metres.")
     return crs

@@ -31,7 +31,7 @@ from termsel.selection.solvers.base import Solver
 
 log = logging.getLogger(__name__)
 
-SCHEMA = "termsel-checkpoint-1"
+CHECKPOINT_SCHEMA = "termsel-checkpoint-1"
 
 _WRITE_SECONDS = 0.5  # seconds between two writes
 
@@ -87,7 +87,7 @@ class Checkpoint:
                 with self.path.open("r+b") as file:
                     file.truncate(len(complete))
             else:
-                head = msgspec.json.encode(_Head(SCHEMA, __version__))
+                head = msgspec.json.encode(_Head(CHECKPOINT_SCHEMA, __version__))
                 self.path.write_bytes(head + b"\n")
         except OSError as error:
             raise TermselError(f"the checkpoint cannot be used: {error.strerror or error}",
@@ -104,7 +104,7 @@ class Checkpoint:
             head = msgspec.json.decode(lines[0], type=_Head) if lines else None
         except msgspec.DecodeError:
             head = None
-        if head is None or head.schema != SCHEMA:
+        if head is None or head.schema != CHECKPOINT_SCHEMA:
             raise TermselError("this file is no checkpoint of a search, and stays as it is",
                                hint="Give the name of a new file.", file=self.path)
         if head.version != __version__:

@@ -22,7 +22,7 @@ from termsel.core.files.names import JOURNAL, is_there, open_inside, path_inside
 from termsel.data.record.figures import RecordPart, as_plain_data
 from termsel.formats.base import read_data
 
-SCHEMA = "termsel-study-1"
+STUDY_SCHEMA = "termsel-study-1"
 
 _SYNC = 1.0
 """Seconds between waits for the disk: a power failure costs at most the cells of that time."""
@@ -132,7 +132,7 @@ class Journal:
             raise self._unwritable_error(error) from error
         if not self.versions:
             self.versions = dict(versions)
-            self._write({"schema": SCHEMA, "versions": self.versions})
+            self._write({"schema": STUDY_SCHEMA, "versions": self.versions})
 
     def append(self, record: CellRecord) -> None:
         """Add the record of a cell; if the disk refuses it, the journal stays as it was."""
@@ -193,9 +193,9 @@ def read_journal(folder: Path) -> Journal:
                 break
             damaged.append(number)
         elif "schema" in record:
-            if record["schema"] != SCHEMA:
+            if record["schema"] != STUDY_SCHEMA:
                 raise TermselError(f"this journal has the schema {record['schema']!r}, not "
-                                   f"{SCHEMA!r}", file=journal.path,
+                                   f"{STUDY_SCHEMA!r}", file=journal.path,
                                    hint="Use the version of termsel that wrote it.")
             journal.versions = record["versions"]
         else:

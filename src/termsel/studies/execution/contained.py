@@ -20,7 +20,7 @@ from termsel.studies.cells.cell import Cell
 from termsel.studies.execution.executors import DIED, Stop
 from termsel.studies.execution.work import Outcome, do, failed_outcome
 
-_CHILD = "from termsel.studies.execution.contained import serve_cells; serve_cells()"
+_SERVE_CELLS = "from termsel.studies.execution.contained import serve_cells; serve_cells()"
 
 
 def run_contained(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: Stop
@@ -29,7 +29,7 @@ def run_contained(cells: Sequence[Cell], features: Mapping[str, FeatureSet], sto
 
     Cells with what no other process can import, as classes of a script, run in this one.
     """
-    helper = Helper(_CHILD)
+    helper = Helper(_SERVE_CELLS)
     try:
         for cell in cells:
             if stop():

@@ -23,7 +23,7 @@ from termsel.toolkit.coordinates import from_ecef, to_ecef, vertical_directions
 KINDS = ("steady", "agile", "cubesat", "airborne", "frame", "panoramic")
 ALL_KINDS = (*KINDS, "radar")
 
-CRS = "EPSG:4979"
+SCENE_CRS = "EPSG:4979"
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
     added = noise * rng.standard_normal(image.shape)
     added[measured:] = 0.0 if measured is not None else added[measured:]
     image = image + added
-    return FeatureSet(Points(tuple(map(str, range(count))), image, ground), crs=CRS,
+    return FeatureSet(Points(tuple(map(str, range(count))), image, ground), crs=SCENE_CRS,
                       image_size=(lines, samples), noise=noise)
 
 

@@ -32,14 +32,14 @@ FOLDS = "folds.json"
 MEASURED = "measured-"
 """How the names of measured sets begin."""
 
-FOCAL = "camera_focal"
+FOCAL_COLUMN = "camera_focal"
 """Column of the points with the stated focal length [px], which termsel-cameras reads."""
 
 _SEED = 2026
 
 
 @dataclass(frozen=True)
-class Source:
+class MeasuredSource:
     """A published collection of sets.
 
     Parameters
@@ -62,11 +62,11 @@ class Source:
     sees_one: bool = False
 
 
-SOURCES = (Source("slv_maps", "measured-map", "EPSG:4326", 4),
+SOURCES = (MeasuredSource("slv_maps", "measured-map", "EPSG:4326", 4),
            # Photos have as few as six points.
-           Source("smapshot_nadir", "measured-photo", "EPSG:4979", 3),
+           MeasuredSource("smapshot_nadir", "measured-photo", "EPSG:4979", 3),
            # Some 87 of 694 matches.
-           Source("loftr_matches", "measured-matches", "local", 8, sees_one=True))
+           MeasuredSource("loftr_matches", "measured-matches", "local", 8, sees_one=True))
 """The sources; their licences allow to pass them on."""
 
 
@@ -82,7 +82,7 @@ class MeasuredSet:
     folds : ndarray of int, shape (n,)
         In which fold each point is.
     sees_one : bool
-        As for `Source`.
+        As for `MeasuredSource`.
     licence, source, sha256 : str
         Of the file of its points; the source with its commit.
     """
@@ -148,8 +148,9 @@ def read_measured_set(name: str) -> MeasuredSet:
     if source.folder == "smapshot_nadir":
         photo = _photo_rows()[file.removesuffix(".csv")]
         size = (int(photo["height"]), int(photo["width"]))
-        points = replace(points, attributes={FOCAL: np.array([photo["focal_px"]] * len(points),
-                                                             dtype=object)})
+        points = replace(points,
+                         attributes={FOCAL_COLUMN: np.array([photo["focal_px"]] * len(points),
+                                                                    dtype=object)})
     features = FeatureSet(points, crs=source.crs, image_size=size)
     return MeasuredSet(name, source.kind, features, folds, source.sees_one, meta["licence"],
                        f"https://{meta['source']} {meta['commit']}", checksum)
@@ -185,9 +186,9 @@ def build_published_files(names: Sequence[str]) -> dict[str, str]:
 
 
 @lru_cache(maxsize=1)
-def _source_and_file_by_set() -> Mapping[str, tuple[Source, str]]:
+def _source_and_file_by_set() -> Mapping[str, tuple[MeasuredSource, str]]:
     """Return the source and the file of points of each set, by the name of the set."""
-    by_set: dict[str, tuple[Source, str]] = {}
+    by_set: dict[str, tuple[MeasuredSource, str]] = {}
     for source in SOURCES:
         # Sets are kind-001, ... in the order of file names; photos.csv holds no points.
         of_points = sorted(

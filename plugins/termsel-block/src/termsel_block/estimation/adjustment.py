@@ -9,7 +9,7 @@ from scipy.special import stdtrit
 
 from termsel_block.estimation.equations import Shared, image_pairs
 from termsel_block.estimation.steps import CONVERGED, Steps, shrinkage_of_mean_square, soft_weights
-from termsel_block.estimation.unknowns import Adjusted, Measured, State
+from termsel_block.estimation.unknowns import Adjusted, BlockUnknowns, Measured
 from termsel_block.evidence.factors import log_bayes_factor
 from termsel_block.evidence.growing import TRIED_BELOW, p_value_of_columns
 from termsel_block.evidence.integrating import MAX_INTEGRATED, count_unknown_variances, integrate
@@ -56,7 +56,7 @@ _SLOW = 2500
 _MIN_SIGMA = 0.01
 
 
-def adjust_block(state: State, measured: Sequence[Measured], control: Sequence[OwnControl],
+def adjust_block(state: BlockUnknowns, measured: Sequence[Measured], control: Sequence[OwnControl],
                  heights: Heights, *, progress: Callable[[float], None] | None = None,
                  fixed: Sequence[bool] = ()) -> Adjusted:
     """Adjust a block from its start.
@@ -136,7 +136,8 @@ class _Run(Steps):
     converged = False
     freedom = np.nan
 
-    def __init__(self, state: State, measured: Sequence[Measured], control: Sequence[OwnControl],
+    def __init__(self, state: BlockUnknowns, measured: Sequence[Measured],
+                 control: Sequence[OwnControl],
                  heights: Heights, shared: Sequence[Shared]) -> None:
         super().__init__(state, measured, control, heights, shared)
         self.large = sum(len(camera.groups) for camera in state.cameras) > _SLOW

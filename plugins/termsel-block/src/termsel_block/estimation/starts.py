@@ -11,7 +11,7 @@ import numpy as np
 from termsel import Rpc, TermselError
 from termsel_block.estimation.equations import image_pairs
 from termsel_block.estimation.steps import soft_weights
-from termsel_block.estimation.unknowns import Measured, State
+from termsel_block.estimation.unknowns import BlockUnknowns, Measured
 from termsel_block.geometry.cameras import Camera, LinearCamera, PolynomialCamera, RpcCamera
 from termsel_block.geometry.control import OwnControl
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
@@ -50,7 +50,8 @@ class ImageInput:
     physical: PhysicalModel | None = None
 
 
-def start(images: Sequence[ImageInput], count: int, frame: Frame, heights: Heights) -> State:
+def start(images: Sequence[ImageInput], count: int, frame: Frame,
+          heights: Heights) -> BlockUnknowns:
     """Return the start of a block.
 
     Images with an RPC begin with it, those with four control points with a polynomial of these, and
@@ -94,8 +95,8 @@ def start(images: Sequence[ImageInput], count: int, frame: Frame, heights: Heigh
     # What no two images see stays in the middle, so that all places are numbers.
     ties[~located] = np.median(ties[located], axis=0) if located.any() else 0.0
     cameras = [started[i][0] for i in range(len(images))]
-    state = State(cameras, [started[i][1] for i in range(len(images))], ties,
-                  [np.square(camera.prior_sigma) for camera in cameras])
+    state = BlockUnknowns(cameras, [started[i][1] for i in range(len(images))], ties,
+                          [np.square(camera.prior_sigma) for camera in cameras])
     # Ties and control begin with one standard deviation, that of all residuals.
     state.sigma_ties = state.sigma_control = max(_residual_spread(images, state), 0.1)
     return state
@@ -317,7 +318,7 @@ def _affine_inverse(camera: Camera, parameters: FloatArray) -> FloatArray:
         np.column_stack([np.ones(len(image)), image]), local[:, :2], rcond=None)[0])
 
 
-def _residual_spread(images: Sequence[ImageInput], state: State) -> float:
+def _residual_spread(images: Sequence[ImageInput], state: BlockUnknowns) -> float:
     """Return a robust standard deviation [px] of all ties' residuals at the start.
 
     1 without images.

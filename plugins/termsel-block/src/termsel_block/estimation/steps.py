@@ -10,7 +10,7 @@ from scipy.special import chdtri
 from termsel import TermselError
 from termsel_block.estimation import common
 from termsel_block.estimation.equations import Shared, Solved, TieRows, solve
-from termsel_block.estimation.unknowns import Measured, State
+from termsel_block.estimation.unknowns import BlockUnknowns, Measured
 from termsel_block.geometry.cameras import Camera, Fixed
 from termsel_block.geometry.control import OwnControl
 from termsel_block.geometry.frame import FloatArray
@@ -41,7 +41,8 @@ class Steps:
     share = 1.0
     """Of the last step, that was taken."""
 
-    def __init__(self, state: State, measured: Sequence[Measured], control: Sequence[OwnControl],
+    def __init__(self, state: BlockUnknowns, measured: Sequence[Measured],
+                 control: Sequence[OwnControl],
                  heights: Heights, shared: Sequence[Shared]) -> None:
         self.state = state
         self.measured = measured

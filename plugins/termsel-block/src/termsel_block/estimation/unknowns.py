@@ -26,7 +26,7 @@ class Measured:
 
 
 @dataclass(eq=False)
-class State:
+class BlockUnknowns:
     """The unknowns of a block, and variances, while steps change them.
 
     Parameters
@@ -93,7 +93,7 @@ class Adjusted:
         taken as estimated.
     """
 
-    state: State
+    state: BlockUnknowns
     solved: Solved
     residuals: list[FloatArray]
     of_control: list[FloatArray]

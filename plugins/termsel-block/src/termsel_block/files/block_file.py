@@ -49,7 +49,7 @@ _NAMED_IMAGES = 8
 # Ties and control features of an image.
 _MIN_FEATURES = 3
 # Bytes of an image's name, in UTF-8.
-_LONGEST = 100
+_LONGEST_IMAGE_NAME = 100
 # Lines or samples: no image has as many.
 _LARGEST = 1e7
 # Times the reach of the other ties of the image.
@@ -217,11 +217,12 @@ def _check_names(names: Sequence[str], path: Path) -> None:
                                hint="Give each image a different name.")
         # A name is a folder's name: no separator, no dot before it, printable, not too long.
         if not name.strip() or name != Path(name).name or name.startswith(".") \
-                or not name.isprintable() or len(name.encode()) > _LONGEST:
-            short_name = name if len(name) <= _LONGEST else f"{name[:20]}..."
+                or not name.isprintable() or len(name.encode()) > _LONGEST_IMAGE_NAME:
+            short_name = name if len(name) <= _LONGEST_IMAGE_NAME else f"{name[:20]}..."
             raise TermselError(f"{short_name!r} cannot be the name of an image, whose result gets "
                                "a folder of that name", file=path,
-                               hint=f"Use letters, digits, - and _, and at most {_LONGEST} bytes.")
+                               hint="Use letters, digits, - and _, and at most "
+                                    f"{_LONGEST_IMAGE_NAME} bytes.")
     # Windows and macOS do not show capitals in names of files.
     for folder, count in Counter(name.casefold() for name in names).items():
         if count > 1:

@@ -16,7 +16,7 @@ from termsel_block.geometry.cameras import RpcCamera
 from termsel_block.geometry.frame import IntArray
 from termsel_block.joint import BlockResult
 
-SCHEMA = "termsel-block-1"
+BLOCK_SCHEMA = "termsel-block-1"
 
 _COARSE = 2.0
 """Standard deviation of a tie [px] that is worth a doubt."""
@@ -134,7 +134,7 @@ def record_of(result: BlockResult) -> BlockRecord:
     for indices in joined_images:
         parts.append([block.images[i].name for i in indices])
     return BlockRecord(
-        schema=SCHEMA, crs=block.crs, images=images, ties=len(block.ties.names),
+        schema=BLOCK_SCHEMA, crs=block.crs, images=images, ties=len(block.ties.names),
         measurements=len(block.ties.tie), sigma_ties=adjusted.state.sigma_ties,
         sigma_control=adjusted.state.sigma_control, redundancy=adjusted.freedom,
         steps=adjusted.steps, converged=adjusted.converged, datum=_datum_in_words(images),

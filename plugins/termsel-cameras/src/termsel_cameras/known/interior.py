@@ -42,7 +42,7 @@ FIXED_REACH = 1e-3
 HEIGHT_SPREAD = 0.1
 """Relative standard deviation of a flying height: as flight plans were kept."""
 
-OPTIONS = (
+INTERIOR_OPTIONS = (
     Option("camera", None, "Name of the photo's camera, such as wild-rc30-153, or a camera file "
                            "NAME.json."),
     Option("camera_focal", None, "Focal length: 3131.8 [px], or 153.2mm with camera_pixel or the "
@@ -65,7 +65,7 @@ OPTIONS = (
     Option("camera_height", None, "Rough flying height above the ground [m], known to 10%."))
 """Options of reading; columns of the points have the same names."""
 
-NAMES = tuple(option.name for option in OPTIONS)
+INTERIOR_NAMES = tuple(option.name for option in INTERIOR_OPTIONS)
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def interior_of(features: FeatureSet) -> Interior | None:
     TermselError
         If what they say cannot be understood, or does not suffice for a focal length in px.
     """
-    stated = {name: value for name in NAMES if (value := _stated_value(features, name))}
+    stated = {name: value for name in INTERIOR_NAMES if (value := _stated_value(features, name))}
     if "camera" not in stated and "camera_focal" not in stated:
         return None
     size = features.image_size

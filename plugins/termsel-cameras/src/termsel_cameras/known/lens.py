@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_MAX_STEPS, _CLOSE = 50, 1e-12
+_DISTORTION_STEPS, _CLOSE = 50, 1e-12
 _SHARES = (0.25, 0.5, 0.75, 1.0)
 
 
@@ -69,7 +69,7 @@ class Lens:
             return measured
         ideal = np.array(measured, dtype=np.float64)
         with np.errstate(all="ignore"):
-            for _ in range(_MAX_STEPS):
+            for _ in range(_DISTORTION_STEPS):
                 # m(ideal) = seen: what is left is taken off, as the distortion is small.
                 residual = measured - self.distorted(ideal)
                 ideal = ideal + residual

@@ -55,7 +55,7 @@ VAGUE_FOCAL = 0.1
 FREE_REACH = 0.01
 """Scale of the prior of the principal point of such a camera, by its focal length."""
 
-_STEP = 1e-4
+_DERIVATIVE_STEP = 1e-4
 
 
 @dataclass(frozen=True)
@@ -141,9 +141,9 @@ def _derivatives_through_lens(model: KnownFrame, camera: Pinhole, ground: FloatA
     ideal = camera.camera.image(ground)[0]
     bent = np.empty((len(ideal), 2, 2))
     for axis in range(2):
-        step = _STEP * np.eye(2)[axis]
+        step = _DERIVATIVE_STEP * np.eye(2)[axis]
         bent[:, :, axis] = (model.with_lens(ideal + step) - model.with_lens(ideal - step)) \
-            / (2 * _STEP)
+            / (2 * _DERIVATIVE_STEP)
     return np.asarray(bent @ slopes)
 
 

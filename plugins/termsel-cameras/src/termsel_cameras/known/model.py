@@ -66,10 +66,11 @@ ALIKE = 6.0
 CAMERA_FILE = Option("camera", None, "A camera file NAME.json: focal, principal point and "
                                      "distortion; options that are given come before it.")
 
-_STEP = 1e-5
+_LENS_STEP = 1e-5
 
-TERMS = ("turn-line", "turn-sample", "turn-view", "shift-line", "shift-sample", "shift-view",
-         "focal", "middle-line", "middle-sample")
+KNOWN_FRAME_TERMS = ("turn-line", "turn-sample", "turn-view", "shift-line", "shift-sample",
+                     "shift-view",
+                     "focal", "middle-line", "middle-sample")
 
 
 def options_of_camera(path: str) -> dict[str, Any]:
@@ -139,7 +140,7 @@ class KnownFrame(SensorModel):
     @property
     def terms(self) -> tuple[str, ...]:
         """Names of the terms."""
-        return TERMS
+        return KNOWN_FRAME_TERMS
 
     # Coordinates: metres of a tangent plane on the ground, scaled ones of an ideal lens in the
     # image.
@@ -328,13 +329,13 @@ class KnownFrame(SensorModel):
 
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return image positions of ground points, shape (..., n, 2); NaN behind the camera."""
-        values = np.reshape(coefficients, (-1, len(TERMS)))
+        values = np.reshape(coefficients, (-1, len(KNOWN_FRAME_TERMS)))
         ideal = self.camera_of(values).image(self.local(ground))
         return self.with_lens(ideal).reshape(*np.shape(coefficients)[:-1], len(ground), 2)
 
     def denominators(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return distances from the camera along its view, for both axes, (..., n, 2)."""
-        values = np.reshape(coefficients, (-1, len(TERMS)))
+        values = np.reshape(coefficients, (-1, len(KNOWN_FRAME_TERMS)))
         far = self.camera_of(values).in_camera_axes(self.local(ground))[..., 2]
         return np.stack([far, far], axis=-1).reshape(
             *np.shape(coefficients)[:-1], len(ground), 2)
@@ -355,15 +356,16 @@ class KnownFrame(SensorModel):
         for ground in (features.points.ground, features.lines.ground.reshape(-1, 3)):
             # Central differences: image(x) is about image(x0) + J (x - x0), so that the constant
             # of the linear model is image(x0) - J x0.
-            steps = _STEP * np.eye(len(TERMS))
+            steps = _LENS_STEP * np.eye(len(KNOWN_FRAME_TERMS))
             shifted = self.project(np.concatenate([coefficients + steps, coefficients - steps]),
                                    ground)
-            jacobian = np.moveaxis(shifted[:len(TERMS)] - shifted[len(TERMS):], 0, -1) / (2 * _STEP)
+            jacobian = np.moveaxis(shifted[:len(KNOWN_FRAME_TERMS)]
+                                   - shifted[len(KNOWN_FRAME_TERMS):], 0, -1) / (2 * _LENS_STEP)
             derivatives.append(jacobian)
             constants.append(self.project(coefficients, ground) - jacobian @ coefficients)
         equations = image_equations(features, *derivatives, *constants)
         noise = USUAL / self.scaling.image_scale
-        prior = np.zeros(len(TERMS))
+        prior = np.zeros(len(KNOWN_FRAME_TERMS))
         prior[6] = noise / self.options["focal_spread"]
         prior[7:] = noise / self.reach
         return Equations(equations.A, equations.b, equations.feature, prior)

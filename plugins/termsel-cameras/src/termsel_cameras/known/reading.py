@@ -14,7 +14,7 @@ from termsel import FeatureSet, TermselError, open_raster
 from termsel.toolkit import with_dataset
 from termsel.toolkit.coordinates import LOCAL, transformation_between
 from termsel_cameras.known.cameras import CAMERAS
-from termsel_cameras.known.interior import NAMES, OPTIONS, interior_of
+from termsel_cameras.known.interior import INTERIOR_NAMES, INTERIOR_OPTIONS, interior_of
 
 DIAGONAL = float(np.hypot(36.0, 24.0))
 """Of film of 36 mm by 24, to which equivalent focal lengths refer [mm]."""
@@ -28,7 +28,7 @@ _DIGITS = re.compile(r"\d+(?:\.\d+)?")
 class CameraOptions:
     """Options of reading that say what is known of the camera of a photo."""
 
-    options = OPTIONS
+    options = INTERIOR_OPTIONS
 
     def read(self, features: FeatureSet, options_given: Mapping[str, Any],
              image: Path | str | None) -> FeatureSet:
@@ -36,7 +36,7 @@ class CameraOptions:
 
         Without options and columns the EXIF of the image shows it, where there is one.
         """
-        stated = {name: str(options_given[name]) for name in NAMES
+        stated = {name: str(options_given[name]) for name in INTERIOR_NAMES
                   if options_given.get(name) is not None}
         attributes = features.points.attributes
         sources = {"camera", "camera_focal"}
@@ -53,7 +53,7 @@ class CameraOptions:
             features.points, attributes={**attributes, **columns}))
         # What somebody types is refused where it cannot be understood; the choice of a model would
         # only pass over this camera.
-        given = [name for name in NAMES if options_given.get(name) is not None]
+        given = [name for name in INTERIOR_NAMES if options_given.get(name) is not None]
         if given and interior_of(described) is None:
             raise TermselError(
                 f"{', '.join(given)} {'is' if len(given) == 1 else 'are'} of a camera whose focal "

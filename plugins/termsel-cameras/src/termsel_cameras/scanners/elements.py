@@ -12,7 +12,7 @@ from termsel import TermselError
 EPOCH = datetime(2000, 1, 1)
 """Which day does not matter: times are only ever subtracted from one another."""
 
-_LONGEST = 40
+_LONGEST_QUOTE = 40
 """Characters of a text that a message repeats."""
 
 
@@ -39,7 +39,7 @@ def as_number(name: str, text: str) -> float:
     except ValueError:
         value = np.nan
     if not np.isfinite(value):
-        raise TermselError(f"the element {name} has {text[:_LONGEST]!r}, which is no number")
+        raise TermselError(f"the element {name} has {text[:_LONGEST_QUOTE]!r}, which is no number")
     return value
 
 
@@ -54,4 +54,4 @@ def seconds_of(text: str) -> float:
         return (datetime.fromisoformat(whole) - EPOCH).total_seconds() + float(
             f"0.{fraction or 0}")
     except (ValueError, TypeError) as error:
-        raise TermselError(f"{text[:_LONGEST]!r} is no time") from error
+        raise TermselError(f"{text[:_LONGEST_QUOTE]!r} is no time") from error

@@ -36,7 +36,7 @@ NODES = 241
 MARGIN = 60.0
 """Time before and after the scene of which ephemeris and attitude are kept [s]."""
 
-_HINT = "Give the DIMAP file of a SPOT scene of level 1A (METADATA.DIM), as it was delivered."
+_DIMAP_HINT = "Give the DIMAP file of a SPOT scene of level 1A (METADATA.DIM), as it was delivered."
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def metadata_of(given: str) -> Metadata:
     try:
         return _read(path, path.stat().st_mtime_ns)
     except OSError as error:
-        raise TermselError(f"{path} cannot be read: {error.strerror}", hint=_HINT) from error
+        raise TermselError(f"{path} cannot be read: {error.strerror}", hint=_DIMAP_HINT) from error
 
 
 @lru_cache(maxsize=2)
@@ -91,11 +91,11 @@ def _read(path: Path, _changed: int) -> Metadata:
     try:
         root = ElementTree.fromstring(read_data(path))
     except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise TermselError(f"{path} cannot be read as XML: {error}", hint=_HINT) from error
+        raise TermselError(f"{path} cannot be read as XML: {error}", hint=_DIMAP_HINT) from error
     try:
         return _metadata_of_dimap(root, path.name)
     except TermselError as error:
-        raise TermselError(f"{path}: {error.what}", hint=_HINT) from error
+        raise TermselError(f"{path}: {error.what}", hint=_DIMAP_HINT) from error
 
 
 def _metadata_of_dimap(root: ElementTree.Element, name: str) -> Metadata:

@@ -43,7 +43,7 @@ OBLIQUE = 0.6
 """Distance of the nearest point from the camera, by that of the middle, up to which a view is
 oblique."""
 
-FOCAL, FOCAL_SPREAD = 2.0, 0.6
+FOCAL_PRIOR, FOCAL_SPREAD = 2.0, 0.6
 """Focal length by the half extent of the control in the image, and the standard deviation of its
 logarithm: film of 23 cm went with 88 to 305 mm, or 0.8 to 2.7, and with 610 mm."""
 
@@ -74,7 +74,7 @@ of this kind: it is at most about 1.2 where it is, and seldom below 3 where it i
 
 
 class Photo(Physical):
-    """A camera that looks down from one place; see `Frame` and `Panoramic`."""
+    """A camera that looks down from one place; see `FrameCamera` and `Panoramic`."""
 
     free = 2
     declared_options = (
@@ -147,7 +147,7 @@ class Photo(Physical):
         values = dict.fromkeys(self.terms, 0.0) | {
             "line": middle_seen[0], "sample": middle_seen[1], "turn": turn / TURN,
             "scale": np.log(focal * size / middle[2] * self._ground_extent()) / SCALE,
-            "focal": np.log(focal / FOCAL) / FOCAL_SPREAD,
+            "focal": np.log(focal / FOCAL_PRIOR) / FOCAL_SPREAD,
             "tilt-line": tilts[0] / self.tilt, "tilt-sample": tilts[1] / self.tilt,
             "middle-line": away[0] / MIDDLE, "middle-sample": away[1] / MIDDLE}
         return [values[name] for name in self.terms]
@@ -171,7 +171,7 @@ class Photo(Physical):
 
         `ray`, shape (p, 3), leads to the control's middle: along lines, samples and the view.
         """
-        focal = FOCAL * np.exp(FOCAL_SPREAD * x["focal"])
+        focal = FOCAL_PRIOR * np.exp(FOCAL_SPREAD * x["focal"])
         scale = np.exp(SCALE * x["scale"]) / self._ground_extent()
         turned = self.rotation_of(x)
         # Relative to the middle of the control, and by the distance of the camera from it.
@@ -237,7 +237,7 @@ _COMMON = ("line", "sample", "turn", "scale", "focal", "tilt-line", "tilt-sample
            "middle-sample")
 
 
-class Frame(Photo):
+class FrameCamera(Photo):
     """Frame camera: collinearity equations with radial distortion and deformed film.
 
     Terms are in standard deviations of what is known beforehand, which is little; ``line`` and
@@ -256,7 +256,7 @@ class Frame(Photo):
     def film(self, x: dict[str, FloatArray], ground: FloatArray) -> FloatArray:
         """Return scaled positions on the film (p, n, 2), about where the middle is seen."""
         middle = MIDDLE * np.stack([x["middle-line"], x["middle-sample"]], axis=1)
-        focal = FOCAL * np.exp(FOCAL_SPREAD * x["focal"])
+        focal = FOCAL_PRIOR * np.exp(FOCAL_SPREAD * x["focal"])
         # Towards the middle of the control, which need not be the principal point.
         ray = np.column_stack([middle / focal[:, None], np.ones(len(focal))])
         in_camera, focal = self.seen(x, ground, ray)
@@ -278,7 +278,7 @@ class Frame(Photo):
         scaling = require_scaling(self.scaling)
         x = dict(zip(self.terms, np.asarray(coefficients)[:, None], strict=True))
         away = MIDDLE * np.array([x["middle-line"][0], x["middle-sample"][0]])
-        focal = float(FOCAL * np.exp(FOCAL_SPREAD * x["focal"][0]))
+        focal = float(FOCAL_PRIOR * np.exp(FOCAL_SPREAD * x["focal"][0]))
         scale = float(np.exp(SCALE * x["scale"][0])) / self._ground_extent()
         rotation = self.rotation_of(x)[0]
         # In the camera's axes a place is R X scale / focal + ray, which is 0 at the camera.
@@ -308,7 +308,7 @@ class Panoramic(Photo):
 
     def film(self, x: dict[str, FloatArray], ground: FloatArray) -> FloatArray:
         """Return scaled positions on the film (p, n, 2), about where the middle is seen."""
-        focal = FOCAL * np.exp(FOCAL_SPREAD * x["focal"])
+        focal = FOCAL_PRIOR * np.exp(FOCAL_SPREAD * x["focal"])
         slit, angle = (MIDDLE * x[name] / focal for name in ("middle-line", "middle-sample"))
         in_camera, focal = self.seen(x, ground, np.stack(
             [slit, np.sin(angle), np.cos(angle)], axis=1))
@@ -326,7 +326,7 @@ class Panoramic(Photo):
 class FewOfPhoto(Method):
     """A camera of which nothing is known, for few points."""
 
-    camera: type[Photo] = Frame
+    camera: type[Photo] = FrameCamera
 
     def declines(self, control: FitData) -> str | None:
         """Return why the features are not for a photo, as part of a sentence; None if they may be.
@@ -403,7 +403,7 @@ class FewOfPhoto(Method):
     def describe(self, fitted: Fit) -> str:
         """Return sentences on what camera the fit found: its focal length and its tilt."""
         values: dict[str, Any] = fitted.coefficients
-        focal = FOCAL * np.exp(FOCAL_SPREAD * values["focal"])
+        focal = FOCAL_PRIOR * np.exp(FOCAL_SPREAD * values["focal"])
         assert isinstance(fitted.model, Photo)
         tilt = np.degrees(np.arccos(np.prod(np.cos(fitted.model.tilt * np.array(
             [values["tilt-line"], values["tilt-sample"]])))))
@@ -412,9 +412,9 @@ class FewOfPhoto(Method):
                 f"extents of the control and a tilt of {tilt:.1f} deg.")
 
 
-CANDIDATES = (
+PHOTO_METHODS = (
     FewOfPhoto("frame-camera", "a frame camera", short="frame camera", estimator=RobustFit(),
-               has_prior=True, max_features=MAX_PHOTO_POINTS, camera=Frame),
+               has_prior=True, max_features=MAX_PHOTO_POINTS, camera=FrameCamera),
     FewOfPhoto("panoramic-camera", "a panoramic camera", short="panoramic camera",
                estimator=RobustFit(), has_prior=True, max_features=MAX_PHOTO_POINTS,
                camera=Panoramic))

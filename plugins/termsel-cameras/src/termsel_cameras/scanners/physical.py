@@ -67,7 +67,7 @@ def require_scaling(scaling: Scaling | None) -> Scaling:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class CameraSolution:
     """Where a fit ended."""
 
     values: FloatArray  # (k,)
@@ -141,7 +141,7 @@ class Physical(SensorModel):
         unweighted = image_equations(features, *rows[::2], *rows[1::2])
         return Equations(unweighted.A, unweighted.b, unweighted.feature, self.prior())
 
-    def solved(self, features: FeatureSet) -> Solution:
+    def solved(self, features: FeatureSet) -> CameraSolution:
         """Return the best robust fit to scaled points from all starts.
 
         A run asks for the same one many times: the last ones are kept. Raises Undetermined where no
@@ -174,7 +174,7 @@ class Physical(SensorModel):
         before, middle, behind = self.image_of(ends, ground)
         return np.asarray((before - 2 * middle + behind) / (2 * BEND**2))
 
-    def descended(self, features: FeatureSet, start: FloatArray) -> Solution | None:
+    def descended(self, features: FeatureSet, start: FloatArray) -> CameraSolution | None:
         """Return where damped steps from a start end (Levenberg 1944, Marquardt 1963).
 
         Steps follow a bend to second order (Transtrum, Machta and Sethna 2011, Phys. Rev. E 83,
@@ -231,7 +231,7 @@ class Physical(SensorModel):
             damping = damping / 10.0
             if converged:
                 break
-        return Solution(values, least_cost, steps, converged or damping >= 1e8)
+        return CameraSolution(values, least_cost, steps, converged or damping >= 1e8)
 
 
 @dataclass(frozen=True)
@@ -368,16 +368,16 @@ def as_stated(ready: Physical, control: FitData) -> FloatArray | None:
 
 
 @lru_cache(maxsize=8)
-def _cached_best_fit(pickled: bytes) -> Solution:
+def _cached_best_fit(pickled: bytes) -> CameraSolution:
     """Return the best fit of a model to scaled points, given pickled so that they can be cached."""
     return _best_solution(*pickle.loads(pickled))
 
 
-def _best_solution(model: Physical, points: Points) -> Solution:
+def _best_solution(model: Physical, points: Points) -> CameraSolution:
     """Return the solution of the least cost from all starts; raises Undetermined if none has one.
     """
     features = FeatureSet(points)
-    ends: list[Solution] = [
+    ends: list[CameraSolution] = [
         solution for start in model.starts(features)
         if (solution := model.descended(features, start))]
     if not ends:

@@ -23,8 +23,8 @@ LARGEST = 64 << 20
 MOST = 10_000
 """Files of a zip; products have some fifty."""
 
-NAMES = re.compile(r"(?P<mission>s1[a-z])-(?P<swath>[a-z0-9]+)-(?P<kind>slc|grd[a-z]?)-"
-                   r"(?P<polarisation>[hv]{2})-\d{8}t\d{6}-", re.IGNORECASE)
+ANNOTATION_NAMES = re.compile(r"(?P<mission>s1[a-z])-(?P<swath>[a-z0-9]+)-(?P<kind>slc|grd[a-z]?)-"
+                              r"(?P<polarisation>[hv]{2})-\d{8}t\d{6}-", re.IGNORECASE)
 """Names of annotations and images (Sentinel-1 Product Specification, section 3.2)."""
 
 HINT = ("Give a product of Sentinel-1: the folder ....SAFE, its zip, an annotation "
@@ -78,7 +78,7 @@ def images_of(path: Path) -> tuple[Image, ...]:
 
 def is_image(path: Path, head: bytes) -> bool:
     """Return whether a file is an image of Sentinel-1: a TIFF of its name, or that says so."""
-    return head.startswith(_TIFF) and (NAMES.match(path.name) is not None
+    return head.startswith(_TIFF) and (ANNOTATION_NAMES.match(path.name) is not None
                                        or b"Sentinel-1 IPF" in head)
 
 
@@ -186,13 +186,13 @@ def _annotation_of_image(image: Path) -> list[Path]:
 
 
 def _is_annotation(name: str) -> bool:
-    return NAMES.match(name) is not None and name.lower().endswith(".xml")
+    return ANNOTATION_NAMES.match(name) is not None and name.lower().endswith(".xml")
 
 
 def _image_of_annotation(annotation: Path) -> Image:
     """Return the image of an annotation, with swath and polarisation by its name; "" if not stated.
     """
-    match = NAMES.match(annotation.name)
+    match = ANNOTATION_NAMES.match(annotation.name)
     return Image(annotation, match["swath"].upper() if match else "",
                  match["polarisation"].upper() if match else "")
 

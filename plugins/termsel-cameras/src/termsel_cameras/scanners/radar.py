@@ -19,7 +19,7 @@ Vectors = tuple[tuple[float, ...], ...]
 LIGHT = 299792458.0
 """Speed of light [m/s]."""
 
-TERMS = ("azimuth", "range", "azimuth-rate", "range-rate")
+RADAR_TERMS = ("azimuth", "range", "azimuth-rate", "range-rate")
 
 SHIFT, RATE_METRES = 30.0, 2.0
 """Standard deviations of a shift in azimuth and in range [m], and of what a shift changes by from
@@ -88,7 +88,7 @@ class Radar(Physical):
                            "its lines are those of the whole image.",
                type=int, minimum=0, maximum=1000),
         BISTATIC)
-    terms_ = TERMS
+    terms_ = RADAR_TERMS
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -128,7 +128,7 @@ class Radar(Physical):
 
     def starts(self, features: FeatureSet) -> FloatArray:
         """Return the values of terms from which a fit begins, (1, k): no shift."""
-        return np.zeros((1, len(TERMS)))
+        return np.zeros((1, len(RADAR_TERMS)))
 
     def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
         """Return scaled image positions (p, n, 2) by values of terms (p, k)."""

@@ -27,9 +27,9 @@ YAW_DEGREES = 3.0
 SPEED = 6371e3
 """Radius of the Earth, which the motion of a satellite over the ground goes by [m]."""
 
-TERMS = ("line", "sample", "heading", "side", "ahead", "altitude", "period", "pixel", "yaw",
-         "roll-rate", "pitch-rate", "yaw-rate", "roll-change", "pitch-change", "yaw-change",
-         "look-2", "look-3")
+SCANNER_TERMS = ("line", "sample", "heading", "side", "ahead", "altitude", "period", "pixel", "yaw",
+                 "roll-rate", "pitch-rate", "yaw-rate", "roll-change", "pitch-change", "yaw-change",
+                 "look-2", "look-3")
 
 
 class Scanner(Physical):
@@ -53,7 +53,7 @@ class Scanner(Physical):
                              "constants. By default nothing is known of it."),
         Option("track", "descending", "Direction of the track.",
                choices=("descending", "ascending")))
-    terms_ = TERMS
+    terms_ = SCANNER_TERMS
     free = 2
 
     def __init__(self, **options: Any) -> None:
@@ -67,8 +67,8 @@ class Scanner(Physical):
 
     def starts(self, features: FeatureSet) -> FloatArray:
         """Return the values of terms from which fits begin, (5, k): views to either side."""
-        starts = np.zeros((5, len(TERMS)))
-        starts[:, TERMS.index("side")] = np.linspace(-1.6, 1.6, 5)
+        starts = np.zeros((5, len(SCANNER_TERMS)))
+        starts[:, SCANNER_TERMS.index("side")] = np.linspace(-1.6, 1.6, 5)
         return starts
 
     def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
@@ -78,7 +78,7 @@ class Scanner(Physical):
         middle = self.geographic(np.zeros((1, 3)))
         axes = axes_at(*middle[0, :2])
         origin = to_geocentric(middle)[0]
-        x = dict(zip(TERMS, values.T, strict=True))
+        x = dict(zip(SCANNER_TERMS, values.T, strict=True))
         altitude = 1e3 * (sensor.altitude + sensor.altitude_sigma * x["altitude"])
         view = {name: np.tan(np.radians(getattr(sensor, name))) * x[name]
                 for name in ("side", "ahead")}

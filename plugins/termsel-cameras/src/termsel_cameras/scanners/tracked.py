@@ -14,7 +14,7 @@ from termsel_cameras.scanners.physical import Physical, require_scaling
 SUFFIXES = (".dim", ".xml")
 """Names of files of metadata end so."""
 
-TERMS = ("roll", "pitch", "yaw", "roll-rate", "pitch-rate", "yaw-rate", "period", "pixel")
+TRACKED_TERMS = ("roll", "pitch", "yaw", "roll-rate", "pitch-rate", "yaw-rate", "period", "pixel")
 
 ANGLE, TRACKED = 4e-4, 1e-4
 """Standard deviation of a bias of roll and pitch [rad], without and with a star tracker: Spot Image
@@ -46,7 +46,7 @@ class TrackedScanner(Physical):
     declared_options = (
         Option("metadata", "", "Required: the DIMAP file of version 1 of a SPOT scene of level 1A. "
                                "A result contains what was read."),)
-    terms_ = TERMS
+    terms_ = TRACKED_TERMS
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -76,13 +76,14 @@ class TrackedScanner(Physical):
 
     def starts(self, features: FeatureSet) -> FloatArray:
         """Return the values of terms from which a fit begins, (1, k): no correction."""
-        return np.zeros((1, len(TERMS)))
+        return np.zeros((1, len(TRACKED_TERMS)))
 
     def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
         """Return scaled image positions (p, n, 2) by values of terms (p, k)."""
         metadata = self.metadata
         target = to_geocentric(self.geographic(ground))
-        x = dict(zip(TERMS, values.T[..., None], strict=True))                       # (p, 1) each
+        x = dict(zip(TRACKED_TERMS, values.T[..., None],
+                     strict=True))                       # (p, 1) each
         angle = TRACKED if metadata.tracked else ANGLE
         bias = [YAW_SIGMA * x["yaw"], angle * x["pitch"], angle * x["roll"]]
         rate = [RATE_SIGMA * x[f"{name}-rate"] for name in ("yaw", "pitch", "roll")]

@@ -19,7 +19,7 @@ from scipy.special import digamma, polygamma
 from termsel import FeatureSet, FitData, Scaling, TermselError
 from termsel.toolkit import FloatArray
 
-NAMES = ("scale", "turn", "stretch", "shear")
+PAPER_NAMES = ("scale", "turn", "stretch", "shear")
 TURN = 1
 """Place of the turn among the four numbers: an angle."""
 
@@ -47,7 +47,7 @@ class Sheet:
     Parameters
     ----------
     values, variances : tuple of 4 floats
-        Of `NAMES`; variances are those of a noise of 1 px.
+        Of `PAPER_NAMES`; variances are those of a noise of 1 px.
     noise : float
         Standard deviation of what the affine map leaves of lines, or of samples [px].
     freedom : int
@@ -70,7 +70,7 @@ class Paper:
     Parameters
     ----------
     means, spreads : tuple of 4 floats
-        Expected values of `NAMES` and their standard deviations.
+        Expected values of `PAPER_NAMES` and their standard deviations.
     noise, freedom : float
         Standard deviation of what an affine map leaves of lines, or of samples [px], and the
         degrees of freedom that it counts as.

@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 AUTO = "auto"
 _NEXT = 2
 
-OPTIONS = (
+SHEET_OPTIONS = (
     Option("prime_meridian", None, "Meridian that longitudes of the points count from: "
            f"{', '.join(MERIDIANS)}, or degrees from Greenwich."),
     Option("series", None, "File of the series that a map is a sheet of, by termsel map-series: "
@@ -46,12 +46,12 @@ OPTIONS = (
 class SheetOptions:
     """Options of reading that say in what coordinates an old map was drawn."""
 
-    options = OPTIONS
+    options = SHEET_OPTIONS
 
     def read(self, features: FeatureSet, options_given: Mapping[str, Any],
              image: Path | str | None) -> FeatureSet:
         """Return features with longitudes from Greenwich, and the projection of the map."""
-        values = {option.name: option.parse(options_given[option.name]) for option in OPTIONS
+        values = {option.name: option.parse(options_given[option.name]) for option in SHEET_OPTIONS
                   if options_given.get(option.name) is not None}
         if "prime_meridian" in values:
             features = from_greenwich(features, meridian_of(values["prime_meridian"]))

@@ -27,7 +27,7 @@ from termsel import (
 )
 from termsel.toolkit import BoolArray, FloatArray
 from termsel_cameras.sheets.paper import (
-    NAMES,
+    PAPER_NAMES,
     TURN,
     Paper,
     matrix_of,
@@ -70,7 +70,7 @@ def paper_of_text(text: str) -> Paper:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
         numbers = []
-    if len(numbers) != 2 * len(NAMES) + 3 or not np.isfinite(numbers).all() \
+    if len(numbers) != 2 * len(PAPER_NAMES) + 3 or not np.isfinite(numbers).all() \
             or min(numbers[4:10]) <= 0.0:
         raise Undetermined(f"the column {COLUMN} does not state what a series shows: {text!r:.60}",
                            hint="Read the points with --set series=FILE.json.")

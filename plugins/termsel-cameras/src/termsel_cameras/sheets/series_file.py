@@ -14,7 +14,7 @@ from termsel import FeatureSet, TermselError
 from termsel.toolkit import read_text
 from termsel.toolkit.coordinates import normalise
 from termsel_cameras.roles import without_independent
-from termsel_cameras.sheets.paper import NAMES, Paper, Sheet, marks_of, paper_of, sheet_of
+from termsel_cameras.sheets.paper import PAPER_NAMES, Paper, Sheet, marks_of, paper_of, sheet_of
 from termsel_cameras.sheets.series import with_paper
 
 
@@ -82,7 +82,7 @@ def _parse_sheet(item: Any) -> Sheet:
     variances = tuple(float(value) for value in item["variances"])
     noise, freedom = float(item["noise"]), int(item["freedom"])
     numbers = np.array([*values, *variances, noise])
-    if len(values) != len(NAMES) or len(variances) != len(NAMES) or freedom < 1 \
+    if len(values) != len(PAPER_NAMES) or len(variances) != len(PAPER_NAMES) or freedom < 1 \
             or not np.isfinite(numbers).all() or min(*variances, noise) <= 0.0:
         raise ValueError
     return Sheet(values, variances, noise, freedom, tuple(str(mark) for mark in item["points"]))

@@ -13,7 +13,7 @@ import numpy as np
 from termsel.toolkit.charts import GROUND, ROLE_COLOURS, ROLE_SHAPES
 
 TABLE = "layer_styles"
-OPTIONS = {"FID": "id"}
+LAYER_OPTIONS = {"FID": "id"}
 """Of the layer in GDAL: the name of its key."""
 
 _ROLE = """CASE WHEN "role" IN ('control', 'off') AND NOT "used" THEN 'left out' ELSE "role" END"""

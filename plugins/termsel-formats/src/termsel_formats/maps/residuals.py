@@ -14,7 +14,7 @@ from termsel.toolkit.coordinates import horizontal_crs
 from termsel.toolkit.files import TextArray, distinct_names, reason_of, say_measured
 from termsel.toolkit.models import errors_on_ground
 from termsel.toolkit.runs import GIS
-from termsel_formats.maps.qgis_style import OPTIONS, TABLE, layer_style_rows
+from termsel_formats.maps.qgis_style import LAYER_OPTIONS, TABLE, layer_style_rows
 
 _VERSION = {"VERSION": "1.3"}  # which GDAL 3.6 and QGIS 3.22 read without a warning
 _SHARE = 0.03  # of the map's extent, for the median vector
@@ -72,7 +72,7 @@ class ResidualsGeopackage(Writer):
                         raise DataLayerError("the file is incomplete")  # noqa: TRY301
                 layer_styles = layer_style_rows()
                 write(str(file), None, list(layer_styles.values()), list(layer_styles),
-                      layer=TABLE, driver="GPKG", append=True, layer_options=OPTIONS)
+                      layer=TABLE, driver="GPKG", append=True, layer_options=LAYER_OPTIONS)
             except (DataSourceError, DataLayerError) as error:
                 raise TermselError(
                     f"cannot make the GeoPackage: {reason_of(error, file)}", file=path,

@@ -21,7 +21,7 @@ from termsel.toolkit import read_text, write_text
 from termsel.toolkit.coordinates import normalise, to_wgs84
 from termsel.toolkit.files import IMAGE_NAME, Table, image_of, is_number
 from termsel_formats.points.written import (
-    IMAGE,
+    IMAGE_OPTION,
     PointsWriter,
     image_name,
     image_sigma,
@@ -161,7 +161,7 @@ class AspGcpWriter(PointsWriter):
     needs = "control points with heights, in a CRS of the Earth"
     suffix = ".gcp"
     declared_options: ClassVar[tuple[Option, ...]] = (
-        IMAGE,
+        IMAGE_OPTION,
         Option("ground_sigma", 1.0, "Standard deviation of the ground coordinates [m]; they are "
                                     "not in the control of termsel.", float, 0.0, 1e6))
 

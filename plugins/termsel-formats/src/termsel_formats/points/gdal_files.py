@@ -27,9 +27,9 @@ from termsel.toolkit.files import (
     xml_attribute,
 )
 from termsel_formats.points.common import CORNER, points_of, what_lacks, xml_root
-from termsel_formats.points.written import IMAGE, PointsWriter, say_by_gdal
+from termsel_formats.points.written import IMAGE_OPTION, PointsWriter, say_by_gdal
 
-_HINT = "Write it again with GDAL or ArcGIS, or give another file."
+_GDAL_HINT = "Write it again with GDAL or ArcGIS, or give another file."
 
 
 class PamGcps(Reader):
@@ -44,12 +44,12 @@ class PamGcps(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name the file and the point."""
-        root = xml_root(path, _HINT)
+        root = xml_root(path, _GDAL_HINT)
         try:
             ids, rows, crs = _gcps_of_gdal(root) or _gcps_of_arcgis(root) or ([], [], "")
         except (KeyError, ValueError) as error:
             raise TermselError(f"a ground control point cannot be read: {what_lacks(error)}",
-                               file=path, hint=_HINT) from error
+                               file=path, hint=_GDAL_HINT) from error
         if not rows:
             raise TermselError("this file has no ground control points", file=path,
                                hint="Check the image with gdalinfo.")
@@ -137,7 +137,7 @@ class GcpTiff(PointsWriter):
     summary = "copy of the image as a GeoTIFF with the selected control points as GCPs"
     needs = "control points in a CRS of the Earth; --image FILE, by default an image without pixels"
     suffix = "_gcps.tif"
-    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
+    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE_OPTION,)
 
     def write(self, result: Result, path: Path) -> None:
         """Write a copy of the image as a GeoTIFF with the points as GCPs, or an empty one."""

@@ -41,9 +41,11 @@ NO_COORDINATE = 1e30
 
 _MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"EHFA_HEADER_TAG", b"CDF\x01", b"CDF\x02",
           b"\x89HDF")
-_HINT = ("Give a raster with bands longitude, latitude and perhaps height; or that of longitudes, "
-         "with --set latitude=FILE and --set height=FILE; or an image whose metadata name its "
-         "geolocation array.")
+_GEOLOCATION_HINT = ("Give a raster with bands longitude, latitude and perhaps height; or that of "
+                     "longitudes, "
+                     "with --set latitude=FILE and --set height=FILE; or an image whose metadata "
+                     "name its "
+                     "geolocation array.")
 
 Band = Callable[[int], FloatArray]
 """Returns a line of a band."""
@@ -111,7 +113,7 @@ class GeolocationArray(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return a lattice of places of the array as control; errors name the file."""
-        read_head(path, _HINT)
+        read_head(path, _GEOLOCATION_HINT)
         with ExitStack() as stack:
             arrays = self._open_arrays(path, stack)
             return _lattice_of(arrays, path, self.options["meshes"])
@@ -132,7 +134,7 @@ class GeolocationArray(Reader):
             bands = [(raster, number) for number in numbers]
         else:
             raise TermselError("no bands of this raster are called longitude and latitude",
-                               file=path, hint=_HINT)
+                               file=path, hint=_GEOLOCATION_HINT)
         step = self._parse_pair_option("array_step", 1.0)
         # With steps of its own an array does not show the size of its image.
         size = raster.shape if (step == 1.0).all() else None
@@ -183,7 +185,7 @@ def _arrays_of_domain(path: Path, raster: Any, domain: dict[str, str], stack: Ex
             if axis == "Z":
                 break
             raise TermselError(f"its domain GEOLOCATION has no {axis}_DATASET", file=path,
-                               hint=_HINT)
+                               hint=_GEOLOCATION_HINT)
         relative = domain.get(f"{axis}_DATASET_RELATIVE_TO_SOURCE", "NO").upper() in ("YES", "1")
         array_file = Path(os.path.join(path.parent, name)) if relative else Path(name)
         bands.append((stack.enter_context(open_raster(array_file)),
@@ -193,7 +195,7 @@ def _arrays_of_domain(path: Path, raster: Any, domain: dict[str, str], stack: Ex
     # A lattice must go on; GDAL knows no other order.
     if not (step > 0.0).all():
         raise TermselError("its domain GEOLOCATION has a step that is not positive", file=path,
-                           hint=_HINT)
+                           hint=_GEOLOCATION_HINT)
     # Places are at corners of the steps, or in their middles; GDAL counts from the outer corner.
     centred = domain.get("GEOREFERENCING_CONVENTION", "").upper() == "PIXEL_CENTER"
     first = offset + (step / 2.0 if centred else 0.0) - CORNER
@@ -214,7 +216,7 @@ def _number(domain: dict[str, str], name: str, usual: float, path: Path) -> floa
         value = np.nan
     if not np.isfinite(value):
         raise TermselError(f"its domain GEOLOCATION has {name}={text!r:.50}, which is no number",
-                           file=path, hint=_HINT)
+                           file=path, hint=_GEOLOCATION_HINT)
     return value
 
 
@@ -229,9 +231,11 @@ def _band_readers(bands: list[tuple[Any, int]], path: Path) -> tuple[Band, ...]:
         if raster.shape != first.shape:
             raise TermselError(f"{raster.name} has {raster.shape[0]} lines and {raster.shape[1]} "
                                f"samples, other than the array of longitudes with "
-                               f"{first.shape[0]} and {first.shape[1]}", file=path, hint=_HINT)
+                               f"{first.shape[0]} and {first.shape[1]}", file=path,
+                               hint=_GEOLOCATION_HINT)
         if not 1 <= number <= raster.count:
-            raise TermselError(f"{raster.name} has no band {number}", file=path, hint=_HINT)
+            raise TermselError(
+                f"{raster.name} has no band {number}", file=path, hint=_GEOLOCATION_HINT)
     return tuple(_line_of(raster, number) for raster, number in bands)
 
 
@@ -273,9 +277,11 @@ def _lattice_of(arrays: Arrays, path: Path, meshes: int | None) -> FeatureSet:
     image, ground = lattice
     finite = np.isfinite(ground[:, :2]).all(axis=1)
     if finite.sum() < 4:
-        raise TermselError("this array has fewer than four nodes", file=path, hint=_HINT)
+        raise TermselError(
+            "this array has fewer than four nodes", file=path, hint=_GEOLOCATION_HINT)
     if (np.abs(ground[finite, 1]) > 90.0).any() and not arrays.crs:
-        raise TermselError("the latitudes of this array are beyond 90", file=path, hint=_HINT)
+        raise TermselError(
+            "the latitudes of this array are beyond 90", file=path, hint=_GEOLOCATION_HINT)
     image = image[finite]
     ground = ground[finite]
     if np.isnan(ground[:, 2]).any():

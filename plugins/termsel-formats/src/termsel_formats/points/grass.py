@@ -20,12 +20,12 @@ from termsel import FeatureSet, Reader, TermselError
 from termsel.toolkit import read_text
 from termsel.toolkit.files import Table, is_number
 
-_TITLE = b"Ground Control Points File"
+_GRASS_TITLE = b"Ground Control Points File"
 _PLANE = ("source east", "source north", "east", "north", "status")
 _SPATIAL = ("source east", "source north", "source height", "east", "north", "height", "status")
-_MEANINGS = {"sample": "source east", "line": "source north", "x": "east", "y": "north",
-             "z": "height", "enabled": "status"}
-_HINT = f"A line is {', '.join(_PLANE)}."
+_GRASS_HEADINGS = {"sample": "source east", "line": "source north", "x": "east", "y": "north",
+                   "z": "height", "enabled": "status"}
+_GRASS_HINT = f"A line is {', '.join(_PLANE)}."
 
 
 class GrassPoints(Reader):
@@ -41,7 +41,7 @@ class GrassPoints(Reader):
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for a file with the title of GRASS, or of its name and form."""
-        if head.lstrip(b"\xef\xbb\xbf \t\r\n#").startswith(_TITLE):
+        if head.lstrip(b"\xef\xbb\xbf \t\r\n#").startswith(_GRASS_TITLE):
             return True
         rows = _numbered_rows(head.decode("utf-8", "replace").rpartition("\n")[0])
         return path.name in ("POINTS", "CONTROL_POINTS") and bool(rows) and all(
@@ -52,18 +52,18 @@ class GrassPoints(Reader):
         """Return the points, with line as rows upwards; errors name file, line and column."""
         rows = _numbered_rows(read_text(path))
         if not rows:
-            raise TermselError("this file has no points", file=path, hint=_HINT)
+            raise TermselError("this file has no points", file=path, hint=_GRASS_HINT)
         width = len(rows[0][1])
         names = _SPATIAL if width == len(_SPATIAL) else _PLANE
         for number, cells in rows:
             if len(cells) != len(names):
                 raise TermselError(f"{len(cells)} cells, expected {len(names)}", file=path,
-                                   line=number, hint=_HINT)
+                                   line=number, hint=_GRASS_HINT)
         lines, cells_of_rows = zip(*rows, strict=True)
         cells_of = dict(zip(names, zip(*cells_of_rows, strict=True), strict=True))
-        columns = {meaning: cells_of[name] for meaning, name in _MEANINGS.items()
+        columns = {meaning: cells_of[name] for meaning, name in _GRASS_HEADINGS.items()
                    if name in cells_of}
-        table = Table(path, "", _MEANINGS, columns, lines)
+        table = Table(path, "", _GRASS_HEADINGS, columns, lines)
         ground = table.stack("x", "y", "z")
         if not np.nan_to_num(ground[:, 2]).any():
             ground[:, 2] = np.nan

@@ -26,10 +26,10 @@ from termsel_formats.points.common import CORNER
 
 log = logging.getLogger("termsel.formats")
 
-_MEANINGS = {"sample": "X Source", "line": "Y Source", "x": "X Map", "y": "Y Map"}
+_LINKS_HEADINGS = {"sample": "X Source", "line": "Y Source", "x": "X Map", "y": "Y Map"}
 _WIDTHS = (4, 5, 7, 8)  # without and with a number, without and with three residuals
 _SMALLEST = 360.0  # above this, numbers are no degrees
-_HINT = "A row is X Source, Y Source, X Map, Y Map; y counts upwards from the upper edge."
+_LINKS_HINT = "A row is X Source, Y Source, X Map, Y Map; y counts upwards from the upper edge."
 
 
 class ArcgisLinks(Reader):
@@ -70,19 +70,19 @@ class ArcgisLinks(Reader):
         if rows and not all(map(is_number, rows[0][1])):
             rows = rows[1:]
         if not rows:
-            raise TermselError("this file has no links", file=path, hint=_HINT)
+            raise TermselError("this file has no links", file=path, hint=_LINKS_HINT)
         width = len(rows[0][1])
         for number, cells in rows:
             if len(cells) != width or width not in _WIDTHS:
                 expected = width if width in _WIDTHS else _WIDTHS[0]
                 raise TermselError(f"{len(cells)} cells, expected {expected}", file=path,
-                                   line=number, hint=_HINT)
+                                   line=number, hint=_LINKS_HINT)
         lines, cells_of_rows = zip(*rows, strict=True)
         first = _column_of_x(width)
         columns = {}
-        for i, meaning in enumerate(_MEANINGS):
+        for i, meaning in enumerate(_LINKS_HEADINGS):
             columns[meaning] = [cells[first + i] for cells in cells_of_rows]
-        names = dict(_MEANINGS)
+        names = dict(_LINKS_HEADINGS)
         if first:
             columns["id"] = [cells[0] for cells in cells_of_rows]
             names["id"] = "number"

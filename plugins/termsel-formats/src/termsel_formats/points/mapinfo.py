@@ -17,18 +17,18 @@ from termsel.toolkit import read_text, write_text
 from termsel.toolkit.files import Table, chosen_points
 from termsel_formats.points.common import CORNER, utm_crs
 from termsel_formats.points.written import (
-    IMAGE,
+    IMAGE_OPTION,
     PointsWriter,
     image_name,
     say_by_gdal,
     to_wgs84_points,
 )
 
-_TITLE = re.compile(rb"^\s*!table", re.IGNORECASE)
+_TABLE_TITLE = re.compile(rb"^\s*!table", re.IGNORECASE)
 _RASTER = re.compile(rb"Type\s+\"RASTER\"", re.IGNORECASE)
 _CELL = r"\s*([^\s,()]+)\s*"
-_POINT = re.compile(rf"\s*\({_CELL},{_CELL}\)\s*\({_CELL},{_CELL}\)"
-                    r"(?:\s*Label\s*\"([^\"]*)\")?", re.IGNORECASE)
+_TABLE_POINT = re.compile(rf"\s*\({_CELL},{_CELL}\)\s*\({_CELL},{_CELL}\)"
+                          r"(?:\s*Label\s*\"([^\"]*)\")?", re.IGNORECASE)
 _SYSTEM = re.compile(r"^\s*CoordSys\s+Earth\s+Projection\s+([^\n]*)", re.IGNORECASE | re.MULTILINE)
 _WGS84 = ("104",)
 
@@ -45,13 +45,13 @@ class MapInfoTab(Reader):
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for a table of a raster."""
-        return bool(_TITLE.match(head.removeprefix(b"\xef\xbb\xbf")) and _RASTER.search(head))
+        return bool(_TABLE_TITLE.match(head.removeprefix(b"\xef\xbb\xbf")) and _RASTER.search(head))
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
         text = read_text(path)
         rows = [(number, *match.groups()) for number, line in enumerate(text.splitlines(), 1)
-                if (match := _POINT.match(line))]
+                if (match := _TABLE_POINT.match(line))]
         if not rows:
             raise TermselError("this table has no points of registration", file=path,
                                hint="Register the raster in MapInfo, or give another file.")
@@ -97,7 +97,7 @@ class MapInfoTabWriter(PointsWriter):
     name = "mapinfo-tab"
     summary = "selected control points as MapInfo .tab of the image, which GDAL reads too"
     suffix = ".tab"
-    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
+    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE_OPTION,)
 
     def write(self, result: Result, path: Path) -> None:
         """Write the table with the points of registration, in UTM or degrees on WGS84."""

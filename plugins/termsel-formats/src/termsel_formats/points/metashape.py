@@ -18,7 +18,7 @@ from termsel.toolkit.coordinates import horizontal_crs, normalise
 from termsel.toolkit.files import IMAGE_NAME, error_in_file, image_of, wkt_in_one_line
 from termsel_formats.points.common import CORNER, what_lacks, xml_root
 from termsel_formats.points.written import (
-    IMAGE,
+    IMAGE_OPTION,
     PointsWriter,
     image_name,
     points_for_others,
@@ -26,7 +26,7 @@ from termsel_formats.points.written import (
     say_checked,
 )
 
-_HINT = "Export the markers from Metashape again, as XML."
+_METASHAPE_HINT = "Export the markers from Metashape again, as XML."
 
 
 class MetashapeMarkers(Reader):
@@ -42,7 +42,7 @@ class MetashapeMarkers(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the markers that one camera sees; errors name the file."""
-        root = xml_root(path, _HINT)
+        root = xml_root(path, _METASHAPE_HINT)
         try:
             cameras = _labels_by_id(root, "camera")
             marks = _marker_positions(root)
@@ -54,10 +54,10 @@ class MetashapeMarkers(Reader):
                         if reference.get("enabled", "true").lower() in ("false", "0")}
         except (KeyError, ValueError) as error:
             raise TermselError(f"a marker cannot be read: {what_lacks(error)}", file=path,
-                               hint=_HINT) from error
+                               hint=_METASHAPE_HINT) from error
         if not marks or not ground:
             raise TermselError("this file has no markers with image and ground positions",
-                               file=path, hint=_HINT)
+                               file=path, hint=_METASHAPE_HINT)
         # Markers without a reference say nothing of the ground.
         marks = [mark for mark in marks if mark.marker in ground]
         camera = image_of(path, (cameras.get(mark.camera, mark.camera) for mark in marks),
@@ -75,7 +75,7 @@ class MetashapeMarkers(Reader):
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
         """Return the options for each camera of the markers; {} if there is only one."""
-        root = xml_root(path, _HINT)
+        root = xml_root(path, _METASHAPE_HINT)
         try:
             cameras = _labels_by_id(root, "camera")
             names = dict.fromkeys(cameras.get(mark.camera, mark.camera)
@@ -148,7 +148,7 @@ class MetashapeMarkersWriter(PointsWriter):
     name = "metashape-markers"
     summary = "points without blunders as markers of Metashape (XML), with check points"
     suffix = "_markers.xml"
-    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
+    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE_OPTION,)
 
     def write(self, result: Result, path: Path) -> None:
         """Write the points as markers of one camera; check points are not enabled."""

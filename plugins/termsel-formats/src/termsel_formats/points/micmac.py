@@ -24,7 +24,7 @@ from termsel.toolkit import write_text, xml_document
 from termsel.toolkit.files import IMAGE_NAME, atomic_path, error_in_file, image_of, utf8_bytes
 from termsel_formats.points.common import xml_root
 from termsel_formats.points.written import (
-    IMAGE,
+    IMAGE_OPTION,
     PointsWriter,
     image_name,
     points_for_others,
@@ -33,7 +33,7 @@ from termsel_formats.points.written import (
 )
 
 _MEASURES, _GROUND = "SetOfMesureAppuisFlottants", "DicoAppuisFlottant"
-_HINT = "Write it again with SaisieAppuisInit or GCPConvert."
+_MICMAC_HINT = "Write it again with SaisieAppuisInit or GCPConvert."
 _ENDINGS = {"-S2D.xml": "-S3D.xml", "-Mesures.xml": "-Appuis.xml", "_mesures.xml": "_appuis.xml"}
 """Endings of files of measures, and of the files of the ground next to them."""
 
@@ -82,7 +82,7 @@ class MicmacXml(Reader):
         Raises TermselError if there is none.
         """
         stated = self.options["ground"]
-        root = xml_root(path, _HINT)
+        root = xml_root(path, _MICMAC_HINT)
         # Some programs write both into one file.
         if stated is None and root.find(".//OneAppuisDAF") is not None:
             return _ground_of(root, path)
@@ -94,7 +94,7 @@ class MicmacXml(Reader):
             raise TermselError("the measures have image coordinates only", file=path,
                                hint="Name the file of their ground coordinates (Appuis), "
                                     "--set ground=FILE.")
-        return _ground_of(xml_root(ground, _HINT), ground)
+        return _ground_of(xml_root(ground, _MICMAC_HINT), ground)
 
 
 def _ground_file(path: Path) -> Path:
@@ -111,7 +111,7 @@ def _marks_by_image(path: Path) -> dict[str, dict[str, list[float]]]:
 
     Raises TermselError without measures, or if a point is measured twice in an image.
     """
-    root = xml_root(path, _HINT)
+    root = xml_root(path, _MICMAC_HINT)
     marks: dict[str, dict[str, list[float]]] = {}
     for image in root.iter("MesureAppuiFlottant1Im"):
         image_marks = marks.setdefault((image.findtext("NameIm") or "").strip(), {})
@@ -136,7 +136,7 @@ def _ground_of(root: ElementTree.Element, path: Path) -> dict[str, list[float]]:
         name = (point.findtext("NamePt") or "").strip()
         ground[name] = _element_numbers(path, name, point.findtext("Pt"), 3)
     if not ground:
-        raise TermselError("this file has no points on the ground", file=path, hint=_HINT)
+        raise TermselError("this file has no points on the ground", file=path, hint=_MICMAC_HINT)
     return ground
 
 
@@ -150,7 +150,7 @@ def _element_numbers(path: Path, name: str, text: str | None, count: int) -> lis
         numbers = []
     if len(numbers) != count or not np.isfinite(numbers).all():
         raise TermselError(f"the point {name!r:.60} has {' '.join(cells)!r:.60}, expected {count} "
-                           "numbers", file=path, hint=_HINT)
+                           "numbers", file=path, hint=_MICMAC_HINT)
     return numbers
 
 
@@ -165,7 +165,7 @@ class MicmacXmlWriter(PointsWriter):
     needs = "control points with heights, in a CRS of the Earth"
     suffix = "-S2D.xml"
     declared_options: ClassVar[tuple[Option, ...]] = (
-        IMAGE,
+        IMAGE_OPTION,
         Option("ground_sigma", 1.0, "Standard deviation of the ground coordinates, in their unit.",
                float, 0.0, 1e6))
 

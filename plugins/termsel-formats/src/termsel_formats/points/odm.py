@@ -25,7 +25,7 @@ from termsel.toolkit.coordinates import begins_as_crs, horizontal_crs, normalise
 from termsel.toolkit.files import IMAGE_NAME, Table, error_in_file, image_of, is_number
 from termsel.toolkit.runs import GIS
 from termsel_formats.points.written import (
-    IMAGE,
+    IMAGE_OPTION,
     PointsWriter,
     image_name,
     points_for_others,
@@ -36,12 +36,12 @@ from termsel_formats.points.written import (
 log = logging.getLogger("termsel.formats")
 
 _ODM_COLUMNS = ("geo_x", "geo_y", "geo_z", "im_x", "im_y", "image_name", "gcp_name")
-_MEANINGS = {"x": "geo_x", "y": "geo_y", "z": "geo_z", "sample": "im_x", "line": "im_y"}
+_ODM_HEADINGS = {"x": "geo_x", "y": "geo_y", "z": "geo_z", "sample": "im_x", "line": "im_y"}
 _CODE = re.compile(r"\d{4,5}")
 _CHECK = "CHK-"
 """Beginning of the names of check points. Versions of OpenDroneMap that know it keep them out of
 the adjustment; others take them as control (github.com/WebODM/WebODM/issues/1824)."""
-_HINT = f"The first line is the CRS, the others are {' '.join(_ODM_COLUMNS[:6])} [gcp_name]."
+_ODM_HINT = f"The first line is the CRS, the others are {' '.join(_ODM_COLUMNS[:6])} [gcp_name]."
 
 
 class OdmGcpList(Reader):
@@ -67,10 +67,10 @@ class OdmGcpList(Reader):
         of_image = [(number, cells) for number, cells in marks if cells[5] == image]
         lines, rows = zip(*of_image, strict=True)
         columns = {}
-        for meaning, name in _MEANINGS.items():
+        for meaning, name in _ODM_HEADINGS.items():
             columns[meaning] = [
                 _blank_unknown_height(cells[_ODM_COLUMNS.index(name)]) for cells in rows]
-        names = dict(_MEANINGS)
+        names = dict(_ODM_HEADINGS)
         # Names are optional; where one row lacks its name, all are numbered.
         if all(len(cells) > 6 for cells in rows):
             columns["id"] = [cells[6] for cells in rows]
@@ -94,7 +94,7 @@ def _read_marks(path: Path) -> tuple[str, list[tuple[int, list[str]]]]:
     """
     rows = _numbered_lines(read_text(path))
     if not rows:
-        raise TermselError("the file is empty", file=path, hint=_HINT)
+        raise TermselError("the file is empty", file=path, hint=_ODM_HINT)
     i = _crs_row(rows)
     number, first = rows[i or 0]
     try:
@@ -109,10 +109,10 @@ def _read_marks(path: Path) -> tuple[str, list[tuple[int, list[str]]]]:
             continue
         if not _is_mark(cells):
             raise TermselError("this line is no mark of a point in an image", file=path,
-                               line=number, hint=_HINT)
+                               line=number, hint=_ODM_HINT)
         marks.append((number, cells))
     if not marks:
-        raise TermselError("the file has no points", file=path, hint=_HINT)
+        raise TermselError("the file has no points", file=path, hint=_ODM_HINT)
     return crs, marks
 
 
@@ -173,7 +173,7 @@ class OdmGcpListWriter(PointsWriter):
     summary = "points without blunders as gcp_list.txt of OpenDroneMap, with check points"
     suffix = "_gcp_list.txt"
     declared_options: ClassVar[tuple[Option, ...]] = (
-        IMAGE,
+        IMAGE_OPTION,
         Option("check_points", True, "Whether the list has the independent check points, too, with "
                                      "names that begin with CHK-.", type=bool))
 

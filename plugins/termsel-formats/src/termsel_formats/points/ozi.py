@@ -18,15 +18,15 @@ from termsel.toolkit import read_text, write_text
 from termsel.toolkit.files import Table, chosen_points
 from termsel_formats.points.common import CORNER, utm_crs
 from termsel_formats.points.written import (
-    IMAGE,
+    IMAGE_OPTION,
     PointsWriter,
     image_name,
     say_by_gdal,
     to_wgs84_points,
 )
 
-_TITLE = b"OziExplorer Map Data File"
-_POINT = re.compile(r"\s*Point(\d+)\s*,\s*xy\s*,", re.IGNORECASE)
+_OZI_TITLE = b"OziExplorer Map Data File"
+_OZI_POINT = re.compile(r"\s*Point(\d+)\s*,\s*xy\s*,", re.IGNORECASE)
 _MOST = 30  # points in a map
 _SIGN = {"N": 1, "S": -1, "E": 1, "W": -1}
 
@@ -42,7 +42,7 @@ class OziMap(Reader):
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for a file of OziExplorer."""
-        return head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(_TITLE)
+        return head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(_OZI_TITLE)
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column."""
@@ -51,7 +51,7 @@ class OziMap(Reader):
         zones = set()
         kinds = set()
         for number, line in enumerate(text, 1):
-            match = _POINT.match(line)
+            match = _OZI_POINT.match(line)
             cells = [cell.strip() for cell in line.split(",")]
             if match is None or len(cells) < 17 or not cells[2] or not cells[3]:
                 continue
@@ -117,7 +117,7 @@ class OziMapWriter(PointsWriter):
     summary = "selected control points, 30 at most, as OziExplorer .map, which GDAL reads too"
     needs = f"at most {_MOST} control points in a CRS of the Earth"
     suffix = ".map"
-    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
+    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE_OPTION,)
 
     def accepts(self, result: Result) -> bool:
         """Return True for 30 control points or fewer in a CRS of the Earth."""
@@ -134,7 +134,7 @@ class OziMapWriter(PointsWriter):
         image = image_name(self.options["image"], path)
         projection = "Latitude/Longitude" if zone is None else "(UTM) Universal Transverse Mercator"
         write_text(path, "\n".join([
-            f"{_TITLE.decode()} Version 2.2", path.stem, image, "1 ,Map Code,",
+            f"{_OZI_TITLE.decode()} Version 2.2", path.stem, image, "1 ,Map Code,",
             "WGS 84,WGS 84,   0.0000,   0.0000,WGS 84", "Reserved 1", "Reserved 2",
             "Magnetic Variation,,,E",
             f"Map Projection,{projection},PolyCal,No,AutoCalOnly,No,BSBUseWPX,No", *rows,

@@ -32,7 +32,7 @@ from termsel.toolkit.files import (
 )
 from termsel_formats.points.common import CORNER
 from termsel_formats.points.written import (
-    IMAGE,
+    IMAGE_OPTION,
     PointsWriter,
     image_name,
     points_for_others,
@@ -161,7 +161,7 @@ class Pix4dMarksWriter(PointsWriter):
     name = "pix4d-marks"
     summary = "control without blunders as marks for Pix4D, and their coordinates in NAME_gcps.csv"
     suffix = "_marks.csv"
-    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE,)
+    declared_options: ClassVar[tuple[Option, ...]] = (IMAGE_OPTION,)
 
     def files(self, path: Path) -> tuple[Path, ...]:
         """Return the files of the marks and of the places on the ground."""

@@ -17,7 +17,7 @@ from termsel_formats.points.common import utm_crs
 
 log = logging.getLogger("termsel.formats")
 
-IMAGE = Option("image", None, "The image; its name is written into the file.")
+IMAGE_OPTION = Option("image", None, "The image; its name is written into the file.")
 
 _UTM = {utm_crs(zone, south): (zone, south) for zone, south in product(range(1, 61), (False, True))}
 

@@ -11,7 +11,7 @@ from termsel import TermselError, open_raster
 from termsel_match.images.rasters import FloatArray
 from termsel_match.images.starts import transform_plane
 
-_DEGREES = "EPSG:4326"
+_WGS84 = "EPSG:4326"
 _GRID_LINES = 21
 """Places along each side of a raster whose area is compared."""
 
@@ -46,9 +46,9 @@ def require_same_area(references: Sequence[Path], dem: Path | str | None) -> Non
     if any(_boxes_overlap(grid, of_dem) for grid in of_references):
         return
     raise TermselError(
-        f"the reference {references[0].name} ({middle_in_words(of_references[0], _DEGREES)}) and "
+        f"the reference {references[0].name} ({middle_in_words(of_references[0], _WGS84)}) and "
         "the DEM "
-        f"{Path(dem).name} ({middle_in_words(of_dem, _DEGREES)}) do not overlap",
+        f"{Path(dem).name} ({middle_in_words(of_dem, _WGS84)}) do not overlap",
         hint="Give a reference and a DEM of the area of the image.")
 
 
@@ -83,7 +83,7 @@ def _to_degrees(plane: FloatArray, crs: str) -> FloatArray | None:
     from pyproj.exceptions import ProjError
 
     try:
-        degrees = transform_plane(plane, crs, _DEGREES)
+        degrees = transform_plane(plane, crs, _WGS84)
     except (ProjError, TermselError):
         return None
     degrees = degrees[np.isfinite(degrees).all(axis=1)]

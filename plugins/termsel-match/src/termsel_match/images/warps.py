@@ -40,7 +40,7 @@ class NotShown(TermselError):
 
 
 @dataclass(frozen=True, eq=False)
-class Patch:
+class ReferencePatch:
     """A part of the reference, resampled to pixels of the image.
 
     Parameters
@@ -102,7 +102,8 @@ class Reference:
             else np.full(len(plane), np.nan)
         return np.column_stack([plane, heights])
 
-    def patch(self, first_line: int, first_sample: int, shape: tuple[int, int], step: int) -> Patch:
+    def patch(self, first_line: int, first_sample: int, shape: tuple[int, int],
+              step: int) -> ReferencePatch:
         """Return the reference as the image would show it from a line and a sample on.
 
         Parameters
@@ -119,7 +120,7 @@ class Reference:
         # The middle of a reduced pixel is that of its pixels.
         at_reference = self.seen((nodes + 0.5) * step - 0.5 + [first_line, first_sample])
         mesh = at_reference.T.reshape(2, len(lines), len(samples))
-        empty = Patch(np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=bool), mesh)
+        empty = ReferencePatch(np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=bool), mesh)
         finite = np.isfinite(at_reference).all(axis=1)
         if not finite.any():
             return empty
@@ -147,9 +148,9 @@ class Reference:
         at_pixels = [np.where(is_finite, axis, -9).astype(np.float32) for axis in at_pixels]
         seen_known = cv2.remap(is_known.astype(np.float32), at_pixels[1], at_pixels[0],
                                cv2.INTER_LINEAR)
-        return Patch(cv2.remap(pixels, at_pixels[1], at_pixels[0], cv2.INTER_CUBIC),
-                     # Only where all pixels that take part are known.
-                     np.asarray(is_finite & (seen_known > 0.999)), mesh)
+        return ReferencePatch(cv2.remap(pixels, at_pixels[1], at_pixels[0], cv2.INTER_CUBIC),
+                              # Only where all pixels that take part are known.
+                              np.asarray(is_finite & (seen_known > 0.999)), mesh)
 
     def shown(self, picture: GreyRaster) -> Mask:
         """Return where an image and the reference have data, shape (33, 33).

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel import FeatureSet, Fit, Points
-from termsel_match.judgement.selection import Selected
-from termsel_match.judgement.structures import Correction
+from termsel_match.judgement.selection import SelectedCandidates
+from termsel_match.judgement.structures import ModelCorrection
 
 # Lines at which a step is looked for.
 _STEP_LINES = 32
@@ -43,7 +43,7 @@ class Along:
         return self.size > _JITTER * accept or float(np.hypot(*self.away)) > _SEAM * accept
 
 
-def steady_model(selected: Selected) -> Fit:
+def steady_model(selected: SelectedCandidates) -> Fit:
     """Return a model that stays near the candidates' beyond them.
 
     The drift, for a smooth correction.
@@ -53,11 +53,11 @@ def steady_model(selected: Selected) -> Fit:
         return selected.result.fit
     # Fitted again to the same candidates, with the drift alone.
     agree = selected.points.take(selected.agrees)
-    return Correction("rpc-drift", {"rpc": correction.options["rpc"]}).fit(
+    return ModelCorrection("rpc-drift", {"rpc": correction.options["rpc"]}).fit(
         FeatureSet(agree, crs=selected.result.features.crs))
 
 
-def drift_along(selected: Selected, agree: Points, lines: int) -> Along:
+def drift_along(selected: SelectedCandidates, agree: Points, lines: int) -> Along:
     """Return how the correction of a model differs from a drift, and where it changes most.
 
     A seam of the reference along the lines looks like jitter to a smooth correction, which

@@ -23,7 +23,7 @@ _CLUSTER = 4
 
 
 @dataclass(frozen=True)
-class Structure:
+class ResidualStructure:
     """Residuals that neighbours have in common.
 
     Parameters
@@ -46,7 +46,7 @@ class Structure:
 
 def residual_structure(image: FloatArray, residuals: FloatArray, limit: float,
                        size: tuple[int, int],
-                       rng: np.random.Generator) -> Structure | None:
+                       rng: np.random.Generator) -> ResidualStructure | None:
     """Return what residuals of neighbours have in common; None for too few.
 
     Moran's I of vectors, with the eight nearest as neighbours. Its level is that of permutations,
@@ -87,8 +87,9 @@ def residual_structure(image: FloatArray, residuals: FloatArray, limit: float,
     local = np.concatenate([residuals[:, None], residuals[near]], axis=1)
     middle = np.median(local, axis=1)
     worst = int(np.linalg.norm(middle, axis=1).argmax())
-    return Structure((1 + n_as_alike) / (1 + _PERMUTATIONS), max(likeness(residuals), 0.0) ** 0.5,
-                     part_of(image[worst], size), tuple(middle[worst].tolist()))
+    return ResidualStructure((1 + n_as_alike) / (1 + _PERMUTATIONS),
+                             max(likeness(residuals), 0.0) ** 0.5,
+                             part_of(image[worst], size), tuple(middle[worst].tolist()))
 
 
 @dataclass(frozen=True)

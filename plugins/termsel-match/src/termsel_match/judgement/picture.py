@@ -10,7 +10,7 @@ import numpy as np
 from termsel import TermselError
 from termsel.toolkit import write_bytes
 from termsel_match.images.rasters import open_picture, stretch_to_bytes
-from termsel_match.judgement.selection import Selected
+from termsel_match.judgement.selection import SelectedCandidates
 
 # In px, at most.
 _PICTURE_SIDE = 1200
@@ -24,7 +24,7 @@ _BLUE = (233, 180, 86)
 _VERMILION = (0, 94, 213)
 
 
-def draw(image: Path | str, selected: Selected, path: Path) -> None:
+def draw(image: Path | str, selected: SelectedCandidates, path: Path) -> None:
     """Write the picture, as PNG.
 
     Parameters

@@ -15,7 +15,7 @@ from termsel import FeatureSet, Fit, Points, Result, TermselError, write_result
 from termsel_match.images.rasters import FloatArray, Mask
 from termsel_match.images.starts import transform_plane
 from termsel_match.judgement.structures import (
-    Correction,
+    ModelCorrection,
     plainest_supported_correction,
     supported_corrections,
 )
@@ -43,7 +43,7 @@ _RAYLEIGH_MEDIAN = 1.1774
 
 
 @dataclass(frozen=True, eq=False)
-class Selected:
+class SelectedCandidates:
     """A model, and the candidates that agree with it.
 
     Parameters
@@ -73,8 +73,8 @@ class Selected:
     independent: Mask
     limit: float
     points: Points
-    correction: Correction
-    called_for: Correction | None = None
+    correction: ModelCorrection
+    called_for: ModelCorrection | None = None
     missed: float = 0.0
 
     @property
@@ -112,8 +112,8 @@ class Selected:
 
 
 def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], *,
-                  accept: float = AGREEING_PX, plainer_than: Correction | None = None,
-                  seed: int = 1, folder: Path | str | None = None) -> Selected:
+                  accept: float = AGREEING_PX, plainer_than: ModelCorrection | None = None,
+                  seed: int = 1, folder: Path | str | None = None) -> SelectedCandidates:
     """Return the model with which most candidates agree.
 
     A quarter of the candidates is set aside as independent, unless some are so already. A
@@ -150,10 +150,10 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     independent = roles == "independent"
     with_roles = features.with_(points=replace(points, roles=tuple(roles)))
 
-    def fitted(correction: Correction, used: Mask) -> Fit:
+    def fitted(correction: ModelCorrection, used: Mask) -> Fit:
         return correction.fit(FeatureSet(points.take(used), crs=features.crs))
 
-    correction = Correction(model, options)
+    correction = ModelCorrection(model, options)
     n_terms = len(fitted(correction, ~independent).terms)
     _require_control(roles, n_terms)
     # The search finds a few candidates that determine a model with which many agree.
@@ -202,8 +202,9 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
         (roles != "control") & (agrees | (plainer_than is not None))))
     if plainer_than is None and missed <= (_MISSED if points.sigma is not None else accept / 2):
         missed = 0.0
-    return Selected(result=result, agrees=agrees, independent=independent, limit=limit,
-                    points=points, correction=correction, called_for=plainer_than, missed=missed)
+    return SelectedCandidates(result=result, agrees=agrees, independent=independent, limit=limit,
+                              points=points, correction=correction, called_for=plainer_than,
+                              missed=missed)
 
 
 def _options_for_all_control(features: FeatureSet) -> dict[str, Any]:
@@ -233,8 +234,8 @@ def _require_enough(agrees: Mask, roles: Any, n_terms: int) -> None:
                                 "--search, or a better reference.")
 
 
-def with_lines(selected: Selected, lines: FeatureSet, *, seed: int = 1,
-               folder: Path | str | None = None) -> Selected:
+def with_lines(selected: SelectedCandidates, lines: FeatureSet, *, seed: int = 1,
+               folder: Path | str | None = None) -> SelectedCandidates:
     """Return the model fitted to the points that agree and to lines together.
 
     Points and lines weigh by their standard deviations. The candidates for check, which no fit

@@ -22,7 +22,7 @@ _INTERVALS = (2, 4, 8, 16, 32)
 
 
 @dataclass(frozen=True)
-class Correction:
+class ModelCorrection:
     """A model with its options, from plain to rich.
 
     Parameters
@@ -46,7 +46,8 @@ class Correction:
                              if "intervals" in self.options else "")
 
 
-def supported_corrections(model: str, options: Mapping[str, Any], count: int) -> list[Correction]:
+def supported_corrections(model: str, options: Mapping[str, Any],
+                          count: int) -> list[ModelCorrection]:
     """Return what so many candidates may support, the plainest first.
 
     Parameters
@@ -58,14 +59,15 @@ def supported_corrections(model: str, options: Mapping[str, Any], count: int) ->
         Of candidates.
     """
     if not model.startswith("rpc-"):
-        return [Correction(model, options)]
-    polynomials = [Correction(name, options) for name in ("rpc-shift", "rpc-drift", "rpc-affine")]
-    return polynomials + [Correction("rpc-jitter", {**options, "intervals": intervals})
+        return [ModelCorrection(model, options)]
+    polynomials = [ModelCorrection(name, options)
+                   for name in ("rpc-shift", "rpc-drift", "rpc-affine")]
+    return polynomials + [ModelCorrection("rpc-jitter", {**options, "intervals": intervals})
                           for intervals in _INTERVALS if _PER_INTERVAL * intervals <= count]
 
 
 def plainest_supported_correction(
-        several: list[Correction], features: FeatureSet, seed: int) -> Correction:
+        several: list[ModelCorrection], features: FeatureSet, seed: int) -> ModelCorrection:
     """Return the plainest correction within one standard error of the best, by held-out candidates.
 
     Candidates are drawn into five folds; each is predicted by a fit to the others.
@@ -97,7 +99,7 @@ def plainest_supported_correction(
                 if (squares - best).mean() <= (squares - best).std() / root)
 
 
-def _held_out_squares(correction: Correction, features: FeatureSet, fold: NDArray[np.intp],
+def _held_out_squares(correction: ModelCorrection, features: FeatureSet, fold: NDArray[np.intp],
                       ) -> FloatArray | None:
     """Return the squared errors [px2] of points (n,) by fits without their fold, capped.
 

@@ -14,13 +14,13 @@ from termsel_match.judgement.along import Along, drift_along, steady_model
 from termsel_match.judgement.evidence import (
     LEVEL,
     OtherPlace,
-    Structure,
+    ResidualStructure,
     find_other_place,
     residual_structure,
     unsupported_share,
 )
 from termsel_match.judgement.repeats import ALIKE
-from termsel_match.judgement.selection import AGREEING, AGREEING_PX, NEAR_PX, Selected
+from termsel_match.judgement.selection import AGREEING, AGREEING_PX, NEAR_PX, SelectedCandidates
 from termsel_match.lines.rounds import Matched, rms_distance
 from termsel_match.points.candidates import Candidates
 
@@ -73,7 +73,7 @@ class Evidence:
     sigma: float
     covered: float
     bare: tuple[float, str]
-    structure: Structure | None
+    structure: ResidualStructure | None
     other_place: OtherPlace | None
     correction: FloatArray | None
     pixel: float
@@ -81,7 +81,7 @@ class Evidence:
     repetition: tuple[float, float]
 
 
-def evidence_of(candidates: Candidates, selected: Selected, heights: Heights,
+def evidence_of(candidates: Candidates, selected: SelectedCandidates, heights: Heights,
                 areas: tuple[Mask, Mask], seed: int, repetition: tuple[float, float]) -> Evidence:
     """Return what candidates say of the model that is fitted to some of them.
 
@@ -129,7 +129,7 @@ def evidence_of(candidates: Candidates, selected: Selected, heights: Heights,
         along_lines=drift_along(selected, agree, size[0]), repetition=repetition)
 
 
-def remarks_for_user(candidates: Candidates, selected: Selected, evidence: Evidence,
+def remarks_for_user(candidates: Candidates, selected: SelectedCandidates, evidence: Evidence,
                      accept: float) -> tuple[str, ...]:
     """Return sentences on what a user must look at, though the map may be right; () if none.
 
@@ -191,7 +191,8 @@ def remarks_for_user(candidates: Candidates, selected: Selected, evidence: Evide
     return tuple(notes)
 
 
-def reasons_to_reject(selected: Selected, evidence: Evidence, accept: float) -> tuple[str, ...]:
+def reasons_to_reject(
+        selected: SelectedCandidates, evidence: Evidence, accept: float) -> tuple[str, ...]:
     """Return sentences on why a result is not good enough; () if it is.
 
     `accept` is the largest acceptable error [px].
@@ -268,7 +269,7 @@ class Georeferenced:
     """
 
     candidates: Candidates
-    selected: Selected
+    selected: SelectedCandidates
     evidence: Evidence
     accept: float
     reasons: tuple[str, ...]

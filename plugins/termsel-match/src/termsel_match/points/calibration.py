@@ -20,7 +20,7 @@ _REACH = 6.0
 _MIN_MATCHES = 12
 # Matches for each term of the surface.
 _PER_TERM = 6
-_DEGREES = ((1, 1), (2, 2), (3, 3), (3, 6))
+_POLYNOMIAL_DEGREES = ((1, 1), (2, 2), (3, 3), (3, 6))
 """Of the surface, and along the lines, where attitude moves an image faster."""
 _SURFACE_ROUNDS = 12
 _SIGMAS = 3.5
@@ -61,7 +61,7 @@ def smooth_part(positions: FloatArray, moved: FloatArray) -> tuple[FloatArray, M
     # From -1 to 1, so that powers stay of the size of one.
     unit = 2 * (positions - low) / np.maximum(high - low, 1e-9) - 1
     terms = 1
-    for degree, degree_of_lines in _DEGREES:
+    for degree, degree_of_lines in _POLYNOMIAL_DEGREES:
         columns = np.stack([unit[:, 0]**i * unit[:, 1]**j
                             for i, j in product(range(degree_of_lines + 1), range(degree + 1))
                             if i + j <= degree or not j], axis=1)

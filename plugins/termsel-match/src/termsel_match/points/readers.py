@@ -20,7 +20,8 @@ log = logging.getLogger("termsel.match")
 REFERENCE = Option("reference", "", "Required: the georeferenced image in which the second places "
                                     "were matched.")
 
-IMAGE = Option("raster", "", "The image: a few matches outside it are left out. By default that of "
+RASTER_OPTION = Option("raster", "",
+                       "The image: a few matches outside it are left out. By default that of "
                              "the run, --image FILE.")
 _MOST_NAMED = 10
 _MOST_OUTSIDE = 0.1
@@ -86,7 +87,7 @@ class MatchesCsv(Reader):
     name = "matches-csv"
     summary = ("matches as a table headed image_line,image_sample,reference_line,"
                "reference_sample[,id,sigma]")
-    declared_options = (REFERENCE, IMAGE)
+    declared_options = (REFERENCE, RASTER_OPTION)
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if the header names lines and samples of both images."""

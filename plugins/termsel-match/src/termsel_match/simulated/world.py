@@ -17,7 +17,7 @@ from termsel_match.simulated.scenery import Bytes, FloatArray, Scenery, simulate
 
 Shakes = tuple[tuple[tuple[float, float, float], ...], ...]
 
-CRS = "EPSG:32633"
+WORLD_CRS = "EPSG:32633"
 # Px along either side of an image.
 SMALLEST_WORLD, LARGEST_WORLD = 200, 4000
 
@@ -320,4 +320,4 @@ def _interpolate_rays(
 
 
 def _to_plane() -> Transformer:
-    return Transformer.from_crs("EPSG:4326", CRS, always_xy=True)
+    return Transformer.from_crs("EPSG:4326", WORLD_CRS, always_xy=True)

@@ -12,7 +12,7 @@ import shapely
 from termsel import write_points_csv, write_rpc
 from termsel.simulate import write_geometry
 from termsel.toolkit.files import new_folder
-from termsel_match.simulated.world import CRS, SPACING, World
+from termsel_match.simulated.world import SPACING, WORLD_CRS, World
 
 log = logging.getLogger("termsel.match")
 
@@ -48,14 +48,15 @@ def _write(world: World, folder: Path) -> None:
     west, north = world.corner
     _write_raster(folder / IMAGE, world.image())
     write_rpc(world.rpc, folder / RPC)
-    _write_raster(folder / ORTHO, world.ortho(), crs=CRS,
+    _write_raster(folder / ORTHO, world.ortho(), crs=WORLD_CRS,
                   transform=from_origin(west, north, world.gsd, world.gsd))
     # The first height is that of the corner itself.
-    _write_raster(folder / DEM, world.dem().astype(np.float32), crs=CRS, transform=from_origin(
+    _write_raster(folder / DEM, world.dem().astype(np.float32), crs=WORLD_CRS,
+                  transform=from_origin(
         west - SPACING / 2, north + SPACING / 2, SPACING, SPACING))
     _write_roads(folder / ROADS, world.vectors())
     write_geometry(world.camera, folder / CAMERA)
-    write_points_csv(world.independent(), folder / INDEPENDENT, CRS)
+    write_points_csv(world.independent(), folder / INDEPENDENT, WORLD_CRS)
 
 
 def _write_raster(path: Path, pixels: np.ndarray[Any, Any], **profile: Any) -> None:
@@ -79,4 +80,4 @@ def _write_roads(path: Path, roads: list[np.ndarray[Any, Any]]) -> None:
 
     names = np.array([f"road {i + 1}" for i in range(len(roads))], dtype=object)
     write(path, shapely.to_wkb(np.array([shapely.LineString(road) for road in roads])), [names],
-          fields=["name"], geometry_type="LineString", crs=CRS, layer="roads")
+          fields=["name"], geometry_type="LineString", crs=WORLD_CRS, layer="roads")

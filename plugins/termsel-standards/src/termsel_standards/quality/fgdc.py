@@ -9,7 +9,7 @@ georeference does not show is "Unknown", as the standard allows.
 from __future__ import annotations
 
 from termsel_standards.quality.elements import Element, Writing
-from termsel_standards.quality.report import Quality, Source, decimal_text
+from termsel_standards.quality.report import Quality, QualitySource, decimal_text
 
 STANDARD = ("FGDC Content Standard for Digital Geospatial Metadata", "FGDC-STD-001-1998")
 _UNKNOWN, _NONE = "Unknown", "None"
@@ -62,7 +62,7 @@ def _process(report: Quality) -> str:
     return f"{report.lineage} Software: {software}. Settings: {settings}."
 
 
-def _source_element(source: Source, short: str) -> Element:
+def _source_element(source: QualitySource, short: str) -> Element:
     """Return a source with its checksum as an element; `short` is what others call it."""
     return _x("srcinfo", _x("srccite", _citation_element(source.name, "", _UNKNOWN)),
               _x("typesrc", "digital file"), _x("srctime", _date_element(_UNKNOWN),

@@ -9,7 +9,7 @@ https://standards.iso.org/iso/19115/-3 and https://standards.iso.org/iso/19157/-
 from __future__ import annotations
 
 from termsel_standards.quality.elements import Element, Writing
-from termsel_standards.quality.report import Measure, Quality, Source, decimal_text
+from termsel_standards.quality.report import Measure, Quality, QualitySource, decimal_text
 
 _ISO = "http://standards.iso.org/iso"
 _LISTS = f"{_ISO}/19115/resources/Codelists/cat/codelists.xml"
@@ -119,7 +119,7 @@ def _lineage_element(report: Quality) -> Element:
                           f"{name}: {value}" for name, value in report.parameters.items())))))))
 
 
-def _source_element(source: Source) -> Element:
+def _source_element(source: QualitySource) -> Element:
     """Return a source with its checksum as an element."""
     return _x("mrl:LI_Source", _string_element("mrl:description", source.description),
               _x("mrl:sourceCitation", _x(

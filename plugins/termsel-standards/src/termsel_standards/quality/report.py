@@ -27,7 +27,7 @@ RMSEP = "47"
 # Bytes of a file that are read at once.
 _CHUNK = 1 << 20
 
-OPTIONS = (
+QUALITY_OPTIONS = (
     Option("title", "", "Title of the image; by default the name of the file of points."),
     Option("organisation", "", "Who answers for the data; by default not stated."),
     Option("image", None, "The image; its checksum is stated with the files."))
@@ -56,7 +56,7 @@ class Measure:
 
 
 @dataclass(frozen=True)
-class Source:
+class QualitySource:
     """What the georeference was made from.
 
     Parameters
@@ -111,7 +111,7 @@ class Quality:
     predicted: bool
     method: str
     lineage: str
-    sources: tuple[Source, ...]
+    sources: tuple[QualitySource, ...]
     software: dict[str, str]
     parameters: dict[str, str]
 
@@ -153,11 +153,11 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
                 "terms": " ".join(terms.terms),
                 **{f"options of the {name}": json.dumps(value, sort_keys=True)
                    for name, value in as_plain_data(result.options).items() if value}}
-    sources = [Source(result.data.source,
-                      "GCP observations; the checksum is that of ids, coordinates, roles, "
-                      "standard deviations and CRS as read", result.data.sha256)]
+    sources = [QualitySource(result.data.source,
+                             "GCP observations; the checksum is that of ids, coordinates, roles, "
+                             "standard deviations and CRS as read", result.data.sha256)]
     if image is not None:
-        sources.append(Source(_name_as_text(image), "the image", file_sha256(Path(image))))
+        sources.append(QualitySource(_name_as_text(image), "the image", file_sha256(Path(image))))
     software = dict(result.versions)
     for plugin in result.plugins.values():
         software[plugin.name] = plugin.version

@@ -13,9 +13,9 @@ from termsel.toolkit import write_text
 from termsel.toolkit.coordinates import LOCAL
 from termsel_standards.quality.fgdc import fgdc_xml
 from termsel_standards.quality.iso import iso_xml
-from termsel_standards.quality.report import OPTIONS, Quality, quality_of
+from termsel_standards.quality.report import QUALITY_OPTIONS, Quality, quality_of
 
-SCHEMA = "termsel-quality-1"
+QUALITY_SCHEMA = "termsel-quality-1"
 """Of the report as JSON."""
 
 
@@ -23,7 +23,7 @@ class _Report(Writer):
     """A report on the quality; what formats of it share."""
 
     needs = "a CRS of the Earth; independent points for figures"
-    declared_options: ClassVar[tuple[Option, ...]] = OPTIONS
+    declared_options: ClassVar[tuple[Option, ...]] = QUALITY_OPTIONS
 
     def accepts(self, result: Result) -> bool:
         """Return True if the ground coordinates have a CRS of the Earth."""
@@ -67,7 +67,7 @@ class Iso19157Json(_Report):
     def text(self, report: Quality) -> str:
         """Return the report as JSON."""
         # The fields of `Quality` are those of the JSON, with the name of its schema first.
-        content = {"schema": SCHEMA, **msgspec.to_builtins(report)}
+        content = {"schema": QUALITY_SCHEMA, **msgspec.to_builtins(report)}
         return msgspec.json.format(msgspec.json.encode(content), indent=2).decode() + "\n"
 
 
