@@ -182,6 +182,7 @@ def _name(term: Any) -> str:
 
 
 def _as_fraction(values: Sequence[float]) -> list[Fraction]:
+    """Return finite numbers as exact fractions; raises ValueError for any other."""
     if not all(type(value) in (float, int) and isfinite(value) for value in values):
         raise ValueError("a number is not finite")
     return [Fraction(value) for value in values]
@@ -450,6 +451,7 @@ class Axis:
 
 
 def _floor_of_binary(value: Fraction) -> int:
+    """Return the largest whole number that is not above a fraction."""
     return value.numerator // value.denominator
 
 

@@ -17,7 +17,7 @@ from termsel import Generation, Solver
 from termsel.core.files.names import JOURNAL
 from termsel.plugins.registry import registry
 from termsel.studies.cells.identity import checksum_of_code
-from termsel.studies.cells.journal import _seal_record, _sum, read_journal
+from termsel.studies.cells.journal import _checksum_of_text, _seal_record, read_journal
 
 FEW: dict[str, Any] = {"seeds": 1, "budget": {"evaluations": 60}}
 
@@ -107,7 +107,7 @@ def test_a_forged_or_flipped_line_costs_itself_alone(forged: str, tmp_path: Path
                              **FEW}
     rows = termsel.compare(**asked).rows
     head, line = (tmp_path / JOURNAL).read_text().splitlines()
-    text = f'{{"record":{forged},"sha256":"{_sum(forged)}"}}'
+    text = f'{{"record":{forged},"sha256":"{_checksum_of_text(forged)}"}}'
     for lines in ([head, text, line], [head.replace("schema", "schemb"), line]):
         (tmp_path / JOURNAL).write_text("\n".join([*lines, ""]))
         assert "damaged in 1 line" in read_journal(tmp_path).remarks[0]

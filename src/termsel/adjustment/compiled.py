@@ -57,6 +57,7 @@ def compile_lazily(function: _Function, **flags: Any) -> _Function:
 
 
 def _make_dispatcher(function: Callable[..., Any], flags: dict[str, Any]) -> Any:
+    """Return what compiles a function; numba is imported when the first one is made."""
     from termsel.adjustment.dispatchers import dispatcher_of
 
     return dispatcher_of(function, flags)

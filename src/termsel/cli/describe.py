@@ -179,6 +179,7 @@ def _options_of_prepared_problem(recipe: Recipe) -> list[Option]:
 
 
 def _option_settings(options: Mapping[str, Any]) -> str:
+    """Return options as they are typed: " --set KEY=VALUE" for each."""
     return "".join(f" --set {key}={value}" for key, value in options.items())
 
 
@@ -219,6 +220,7 @@ def _describe_solver(entry: Entry) -> None:
 
 
 def _describe_criterion(entry: Entry) -> None:
+    """Print what a criterion is, and its options."""
     _print_docstring(entry)
     _print_options(entry.object.declared_options)
 
@@ -261,6 +263,7 @@ def _describe_method(entry: Entry) -> None:
 
 
 def _describe_dataset(entry: Entry) -> None:
+    """Print whether the measurements of a data set are simulated."""
     _print_pairs({"measurements": "simulated" if entry.object.simulated else "real"})
 
 
@@ -318,6 +321,7 @@ def _print_options(options: Iterable[Option]) -> None:
 
 
 def _option_table(options: Iterable[Option]) -> None:
+    """Print a table of options: name, default, accepted values, meaning."""
     print_table(("key", "default", "accepts", "meaning"), [
         (option.name, "not set" if option.default in (None, "") else _value_text(option.default),
          _accepted_values(option), option.doc) for option in options])
@@ -329,4 +333,5 @@ def _accepted_values(option: Option) -> str:
 
 
 def _value_text(value: Any) -> str:
+    """Return a value as it is typed: true and false in small letters."""
     return str(value).lower() if isinstance(value, bool) else str(value)

@@ -199,6 +199,7 @@ class Commands(click.Group):
 
 
 def _too_large_error(error: MemoryError) -> TermselError:
+    """Return the error that says what did not fit into memory."""
     from termsel.core.isolation.memory import out_of_memory
 
     return out_of_memory(error)

@@ -129,10 +129,12 @@ def package_files(name: str, *kinds: str) -> dict[str, str]:
 
 
 def _name_as_word(kind: str) -> str:
+    """Return the kind of a thing as a noun."""
     return "data set" if kind == "dataset" else kind
 
 
 def _fill_words(source: str, words: dict[str, str]) -> str:
+    """Return a skeleton with its words, between @, replaced by those given."""
     text = (files("termsel.cli") / "skeletons" / f"{source}.txt").read_text(encoding="utf-8")
     return re.sub(r"@([A-Z]+)@", lambda mark: words[mark[1]], text)
 

@@ -82,4 +82,5 @@ def _line_about_plugin(plugin: Plugin, remarks: list[Remark]) -> list[str]:
 
 
 def _status_text(plugin: Plugin, failures: list[Remark]) -> str:
+    """Return whether a plugin is ok or broken."""
     return "broken" if _line_about_plugin(plugin, failures) else "ok"

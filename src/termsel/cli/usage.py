@@ -63,6 +63,7 @@ def _lines_on_missing(error: click.MissingParameter) -> list[str]:
 
 
 def _first_sentence(option: click.Option) -> str:
+    """Return the first sentence of an option's help, without its full stop."""
     return (option.help or "").partition(". ")[0].rstrip(".")
 
 
@@ -175,6 +176,7 @@ def _without_value(error: click.BadOptionUsage) -> str:
 
 
 def _values_missing(option: click.Option) -> str:
+    """Return the message for an option that lacks its values."""
     if option.nargs > 1:
         return f"{option.opts[0]} takes {option.nargs} values."
     return f"{option.opts[0]} has no value."

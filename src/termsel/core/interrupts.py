@@ -66,6 +66,7 @@ def watch() -> None:
 
 
 def _note_interrupt(_number: int, _frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt on Ctrl-C, and once more if the program has not ended soon."""
     if sys.platform != "win32":
         signal.setitimer(signal.ITIMER_REAL, _AGAIN)
     raise KeyboardInterrupt

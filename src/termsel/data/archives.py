@@ -62,6 +62,7 @@ def _only_raster(path: Path, rasters: list[Path]) -> Path:
 
 
 def _name_for_gdal(path: Path, archive: Path) -> Path:
+    """Return the path by which GDAL reads a file in a zip."""
     return Path("/vsizip", *archive.absolute().parts[1:], *path.relative_to(archive).parts)
 
 

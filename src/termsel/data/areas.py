@@ -127,7 +127,7 @@ def centroid_of_ring(ring: ArrayLike) -> FloatArray:
     # From the triangles between the mean corner and each edge, in the plane of the first two
     # coordinates; the third is the mean over that area.
     edges = _edges_of_ring(corners - middle)
-    twice = _do_edges_cross(edges[:, 0], edges[:, 1])
+    twice = _cross_products(edges[:, 0], edges[:, 1])
     return np.asarray(middle + twice @ edges.sum(axis=1) / (3 * twice.sum()))
 
 
@@ -138,7 +138,7 @@ def _unshared_edges(areas: Sequence[Area]) -> list[list[int]]:
     for i, area in enumerate(areas):
         # Edges of the ground ring (n, 2, 2), and whether it runs against the clock.
         ring = _edges_of_ring(area.ground[:, :2])
-        around = _do_edges_cross(*np.moveaxis(ring - ring.mean(axis=(0, 1)), 1, 0)).sum() > 0
+        around = _cross_products(*np.moveaxis(ring - ring.mean(axis=(0, 1)), 1, 0)).sum() > 0
         for j, (start, end) in enumerate(ring.tolist()):
             # Both neighbours find an edge under the same key, whichever end comes first; the area
             # is on its left where direction and sense agree.
@@ -155,10 +155,12 @@ def _unshared_edges(areas: Sequence[Area]) -> list[list[int]]:
 
 
 def _edges_of_ring(ring: FloatArray) -> FloatArray:
+    """Return the edges (n, 2, d) of a ring of corners (n, d); the last one ends at the first."""
     return np.stack([ring, np.roll(ring, -1, axis=0)], axis=1)
 
 
-def _do_edges_cross(first: FloatArray, second: FloatArray) -> FloatArray:
+def _cross_products(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return x1 y2 - x2 y1 of vectors (..., 2): its sign says on which side the second is."""
     return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
 
 
@@ -180,7 +182,7 @@ def _refuse_bad(name: str, ring: FloatArray, space: str) -> None:
                           "the image and on the ground.")
     # Twice the area by the shoelace formula, about the mean corner so that nothing cancels.
     edges = _edges_of_ring(ring - ring.mean(axis=0))
-    if abs(_do_edges_cross(edges[:, 0], edges[:, 1]).sum()) <= _FLAT * float(
+    if abs(_cross_products(edges[:, 0], edges[:, 1]).sum()) <= _FLAT * float(
             np.ptp(ring, axis=0).max())**2:
         raise CornerError(f"area {name!r} has no extent {in_words}", 0, space,
                           "Its corners lie on one straight line, or its edges cross.")
@@ -196,8 +198,8 @@ def _find_crossing_edges(edges: FloatArray) -> tuple[int, int] | None:
     """Return the first two edges, shape (n, 2, 2), that cross, or None."""
     directions = edges[:, 1] - edges[:, 0]
     # On which side of edge i the ends of edge j are; zero for an end the two share.
-    first_ends = _do_edges_cross(directions[:, None], edges[None, :, 0] - edges[:, None, 0])
-    second_ends = _do_edges_cross(directions[:, None], edges[None, :, 1] - edges[:, None, 0])
+    first_ends = _cross_products(directions[:, None], edges[None, :, 0] - edges[:, None, 0])
+    second_ends = _cross_products(directions[:, None], edges[None, :, 1] - edges[:, None, 0])
     # Two edges cross where each parts the ends of the other.
     is_parted = first_ends * second_ends < 0
     pairs = np.argwhere(np.triu(is_parted & is_parted.T))

@@ -148,4 +148,5 @@ def _median_distance(control: FloatArray, dem: FloatArray) -> float:
 
 
 def _rounded_metres_in_words(size: float) -> str:
+    """Return a size [m] to three digits, whole from 1000 on."""
     return f"{size:.3g}" if size < 999.5 else f"{size:,.0f}"

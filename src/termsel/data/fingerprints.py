@@ -96,6 +96,7 @@ def _vertex_digests(features: FeatureSet) -> list[tuple[str, str]]:
 
 
 def _control_digests(kind: str, positions: FloatArray, decimals: int) -> list[str]:
+    """Return a digest of each position (n, 2), rounded so that files of few decimals agree."""
     rounded = np.round(positions, decimals) + 0.0  # no -0
     return [blake2b(f"{kind} {first:.{decimals}f} {second:.{decimals}f}".encode(),
                     digest_size=_DIGEST_BYTES).hexdigest() for first, second in rounded.tolist()]

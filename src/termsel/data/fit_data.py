@@ -179,7 +179,7 @@ def distance_off_plane(control: FitData, ground: FloatArray) -> tuple[FloatArray
     keep = ~np.isin(np.array(control.features.ids)[owner], carrying) | (
         len(carrying) == len(control))
     # The plane through all vertices but those of carriers; of all where nothing else is there.
-    fitted = _plane_at(scaled) @ np.linalg.lstsq(plane[keep], z[keep])[0]
+    fitted = _plane_columns_at(scaled) @ np.linalg.lstsq(plane[keep], z[keep])[0]
     off = np.where(np.isnan(ground[:, 2]), 0.0, np.abs(scaled[:, 2] - fitted))
     return off * control.scaling.ground_scale[2], off * _effects_of_height(control, scaled)
 
@@ -194,7 +194,7 @@ def with_usual_heights(control: FitData, ground: FloatArray) -> FloatArray:
     (plane, z, _) = _plane_columns(control)
     scaled = control.scaling.ground(ground)
     fitted = np.linalg.lstsq(plane, z)[0]
-    off = np.nan_to_num(scaled[:, 2] - _plane_at(scaled) @ fitted)
+    off = np.nan_to_num(scaled[:, 2] - _plane_columns_at(scaled) @ fitted)
     usual = np.linalg.norm(z - plane @ fitted) / np.sqrt(max(len(z) - plane.shape[1], 1))
     mean_off = np.linalg.norm(off) / np.sqrt(max(len(off), 1))
     if mean_off <= max(OTHER * usual, FLAT):
@@ -206,7 +206,7 @@ def with_usual_heights(control: FitData, ground: FloatArray) -> FloatArray:
 
 def is_off_plane(points: Points) -> bool:
     """Return whether scaled points with heights lie on no plane, but for rounding."""
-    rest, _ = _distances_about_plane(_plane_at(points.ground), points.ground[:, 2])
+    rest, _ = _distances_about_plane(_plane_columns_at(points.ground), points.ground[:, 2])
     return bool(np.abs(rest).max(initial=0.0) > FLAT)
 
 
@@ -302,10 +302,11 @@ def _plane_columns(control: FitData) -> tuple[FloatArray, FloatArray, IntArray]:
     """Return, of the v vertices, columns of a plane (v, 3), scaled heights (v,) and feature (v,).
     """
     scaled = control.scaling.ground(control.features.ground_vertices())
-    return _plane_at(scaled), scaled[:, 2], control.features.vertex_feature
+    return _plane_columns_at(scaled), scaled[:, 2], control.features.vertex_feature
 
 
-def _plane_at(scaled: FloatArray) -> FloatArray:
+def _plane_columns_at(scaled: FloatArray) -> FloatArray:
+    """Return 1, X and Y of scaled places, (v, 3)."""
     return np.column_stack([np.ones(len(scaled)), scaled[:, :2]])
 
 

@@ -71,11 +71,12 @@ def evaluate_monomials(ground: FloatArray, exponents: Exponents) -> FloatArray:
     """
     if len(ground) > KEPT_PLACES:
         return _monomials(ground, exponents)
-    return _kept_monomials(np.asarray(ground, dtype=np.float64).tobytes(), exponents)
+    return _cached_monomials(np.asarray(ground, dtype=np.float64).tobytes(), exponents)
 
 
 @lru_cache(maxsize=64)
-def _kept_monomials(ground: bytes, exponents: Exponents) -> FloatArray:
+def _cached_monomials(ground: bytes, exponents: Exponents) -> FloatArray:
+    """Return monomials of ground coordinates given as bytes, read-only as they are cached."""
     columns = _monomials(np.frombuffer(ground).reshape(-1, 3), exponents)
     columns.setflags(write=False)
     return columns

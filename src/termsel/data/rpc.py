@@ -166,5 +166,6 @@ class Rpc:
 
 
 def _require_finite(values: tuple[float, ...], name: str) -> None:
+    """Raise TermselError if any of an RPC's values of some name is not finite."""
     if not np.isfinite(values).all():
         raise TermselError(f"the RPC's {name.replace('_', ' ')} is not finite: {values}")

@@ -44,6 +44,7 @@ class Measurements:
 
 
 def _measured_rows(numbers: bytes, columns: int) -> FloatArray:
+    """Return the array (n, columns) whose bytes are given, so that they can be a key."""
     return np.frombuffer(numbers).reshape(-1, columns)
 
 
@@ -98,7 +99,7 @@ class CentralView:
 
     def distances(self, ground: FloatArray) -> FloatArray:
         """Return the distances of places from the camera along its view, (n,)."""
-        return np.asarray(_columns(ground, self.matrix.shape[1]) @ self.matrix[2])
+        return np.asarray(_projection_columns(ground, self.matrix.shape[1]) @ self.matrix[2])
 
     def has_square_pixels(self, metres: FloatArray) -> bool:
         """Return whether a camera with square pixels sees so, but for PIXEL_TOLERANCE.
@@ -156,7 +157,7 @@ class CentralView:
 
         Places nearer than the image shows count as the nearest there are.
         """
-        columns = _columns(ground, self.matrix.shape[1])
+        columns = _projection_columns(ground, self.matrix.shape[1])
         above = columns @ self.matrix[:2].T
         below = np.maximum(columns @ self.matrix[2], NEARER * self.nearest)[:, None]
         # With f = a / d: df/dX = (da/dX - f dd/dX) / d.
@@ -184,7 +185,7 @@ def _view_of(measurements: Measurements) -> CentralView | None:
     for size in (3, 4) if np.isfinite(points.ground).all() else (3,):
         # A plane projective transformation has 8 parameters, the DLT 11: the view with the smaller
         # sigma is taken, if it is clearly better than an affine one.
-        columns = _columns(points.ground, size)
+        columns = _projection_columns(points.ground, size)
         affine_sigma = _affine_deviation(columns, points.image)
         if affine_sigma is not None:
             view = _fit_projection(columns, points, affine_sigma)
@@ -193,7 +194,8 @@ def _view_of(measurements: Measurements) -> CentralView | None:
     return min(views, key=lambda view: view.sigma, default=None)
 
 
-def _columns(ground: FloatArray, size: int) -> FloatArray:
+def _projection_columns(ground: FloatArray, size: int) -> FloatArray:
+    """Return 1, X, Y (and Z) of places, (n, size)."""
     return np.column_stack([np.ones(len(ground)), ground[:, :size - 1]])
 
 
@@ -216,7 +218,7 @@ def _fit_projection(columns: FloatArray, points: Points,
     matrix = _least_distance_matrix(columns, points.image)
     if matrix is None:
         return None
-    distances = np.linalg.norm(points.image - _image_seen(matrix, columns), axis=1)
+    distances = np.linalg.norm(points.image - _project_with_matrix(matrix, columns), axis=1)
     unknown = 3 * matrix.shape[1] - 1
     sigma = float(np.sqrt((distances**2).sum() / (2 * len(distances) - unknown)))
     if not sigma < CLEARER * affine_sigma:
@@ -227,7 +229,7 @@ def _fit_projection(columns: FloatArray, points: Points,
     best = np.argsort(distances)[:round(BEST * len(distances))]
     best_matrix = _least_distance_matrix(columns[best], points.image[best])
     if best_matrix is not None:
-        closest = points.image[best] - _image_seen(best_matrix, columns[best])
+        closest = points.image[best] - _project_with_matrix(best_matrix, columns[best])
         noise = float(np.sqrt((closest**2).sum() / (closest.size - unknown)))
     return CentralView(matrix, points.ground, sigma, min(noise, sigma), sigma / affine_sigma)
 
@@ -254,13 +256,13 @@ def _least_distance_matrix(columns: FloatArray, image: FloatArray) -> FloatArray
     matrix = matrix * np.sign(below.sum())
     if not (columns @ matrix[2] > 0.0).all():
         return None
-    residuals = image - _image_seen(matrix, columns)
+    residuals = image - _project_with_matrix(matrix, columns)
     # From there to the least distances in the image, halving steps that do not gain.
     for _ in range(_PROJECTION_STEPS):
         step = _gauss_newton_step(matrix, columns, residuals)
         for halving in range(_HALVINGS):
             trial = matrix + 0.5**halving * step
-            after = image - _image_seen(trial, columns)
+            after = image - _project_with_matrix(trial, columns)
             if (columns @ trial[2] > 0.0).all() and (after**2).sum() < (residuals**2).sum():
                 break
         else:
@@ -276,7 +278,7 @@ def _least_distance_matrix(columns: FloatArray, image: FloatArray) -> FloatArray
 def _gauss_newton_step(matrix: FloatArray, columns: FloatArray,
                        residuals: FloatArray) -> FloatArray:
     """Return the Gauss-Newton step of a matrix, at right angles to it as its size is free."""
-    projected = _image_seen(matrix, columns)
+    projected = _project_with_matrix(matrix, columns)
     below = columns @ matrix[2]
     # d(a p / d p) = (dp a - (a p / d p) dp d) / (d p), as a row of the design.
     by = columns / below[:, None]
@@ -288,6 +290,7 @@ def _gauss_newton_step(matrix: FloatArray, columns: FloatArray,
     return np.asarray(np.linalg.lstsq(design, right)[0].reshape(matrix.shape))
 
 
-def _image_seen(matrix: FloatArray, columns: FloatArray) -> FloatArray:
+def _project_with_matrix(matrix: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return line and sample (n, 2) by a projective matrix (3, k) of columns (n, k)."""
     line, sample, below = matrix @ columns.T
     return np.asarray(np.column_stack([line, sample]) / below[:, None])

@@ -65,7 +65,7 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
             n_outside += int(far.sum())
             groups.append(f"{far.sum()} of 4 corners of the image")
     if groups:
-        yield (f"Extrapolation: {' and '.join(groups)} {_do_lie_outside(n_outside)} far outside "
+        yield (f"Extrapolation: {' and '.join(groups)} {_lie_or_lies(n_outside)} far outside "
                "the control "
                "in use. The RMSE does not apply there.")
     # Heights by themselves: a point within the hull may be on a summit far above all control.
@@ -77,7 +77,7 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
         n_above = int((above > FAR_OUTSIDE * span).sum())
         if n_above:
             yield (f"Extrapolation: {count_in_words(n_above, 'selection point')} "
-                   f"{_do_lie_outside(n_above)} far "
+                   f"{_lie_or_lies(n_above)} far "
                    "above or below the control.")
 
 
@@ -87,5 +87,6 @@ def corners_of(image_size: tuple[int, int]) -> FloatArray:
     return np.array([(0.0, 0.0), (0.0, last_sample), (last_line, 0.0), (last_line, last_sample)])
 
 
-def _do_lie_outside(count: int) -> str:
+def _lie_or_lies(count: int) -> str:
+    """Return the verb of a sentence on so many points."""
     return "lies" if count == 1 else "lie"

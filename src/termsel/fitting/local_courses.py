@@ -511,4 +511,5 @@ def _trend_of(positions: FloatArray, columns: int) -> FloatArray:
 
 
 def _affine_columns(ground: FloatArray) -> FloatArray:
+    """Return 1, X and Y of places, (n, 3)."""
     return np.column_stack([np.ones(len(ground)), ground[:, :2]])

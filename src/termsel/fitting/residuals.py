@@ -140,6 +140,7 @@ def _control_rows(control: FeatureSet, used: tuple[bool, ...], errors: FloatArra
 
 def _residual_rows(ids: tuple[str, ...], errors: FloatArray, ground: FloatArray, role: str,
                    used: Iterable[bool], kind: str = "point") -> Iterator[Residual]:
+    """Yield the residuals of features of one role, in their order."""
     for name, on, error, position in zip(ids, used, errors.tolist(), ground.tolist(), strict=True):
         yield Residual(name, kind, role, on, *error, *position)
 

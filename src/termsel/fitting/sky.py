@@ -92,4 +92,5 @@ def part_said(fitted: Fit) -> str:
 
 
 def _percent_text(share: float) -> str:
+    """Return a share as a whole number of per cent, at least 1."""
     return f"about {max(100 * share, 1):.0f} %"

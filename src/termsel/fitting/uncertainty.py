@@ -123,7 +123,7 @@ def spread_of(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustm
         return _propagated_noise(model, control, terms, adjustment, ground)[0]
     if believed is None:
         believed = _belief_of_points(model, control, heights=with_heights)
-        return _is_unknown(len(ground)) if believed is None else believed.spread(ground, image)
+        return _unknown_spread(len(ground)) if believed is None else believed.spread(ground, image)
     if not least_squares or model.polynomial_degree is not None:
         return believed.spread(ground, image)
     propagated, squares = _propagated_noise(model, control, terms, adjustment, ground)
@@ -303,7 +303,7 @@ class _Belief:
 
     def spread(self, ground: FloatArray, image: FloatArray) -> Spread:
         """Return the mean square errors of predictions at places."""
-        columns = _column_names(ground, self.degree, self.variables)
+        columns = _polynomial_columns(ground, self.degree, self.variables)
         predicted = predict_positions(self.posterior, columns[:, :self.variables + 1],
                                       columns[:, self.variables + 1:])
         offsets = image - predicted.image
@@ -326,7 +326,7 @@ class _Belief:
 
     def residuals(self, points: Points) -> FloatArray:
         """Return measured minus believed of the control points, (n, 2)."""
-        columns = _column_names(points.ground, self.degree, self.variables)
+        columns = _polynomial_columns(points.ground, self.degree, self.variables)
         free = self.variables + 1
         return points.image - predict_positions(self.posterior, columns[:, :free],
                                                 columns[:, free:]).image
@@ -340,11 +340,13 @@ class _Belief:
         return np.asarray((self.posterior.held_out.errors**2).sum(axis=1))
 
 
-def _column_names(ground: FloatArray, degree: int, variables: int) -> FloatArray:
+def _polynomial_columns(ground: FloatArray, degree: int, variables: int) -> FloatArray:
+    """Return the monomials of ground places up to a degree, (n, k)."""
     return evaluate_monomials(ground, graded_exponents(degree, variables))
 
 
-def _is_unknown(count: int) -> Spread:
+def _unknown_spread(count: int) -> Spread:
+    """Return the spread of `count` places of which nothing is known: NaN."""
     return Spread(np.full((count, 2), np.nan), np.full(2, np.nan))
 
 
@@ -357,7 +359,7 @@ def _propagated_noise(model: SensorModel, control: FeatureSet, terms: BoolArray,
     are worse. Without redundancy both are unknown: NaN, and infinite.
     """
     if not adjustment.feasible or not adjustment.redundancy > 0:
-        return _is_unknown(len(ground)), np.full(len(control), np.inf)
+        return _unknown_spread(len(ground)), np.full(len(control), np.inf)
     x = adjustment.coefficients
     equations = model.linearised(control, x) or model.equations(control)
     columns, right = equations.take(np.ones(len(equations.b), dtype=bool), terms).with_prior()

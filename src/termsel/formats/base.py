@@ -59,6 +59,7 @@ def _answer_fault(_checked_object: Configurable, value: Any, *_args: Any) -> str
 
 
 def _files_fault(_checked_object: Configurable, value: Any, *_args: Any) -> str | None:
+    """Return how a value is at fault that should be a tuple of paths; None if it is not."""
     return None if isinstance(value, tuple) and value \
         and all(isinstance(file, Path) for file in value) \
         else f"returned {value!r:.100}; expected a tuple of paths"

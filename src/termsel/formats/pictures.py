@@ -160,6 +160,7 @@ def _used_colours(entries: Sequence[ElementTree.Element]) -> tuple[Colour, ...]:
 
 
 def _colour_entry(entry: ElementTree.Element) -> Colour:
+    """Return red, green, blue and alpha, 0 to 255, of an entry of GDAL's table."""
     red, green, blue, alpha = (int(entry.get(f"c{component}", "255")) for component in (1, 2, 3, 4))
     return red, green, blue, alpha
 

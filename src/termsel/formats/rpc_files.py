@@ -465,6 +465,7 @@ def _rpc_from_dimap(root: ElementTree.Element) -> Rpc:
 
 
 def _entry_texts(element: ElementTree.Element) -> Iterator[tuple[str, str]]:
+    """Yield tag and text of all elements that have a text."""
     for descendant in element.iter():
         if descendant.text and descendant.text.strip():
             yield descendant.tag, descendant.text

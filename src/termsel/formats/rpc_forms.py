@@ -212,10 +212,12 @@ def _items_by_gdal_name(values: Mapping[str, Any]) -> Items:
 
 
 def _join_lines(items: Items, name: str) -> str:
+    """Return the values of NAME_1, NAME_2, ... in the order of their numbers, as one text."""
     # By their numbers, as 10 comes before 2 in the order of text.
     keys = [key for key in items if key.startswith(f"{name}_")]
     return " ".join(items[key] for key in sorted(keys, key=_number_of))
 
 
 def _number_of(key: str) -> int:
+    """Return the number at the end of a key such as LINE_NUM_COEFF_10."""
     return int(key.rpartition("_")[2])

@@ -256,6 +256,7 @@ def _datum_of(words: tuple[str, ...]) -> str | None:
 
 
 def _join_words(words: tuple[str, ...], count: int) -> Iterator[str]:
+    """Yield each `count` words in a row as one word."""
     for first in range(len(words) - count + 1):
         yield "".join(words[first:first + count])
 

@@ -156,6 +156,7 @@ def _convert_to_asked_unit(features: FeatureSet, stated: str) -> FeatureSet:
 
 
 def _heights_in_unit(features: FeatureSet, unit: str, why: str) -> FeatureSet:
+    """Return features whose CRS has heights in a unit, with the reason in words."""
     return replace(features, crs=with_height_unit(features.crs, unit),
                    z_unit=f"{WORDS[unit]}, {why}")
 

@@ -244,6 +244,7 @@ def _pixel_middles(west: float, north: float, step: float, shape: tuple[int, int
 
 
 def _write_map(path: Path, pixels: Any, west: float, north: float, step: float, crs: str) -> None:
+    """Write pixels (lines, samples) as a GeoTIFF from its corner and step [CRS units]."""
     from affine import Affine
 
     path.write_bytes(tiff_bytes(pixels[None], crs=crs, compress="deflate",
@@ -251,5 +252,6 @@ def _write_map(path: Path, pixels: Any, west: float, north: float, step: float, 
 
 
 def _write_rows(path: Path, rows: Iterable[Iterable[object]], *header: str) -> None:
+    """Write a CSV: header lines, then rows."""
     text = [*header, *(",".join(map(str, row)) for row in rows)]
     path.write_text("\n".join(text) + "\n", encoding="utf-8")

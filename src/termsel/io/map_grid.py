@@ -137,6 +137,7 @@ def _say_wide(positions: FloatArray) -> None:
 
 
 def _unit_of_crs(crs: str) -> str:
+    """Return the name of the unit of a CRS's first axis."""
     from pyproj import CRS
 
     return str(CRS.from_user_input(crs).axis_info[0].unit_name)

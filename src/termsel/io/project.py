@@ -253,6 +253,7 @@ def _require_crs_of_control(ids: Sequence[str], ground: FloatArray, crs: str, pa
 
 
 def _lacks_a_column(error: TermselError) -> bool:
+    """Return whether an error says that a table lacks a column."""
     return error.what.startswith(("there is no column", "there are no columns"))
 
 

@@ -776,6 +776,7 @@ def _may_add_heights(sets: Iterable[FeatureSet], stated: str | None) -> bool:
 
 
 def _require_crs(features: FeatureSet, files: Iterable[Path], may_turn: bool) -> None:
+    """Raise TermselError for features without a CRS; it names their files."""
     if not features.crs:
         error = unknown_crs_error(features, may_turn)
         error.file = " and ".join(map(str, files))

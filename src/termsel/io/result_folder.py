@@ -176,6 +176,7 @@ def _put_in_place(folder: Path) -> None:
 
 
 def _cannot_write(folder: Path, error: OSError) -> TermselError:
+    """Return the error for a result that cannot be written, and why."""
     return TermselError(f"cannot write the result: {error.strerror or error}", file=folder,
                         hint="Check that the folder is writable and has free space, or choose "
                              "another --out.")

@@ -52,6 +52,7 @@ def _linearised_fault(model: SensorModel, value: Any, *_args: Any, finite: bool 
 
 
 def _start_fault(model: SensorModel, value: Any, *_args: Any) -> str | None:
+    """Return how coefficients are at fault: one for each term."""
     return difference_from_shape(value, (len(model.terms),))
 
 
@@ -66,10 +67,12 @@ def _image_fault(_model: SensorModel, value: Any, coefficients: FloatArray, *arg
 
 def _weights_fault(_model: SensorModel, value: Any, control: FloatArray, ground: FloatArray,
                    ) -> str | None:
+    """Return how weights are at fault: one for each place and control feature, (m, n)."""
     return difference_from_shape(value, (len(ground), len(control)))
 
 
 def _axis_fault(model: SensorModel, value: Any) -> str | None:
+    """Return how the axis of each term is at fault: LINE, SAMPLE or BOTH."""
     fault = difference_from_shape(value, (len(model.terms),))
     if fault is None and not np.isin(value, (LINE, SAMPLE, BOTH)).all():
         return "returned an array with other numbers than 0, 1 and 2"
@@ -77,12 +80,14 @@ def _axis_fault(model: SensorModel, value: Any) -> str | None:
 
 
 def _rpc_fault(_model: SensorModel, value: Any, *_args: Any) -> str | None:
+    """Return how a value is at fault that should be an RPC."""
     from termsel.data.rpc import Rpc
 
     return difference_from_type(value, Rpc)
 
 
 def _model_fault(_model: SensorModel, value: Any, *_args: Any) -> str | None:
+    """Return how a value is at fault that should be a model."""
     return difference_from_type(value, SensorModel)
 
 

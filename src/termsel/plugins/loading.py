@@ -112,12 +112,13 @@ def run_plugin_code(call: Callable[[], T], package: str = OWN, seconds: float | 
     try:
         with surroundings_kept(), code_of(package):
             return contained() if package == OWN else call_within(
-                limit, contained, soon=SOON, tell=partial(_tell, package))
+                limit, contained, soon=SOON, tell=partial(_warn_of_slow_loading, package))
     except TooSlow:
         return None, f"it takes more than {limit:g} s"
 
 
-def _tell(package: str) -> None:
+def _warn_of_slow_loading(package: str) -> None:
+    """Say once that loading a package takes long, and what follows."""
     log.warning("Note: loading the package %s has taken %g s so far; the machine may be busy. "
                 "After %g s it is left out. Ctrl-C ends the command.",
                 distribution_of(package), SOON, LIMIT)
@@ -299,6 +300,7 @@ def _module_source(module: str) -> str:
 
 
 def _cache_key(plugin: Plugin) -> str:
+    """Return the key of a plugin: distribution and name."""
     return f"{plugin.distribution}:{plugin.name}"
 
 
@@ -515,4 +517,5 @@ def _call_hook(implementation: pluggy.HookImpl, plugin: Plugin, arguments: Argum
 
 
 def _slot_key(slot: Slot) -> str:
+    """Return the key of a slot of termsel's plugins."""
     return f"{PROJECT}:{slot.plugin.distribution}:{slot.plugin.name}"

@@ -340,6 +340,7 @@ parts.sources.append(lambda: registry().parts())
 
 
 def _warn(plugin: Plugin, text: str) -> None:
+    """Print a warning on a plugin to stderr."""
     print(make_printable(f"Warning: {plugin.remark(text)}"), file=sys.stderr)
 
 
@@ -375,6 +376,7 @@ def _require_parts(value: Any) -> list[Any]:
 
 
 def _entry_of(kind: str, plugin: Plugin, item: Any) -> Entry:
+    """Return the entry of a thing that a plugin gave; raises TermselError if it is at fault."""
     KINDS[kind].require_returned(item)
     return Entry(item.name, summary_line(item), plugin.distribution, item)
 

@@ -40,5 +40,6 @@ def _is_satisfied(clause: str, version: str) -> bool:
 
 
 def _version_numbers(version: str) -> tuple[int, ...]:
+    """Return the numbers of a version's release; () of a text that has none."""
     release = re.match(r"\d+(?:\.\d+)*", version)
     return tuple(map(int, release[0].split("."))) if release else ()

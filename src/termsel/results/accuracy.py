@@ -138,6 +138,7 @@ def is_exact(record: Record) -> bool:
 
 
 def _prediction_sentence(predicted: Predicted) -> str:
+    """Return the predicted RMSE in px, and in metres where the size of a pixel is known."""
     ground = \
         f" / {rounded_size_text(predicted.rmse * predicted.pixel)} m" if predicted.pixel else ""
     return (f"{rounded_size_text(predicted.rmse)} px{ground}   RMSE {PREDICTED_BY} "

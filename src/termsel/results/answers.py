@@ -222,10 +222,10 @@ def _errors_table(accuracy: Accuracy, of: str) -> Iterator[Block]:
     """Yield the errors of independent points as a table, with figures of standards."""
     image = accuracy.image
     ground = accuracy.ground
-    rows = [("in the image", *_distance_figures(image, "px", image.line, image.sample))]
+    rows = [("in the image", *_distance_texts(image, "px", image.line, image.sample))]
     shapes = [*_error_shape(image, "px", {"line": image.line, "sample": image.sample})]
     if ground:
-        rows.append(("on the ground", *_distance_figures(ground, "m", ground.x, ground.y)))
+        rows.append(("on the ground", *_distance_texts(ground, "m", ground.x, ground.y)))
         shapes += _error_shape(ground, "m", {"x": ground.x, "y": ground.y})
     yield TableBlock(f"{count_in_words(image.n, 'independent check point')}{of}",
                      ("", "RMSE", "line or x", "sample or y", "maximum", "CE90"), rows)
@@ -275,8 +275,9 @@ def _prediction_sentence(
             f"{rounded_size_text(predicted.high)} px).")
 
 
-def _distance_figures(
+def _distance_texts(
         of: InImage | OnGround, unit: str, first: float, second: float) -> tuple[str, ...]:
+    """Return total, both axes, maximum and CE90 with their unit, rounded alike."""
     return tuple(f"{rounded_size_text(value)} {unit}" for value in (
         of.total, first, second, of.maximum, of.ce90))
 

@@ -157,17 +157,18 @@ def _facts_on_data(record: Record, brief: int) -> Iterator[Fact]:
 def roles_of(record: Record) -> str:
     """Return how many features have which role, in the words of the field."""
     counts = record.data.counts
-    independent = _number(counts.independent, "independent check point")
+    independent = _number_in_words(counts.independent, "independent check point")
     if record.strategy:
         kinds = [count_in_words(number, noun) for number, noun in (
             (counts.lines, "line"), (counts.control + counts.check, "point")) if number]
         return f"{' and '.join(kinds)} to choose and fit the model, {independent}"
     kinds = [count_in_words(number, noun) for number, noun in (
         (counts.control, "control point"), (counts.lines, "control line")) if number]
-    return f"{', '.join(kinds)}, {_number(counts.check, 'selection point')}, {independent}"
+    return f"{', '.join(kinds)}, {_number_in_words(counts.check, 'selection point')}, {independent}"
 
 
-def _number(number: int, noun: str) -> str:
+def _number_in_words(number: int, noun: str) -> str:
+    """Return a number with its noun, "no" for 0."""
     return count_in_words(number, noun) if number else f"no {noun}s"
 
 
@@ -300,6 +301,7 @@ def _outlier_count_line(record: Record) -> list[str]:
 
 
 def _count_in_words(outliers: Sequence[Outlier], noun: str) -> str:
+    """Return the number of outliers with their noun."""
     return count_in_words(len(outliers), noun.removesuffix("s"))
 
 

@@ -55,4 +55,5 @@ def read_library() -> str:
 
 
 def _checksum_of_library(data: bytes) -> bytes:
+    """Return the SHA-256 of the library in hex, as bytes."""
     return sha256(data).hexdigest().encode()

@@ -204,8 +204,10 @@ def _escape_html(text: str) -> str:
 
 
 def _read_resource(name: str) -> str:
+    """Return the text of a file that lies next to this module."""
     return (files("termsel.results") / name).read_text(encoding="utf-8")
 
 
 def _checksum_of(text: str) -> str:
+    """Return the SHA-256 of a script or style as a content security policy names it."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

@@ -118,6 +118,7 @@ def drawing_bundle(snippet: str) -> str:
 
 
 def _undrawn_error(why: str) -> TermselError:
+    """Return the error for a chart that could not be drawn, and what to do without it."""
     return TermselError(f"the library vl-convert cannot draw this chart: {why[:200]}",
                         hint="Tables and records are complete without it. "
                              "`termsel report` draws it in a browser.")

@@ -75,7 +75,7 @@ def _settings_of_run(record: Record) -> Iterator[str]:
                 continue
             # A name that two parts have must say which.
             key = f"{owner}.{name}" if owners[name] > 1 else name
-            yield f"--set {shlex.quote(f'{key}={_quoted_text(value)}')}"
+            yield f"--set {shlex.quote(f'{key}={_value_text(value)}')}"
 
 
 def _full_name(record: Record, part_of_run: str) -> str:
@@ -91,5 +91,6 @@ _SETTLED = ("roles", "off", "role", "fractions", "split")
 """Options of data that the roles in points.csv have settled."""
 
 
-def _quoted_text(value: Value) -> str:
+def _value_text(value: Value) -> str:
+    """Return a value as it is typed: true and false in small letters."""
     return str(value).lower() if isinstance(value, bool) else str(value)

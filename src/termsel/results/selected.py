@@ -138,6 +138,7 @@ def _sentences_on_search(record: Record) -> Iterator[Block]:
 
 
 def _max_share(record: Record) -> float:
+    """Return the largest share of terms by equations that a search may select."""
     return cast("float", record.options.problem.get("max_share", 1.0))
 
 
@@ -253,6 +254,7 @@ def _table_by_size(members: Sequence[Member | SizeRow], by_size: Sequence[SizeRo
 
 
 def _px_text(rmse: RoleRmse) -> str:
+    """Return an RMSE [px] with three decimals; "-" where it is not known."""
     return "-" if rmse.total is None else f"{rmse.total:.3f}"
 
 

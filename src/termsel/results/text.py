@@ -114,4 +114,5 @@ def _align_rows(rows: Sequence[Sequence[str]], are_words: Iterable[bool]) -> Ite
 
 
 def _wrap_text(text: str, indent: int = 0) -> list[str]:
+    """Return the lines of a text, wrapped to the width of a screen."""
     return textwrap.wrap(text, _WIDTH, subsequent_indent=" " * indent, break_on_hyphens=False)

@@ -83,6 +83,7 @@ def dark_style() -> str:
 
 
 def _wrap_text(text: str, width: int = 84) -> list[str]:
+    """Return the lines of a caption, wrapped to so many characters."""
     import textwrap
 
     return textwrap.wrap(text, width)

@@ -402,6 +402,7 @@ LEAST_SPREAD, LEAST_EXTENT = 3.0, 1.0
 
 
 def _rounded_text(size: float) -> str:
+    """Return a size to two digits, with commas from 100 on."""
     return f"{size:.2g}" if size < 99.5 else f"{float(f'{size:.2g}'):,.0f}"
 
 

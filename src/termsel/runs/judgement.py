@@ -185,6 +185,7 @@ def name_conventional(genome: Genome, observations: Observations) -> str:
 
 
 def _independent_rmse(baseline: Baseline) -> float:
+    """Return the RMSE [px] of the independent points; infinite where there are none."""
     value = baseline.rmse["independent"]
     return float("inf") if value is None else value.total
 
@@ -195,6 +196,7 @@ def _error_ratio(error: float, reference: float) -> float:
 
 
 def _px_text(value: float) -> str:
+    """Return an error in px, rounded as on every screen."""
     return f"{rounded_size_text(value)} px"
 
 

@@ -84,7 +84,7 @@ def require_enough(observations: Observations, criterion: Criterion, model: Sens
                  + CORRECTED * ("rpc" in model.options))
     if criterion.needs_check and len(check) < MIN_CHECK:
         raise TermselError(
-            f"{_number(len(check), 'selection point')} (role check); the criterion "
+            f"{_too_few_in_words(len(check), 'selection point')} (role check); the criterion "
             f"{criterion.name} needs at least {MIN_CHECK}",
             hint="Give more points the role check: they choose among selections. Or choose by "
                  "leave-one-out, without selection points: --criterion press.")
@@ -135,7 +135,7 @@ def _refuse_one_number(observations: Observations) -> None:
 def _count_of_control(control: FeatureSet) -> str:
     """Return how many control features there are, such as "1 control point"."""
     noun = control.word.removesuffix("s")
-    return _number(len(control), f"control {noun}")
+    return _too_few_in_words(len(control), f"control {noun}")
 
 
 def _others_in_words(observations: Observations) -> str:
@@ -165,7 +165,8 @@ def _remedy_for_few(observations: Observations, fewest: int) -> str:
             "measure more.")
 
 
-def _number(number: int, noun: str) -> str:
+def _too_few_in_words(number: int, noun: str) -> str:
+    """Return a number with its noun, as too few: "only 2 points", or "no points"."""
     return f"only {count_in_words(number, noun)}" if number else f"no {noun}s"
 
 

@@ -120,6 +120,7 @@ def _turning_sign(corners: FloatArray) -> FloatArray:
 
 
 def _are_mixed(turnings: IntArray) -> bool:
+    """Return whether triangles turn in both directions."""
     return bool((turnings > 0).any() and (turnings < 0).any())
 
 
@@ -382,4 +383,5 @@ def _limits_of_detection(features: FeatureSet, suspects: Suspects) -> Iterator[s
 
 
 def _size_text(error: float) -> str:
+    """Return an error to two digits, with commas from 100 on."""
     return f"{error:.2g}" if error < 100 else f"{error:,.0f}"

@@ -192,6 +192,7 @@ def _random_streams(scene: Scene, seed: int | None) -> list[Generator]:
 
 
 def _numbered_ids(letter: str, count: int) -> tuple[str, ...]:
+    """Return ids such as P001, from 1 on."""
     return tuple(f"{letter}{i + 1:03d}" for i in range(count))
 
 

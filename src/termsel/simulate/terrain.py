@@ -115,4 +115,5 @@ def hilly_terrain(seed: int, lon: float, lat: float, extent: tuple[float, float]
 
 
 def _as_rows(values: ArrayLike) -> tuple[tuple[float, float, float, float], ...]:
+    """Return rows (n, 4) as tuples of floats, which can be compared and hashed."""
     return tuple((float(a), float(b), float(c), float(d)) for a, b, c, d in np.asarray(values))

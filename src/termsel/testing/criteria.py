@@ -138,6 +138,7 @@ SUITE = Suite((declaration_check("criteria"), score_shape, score_finite, smaller
 
 
 def _model_of_terms() -> Polynomial3D:
+    """Return the model whose terms the masks are of."""
     return Polynomial3D(degree=2)
 
 

@@ -254,6 +254,7 @@ SUITE = Suite((
 
 def _make_model(model: type[SensorModel], options: Mapping[str, Any],
                 place: tuple[Scaling, str]) -> SensorModel:
+    """Return a model with options, prepared with the scaling and CRS of a place."""
     return model(**options).prepared(*place)
 
 

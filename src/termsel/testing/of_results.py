@@ -33,14 +33,16 @@ def same_again(item: ReportSection | Measure) -> None:
     for result in example_results():
         # The whole content: a section may hold on to any part of it.
         before = result.to_json()
-        first = _answer(item, result)
+        first = _answer_of(item, result)
         for copy in (item, through_pickle(item)):
-            require(_answer(copy, result) == first, "the same result gets another answer from one "
+            require(_answer_of(copy, result) == first,
+                    "the same result gets another answer from one "
                                                      "call or process to the next")
         require(result.to_json() == before, "it changes the result; work on a copy")
 
 
-def _answer(item: ReportSection | Measure, result: Result) -> object:
+def _answer_of(item: ReportSection | Measure, result: Result) -> object:
+    """Return what a section shows of a result, or the figure of a measure."""
     return figure_of_result(item, result) if isinstance(item, Measure) else section_of(item, result)
 
 

@@ -123,6 +123,7 @@ SUITE = Suite((declaration, evaluation_holds, deterministic, one_by_one, neighbo
 
 
 def _problem_of_recipe(recipe: Recipe) -> Problem:
+    """Return the problem of a recipe with its own data."""
     check_declaration("problems", recipe)
     return prepare(recipe).problem
 
@@ -133,6 +134,7 @@ def _valid_individuals(problem: Problem) -> np.ndarray:
 
 
 def _require_equal(first: Evaluation, second: Evaluation, message: str, near: float = 1e-9) -> None:
+    """Raise AssertionError unless two evaluations are equal but for rounding."""
     # Relatively, as costs may be of any size; rounding alone may differ.
     require(np.allclose(first.objectives, second.objectives, rtol=near, atol=1e-12)
             and np.allclose(first.violation, second.violation, rtol=near, atol=1e-12), message)

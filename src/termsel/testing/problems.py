@@ -156,12 +156,12 @@ def trap_problem(size: int = 2 * SIZE) -> Toy:
         different = (genes != pattern).sum(axis=1).astype(np.float64)
         return size - different[:, None], np.maximum(different - 2, 0.0)
 
-    return Toy(_plain_evaluation(size), judge)
+    return Toy(_genome_of_halves(size), judge)
 
 
 def hopeless_problem(size: int = SIZE) -> Toy:
     """Return a problem no individual of which is feasible; all cost the same."""
-    return Toy(_plain_evaluation(size), lambda genes: (
+    return Toy(_genome_of_halves(size), lambda genes: (
         np.full((len(genes), 1), WORST), 1.0 + genes.sum(axis=1)))
 
 
@@ -183,7 +183,7 @@ def bound() -> Toy:
 
 def problem_of_two_aims(size: int = SIZE) -> Toy:
     """Return a problem of two objectives: genes off in the first half, and genes on at all."""
-    return Toy(_plain_evaluation(size), lambda genes: (
+    return Toy(_genome_of_halves(size), lambda genes: (
         np.column_stack([_count_off(genes[:, :size // 2]), genes.sum(axis=1)]).astype(np.float64),
         np.zeros(len(genes))), ("off", "on"))
 
@@ -236,11 +236,13 @@ def least_objective(problem: Problem) -> float:
     return float(evaluation.objectives[evaluation.violation == 0, 0].min())
 
 
-def _plain_evaluation(size: int) -> Genome:
+def _genome_of_halves(size: int) -> Genome:
+    """Return a genome of two segments of bits, together of this size."""
     half = size // 2
     return Genome([Bits("terms.line", numbered_names("l", half)),
                    Bits("terms.sample", numbered_names("s", size - half))])
 
 
 def _count_off(genes: BoolArray) -> FloatArray:
+    """Return how many genes of individuals (p, n) are off, (p, 1)."""
     return np.asarray((~genes).sum(axis=1, keepdims=True), dtype=np.float64)

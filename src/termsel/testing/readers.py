@@ -52,7 +52,7 @@ class Example:
 def reads_example(example: Example) -> None:
     """It reads the example correctly, each time, and does not change the file."""
     with TemporaryDirectory() as folder:
-        path = _put(example, folder, example.content)
+        path = _write_example(example, folder, example.content)
         # Twice, as a reader may keep something of the first time.
         for _ in range(2):
             _require_same(example.reader.read(path), example.expected, "the example")
@@ -63,7 +63,7 @@ def reads_example(example: Example) -> None:
 def sniffs_example(example: Example) -> None:
     """It recognises the example by its content, without reading all of it."""
     with TemporaryDirectory() as folder:
-        path = _put(example, folder, example.content)
+        path = _write_example(example, folder, example.content)
         require(example.reader.sniff(path, example.content[:HEAD]) is True,
                 "sniff() must be True for the example")
 
@@ -72,8 +72,8 @@ def sniffs_anything(example: Example) -> None:
     """It returns False for bytes without meaning, and never raises."""
     with TemporaryDirectory() as folder:
         # Bytes without meaning, of which a reader that guesses would make points.
-        for content, description in _noise_files():
-            path = _put(example, folder, content)
+        for content, description in _noise_content():
+            path = _write_example(example, folder, content)
             try:
                 answer = example.reader.sniff(path, content[:HEAD])
             except Exception as error:
@@ -83,7 +83,7 @@ def sniffs_anything(example: Example) -> None:
             require(answer is False, f"sniff() of {description} must be False, not {answer!r}")
         for size in _cut_lengths(example):
             content = example.content[:size]
-            answer = example.reader.sniff(_put(example, folder, content), content)
+            answer = example.reader.sniff(_write_example(example, folder, content), content)
             require(isinstance(answer, bool), f"sniff() must be True or False, not {answer!r}")
 
 
@@ -103,16 +103,16 @@ def empty_file(example: Example) -> None:
 
 def binary_file(example: Example) -> None:
     """Bytes without meaning are refused by the name of the file."""
-    for content, description in _noise_files():
+    for content, description in _noise_content():
         _require_refused(example, content, description)
 
 
 def missing_file(example: Example) -> None:
     """A file that does not exist, and a folder, are refused by name."""
     with TemporaryDirectory() as folder:
-        _is_refused(
+        _require_file_refused(
             example, Path(folder) / "missing" / example.filename, "a file that does not exist")
-        _is_refused(example, Path(folder), "a folder")
+        _require_file_refused(example, Path(folder), "a folder")
 
 
 def wrong_encoding(example: Example) -> None:
@@ -137,7 +137,7 @@ def line_ends(example: Example) -> None:
                                   (lines.replace("\n", "\r\n"), "line ends of Windows"),
                                   ("\ufeff" + lines, "a byte order mark"),
                                   (lines.rstrip("\n"), "no line end in the last line")):
-            path = _put(example, folder, text.encode())
+            path = _write_example(example, folder, text.encode())
             try:
                 features = example.reader.read(path)
             except TermselError as error:
@@ -159,13 +159,14 @@ SUITE = Suite((
     cases)
 
 
-def _put(example: Example, folder: str, content: bytes) -> Path:
+def _write_example(example: Example, folder: str, content: bytes) -> Path:
+    """Write content into a folder under the name of an example; return its path."""
     path = Path(folder) / example.filename
     path.write_bytes(content)
     return path
 
 
-def _noise_files() -> list[tuple[bytes, str]]:
+def _noise_content() -> list[tuple[bytes, str]]:
     """Return bytes without any meaning, the same in every run, with their description."""
     # The same bytes in every run.
     rng = np.random.default_rng(1)
@@ -174,28 +175,31 @@ def _noise_files() -> list[tuple[bytes, str]]:
 
 
 def _cut_lengths(example: Example) -> list[int]:
+    """Return the lengths [bytes] to which an example is cut."""
     # Cuts all over the file, as each part of it is read by other code.
     return sorted({int(n) for n in np.linspace(0, len(example.content) - 1, PIECES)})
 
 
-def _is_refused(example: Example, path: Path, description: str) -> None:
+def _require_file_refused(example: Example, path: Path, description: str) -> None:
+    """Raise AssertionError unless the reader refuses a file by its name."""
     require_refused(lambda: example.reader.read(path), path, description,
                     "is read as if nothing were wrong")
 
 
 def _require_refused(example: Example, content: bytes, description: str) -> None:
+    """Raise AssertionError unless the reader refuses this content."""
     with TemporaryDirectory() as folder:
-        _is_refused(example, _put(example, folder, content), description)
+        _require_file_refused(example, _write_example(example, folder, content), description)
 
 
 def _read_or_refuse(example: Example, folder: str, content: bytes, description: str,
                     ) -> FeatureSet | None:
     """Return the features read, or None if a TermselError names the file."""
-    path = _put(example, folder, content)
+    path = _write_example(example, folder, content)
     # Whatever was raised is judged by the second call, which says what is wrong.
     with suppress(Exception):
         return example.reader.read(path)
-    _is_refused(example, path, description)
+    _require_file_refused(example, path, description)
     return None
 
 

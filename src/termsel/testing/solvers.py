@@ -324,6 +324,7 @@ SUITE = Suite((
 
 
 def _note_index(indices: list[int], budget: int, progress: Progress) -> None:
+    """Take note of a generation's number; raise AssertionError if there are too many."""
     indices.append(progress.generation.index)
     require(len(indices) <= budget + 1, f"given {budget} generations it yields more: the index of "
             f"generations must rise, and was {', '.join(map(str, indices))}")

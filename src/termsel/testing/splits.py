@@ -52,9 +52,11 @@ SUITE = Suite((declaration_check("splits"), roles, same_again, inputs_unchanged)
 
 
 def _split_points(n: int) -> tuple[tuple[str, ...], np.ndarray]:
+    """Return ids and ground places (n, 3) of n points."""
     return numbered_names("P", n), np.random.default_rng(5).uniform(0.0, 1000.0, (n, 3))
 
 
 def _assign_roles(split: Split, n: int, shares: tuple[float, ...]) -> tuple[str, ...]:
+    """Return the roles that a split gives n points."""
     ids, ground = _split_points(n)
     return split.roles(ids, ground, np.array(shares), np.random.default_rng(1))

@@ -91,12 +91,12 @@ def unwritable_path(export: Export) -> None:
     """A path that cannot be written is refused by its name."""
     for result in export.accepted():
         with TemporaryDirectory() as folder:
-            _is_refused(export, result, Path(folder) / "missing" / export.filename,
+            _require_write_refused(export, result, Path(folder) / "missing" / export.filename,
                         "a path in a folder that does not exist")
             # A folder in the way of the file.
             occupied = Path(folder) / export.filename
             occupied.mkdir()
-            _is_refused(export, result, occupied, "a path where there is a folder")
+            _require_write_refused(export, result, occupied, "a path where there is a folder")
             require(occupied.is_dir() and not list(occupied.iterdir()), "it writes into a folder "
                                                                   "with the name of the file")
             _require_tidy(occupied)
@@ -134,7 +134,7 @@ def whole_or_nothing(export: Export) -> None:
             path.write_bytes(OLD)
             # Half of what it needs, so that it fails in the middle.
             with _file_size_limited(size // 2):
-                _is_refused(export, result, path, "a full disk")
+                _require_write_refused(export, result, path, "a full disk")
             _require_old(path, "a full disk")
 
 
@@ -187,7 +187,8 @@ def example_results() -> tuple[Result, ...]:
     return tuple(results)
 
 
-def _is_refused(export: Export, result: Result, path: Path, description: str) -> None:
+def _require_write_refused(export: Export, result: Result, path: Path, description: str) -> None:
+    """Raise AssertionError unless the writer fails with an error that names the file."""
     require_refused(lambda: export.writer.write(result, path), path, description,
                     "goes unnoticed: write through termsel.core.files.atomic")
 

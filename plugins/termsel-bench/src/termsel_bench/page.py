@@ -65,8 +65,10 @@ def scores_document(scores: Sequence[Score], title: str = AUTO.title) -> Documen
 
 
 def _px_text(value: float) -> str:
+    """Return an error [px] with three decimals; "-" of an infinite one."""
     return f"{value:.3f}" if math.isfinite(value) else "-"
 
 
 def _interval_text(score: Score) -> str:
+    """Return the ends of a score's interval [px]; "-" where the score is infinite."""
     return f"{score.low:.3f} to {score.high:.3f}" if math.isfinite(score.rmse) else "-"

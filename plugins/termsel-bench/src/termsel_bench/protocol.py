@@ -74,11 +74,12 @@ class Work:
 
 def set_of(work: Work) -> BenchSet:
     """Return the set of some work: simulated, or of a folder."""
-    return simulated_set(work.set_name) if work.real is None else _as_real_number(work.real)
+    return simulated_set(work.set_name) if work.real is None else _read_real_set(work.real)
 
 
 @lru_cache(maxsize=2)
-def _as_real_number(folder: Path) -> BenchSet:
+def _read_real_set(folder: Path) -> BenchSet:
+    """Return the measured set in a folder; a function of the module, as tests replace it."""
     return real_set(folder)
 
 

@@ -86,4 +86,5 @@ def losses(scores: Sequence[Score], title: str) -> list[tuple[Score, Score]]:
 
 
 def _ratio_in_words(value: float) -> str:
+    """Return a ratio with two decimals; "-" of an infinite one."""
     return "-" if math.isinf(value) else f"{value:.2f}"

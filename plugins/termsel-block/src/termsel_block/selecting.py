@@ -212,6 +212,7 @@ def _without_check(block: Block) -> Block:
 
 
 def _is_check(_: str, role: str) -> bool:
+    """Return whether a point, of any id, has the role check."""
     return role == "check"
 
 

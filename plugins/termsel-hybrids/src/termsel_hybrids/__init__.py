@@ -44,4 +44,5 @@ def termsel_problems() -> Iterable[Recipe]:
 
 
 def _terms_of_each_axis(inputs: ProblemData) -> SelectionProblem:
+    """Return the problem of selecting terms, with all features."""
     return SelectionProblem(inputs, terms=True, features=False)

@@ -199,4 +199,5 @@ def _shorten_px(value: float) -> float | int:
 
 
 def _plain_number(value: float) -> float | int:
+    """Return a whole number without its decimals, as others write it; others as they are."""
     return int(value) if value == int(value) else value

@@ -174,6 +174,7 @@ def _rows_as_vectors(errors: FloatArray, scaled: FeatureSet) -> FloatArray:
 
 @lru_cache(maxsize=8)
 def _prepared_model(rpc: Rpc) -> RpcAffine:
+    """Return a model with the RPC, which it takes as JSON."""
     return RpcAffine(rpc=json.dumps(asdict(rpc)))
 
 

@@ -232,6 +232,7 @@ def _numerator_columns(rpc: Rpc, ground: FloatArray) -> FloatArray:
 
 
 def _name(axis: str, column: str) -> str:
+    """Return the name of the bias of an axis in a column of the RPC."""
     return str(Term(axis, "bias", column))
 
 

@@ -175,8 +175,10 @@ def _predicted_lines(stated: PredictedStatement) -> Iterator[str]:
 
 
 def _value_or(value: float | None) -> str:
+    """Return a figure in ten characters; "-" where there is none."""
     return f"{'-':>10}" if value is None else f"{value:10.3f}"
 
 
 def _survey_text(value: float | None) -> str:
+    """Return the clause on the error of the survey [m]; None is not known."""
     return "; survey not known" if value is None else f"; survey {value:.3f} m"

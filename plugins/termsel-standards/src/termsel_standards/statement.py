@@ -454,4 +454,5 @@ def _in_statement_unit(value: float) -> str:
 
 
 def _size_text(value: float) -> str:
+    """Return a length [m] to three digits, whole from 1000 on."""
     return f"{value:.3g}" if value < 999.5 else f"{value:.0f}"

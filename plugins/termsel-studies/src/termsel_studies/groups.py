@@ -119,8 +119,10 @@ def _varying_labels(rows: Sequence[Row], labels: Sequence[str],
 
 
 def _label_values(row: Row, labels: Sequence[str]) -> tuple[Any, ...]:
+    """Return the labels of a row as a tuple, by which rows are grouped."""
     return tuple(row[label] for label in labels)
 
 
 def _group_in_words(row: Row, label: str) -> str:
+    """Return the label of a row as a title: the number of a split says what it is."""
     return f"split {row[label]}" if label == "split" else str(row[label])

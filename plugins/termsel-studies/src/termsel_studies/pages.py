@@ -151,6 +151,7 @@ def _main_figures(groups: Groups, name: str, figures: list[Summary]) -> TableBlo
 
 
 def _title_of_study(name: str, optimum: float | None) -> str:
+    """Return the title of a table, with the optimum if it is proven."""
     return name if optimum is None else f"{name}: proven optimum {optimum:.4f}"
 
 

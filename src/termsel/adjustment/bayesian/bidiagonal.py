@@ -139,6 +139,7 @@ def eliminate(systems: FloatArray, count: int) -> None:
 
 @_compiled
 def _subtract_products(x: FloatArray, y: FloatArray, target: FloatArray) -> None:
+    """Subtract x y from the target, lane by lane."""
     for lane in range(len(target)):
         target[lane] -= x[lane] * y[lane]
 

@@ -285,6 +285,7 @@ def _next_steps(off: FloatArray, previous: FloatArray, step: FloatArray) -> floa
 
 
 def _unit_vectors(vectors: FloatArray) -> FloatArray:
+    """Return vectors (..., d) divided by their length."""
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 

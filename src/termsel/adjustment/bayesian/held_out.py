@@ -229,6 +229,7 @@ def _fill_power(excess: FloatArray, scale: FloatArray, lowest: float, power: Flo
 
 @_inlined
 def _add_products(x: FloatArray, y: FloatArray, total: FloatArray) -> None:
+    """Add x y to the total, lane by lane."""
     for p in range(len(total)):
         total[p] += x[p] * y[p]
 

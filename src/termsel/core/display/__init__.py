@@ -36,4 +36,5 @@ class Glance:
 
 
 def _short_value(text: str) -> str:
+    """Return a text short enough for a representation, printable as it is."""
     return make_printable(cut(text, _MAX_VALUE_LENGTH), keep="")

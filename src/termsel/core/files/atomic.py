@@ -186,6 +186,7 @@ def _is_running(process: int) -> bool:
 
 
 def _cannot_write(path: Path | str, why: str) -> TermselError:
+    """Return the error for a file that cannot be written, and why."""
     return TermselError(f"cannot write this file: {why}", file=path,
                         hint="Check that the folder exists, is writable and has free space.")
 

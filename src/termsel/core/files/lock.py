@@ -134,6 +134,7 @@ def _try_lock(file: FileIO) -> bool:
 
 
 def _unwritable_error(folder: Path, error: OSError) -> TermselError:
+    """Return the error for a folder that cannot be written to."""
     return TermselError(f"cannot write to the folder: {error.strerror or error}", file=folder,
                         hint="Choose another --out.")
 

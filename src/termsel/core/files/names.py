@@ -179,8 +179,8 @@ def utf8_name(path: Path | str) -> Iterator[Path | str]:
         # Files with the same stem are linked too, as GDAL looks for them next to an image.
         for file in (path, *path.parent.glob(f"{glob.escape(path.stem)}*")):
             with suppress(FileExistsError):
-                (folder / _is_in_utf8(file.name)).symlink_to(file.absolute())
-        yield folder / _is_in_utf8(path.name)
+                (folder / _as_utf8(file.name)).symlink_to(file.absolute())
+        yield folder / _as_utf8(path.name)
 
 
 @contextmanager
@@ -205,5 +205,6 @@ def _is_utf8(path: Path) -> bool:
     return True
 
 
-def _is_in_utf8(name: str) -> str:
+def _as_utf8(name: str) -> str:
+    """Return the name of a file with replacements for bytes that are no UTF-8."""
     return os.fsencode(name).decode("utf-8", errors="replace")

@@ -451,6 +451,7 @@ class _Chain:
                           "Convert it: gdal_translate FILE map.tif.")
 
     def _not_plain_error(self) -> TermselError:
+        """Return the error for XML that is not well-formed, as GDAL alone might read it."""
         return self.error("the XML of this raster, or of a file that it names, is not well-formed",
                           "Write it again by gdal_translate or gdalbuildvrt.")
 
@@ -507,6 +508,7 @@ def _may_be_name(text: str, folder: str) -> bool:
 
 
 def _is_virtual(head: bytes) -> bool:
+    """Return whether the head of a file may be that of a virtual raster: XML of GDAL's own."""
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     # Any number of blanks may be in front of it.
     return bool(head) and (not text or text[:1] == b"<") and not foreign_format(text)
@@ -558,6 +560,7 @@ def _list_folder(folder: str) -> tuple[str, ...]:
 
 
 def _is_in_archive(name: str) -> bool:
+    """Return whether GDAL's name of a file is that of a member of an archive or of a server."""
     return name.startswith("/vsi")
 
 

@@ -48,8 +48,8 @@ def metadata_of_tiff(file: BinaryIO) -> bytes | None:
     if layout is None:
         return None
     try:
-        start = _number(file, layout.first, order + layout.offset)
-        count = _number(file, start, order + layout.entries)
+        start = _read_number(file, layout.first, order + layout.offset)
+        count = _read_number(file, start, order + layout.entries)
         size = struct.calcsize(order + layout.entry)
         if count > _MOST_ENTRIES:
             return None
@@ -64,10 +64,12 @@ def metadata_of_tiff(file: BinaryIO) -> bytes | None:
     return b"" if len(table) == count * size else None
 
 
-def _number(file: BinaryIO, offset: int, form: str) -> int:
+def _read_number(file: BinaryIO, offset: int, form: str) -> int:
+    """Return the number of struct's format `form` at an offset of a file."""
     return int(struct.unpack(form, _read_bytes(file, offset, struct.calcsize(form)))[0])
 
 
 def _read_bytes(file: BinaryIO, offset: int, length: int) -> bytes:
+    """Return bytes at an offset, no more than metadata may have."""
     file.seek(offset)
     return file.read(min(length, _MAX_METADATA))

@@ -32,6 +32,7 @@ def difference_from_shape(value: Any, shape: tuple[int, ...], *, finite: bool = 
 
 
 def _list_in_words(shape: tuple[int, ...]) -> str:
+    """Return a shape as numpy prints it, with n for a size that may be any."""
     sizes = ["n" if size == -1 else str(size) for size in shape]
     return f"{sizes[0]}," if len(sizes) == 1 else ", ".join(sizes)
 

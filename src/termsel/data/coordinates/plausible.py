@@ -73,7 +73,7 @@ def _check_distance(ground: FloatArray, features: FeatureSet, crs: str) -> None:
     hint = "These look like longitude, latitude and height: state --crs EPSG:4979." \
         if look_like_degrees else "x, y and z must be metres from the centre."
     raise TermselError(
-        f"{_coordinate_values(ground, name, first)}, z = {ground[first, 2]:.10g} is "
+        f"{_feature_in_words(ground, name, first)}, z = {ground[first, 2]:.10g} is "
         f"{distance[first]:.5g} m "
         f"from the centre of {body_of(crs)}, from which {short_crs_name(crs)} counts; its surface "
         "is "
@@ -147,7 +147,7 @@ def _check_metres(xy: FloatArray, features: FeatureSet, crs: str) -> None:
     name, column = _name_vertex(features, first, 0)
     raise TermselError(
         f"{problem}, but {short_crs_name(crs)} is a projected CRS: "
-        f"{_coordinate_values(xy, name, first)}", ids=[name],
+        f"{_feature_in_words(xy, name, first)}", ids=[name],
         column=column, hint=hint)
 
 
@@ -169,7 +169,7 @@ def _check_range(xy: FloatArray, features: FeatureSet, low: tuple[float, float],
     elif not outside(xy[is_outside][:, ::-1]).any():
         hint = f"Perhaps x and y are swapped there. {hint}"
     name, column = _name_vertex(features, first, int(np.argmax(beyond(xy)[first])))
-    raise TermselError(f"{_coordinate_values(xy, name, first)} {problem}", hint=hint, ids=[name],
+    raise TermselError(f"{_feature_in_words(xy, name, first)} {problem}", hint=hint, ids=[name],
                        column=column)
 
 
@@ -181,7 +181,8 @@ def _name_vertex(features: FeatureSet, i: int, axis: int) -> tuple[str, str]:
     return features.ids[int(features.vertex_feature[i])], f"{'xy'[axis]}{end}"
 
 
-def _coordinate_values(xy: FloatArray, name: str, i: int) -> str:
+def _feature_in_words(xy: FloatArray, name: str, i: int) -> str:
+    """Return the i-th feature with its coordinates, for a message."""
     return f"{name!r} with x = {xy[i, 0]:.10g}, y = {xy[i, 1]:.10g}"
 
 

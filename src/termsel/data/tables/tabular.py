@@ -238,6 +238,7 @@ def text_array(cells: Sequence[str]) -> TextArray:
 
 
 def _cell_text(value: Any) -> str:
+    """Return a value as the text of a table's cell; "" for what stands for an unknown one."""
     if not isinstance(value, str) and str(value) in _UNKNOWN:
         return ""
     return cut(make_printable(str(value).replace("\r\n", "\n")).strip(), MAX_TEXT)

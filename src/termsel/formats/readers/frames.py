@@ -70,4 +70,5 @@ def _table_records(frame: Any) -> tuple[list[dict[str, Any]], str]:
 
 
 def _is_column(column: Any) -> bool:
+    """Return whether a value of a table has a value for each row, and is no text."""
     return hasattr(column, "__len__") and not isinstance(column, str | bytes | Mapping)

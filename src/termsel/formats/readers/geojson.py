@@ -136,11 +136,12 @@ def numbers_at(value: Any, depth: int, lengths: tuple[int, ...]) -> bool:
     if depth:
         return bool(value) and all(numbers_at(item, depth - 1, lengths) for item in value)
     return len(value) in lengths and all(
-        isinstance(number, int | float) and not isinstance(number, bool) and _require_finite(number)
+        isinstance(number, int | float) and not isinstance(number, bool) and _is_finite(number)
         for number in value)
 
 
-def _require_finite(number: float) -> bool:
+def _is_finite(number: float) -> bool:
+    """Return whether a number is finite as a float, too."""
     try:
         return isfinite(number)
     except OverflowError:  # a whole number beyond any float

@@ -171,6 +171,7 @@ def _table_of_features(path: Path, features: list[Feature], options: Mapping[str
 
 
 def _sample_and_line(feature: Feature) -> list[float]:
+    """Return the property ji, [column, row]; raises TermselError if a feature lacks it."""
     ji: Any = feature.pixels()
     if not numbers_at(ji, 0, (2,)):
         raise feature.error("it has no image coordinates", "ji",

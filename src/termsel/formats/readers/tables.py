@@ -457,6 +457,7 @@ def _missing_column_error(path: Path | None, line: int | None, header: Sequence[
 
 
 def _is_number(cell: str) -> bool:
+    """Return whether a cell is a number as Python reads it."""
     try:
         float(cell)
     except ValueError:

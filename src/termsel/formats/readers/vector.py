@@ -167,6 +167,7 @@ def _link_into_folder(path: Path, folder: Path) -> Path:
 
 
 def _is_wal(path: Path) -> bool:
+    """Return whether a file of SQLite keeps its newest content in a journal next to it."""
     with path.open("rb") as file:
         head = file.read(20)
     return head.startswith(b"SQLite format 3\0") and 2 in head[18:20]
@@ -207,6 +208,7 @@ def _refused_driver_error(path: Path) -> TermselError:
 
 
 def _unreadable_error(path: Path, error: Exception) -> TermselError:
+    """Return the error for a vector file that GDAL cannot read."""
     return TermselError(f"GDAL cannot read this file: {error}", file=path,
                         hint="Export it again. A Shapefile needs its .shx and .dbf beside it.")
 

@@ -245,4 +245,5 @@ def _require_same_by_gdal(rpc: Rpc, image: Path) -> None:
 
 
 def _file_stem(path: Path, suffix: str) -> str:
+    """Return the name of a file without a suffix of several parts, such as _RPC.TXT."""
     return path.name[:-len(suffix)] if path.name.upper().endswith(suffix.upper()) else path.stem

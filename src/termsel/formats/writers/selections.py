@@ -33,6 +33,7 @@ class SelectionWriter(Writer):
 
 
 def _require_accepted(writer: Writer, result: Result, path: Path, hint: str) -> None:
+    """Raise TermselError if a writer cannot write a result."""
     if not writer.accepts(result):
         raise TermselError(f"this result cannot be written as {writer.name}", file=path, hint=hint)
 

@@ -73,7 +73,7 @@ def image_extent(view: View) -> Extent:
     above = max(margin, (wide / WIDEST - high) / 2)
     # Of all residuals, not of a chosen member, so that members can be compared by their arrows.
     lengths = [float(np.hypot(row["dl"], row["ds"])) for row in view.in_image]
-    scale = _exaggeration_text(lengths, wide)
+    scale = _choose_exaggeration(lengths, wide)
     longest = _longest_ordinary(lengths)
     ends = [(row["sample"] + scale * row["ds"], row["line"] + scale * row["dl"])
             for row, length in zip(view.in_image, lengths, strict=True)
@@ -92,7 +92,7 @@ def ground_extent(view: View) -> Extent:
     margin = MAP_MARGIN * max(wide * view.flattening, tall)
     across = margin / view.flattening
     lengths = [float(np.hypot(row["dx"] * view.flattening, row["dy"])) for row in view.on_ground]
-    scale = _exaggeration_text(lengths, tall)
+    scale = _choose_exaggeration(lengths, tall)
     longest = _longest_ordinary(lengths)
     ends = [(row["x"] + scale * row["dx"], row["y"] + scale * row["dy"])
             for row, length in zip(view.on_ground, lengths, strict=True)
@@ -126,6 +126,7 @@ def cut_on_ground(view: View) -> str:
 
 
 def _remark_on_map(view: View, cuts: bool) -> str:
+    """Return the note under a map: on arrows that are cut, and on what it leaves out."""
     dashed = "Dashed arrows are longer than drawn: they would leave the chart." if cuts else ""
     return f"{dashed} {view.partly}".strip()
 
@@ -384,12 +385,14 @@ def _shown_roles(view: View, rows: list[Row]) -> set[str]:
 
 
 def _role_colour(view: View, rows: list[Row]) -> Any:
+    """Return the colour of a role as a channel of Vega-Lite, with its legend."""
     alt = require_altair()
     return alt.Color("role:N", scale=legend_of(ROLE_COLOURS, _shown_roles(view, rows)),
                      legend=alt.Legend(symbolStrokeWidth=0, symbolOpacity=1, labelExpr=ROLE_LABELS))
 
 
-def _exaggeration_text(lengths: list[float], wide: float) -> float:
+def _choose_exaggeration(lengths: list[float], wide: float) -> float:
+    """Return by how much residuals are drawn longer: the median has the length `LENGTH`."""
     # The median, as a blunder would make all others invisible.
     median = float(np.median(lengths)) if lengths else 0.0
     return nice_number(LENGTH * wide / median) if median > VECTOR_ROUNDING * wide else 1.0

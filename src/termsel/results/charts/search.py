@@ -69,7 +69,7 @@ def member_residuals(view: View, image: str = "") -> Any:
 
 def front_rows(view: View) -> list[Row]:
     """Return a row for check and independent points of each member."""
-    recommended = _mark_recommended(view)
+    recommended = _recommended_row(view)
     rows: list[Row] = []
     for i, member in enumerate(view.record.front):
         for role in ("check", "independent"):
@@ -84,11 +84,12 @@ def member_choice(view: View) -> Any:
     """Return the choice of a member, at first the recommended one."""
     # There is always one member chosen, so that the map below is never empty.
     return require_altair().selection_point(
-        name="member", fields=["member"], value=[{"member": _mark_recommended(view)}], clear=False,
+        name="member", fields=["member"], value=[{"member": _recommended_row(view)}], clear=False,
         toggle=False, empty=False)
 
 
-def _mark_recommended(view: View) -> int:
+def _recommended_row(view: View) -> int:
+    """Return the number of the recommended member of the front; 0 without one."""
     return recommended_member(view.record.front, view.record.selection) or 0
 
 

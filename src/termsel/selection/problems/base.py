@@ -137,6 +137,7 @@ def evaluation_fault(problem: Problem, value: Any, genes: Genes, *_near: Any,
 
 
 def _is_number(value: Any) -> bool:
+    """Return whether a value is a finite number."""
     return isinstance(value, int | float) and bool(np.isfinite(value))
 
 
@@ -157,6 +158,7 @@ def _selection_fault(_problem: Problem, value: Any, *_args: Any) -> str | None:
 
 
 def _parts_fault(_problem: Problem, value: Any) -> str | None:
+    """Return how a value is at fault that should be a tuple of enumerable parts."""
     return None if isinstance(value, tuple) and all(
         isinstance(subproblem, EnumerablePart) for subproblem in value) \
         else f"returned {value!r:.200}; expected a tuple of EnumerablePart"
@@ -171,6 +173,7 @@ def _moves_fault(problem: Problem, value: Any, *_args: Any) -> str | None:
 
 
 def _design_fault(problem: Problem, value: Any) -> str | None:
+    """Return how a design matrix is at fault: one column for each gene."""
     return difference_from_shape(value, (-1, problem.genome.size))
 
 

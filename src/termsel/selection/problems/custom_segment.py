@@ -54,6 +54,7 @@ def _genes_fault(segment: CustomSegment, value: Any, *_args: Any) -> str | None:
 
 
 def _pair_fault(segment: CustomSegment, value: Any, *_args: Any) -> str | None:
+    """Return how a pair of arrays of genes is at fault; None if it is not."""
     if not isinstance(value, tuple) or len(value) != 2:
         return f"returned an object of type {type(value).__name__}; expected two arrays of genes"
     return _genes_fault(segment, value[0]) or _genes_fault(segment, value[1])

@@ -116,6 +116,7 @@ def _refuse_other_errors(inputs: ProblemData) -> None:
 
 
 def _not_enumerable_error(why: str) -> TermselError:
+    """Return the error for a problem that has no linear system per axis, with the reason."""
     return TermselError(f"this solver needs one linear system per axis: {why}",
                         hint="Choose another solver, such as --solver ga or --solver swap.")
 

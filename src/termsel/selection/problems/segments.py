@@ -154,7 +154,7 @@ class Integers(_Bounded):
 
     def fault(self, genes: Genes) -> str:
         """Return how genes of any dtype are at fault; "" if they are not."""
-        return super().fault(genes) or _not_whole_error(genes)
+        return super().fault(genes) or _fault_of_fractions(genes)
 
 
 @dataclass(frozen=True)
@@ -233,7 +233,7 @@ class Categories(Named):
     def fault(self, genes: Genes) -> str:
         """Return how genes of any dtype are at fault; "" if they are not."""
         inside = (genes >= 0) & (genes < len(self.choices))
-        return _not_whole_error(genes) if inside.all() else (
+        return _fault_of_fractions(genes) if inside.all() else (
             f"are not all from 0 to {len(self.choices) - 1}, numbers of choices")
 
     def value(self, genes: Genes) -> dict[str, Any]:
@@ -328,7 +328,7 @@ class Subset(Named):
     def fault(self, genes: Genes) -> str:
         """Return how genes of any dtype are at fault; "" if they are not."""
         in_range = (genes >= 0) & (genes < len(self.labels))
-        if not in_range.all() or _not_whole_error(genes) or (np.diff(genes, axis=1) <= 0).any():
+        if not in_range.all() or _fault_of_fractions(genes) or (np.diff(genes, axis=1) <= 0).any():
             return (f"are not {self.m} different whole numbers from 0 to {len(self.labels) - 1}, "
                     "ascending")
         return ""
@@ -360,5 +360,6 @@ def random_subsets(count: int, n: int, m: int, rng: np.random.Generator) -> Gene
     return np.sort(rng.random((count, n)).argsort(axis=1)[:, :m], axis=1)
 
 
-def _not_whole_error(genes: Genes) -> str:
+def _fault_of_fractions(genes: Genes) -> str:
+    """Return what is wrong with genes that should be whole numbers; "" if nothing."""
     return "" if (genes == np.rint(genes)).all() else "are not all whole numbers"

@@ -234,8 +234,10 @@ def require_resumable(solver: Solver) -> None:
 
 
 def _checksum_of_state(keys: Sequence[bytes]) -> str:
+    """Return a checksum of the keys of individuals, in their order."""
     return b64encode(blake2b(b"".join(keys), digest_size=12).digest()).decode()
 
 
 def _are_alike(values: FloatArray, others: FloatArray) -> bool:
+    """Return whether objectives are equal but for the rounding of another processor."""
     return bool(np.allclose(values, others, rtol=_TOLERANCE, atol=0.0))

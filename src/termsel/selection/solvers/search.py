@@ -345,6 +345,7 @@ def require_able(problem: Problem, solver: Solver,
 
 
 def _can_handle(solver: Solver | type[Solver], types: Iterable[type]) -> bool:
+    """Return whether a solver can handle segments of these types."""
     return all(issubclass(segment_type, tuple(solver.segments)) for segment_type in types)
 
 

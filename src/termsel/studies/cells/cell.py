@@ -378,7 +378,8 @@ def _make_cell(spec: Spec, strategy: str, specs: Mapping[str, PartSpec | None], 
                     if not name.startswith(("solver.", "search.")) and name not in _OF_SEARCH},
         "made_of": {role: checksum for role, checksum in kind.made_of.items()
                     if role not in ("solver", "then")}}
-    return Cell(_sum(identity), labels, call, data, instance=_sum(instance), things=objects,
+    return Cell(_key_of_content(identity), labels, call, data, instance=_key_of_content(instance),
+                things=objects,
                 others=kind.others)
 
 
@@ -412,7 +413,8 @@ def _uses_foreign_parts(strategy: str, request: Request, measures: Iterable[Meas
         canonical_name(component.__module__.partition(".")[0]) for component in code)
 
 
-def _sum(content: Mapping[str, Any]) -> str:
+def _key_of_content(content: Mapping[str, Any]) -> str:
+    """Return the checksum of content that can be JSON, the same for equal content."""
     # Sorted and without blanks, so that equal content is equal text.
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:24]

@@ -124,6 +124,7 @@ def table_of(spec: Spec) -> dict[str, Any]:
 
 
 def _part_name(component: PartSpec) -> dict[str, Any]:
+    """Return a part of a study by name, label and options."""
     return {"name": component.name, "label": component.label, **component.options}
 
 

@@ -83,15 +83,16 @@ def _parts_of_value(value: Any) -> Iterator[Any]:
         yield value.__name__
     # Caches in an object are no part of what it does.
     elif isinstance(value, Configurable):
-        yield from (type(value), value.options, _plain_value(vars(value)))
+        yield from (type(value), value.options, _plain_attributes(vars(value)))
     elif is_dataclass(value):
         yield from (type(value),
                     {column.name: getattr(value, column.name) for column in fields(value)})
     else:
-        yield from (type(value), _plain_value(getattr(value, "__dict__", {})))
+        yield from (type(value), _plain_attributes(getattr(value, "__dict__", {})))
 
 
-def _plain_value(attributes: Mapping[str, Any]) -> dict[str, Any]:
+def _plain_attributes(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the attributes whose values are plain data."""
     return {name: value for name, value in attributes.items() if isinstance(value, _PLAIN)}
 
 
@@ -100,8 +101,8 @@ def _parts_of_class(kind: type) -> Iterator[Any]:
     # A class does what its bases do, so their code counts as well.
     for base in kind.__mro__:
         yield f"{base.__module__}.{base.__qualname__}"
-        if _root(base) not in _VERSIONED:
-            yield _source_checksum(_root(base))
+        if _root_package(base) not in _VERSIONED:
+            yield _source_checksum(_root_package(base))
             # Memory of abstract classes, and what Python adds, say nothing of what a class does.
             yield {name: value for name, value in vars(base).items() if name != "_abc_impl" and
                    (not name.startswith("__") or isinstance(value, FunctionType))}
@@ -115,11 +116,11 @@ def _parts_of_function(function: FunctionType) -> Iterator[Any]:
             yield cell.cell_contents
         except ValueError:  # a name that is not bound yet
             yield None
-    if _root(function) in _VERSIONED:
+    if _root_package(function) in _VERSIONED:
         return
-    yield from (_source_checksum(_root(function)), function.__code__, function.__defaults__,
+    yield from (_source_checksum(_root_package(function)), function.__code__, function.__defaults__,
                 function.__kwdefaults__)
-    if _root(function) == "__main__":  # no package shows what its names stand for
+    if _root_package(function) == "__main__":  # no package shows what its names stand for
         for name in function.__code__.co_names:
             used = function.__globals__.get(name)
             # One step far: what those names use in turn is not looked at.
@@ -127,7 +128,8 @@ def _parts_of_function(function: FunctionType) -> Iterator[Any]:
                 yield used
 
 
-def _root(definition: Any) -> str:
+def _root_package(definition: Any) -> str:
+    """Return the package that a definition is in."""
     return str(definition.__module__).partition(".")[0]
 
 

@@ -229,7 +229,7 @@ def _torn_at_once(lines: list[bytes]) -> bool:
 def _seal_record(record: Mapping[str, Any]) -> bytes:
     """Return a record as a line with its checksum."""
     text = _entry_text(record)
-    return f'{{"record":{text},"sha256":"{_sum(text)}"}}\n'.encode()
+    return f'{{"record":{text},"sha256":"{_checksum_of_text(text)}"}}\n'.encode()
 
 
 def _record_of_line(line: bytes) -> Mapping[str, Any] | None:
@@ -243,14 +243,17 @@ def _record_of_line(line: bytes) -> Mapping[str, Any] | None:
         is_valid = isinstance(record, dict) and (
             "schema" not in record or isinstance(record.get("versions"), dict))
         # The text is made again from what was read, so that any change of it shows.
-        return record if is_valid and _sum(_entry_text(record)) == sealed["sha256"] else None
+        is_valid = is_valid and _checksum_of_text(_entry_text(record)) == sealed["sha256"]
+        return record if is_valid else None
     except (ValueError, TypeError, KeyError, RecursionError):
         return None
 
 
 def _entry_text(record: Mapping[str, Any]) -> str:
+    """Return a record as a line of the journal; raises ValueError for NaN or infinity."""
     return json.dumps(record, separators=(",", ":"), allow_nan=False)
 
 
-def _sum(text: str) -> str:
+def _checksum_of_text(text: str) -> str:
+    """Return a checksum of the text of an entry."""
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -96,6 +96,7 @@ def batch_of_records(cells: Mapping[str, Mapping[str, Any]],
 
 
 def _as_sentence(doubt: str | None) -> list[str]:
+    """Return a doubt as a sentence in a list; [] without one."""
     return [f"{doubt[0].upper()}{doubt[1:]}."] if doubt else []
 
 

@@ -139,4 +139,5 @@ def _end_with_parent() -> None:
 
 
 def _run_in_worker(cell: Cell) -> Outcome:
+    """Return the outcome of a cell, whose features this process has."""
     return do(cell, _features[cell.data.key])

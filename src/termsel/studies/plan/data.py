@@ -250,5 +250,6 @@ def _read_image(source: Source, files: Mapping[str, str], folder: Path, part_nam
 
 
 def _group_key(features: FeatureSet) -> str:
+    """Return the key that images with equal features share."""
     # Attributes are columns that methods may read.
     return checksum_of_features(features) + (checksum_of_attributes(features) or "")

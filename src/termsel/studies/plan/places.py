@@ -145,9 +145,11 @@ class _Reader:
             self._at += 1
 
     def _next_character(self) -> str:
+        """Return the next token that is no end of a line."""
         self._pass_lines()
         return self._tokens[self._at][1]
 
     def _pass_lines(self) -> None:
+        """Move past the ends of lines, but not past the last token."""
         while self._tokens[self._at][0] == "line" and self._at < len(self._tokens) - 1:
             self._at += 1

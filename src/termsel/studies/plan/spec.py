@@ -180,7 +180,7 @@ def _part_of_study(at: Places, path: Keys, declared: Any) -> PartSpec:
         return PartSpec(declared, declared, path=path)
     if isinstance(declared, Configurable):
         # The label says which options differ from their defaults.
-        settings = [f"{option.name}={_plain_value(declared.options[option.name])}"
+        settings = [f"{option.name}={_value_text(declared.options[option.name])}"
                     for option in declared.declared_options
                     if declared.options[option.name] != option.default]
         label = ", ".join([declared.name, *settings])
@@ -198,11 +198,12 @@ def _part_of_study(at: Places, path: Keys, declared: Any) -> PartSpec:
     options = _parse_options(
         at, path, {key: value for key, value in declared.items() if key not in ("name", "label")})
     description = ", ".join([name,
-                             *(f"{key}={_plain_value(value)}" for key, value in options.items())])
+                             *(f"{key}={_value_text(value)}" for key, value in options.items())])
     return PartSpec(name, str(declared.get("label", description)), options, path=path)
 
 
-def _plain_value(value: Any) -> str:
+def _value_text(value: Any) -> str:
+    """Return a value as it is typed: true and false in small letters."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
@@ -273,6 +274,7 @@ def _parse_seeds(at: Places, key: str, value: Any, first: int) -> tuple[int, ...
 
 
 def _require_table(at: Places, path: Keys, value: Any) -> Mapping[str, Any]:
+    """Return a table; raises TermselError, with its place, for any other value."""
     if not isinstance(value, Mapping):
         raise at.error(path, f"{path[-1]} is not a table", f"Write [{path[-1]}] on its own line.")
     return value

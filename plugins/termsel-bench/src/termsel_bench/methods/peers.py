@@ -162,6 +162,7 @@ def fit_ridge(features: FeatureSet, seed: int) -> Projection:
 
 
 def _fit_sklearn() -> Any:
+    """Return scikit-learn; raises TermselError where it is not installed."""
     return require_import("the peer requires", "scikit-learn", "scikit-learn")
 
 

@@ -141,6 +141,7 @@ def pymoo_projection(features: FeatureSet, seed: int) -> Projection:
             super().__init__(n_var=problem.size, n_obj=1, xl=0, xu=1, vtype=bool)
 
         def _evaluate(self, x: Any, values: dict[str, Any], *_: Any, **__: Any) -> None:
+            """Set the objective `F` of one individual, as pymoo asks for it."""
             values["F"] = problem.fitness(np.asarray(x, dtype=bool))
 
     result = minimize(Terms(), GA(pop_size=POPULATION, sampling=BinaryRandomSampling(),

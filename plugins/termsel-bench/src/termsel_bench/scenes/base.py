@@ -123,6 +123,7 @@ def _rounded_rpc(rpc: Rpc) -> Rpc:
 
 
 def _encode_text(crs: str, header: str, rows: list[tuple[str, ...]]) -> str:
+    """Return the lines of a CSV: a comment with the CRS, the header, and the rows."""
     return "\n".join([f"# crs: {crs}", header, *(",".join(row) for row in rows)]) + "\n"
 
 

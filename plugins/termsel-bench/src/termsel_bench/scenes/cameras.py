@@ -360,4 +360,5 @@ def _axes_at(lon: float, lat: float) -> FloatArray:
 
 
 def _unit_vectors(vectors: FloatArray) -> FloatArray:
+    """Return vectors (..., d) divided by their length."""
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))

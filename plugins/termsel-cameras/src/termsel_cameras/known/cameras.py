@@ -44,7 +44,8 @@ class SurveyCamera:
     distortion: tuple[float, ...] = (0.0,) * 5
 
 
-def _film_size(focal: float, spread: float, size: float, source: str) -> SurveyCamera:
+def _square_film_camera(focal: float, spread: float, size: float, source: str) -> SurveyCamera:
+    """Return a camera of focal length [mm], with its spread, and a square film of `size` [mm]."""
     return SurveyCamera(focal, spread, size, size, (0, 0), source)
 
 
@@ -56,14 +57,14 @@ def _digital_camera(focal: float, pixel: float, width: int, height: int) -> Surv
 
 
 CAMERAS: dict[str, SurveyCamera] = {
-    "wild-rc30-153": _film_size(153.0, 0.004, 230.0, USGS),
-    "wild-rc20-153": _film_size(153.0, 0.005, 230.0, USGS),
-    "wild-rc10-153": _film_size(153.0, 0.005, 230.0, USGS),
-    "wild-rc8-152": _film_size(152.4, 0.005, 230.0,
-                               "National Report of Canada to the ISP, Commission I, 1960: 6 in"),
-    "metrogon-6in": _film_size(152.4, 0.008, 228.6, "Report of the United States to the ISP, 1952: "
-                               "Fairchild and other cameras with Metrogon lenses of 6 in, 9 by 9 "
-                               "in"),
+    "wild-rc30-153": _square_film_camera(153.0, 0.004, 230.0, USGS),
+    "wild-rc20-153": _square_film_camera(153.0, 0.005, 230.0, USGS),
+    "wild-rc10-153": _square_film_camera(153.0, 0.005, 230.0, USGS),
+    "wild-rc8-152": _square_film_camera(
+        152.4, 0.005, 230.0, "National Report of Canada to the ISP, Commission I, 1960: 6 in"),
+    "metrogon-6in": _square_film_camera(
+        152.4, 0.008, 228.6, "Report of the United States to the ISP, 1952: Fairchild and other "
+        "cameras with Metrogon lenses of 6 in, 9 by 9 in"),
     "dmc": _digital_camera(120.0, 12.0, 7680, 13824),
     "dmc-ii-230": _digital_camera(92.0, 5.6, 15552, 14144),
     "dmc-iii": _digital_camera(92.0, 3.9, 25728, 14592),

@@ -113,6 +113,7 @@ def _say_choice(images: tuple[Image, ...]) -> None:
 
 
 def _name_points(image: FloatArray) -> tuple[str, ...]:
+    """Return names such as L0P512, of line and pixel, for image places (n, 2)."""
     return tuple(f"L{line:g}P{sample:g}" for line, sample in image)
 
 

@@ -132,12 +132,12 @@ def _metadata_of_dimap(root: ElementTree.Element, name: str) -> Metadata:
     return Metadata(
         name, (lines, samples), line, period,
         (strip.findtext(".//STAR_TRACKER_USED") or "").strip().upper() == "Y",
-        _numbers_of_text(times[near]), _numbers_of_text(states[near,
-                                                               :3]), _numbers_of_text(states[near,
-                                                                                             3:]),
-        _numbers_of_text(moments[close]), _numbers_of_text(angles[close]),
-        _numbers_of_text(looks[keep, 0] - 1.0),
-        _numbers_of_text(looks[keep, 1:]))
+        _numbers_in_tuples(times[near]),
+        _numbers_in_tuples(states[near, :3]),  # positions
+        _numbers_in_tuples(states[near, 3:]),  # velocities
+        _numbers_in_tuples(moments[close]), _numbers_in_tuples(angles[close]),
+        _numbers_in_tuples(looks[keep, 0] - 1.0),
+        _numbers_in_tuples(looks[keep, 1:]))
 
 
 def _times_about_scene(times: FloatArray, ends: FloatArray) -> slice:
@@ -187,10 +187,12 @@ def _parse_look_angles(strip: ElementTree.Element) -> FloatArray:
     return looks
 
 
-def _freeze_array(value: Any) -> Any:
-    return tuple(map(_freeze_array, value)) if isinstance(value, list) else value
+def _nest_in_tuples(value: Any) -> Any:
+    """Return nested lists as nested tuples, which can be hashed."""
+    return tuple(map(_nest_in_tuples, value)) if isinstance(value, list) else value
 
 
-def _numbers_of_text(values: Iterable[Any]) -> Any:
-    return _freeze_array(np.asarray(values).tolist())
+def _numbers_in_tuples(values: Iterable[Any]) -> Any:
+    """Return an array, or what makes one, as nested tuples of numbers."""
+    return _nest_in_tuples(np.asarray(values).tolist())
 

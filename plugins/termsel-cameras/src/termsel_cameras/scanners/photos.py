@@ -163,6 +163,7 @@ class Photo(Physical):
                                           features.points.image)[0][1:])
 
     def _ground_extent(self) -> float:
+        """Return the length on the ground [m] from -1 to 1 of the first scaled coordinate."""
         return float(np.linalg.norm(self.local(np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]))[0]))
 
     def seen(self, x: dict[str, FloatArray], ground: FloatArray,

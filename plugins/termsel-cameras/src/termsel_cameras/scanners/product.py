@@ -60,7 +60,7 @@ def images_of(path: Path) -> tuple[Image, ...]:
     """
     try:
         if path.is_dir():
-            return _sort_names(_annotations_in_folder(path))
+            return _images_in_order(_annotations_in_folder(path))
         if not path.is_file():
             return ()
         with path.open("rb") as file:
@@ -68,9 +68,9 @@ def images_of(path: Path) -> tuple[Image, ...]:
     except OSError:
         return ()
     if head in _ZIP:
-        return _sort_names(_annotations_in_zip(path))
+        return _images_in_order(_annotations_in_zip(path))
     if path.name.lower() == "manifest.safe":
-        return _sort_names(_annotations_in_folder(path.parent))
+        return _images_in_order(_annotations_in_folder(path.parent))
     if head in _TIFF:
         return tuple(_image_of_annotation(place) for place in _annotation_of_image(path))
     return ()
@@ -186,6 +186,7 @@ def _annotation_of_image(image: Path) -> list[Path]:
 
 
 def _is_annotation(name: str) -> bool:
+    """Return whether the name of a file is that of an annotation of Sentinel-1."""
     return ANNOTATION_NAMES.match(name) is not None and name.lower().endswith(".xml")
 
 
@@ -197,5 +198,6 @@ def _image_of_annotation(annotation: Path) -> Image:
                  match["polarisation"].upper() if match else "")
 
 
-def _sort_names(annotations: list[Path]) -> tuple[Image, ...]:
+def _images_in_order(annotations: list[Path]) -> tuple[Image, ...]:
+    """Return the images of annotations, in the order of their paths."""
     return tuple(_image_of_annotation(place) for place in sorted(annotations, key=os.fspath))

@@ -90,11 +90,13 @@ def _program_row(deviation: Deviation) -> tuple[str, ...]:
     """
     metres = deviation.over_image.metres if deviation.over_image else None
     return (deviation.program, deviation.said or deviation.transformation,
-            _largest_difference(deviation.at_points), _largest_difference(deviation.over_image),
+            _largest_distance_text(deviation.at_points),
+            _largest_distance_text(deviation.over_image),
             "" if metres is None else f"{metres:,.3g}")
 
 
-def _largest_difference(distances: Apart | None) -> str:
+def _largest_distance_text(distances: Apart | None) -> str:
+    """Return the largest distance to three digits; "" if none is known."""
     return "" if distances is None else f"{distances.largest:,.3g}"
 
 

@@ -43,6 +43,7 @@ def size_of(path: Path) -> tuple[int, int]:
 
 
 def _wkt_of_crs(crs: object) -> str:
+    """Return the WKT of rasterio's CRS; "" without one."""
     return crs.to_wkt() if crs else ""  # type: ignore[attr-defined]
 
 

@@ -89,6 +89,7 @@ def _style_by_role(kind: str, geometry: int, layers: dict[str, str]) -> str:
 
 
 def _symbol_qml(kind: str, name: str, layer: str) -> str:
+    """Return a symbol in QML, with one symbol layer."""
     return f'<symbol type="{kind}" name="{name}" alpha="1" clip_to_extent="1">{layer}</symbol>'
 
 

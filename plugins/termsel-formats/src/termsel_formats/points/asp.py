@@ -62,7 +62,7 @@ class AspGcp(Reader):
         """Return True if the first row that is not a comment has the cells of a point."""
         text = head.decode("utf-8-sig", errors="replace")
         # Other programs' .gcp files have fewer cells, and no name among them.
-        first = next((line for line in text.splitlines() if not _is_unused(line)), "")
+        first = next((line for line in text.splitlines() if not _is_blank_or_comment(line)), "")
         cells = _split_cells(first)
         return (_fits_layout(cells) and all(map(is_number, cells[:7] + cells[8:12]))
                 and not is_number(cells[7]))
@@ -103,7 +103,7 @@ def _parse_rows(path: Path) -> list[_Row]:
     """
     points: list[_Row] = []
     for number, text in enumerate(read_text(path).splitlines(), 1):
-        if _is_unused(text):
+        if _is_blank_or_comment(text):
             continue
         cells = _split_cells(text)
         if not _fits_layout(cells):
@@ -136,15 +136,18 @@ def _crs_of_datum(path: Path) -> str:
     return "EPSG:4979" if crs == "EPSG:4326" else crs
 
 
-def _is_unused(line: str) -> bool:
+def _is_blank_or_comment(line: str) -> bool:
+    """Return whether a line of a file has no cells."""
     return not line.strip() or line.lstrip().startswith("#")
 
 
 def _split_cells(line: str) -> list[str]:
+    """Return the cells of a line, between blanks or commas."""
     return [cell for cell in re.split(r"[\s,]+", line.strip()) if cell]
 
 
 def _fits_layout(cells: list[str]) -> bool:
+    """Return whether a row can be one of the layout: seven cells, then five for each image."""
     return len(cells) >= 12 and (len(cells) - 7) % 5 == 0
 
 

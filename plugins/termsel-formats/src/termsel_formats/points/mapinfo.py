@@ -116,7 +116,8 @@ class MapInfoTabWriter(PointsWriter):
                     points.ids, points.image.tolist(), points.ground.tolist(), strict=True), 1)]
         write_text(path, "\n".join([
             "!table", "!version 300", "!charset WindowsLatin1", "", "Definition Table",
-            f'  File "{_plain_number(image_name(self.options["image"], path))}"', '  Type "RASTER"',
+            f'  File "{_without_quotes(image_name(self.options["image"], path))}"',
+            '  Type "RASTER"',
             ",\n".join(rows), f"  CoordSys Earth {system}", f'  Units "{unit}"', ""]))
         say_by_gdal(self.name, result, used)
 
@@ -126,5 +127,6 @@ def _label_of_id(name: str, number: int) -> str:
     return name if name.isascii() and '"' not in name else f"Pt {number}"
 
 
-def _plain_number(name: str) -> str:
+def _without_quotes(name: str) -> str:
+    """Return a name with _ in place of quotes, which end a text in a TAB file."""
     return name.replace('"', "_")

@@ -188,24 +188,25 @@ class MicmacXmlWriter(PointsWriter):
                                hint=f"The format requires {self.needs}.")
         measures = ElementTree.Element(_MEASURES)
         of_image = ElementTree.SubElement(measures, "MesureAppuiFlottant1Im")
-        _add(of_image, "NameIm", image_name(self.options["image"], path))
+        _add_text_element(of_image, "NameIm", image_name(self.options["image"], path))
         ground = ElementTree.Element("Global")
         appuis = ElementTree.SubElement(ground, _GROUND)
         sigma = float(self.options["ground_sigma"])
         for name, (line, sample), position in zip(control.ids, control.image.tolist(),
                                                control.ground.tolist(), strict=True):
             mark = ElementTree.SubElement(of_image, "OneMesureAF1I")
-            _add(mark, "NamePt", name)
-            _add(mark, "PtIm", f"{sample!r} {line!r}")
+            _add_text_element(mark, "NamePt", name)
+            _add_text_element(mark, "PtIm", f"{sample!r} {line!r}")
             point = ElementTree.SubElement(appuis, "OneAppuisDAF")
-            _add(point, "Pt", " ".join(map(repr, position)))
-            _add(point, "NamePt", name)
-            _add(point, "Incertitude", f"{sigma!r} {sigma!r} {sigma!r}")
+            _add_text_element(point, "Pt", " ".join(map(repr, position)))
+            _add_text_element(point, "NamePt", name)
+            _add_text_element(point, "Incertitude", f"{sigma!r} {sigma!r} {sigma!r}")
         with atomic_path(path) as unfinished:  # in place after the other, or neither is
             unfinished.write_bytes(utf8_bytes(xml_document(measures)))
             write_text(_ground_file(path), xml_document(ground))
         say_checked(self.name, checked)
 
 
-def _add(parent: ElementTree.Element, tag: str, text: str) -> None:
+def _add_text_element(parent: ElementTree.Element, tag: str, text: str) -> None:
+    """Append an element with a text to its parent."""
     ElementTree.SubElement(parent, tag).text = text

@@ -112,6 +112,7 @@ class Pix4dMarks(Reader):
 
 
 def _ground_file(path: Path) -> Path:
+    """Return the path of the ground coordinates that belong to a file of marks."""
     return path.with_name(f"{path.stem}_gcps.csv")
 
 

@@ -61,7 +61,7 @@ def start_by_overview(picture: GreyRaster, reference: Path | str, band: int | No
         _, inliers = cv2.estimateAffine2D(
             at_reference[reference_number], at_image[image_number], method=cv2.USAC_MAGSAC,
             maxIters=20000,
-            ransacReprojThreshold=_TOLERANCE * _read_step(picture.size))
+            ransacReprojThreshold=_TOLERANCE * _reduction_step(picture.size))
         if inliers is not None:
             agree = np.asarray(inliers).ravel().astype(bool)
     if agree.sum() < max(_MIN_PAIRS, _MIN_SHARE * len(image_number)):
@@ -91,14 +91,15 @@ def _say_if_long(picture: GreyRaster) -> None:
                  "saves it.", *picture.size, picture.path)
 
 
-def _read_step(size: tuple[int, int]) -> int:
+def _reduction_step(size: tuple[int, int]) -> int:
+    """Return of how many pixels one is read, so that no side is longer than `_REDUCED_SIDE`."""
     return max(1, -(-max(size) // _REDUCED_SIDE))
 
 
 def _whole_described(picture: GreyRaster) -> tuple[FloatArray, Grey]:
     """Return keypoints (n, 2) of a whole picture in its own pixels, and their descriptors (n, 128).
     """
-    step = _read_step(picture.size)
+    step = _reduction_step(picture.size)
     keypoints, vectors = describe_keypoints(*picture.read(0, 0, *picture.size, step))
     # The middle of a reduced pixel is that of the pixels it was made of.
     return (keypoints + 0.5) * step - 0.5, vectors

@@ -314,6 +314,7 @@ def _distances_from_fit(fitted: Fit, points: Points) -> FloatArray:
 
 
 def _rms_distance(fitted: Fit, points: Points) -> float:
+    """Return the root mean square distance [px] of points from a fit."""
     return float(np.sqrt((_distances_from_fit(fitted, points) ** 2).mean()))
 
 

@@ -338,6 +338,7 @@ def _structure_matters(evidence: Evidence, accept: float) -> bool:
 
 
 def _vector_text(away: tuple[float, float]) -> str:
+    """Return a vector (line, sample) [px] in words, with signs."""
     return f"by ({away[0]:+.1f}, {away[1]:+.1f}) px in line and sample"
 
 

@@ -111,8 +111,8 @@ def match_cells(picture: GreyRaster, reference: Reference, looking: Looking,
         for window in _windows_of_block((extents[0], extents[1]), blocks, all_blocks[number], step):
             in_image = (window[0] + first_line, window[1] + first_sample, *window[2:])
             matches, end = _best_in_window(picture, reference, looking, in_image, inner, step)
-            matches_of_cells = max(matches_of_cells, matches, key=_count)
-            if _count(matches_of_cells) >= _EACH:
+            matches_of_cells = max(matches_of_cells, matches, key=_count_matches)
+            if _count_matches(matches_of_cells) >= _EACH:
                 break
         of_cells[number] = matches_of_cells
         ends[FOUND] += len(matches_of_cells)
@@ -212,7 +212,8 @@ def _place_matches(matcher: Matcher, matches: Matches, numbers: NDArray[np.intp]
                    second.known), matches.first[numbers], matches.second[numbers])
 
 
-def _count(several: list[Matches]) -> int:
+def _count_matches(several: list[Matches]) -> int:
+    """Return the number of matches in all parts."""
     return sum(len(matches.score) for matches in several)
 
 

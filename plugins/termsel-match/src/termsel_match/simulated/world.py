@@ -91,6 +91,7 @@ class World:
                                hint="Give a whole number of at least 0.")
 
     def _rng(self, stream: int) -> np.random.Generator:
+        """Return the generator of a stream of random numbers: each thing is drawn from its own."""
         return np.random.default_rng([self.seed, stream])
 
     @property
@@ -308,6 +309,7 @@ class World:
 
 
 def _mesh_positions(size: int) -> FloatArray:
+    """Return the lines or samples of the nodes of a mesh that covers `size` pixels and more."""
     return np.arange(-2, -(-size // _RAY_MESH) + 3, dtype=np.float64) * _RAY_MESH
 
 
@@ -320,4 +322,5 @@ def _interpolate_rays(
 
 
 def _to_plane() -> Transformer:
+    """Return the transformer from longitude and latitude to the plane of the world."""
     return Transformer.from_crs("EPSG:4326", WORLD_CRS, always_xy=True)

@@ -72,10 +72,12 @@ def _source_element(source: QualitySource, short: str) -> Element:
 
 
 def _citation_element(title: str, origin: str, date: str) -> Element:
+    """Return title, origin and date as an element; an unknown origin says so."""
     return _x("citeinfo", _x("origin", origin or _UNKNOWN), _x("pubdate", date), _x("title", title))
 
 
 def _date_element(date: str) -> Element:
+    """Return a date as an element of FGDC."""
     return _x("timeinfo", _x("sngdate", _x("caldate", date)))
 
 

@@ -171,10 +171,12 @@ def _date_element(when: str) -> Element:
 
 
 def _time_element(name: str, when: str) -> Element:
+    """Return a time in ISO 8601 as an element."""
     return _x(name, _x("gco:DateTime", when))
 
 
 def _string_element(name: str, text: str) -> Element:
+    """Return a text as an element with its type."""
     return _x(name, _x("gco:CharacterString", text))
 
 

@@ -73,6 +73,7 @@ def descend(vectors: Vectors, depth: int, i: int, upper: FloatArray) -> None:
 
 @_compiled
 def _remove_column(vectors: Vectors, depth: int, i: int, c: int) -> None:
+    """Take column c out of the control rows of a depth, and keep what is left in the next."""
     remove(vectors, depth, 0, i=i, c=c, n=vectors.top.shape[2] - 1, r=1)
 
 

@@ -65,6 +65,7 @@ class Variables:
 
 
 def _pymoo_variable(kind: type, low: float, high: float) -> Variable:
+    """Return pymoo's variable of a gene's type, with its range."""
     if kind is np.bool_:
         return Binary()
     return Real(bounds=(low, high)) if kind is np.float64 else Integer(bounds=(int(low), int(high)))

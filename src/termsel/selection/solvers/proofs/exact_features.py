@@ -37,6 +37,7 @@ _TIMED = 1 << 16  # selections of which the time of all is estimated
 
 
 def _feature_segment(problem: Problem) -> Bits | Subset:
+    """Return the only segment of a problem of features."""
     segment, = problem.genome.segments
     assert isinstance(segment, Bits | Subset)  # of features
     return segment
