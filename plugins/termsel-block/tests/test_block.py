@@ -145,7 +145,7 @@ def test_the_step_is_that_of_lapack() -> None:
     for i in range(images):
         tie = np.sort(rng.choice(ties, 5, replace=False))
         part = TieRows(tie, rng.normal(size=(5, 2, 2 * m)), rng.normal(size=(5, 2, 3)),
-                    rng.normal(size=(5, 2)), rng.uniform(0.5, 2, 5))
+                       rng.normal(size=(5, 2)), rng.uniform(0.5, 2, 5))
         seen.append(part)
         for n in range(5):
             for axis in range(2):

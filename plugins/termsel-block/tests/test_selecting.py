@@ -43,7 +43,7 @@ def test_a_selection_is_scored_as_its_own_adjustment(problem: OwdisBlock) -> Non
     names = problem.decode(genes).features
     control = {tuple(name.split(":")[1:]) for name in names if name.startswith("control")}
     result = adjust(_with_selection(_without_check(BLOCK), control,  # type: ignore[arg-type]
-                          {name[4:] for name in names if name.startswith("tie")}))
+                                    {name[4:] for name in names if name.startswith("tie")}))
     squares = []
     for i, image in enumerate(BLOCK.images):
         assert image.features is not None

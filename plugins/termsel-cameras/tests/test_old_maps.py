@@ -57,7 +57,7 @@ def test_auto_takes_a_field_and_reads_it_back(folder: Path) -> None:
 
 
 def test_the_field_leaves_as_grids_and_refuses_what_cannot_hold_it(folder: Path,
-                                                                  tmp_path: Path) -> None:
+                                                                   tmp_path: Path) -> None:
     rasterio = pytest.importorskip("rasterio")
     for to in ("gcp-grid-vrt", "gcp-vrt", "qgis-points", "points-csv"):
         run("export", str(folder), "--to", to, "-o", str(tmp_path / to))

@@ -239,8 +239,8 @@ GDAL_FORMS = {
     "the warp": "gdal_translate " + gdal("-gcp {} {} {} {} {}") + " a.tif b.tif\n"
                 "gdalwarp -s_srs EPSG:32633 -t_srs EPSG:3857 b.tif c.tif",
     "escaped": gdal("-gcp {} {} {} {} {}") + ' -a_srs "GEOGCS[\\"WGS 84\\",DATUM[\\"WGS_1984\\",'
-               'SPHEROID[\\"WGS 84\\",6378137,298.257223563]],PRIMEM[\\"Greenwich\\",0],'
-               'UNIT[\\"degree\\",0.0174532925199433]]"'}
+    'SPHEROID[\\"WGS 84\\",6378137,298.257223563]],PRIMEM[\\"Greenwich\\",0],'
+    'UNIT[\\"degree\\",0.0174532925199433]]"'}
 
 
 @pytest.mark.parametrize("form", GDAL_FORMS)
@@ -294,7 +294,7 @@ def test_fields_of_pci_in_another_order_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.gcp"
     path.write_text("".join(f"{name} {x} {y} {z} {sample + 0.5} {line + 0.5}\n"
                             for name, (line, sample), (x, y, z) in zip(IDS, IMAGE, GROUND,
-                                                                      strict=True)))
+                                                                       strict=True)))
     with pytest.raises(TermselError, match="line 1: the fields are taken as ID P L X Y Z, and"):
         termsel.read(path, crs="EPSG:32633")
     same(termsel.read(path, crs="EPSG:32633", layout="IDXYZPL"), "EPSG:32633")

@@ -104,7 +104,7 @@ def test_a_map_shows_the_ground_where_it_is(place: Any, says: Any, tmp_path: Pat
 
 @pytest.mark.slow
 def test_a_result_that_is_not_good_enough_ends_with_three(place: Any, says: Any, tmp_path: Path,
-                                                         altered: Callable[..., Path]) -> None:
+                                                          altered: Callable[..., Path]) -> None:
     output = tmp_path / "map.tif"
     words = ("--reference", place / "ortho.tif", "--dem", place / "dem.tif", "--count", 60, "-o",
              output)

@@ -162,7 +162,7 @@ def test_bands_and_types_do_not_matter(place: Any, altered: Callable[..., Path])
 
 @pytest.mark.slow
 def test_a_coarser_reference_is_matched_at_its_resolution(place: Any,
-                                                         altered: Callable[..., Path]) -> None:
+                                                          altered: Callable[..., Path]) -> None:
     west, north = place.world.corner
     ortho = altered("ortho.tif", lambda pixels: cv2.resize(
         pixels[0], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)[None],
@@ -212,7 +212,7 @@ def test_an_image_without_likeness_ends_with_the_reason(
 
 @pytest.mark.slow
 def test_a_reference_elsewhere_or_nowhere_is_refused(place: Any,
-                                                    altered: Callable[..., Path]) -> None:
+                                                     altered: Callable[..., Path]) -> None:
     west, north = place.world.corner
     dem = place / "dem.tif"
     for profile, reason in (({"crs": None, "transform": None}, "the reference has no CRS"),

@@ -74,7 +74,7 @@ def test_conforms_with_its_reference(place: Any, reader: Any, content: bytes) ->
                               [west + 7.5, north - 9.5, np.nan]]),
                     np.array([[0.2, 0.2], [0.3, 0.3]]) if reader is MatchesCsv else None)
     check(reader(reference=str(place / "ortho.tif")), content=content,
-                 expected=FeatureSet(points, crs="EPSG:32633"))
+          expected=FeatureSet(points, crs="EPSG:32633"))
 
 
 @pytest.fixture

@@ -407,7 +407,7 @@ def test_ground_that_repeats_is_told_from_other_ground(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_large_reference_is_read_by_windows(place: Any, tmp_path: Path,
-                                               monkeypatch: pytest.MonkeyPatch) -> None:
+                                              monkeypatch: pytest.MonkeyPatch) -> None:
     side, away, path = 8704, (4100, 3000), tmp_path / "large.tif"
     with rasterio.open(place / "ortho.tif") as ortho:
         pixels, transform = ortho.read(1), ortho.transform

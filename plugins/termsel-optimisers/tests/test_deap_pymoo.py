@@ -346,7 +346,7 @@ def test_an_algorithm_without_a_population_is_a_solver() -> None:
 
 def test_forced_genes_are_kept_by_algorithms_of_ones_own() -> None:
     mine = from_pymoo(GA(pop_size=20, sampling=BinaryRandomSampling(), crossover=UX(),
-                                 mutation=BitflipMutation()))
+                         mutation=BitflipMutation()))
     problem = problems.bound()
     found = search(problem, mine(), generations=5)
     assert problem.genome.keeps(found.genes[None]).all()

@@ -152,7 +152,7 @@ class Failing(BitflipMutation):  # type: ignore[misc]
 
 def test_a_crash_within_pymoo_names_the_algorithm() -> None:
     mine = from_pymoo(GA(pop_size=10, sampling=BinaryRandomSampling(), crossover=UX(),
-                                 mutation=Failing()))
+                         mutation=Failing()))
     with pytest.raises(TermselError, match=r"GA of pymoo .* failed in ask.*KeyError: 'of mine'"):
         search(problems.twelve_terms(), mine(), generations=3)
 

@@ -58,7 +58,7 @@ def test_the_parametric_form_is_that_of_unknown_places_along_each_line() -> None
         return (seen - lines.image.reshape(-1, 2)).ravel()
 
     best = least_squares(left, np.concatenate([np.zeros(2), np.full(80, 0.5)]),
-                               x_scale="jac", xtol=1e-14, ftol=1e-14).x
+                         x_scale="jac", xtol=1e-14, ftol=1e-14).x
     vertices = lines.ground.reshape(-1, 3)
     shift = (fitted.project(vertices) - rpc.project(vertices)).mean(axis=0)
     assert shift == pytest.approx(best[:2], abs=1e-3)

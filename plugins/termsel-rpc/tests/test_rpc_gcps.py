@@ -246,7 +246,7 @@ def test_embedded_points_are_as_stated() -> None:
     for role, counts in {"control": (48, 20, 12), "check": (48, 20, 12),
                          "independent": (80, 0, 0)}.items():
         found = [int(((roles == role) & (kind == one)).sum()) for one in ("good", "inexact",
-                                                                         "wrong")]
+                                                                          "wrong")]
         assert tuple(found) == counts
     assert away[kind == "good"].max() < 2.5
     assert away[kind == "wrong"].min() > 3

@@ -95,7 +95,7 @@ def test_it_is_cloud_optimised_with_statistics(files: Path, tmp_path: Path) -> N
     with rasterio.open(path) as raster:
         assert raster.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
         assert (raster.shape, tuple(raster.bounds)) == ((600, 800), (268000, 3852000, 272000,
-                                                                      3855000))
+                                                                     3855000))
         assert "% of the model at 400 places" in raster.tags()["UNCERTAINTY"]
         for band in raster.indexes:
             pixels, tags = raster.read(band), raster.tags(band)

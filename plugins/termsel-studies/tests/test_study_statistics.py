@@ -241,7 +241,7 @@ def test_what_failed_is_counted_as_worst_and_what_waits_is_not_counted() -> None
 
 
 @pytest.mark.parametrize(("proven", "optimum", "n"), [(False, None, 1), (True, 1.0, 0),
-                                                     (False, 1.0, 0)])
+                                                      (False, 1.0, 0)])
 def test_an_optimum_that_exact_did_not_prove_is_said(proven: bool, optimum: float | None,
                                                      n: int) -> None:
     rows = [_row(), _row(solver="exact", proven=proven, optimum=optimum)]

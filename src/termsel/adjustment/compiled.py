@@ -52,7 +52,7 @@ def compile_lazily(function: _Function, **flags: Any) -> _Function:
     nothing.
     """
     kernel = LazyKernel(partial(_make_dispatcher, function, flags),
-                 partial(_make_dispatcher, function, {**flags, "no_cpython_wrapper": True}))
+                        partial(_make_dispatcher, function, {**flags, "no_cpython_wrapper": True}))
     return cast(_Function, update_wrapper(kernel, function))
 
 

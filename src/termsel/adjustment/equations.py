@@ -210,7 +210,7 @@ def row_weights(features: FeatureSet, *, heights: bool = True) -> FloatArray:
         vertices = approximate_image(features, heights=heights).reshape(-1, 2, 2)
         # t of each vertex, in image units along the line.
         offset = np.einsum("ia,iva->iv", direction / length,
-                          vertices - lines.image.mean(axis=1)[:, None])
+                           vertices - lines.image.mean(axis=1)[:, None])
         # s sqrt(1/2 + 2 t^2 / L^2): both end points to s, and t from their middle.
         deviation[len(points):] *= np.sqrt(0.5 + 2.0 * (offset / length) ** 2)
     return np.asarray(1.0 / deviation.ravel())

@@ -312,7 +312,7 @@ def _kept_data_of(equations: Equations) -> _Prepared:
         feature = np.full(len(b), ALWAYS, dtype=np.intp)
         feature[:len(equations.feature)] = equations.feature  # pseudo-observations come last
         prepared = _Prepared(source, feature, _reduce_to_triangle(source),
-                          float(np.linalg.norm(source[:, :-2], axis=0).max(initial=0.0)))
+                             float(np.linalg.norm(source[:, :-2], axis=0).max(initial=0.0)))
         _PREPARED[equations] = prepared
     return prepared
 
@@ -374,7 +374,7 @@ def solve_many(equations: Equations, terms: BoolArray | None, features: BoolArra
     else:
         single_feature = np.zeros(k, dtype=np.intp), np.ones((1, 1), dtype=bool)
         for individuals, small_system in reduced_rows(shared.blocks, shared.triangle[:, :k], rows,
-                                 where_blocks_pay(feature, columns, rows)):
+                                                      where_blocks_pay(feature, columns, rows)):
             if small_system is None:
                 factor(individuals, source, feature, rows[individuals])
             else:

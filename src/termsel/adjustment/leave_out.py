@@ -217,7 +217,7 @@ def leave_one_out(equations: Equations, terms: BoolArray, features: BoolArray,
 
 
 def _leave_out_of_one(source: FloatArray, first: IntArray, terms: BoolArray, features: BoolArray,
-            n: int) -> tuple[FloatArray, BoolArray]:
+                      n: int) -> tuple[FloatArray, BoolArray]:
     """Solve one system through LAPACK: terms (k,), features (n,) and any pseudo-observations."""
     selected_terms = np.flatnonzero(terms)
     selected_features = np.flatnonzero(features[:n])

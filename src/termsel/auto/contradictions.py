@@ -83,7 +83,7 @@ class Test:
         # Where `chance_of` is that: of normal errors one is as large at any of these features.
         # The inverse of (1 + 2 s^2 / f)^(-f/2): the strain whose chance is FALSE_ALARM / n.
         threshold = np.sqrt(self.freedom / 2
-                         * ((FALSE_ALARM / judged.sum()) ** (-2 / self.freedom) - 1))
+                            * ((FALSE_ALARM / judged.sum()) ** (-2 / self.freedom) - 1))
         strain = np.maximum(max(MIN_STRAIN, float(threshold)), STRAIN_PER_SPREAD * self.spread)
         return Suspects(blunders[judged], probable[judged], undecided[judged], self.errors[judged],
                         np.maximum(strain * self.spread * self.noise, NEGLIGIBLE_ERROR)[judged])
@@ -299,7 +299,7 @@ def _prediction_of_points(division: Division, degree: int) -> _PointPrediction |
     order = np.argsort(~used, kind="stable")
     posterior_of_points = solve_posterior(evaluate_monomials(scaled.ground[order],
                                                              exponents), scaled.image[order],
-                                                             powers,
+                                          powers,
                                           (weights * np.where(used, 1.0, UNUSED_WEIGHT)[:, None])[
                                               order],
                                           scales_of(np.array(exponents)[powers > 1]),

@@ -10,7 +10,7 @@ from termsel.cli.messages import refuse_stdout, say_written, show_messages
 from termsel.core.errors import TermselError
 
 CHART_NAMES = ("residuals", "ground", "worst", "baselines", "candidates", "front", "convergence",
-         "empires", "frequency", "terms", "correlations", "sigma")
+               "empires", "frequency", "terms", "correlations", "sigma")
 
 
 class ChartName(click.Choice[str]):

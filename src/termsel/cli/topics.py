@@ -45,7 +45,7 @@ class ByTopic(click.Command):
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """Return the parameters, with the option that shows all of them."""
         help_all = click.Option(["--help-all"], is_flag=True, is_eager=True, expose_value=False,
-                             callback=_show_all, help="Show all options and exit.")
+                                callback=_show_all, help="Show all options and exit.")
         return [*super().get_params(ctx), help_all]
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

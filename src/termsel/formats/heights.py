@@ -151,7 +151,7 @@ class Dem:
             start = first[members].min(axis=0)
             pixels = self._read_window(start, first[members].max(axis=0))
             heights[inside[members]] = _interpolate_bilinear(pixels, first[members] - start,
-                                              position[members] - first[members])
+                                                             position[members] - first[members])
         return heights
 
     def ellipsoidal(self, window: Any) -> FloatArray:

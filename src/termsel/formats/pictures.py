@@ -213,5 +213,5 @@ def expand_colours(picture: Picture) -> Picture:
             names.append("alpha")
             columns.append(3)
         bands += [Band("Byte", None, name, band.source, lookup=tuple(table[:, column].tolist()))
-                 for name, column in zip(names, columns, strict=True)]
+                  for name, column in zip(names, columns, strict=True)]
     return replace(picture, bands=tuple(bands))

@@ -78,7 +78,7 @@ def vrt_text(
         rows.append(f"  <Metadata domain={xml_attribute(domain)}>" if domain else "  <Metadata>")
         # XML of any text: a description may have quotes and angles.
         rows += [f"    <MDI key={xml_attribute(key)}>{xml_text(value)}</MDI>"
-                  for key, value in items.items()]
+                 for key, value in items.items()]
         rows.append("  </Metadata>")
     if gcps:
         rows.append(f"  <GCPList Projection={xml_attribute(crs)}>")
@@ -99,8 +99,8 @@ def vrt_text(
     # GDAL reads a mask as the band "mask,1" of its image.
     if picture.masked and source is not None:
         rows += ["  <MaskBand>", '  <VRTRasterBand dataType="Byte">',
-                  *_pixels_of(source, "mask,1", picture.size),
-                  "  </VRTRasterBand>", "  </MaskBand>"]
+                 *_pixels_of(source, "mask,1", picture.size),
+                 "  </VRTRasterBand>", "  </MaskBand>"]
     return "\n".join([*rows, "</VRTDataset>", ""])
 
 

@@ -134,7 +134,7 @@ def _answer_on_accuracy(record: Record) -> Iterator[Block]:
     if (strategy := record.strategy) and strategy.predicted is not None:
         # Compared as they are shown: a difference that nobody sees needs no sentence.
         if accuracy and predicted \
-            and rounded_size_text(predicted.rmse) != rounded_size_text(strategy.predicted):
+                and rounded_size_text(predicted.rmse) != rounded_size_text(strategy.predicted):
             yield ("The independent check points have other heights than the control points. At "
                    "the heights of the control points the predicted RMSE is "
                    f"{rounded_size_text(strategy.predicted)} px.")

@@ -468,10 +468,10 @@ def _urgent_warnings_and_notes(record: Record) -> list[str]:
     is_exact_said = is_exact(record)
     return [*_urgent_warnings(record),
             *(note for note in record.notes if note and not _is_shown(note)
-                                         and note not in (heights, _why_rpc_unused(record))
-                                         and not (is_exact_said and EXACTLY in note)
-                                         and not (doubt and note.casefold().startswith(doubt))
-                                         and not (reused and " no longer independent: " in note))]
+              and note not in (heights, _why_rpc_unused(record))
+              and not (is_exact_said and EXACTLY in note)
+              and not (doubt and note.casefold().startswith(doubt))
+              and not (reused and " no longer independent: " in note))]
 
 
 def _caution_on_heights(record: Record) -> str:

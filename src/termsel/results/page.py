@@ -51,7 +51,7 @@ def render_page(document: Document) -> str:
     for number, section in enumerate(document.sections, 1):
         content = "\n".join(_blocks_html(section.blocks, specs))
         content_blocks.append(f'<section aria-labelledby="s{number}"><h2 id="s{number}">'
-                     f"{_escape_html(section.title)}</h2>\n{content}\n</section>")
+                              f"{_escape_html(section.title)}</h2>\n{content}\n</section>")
     style = _read_resource("page.css") + dark_style()
     script = _read_resource("page.js")
     # Nothing from elsewhere is loaded, and no script runs but these two, known by their checksums.

@@ -200,7 +200,7 @@ def styled_chart(view: View, name: str) -> Any:
     if why := kind.missing(view):
         names = ", ".join(kind.name for kind in KINDS.values() if not kind.missing(view))
         raise TermselError(f"this result has no chart {name}: {why}",
-                     hint=f"Charts that it has: {names}.")
+                           hint=f"Charts that it has: {names}.")
     caption = kind.caption(view)
     if name in LINKED:
         caption = f"{caption} {maps.cut_in_image(view)}".strip()
@@ -252,7 +252,7 @@ def require_picture(path: Path) -> None:
     """
     if path.suffix.lower() not in FORMATS:
         raise TermselError(f"a picture cannot be a file {path.suffix or 'without a suffix'}",
-                     file=path, hint=f"Give a name that ends in {', '.join(FORMATS)}.")
+                           file=path, hint=f"Give a name that ends in {', '.join(FORMATS)}.")
 
 
 def save(drawn: Any, path: Path) -> None:

@@ -216,7 +216,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         # The fit knows the size as well: it bounds places on the ground.
         control = replace(self.fit.control, image_size=size)
         return self.with_(features=replace(self.features, image_size=size),
-                               fit=replace(self.fit, control=control))
+                          fit=replace(self.fit, control=control))
 
     def as_exported(self, final: bool | None = None) -> Result:
         """Return the result with the fit that is exported as its only fit.
@@ -248,8 +248,8 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
                                  self.outliers,
                                  check_used=True, independent_used=in_use)
         return self.with_(fit=self.final, final=None, final_fit=None,
-                               exports="selection", residuals=residuals,
-                               **numbers_of(self.final))
+                          exports="selection", residuals=residuals,
+                          **numbers_of(self.final))
 
     @property
     def exported(self) -> Fit:
@@ -315,7 +315,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
     def view(self) -> View:
         """The view of the result that charts and pages read."""
         return View(self, self.fit, self.features, self.residuals,
-                     lambda: [self.fit_of(member) for member in self.front])
+                    lambda: [self.fit_of(member) for member in self.front])
 
     @property
     def plot(self) -> Plots:

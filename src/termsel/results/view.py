@@ -94,7 +94,7 @@ class View:
                 rows.append({**self._row_of(r), "x": _shorten_number(r.x, 12),
                              "y": _shorten_number(r.y, 12),
                              "dx": _shorten_number(dx, 4), "dy": _shorten_number(dy, 4),
-                                                                                 "metres": away})
+                             "metres": away})
         return rows
 
     @cached_property

@@ -50,7 +50,7 @@ INTERRUPTED = ("The run was interrupted when {0} of {1} candidates were judged. 
 NAMES = ("auto", "as-asked")
 
 def uses_auto(strategy: str | None, recipe: Recipe, method: Sequence[str] = (), *,
-           unnamed: bool = False) -> bool:
+              unnamed: bool = False) -> bool:
     """Return whether a run is to choose its method by itself.
 
     Without a strategy, "auto" or "as-asked", it does so for problems that methods without a search

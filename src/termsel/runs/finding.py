@@ -79,11 +79,11 @@ def _what_was_read(request: Request, observations: Observations) -> WhatWasRead:
     control = observations.control
     idle = set(observations.off).difference(off)
     reasons = {"without a height": request.blank,
-           "marked off": [name for name in off if name not in request.blank],
-           "points, as lines are the control": [
+               "marked off": [name for name in off if name not in request.blank],
+               "points, as lines are the control": [
                name for name in points.ids if name in idle and not len(control.points)],
-           "lines, as points are the control": () if len(control.lines) else
-           request.features.lines.features}
+               "lines, as points are the control": () if len(control.lines) else
+               request.features.lines.features}
     lattice = observations.lattice
     return WhatWasRead(
         points=len(read.points), lines=len(read.lines.features),
@@ -119,7 +119,7 @@ def plugins_of(request: Request, **replaced: Any) -> dict[str, dict[str, str]]:
     strategy "auto".
     """
     components = {"problem": request.recipe, "model": type(request.model),
-             "solver": type(request.solver), "criterion": type(request.criterion), **replaced}
+                  "solver": type(request.solver), "criterion": type(request.criterion), **replaced}
     if request.then is not None:
         components["then"] = type(request.then)
     return {role: origin for role, component in components.items()

@@ -76,7 +76,7 @@ def with_fit_crs(choice: str, observations: Observations, model: SensorModel) ->
                      "fit in geodetic or projected coordinates.")
     # What cannot be transformed is said now.
     for ground in (control.ground_vertices(), observations.check.ground,
-                  observations.independent.ground):
+                   observations.independent.ground):
         transformation_between(features.crs, fit_crs, for_fit=True)(ground)
     # 2D and 3D WGS84 are the same coordinates.
     if fit_crs == normalise(features.crs) or WGS84.issuperset((fit_crs, normalise(features.crs))):

@@ -215,7 +215,7 @@ def finding_of(task: Task, search: SearchResult, auto: Auto,
     all_terms = fit(task.model, observations.control, task.scaling)
     comparison = compare_robustly(observations, auto, verdict.blunders | verdict.high)
     contradicting, agreeing = judge_independent(observations, comparison.choice, auto,
-                                                 verdict)
+                                                verdict)
     # In words, for the sentence on what the selection is worth.
     conventional = name_conventional(task.problem.genome, observations)
     plugins = plugins_of(task.request)

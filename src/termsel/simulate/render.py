@@ -51,7 +51,7 @@ def render(sensor: Pushbroom, terrain: Heights, pattern: Pattern, *, oversample:
     # In meshes, from the first one outside of the image.
     mesh_position = np.meshgrid(fine_line, fine_sample, indexing="ij")
     position = np.stack([map_coordinates(ground[..., axis], mesh_position, order=3).ravel()
-                      for axis in (0, 1)], axis=-1)
+                         for axis in (0, 1)], axis=-1)
     # (line, part of it, sample, part of it)
     bright = pattern(position).reshape(sensor.n_lines, oversample, sensor.n_samples, oversample)
     return np.asarray(bright.mean(axis=(1, 3)))

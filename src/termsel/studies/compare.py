@@ -274,7 +274,7 @@ def _open_journal(stack: ExitStack, folder: Path, current_versions: Mapping[str,
     make_folder(folder)
     stack.enter_context(lock_folder(
         folder, "Wait for it, or choose another --out. "
-               f"`termsel compare --status {folder}` shows how far it is."))
+        f"`termsel compare --status {folder}` shows how far it is."))
     # Whatever reads the folder would take it for the study, and the result would be hidden.
     if (folder / RECORD).exists() and not (folder / JOURNAL).exists():
         raise TermselError(f"the folder has {RECORD}, the result of a run", file=folder,

@@ -192,7 +192,7 @@ def check_declaration(kind: str, item: Any) -> None:
     except TypeError as error:
         raise AssertionError(f"the hook termsel_{kind} would be refused: it {error}") from error
     require(summary_line(item).strip(), "it says nothing of itself; give it a docstring (or a "
-                                    f"summary), whose first line `termsel list {kind}` shows")
+            f"summary), whose first line `termsel list {kind}` shows")
     options = getattr(item, "declared_options", ())
     names = [option.name for option in options]
     # Of two options of one name --set could only reach one.

@@ -50,7 +50,7 @@ class Subject:
             except Undetermined:
                 continue
         require(fitted, "it declines all features it is checked with, or is determined by none; "
-                      "give some that it is for: checks(candidate, features=[...])")
+                "give some that it is for: checks(candidate, features=[...])")
         return fitted
 
 

@@ -216,10 +216,10 @@ def height(model: SensorModel) -> None:
     if model.uses_height:
         # Weights of lines may depend on heights under any model.
         require(not same_image, "uses_height is True, but heights make no difference; declare "
-                          "uses_height = False, so that it takes features without height")
+                "uses_height = False, so that it takes features without height")
     else:
         require(same_model, "uses_height is False, but other heights give other equations or other "
-                      "image positions")
+                "image positions")
 
 
 def residual_weights(model: SensorModel) -> None:

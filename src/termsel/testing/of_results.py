@@ -37,7 +37,7 @@ def same_again(item: ReportSection | Measure) -> None:
         for copy in (item, through_pickle(item)):
             require(_answer_of(copy, result) == first,
                     "the same result gets another answer from one "
-                                                     "call or process to the next")
+                    "call or process to the next")
         require(result.to_json() == before, "it changes the result; work on a copy")
 
 

@@ -48,7 +48,7 @@ def deterministic(problem: Problem) -> None:
     first = problem.evaluate(genes)
     for repeated in (problem.evaluate(genes), through_pickle(problem).evaluate(genes)):
         _require_equal(first, repeated, "evaluate() of the same genes differs from one call or "
-                                     "process to the next")
+                       "process to the next")
 
 
 def one_by_one(problem: Problem) -> None:
@@ -105,7 +105,7 @@ def searched(problem: Problem) -> None:
     # A random search, as a solver that is clever could hide what is missing.
     best = search(problem, RandomSearch(), evaluations=300)
     require(best.violation == 0, "no individual of 300 random ones is feasible; let genome.random "
-                                  "and genome.repair know the conditions")
+            "and genome.repair know the conditions")
     problem.decode(best.genes)
 
 

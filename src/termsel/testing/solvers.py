@@ -169,7 +169,7 @@ def generation_budget(trial: Trial) -> None:
     for budget in (1, 3):
         generations: list[int] = []
         trial.search(trial.problem(), generations=budget,
-                observers=[partial(_note_index, generations, budget)])
+                     observers=[partial(_note_index, generations, budget)])
         require(generations == list(range(budget + 1)) or not trial.goes_on,
                 f"given {budget} generations it yields those with the index "
                 f"{', '.join(map(str, generations))}")

@@ -92,13 +92,13 @@ def unwritable_path(export: Export) -> None:
     for result in export.accepted():
         with TemporaryDirectory() as folder:
             _require_write_refused(export, result, Path(folder) / "missing" / export.filename,
-                        "a path in a folder that does not exist")
+                                   "a path in a folder that does not exist")
             # A folder in the way of the file.
             occupied = Path(folder) / export.filename
             occupied.mkdir()
             _require_write_refused(export, result, occupied, "a path where there is a folder")
             require(occupied.is_dir() and not list(occupied.iterdir()), "it writes into a folder "
-                                                                  "with the name of the file")
+                    "with the name of the file")
             _require_tidy(occupied)
 
 

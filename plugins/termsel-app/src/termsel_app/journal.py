@@ -77,7 +77,7 @@ def open_journal(folder: Path) -> Iterator[
     somebody has, if it cannot be read or written.
     """
     with lock_folder(folder, "Another `termsel app` has this session open: use its page, or choose "
-                        "another --out."):
+                     "another --out."):
         path = path_inside(folder, JOURNAL_NAME)
         if path.exists():
             require_regular(path)

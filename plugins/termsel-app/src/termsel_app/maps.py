@@ -18,7 +18,7 @@ from termsel_app.rasters import TILE, Pixels, Raster, refuse_giant
 MOST_VERTICES = 400_000
 """Vertices of vector layers that the page gets."""
 GEOMETRIES = ("Point", "LineString", "Polygon", "MultiPoint", "MultiLineString", "MultiPolygon",
-         "GeometryCollection")
+              "GeometryCollection")
 _VECTORS = (".gpkg", ".geojson", ".json", ".shp", ".fgb", ".kml", ".gml", ".gpx")
 FINER = 4
 """Levels of tiles beyond the finest raster."""
@@ -126,7 +126,7 @@ def resample_tile(raster: Raster, lines: Any, samples: Any) -> Pixels:
     """
     tile = np.zeros((TILE * TILE, 4), dtype=np.uint8)
     inside = np.flatnonzero((lines > -0.5) & (lines < raster.height - 0.5)
-                          & (samples > -0.5) & (samples < raster.width - 0.5))
+                            & (samples > -0.5) & (samples < raster.width - 0.5))
     if not len(inside):
         return tile.reshape(TILE, TILE, 4)
     first_line = lines[inside].min() + 0.5
@@ -221,7 +221,7 @@ def open_maps(names: Sequence[str], crs: str | None, remote: bool) -> Maps:
         first = MERCATOR if tiles else next(iter(stated), crs or LOCAL)
         maps = Maps(shown_crs(normalise(first)), rasters, [], tiles)
         for name, (shapes, crs_of_layer) in zip([name for name in names if not is_tiles(name)
-                                        and is_vector(name)], vectors, strict=True):
+                                                 and is_vector(name)], vectors, strict=True):
             maps.vectors.append(_shapes_shown(name, shapes, crs_of_layer or crs, maps.shown))
         _say_far(maps)
     except BaseException:

@@ -243,8 +243,8 @@ class Raster:
         inner = (min((last[0] - first[0]) * steps[0], self.height - inside[0]),
                  min((last[1] - first[1]) * steps[1], self.width - inside[1]))
         result[visible] = self._read((*inside, *inner), (last[0] - first[0], last[1] - first[1]),
-                                  average=bool(1 < steps.max() <= 16
-                                               or self.dataset.overviews(1)))
+                                     average=bool(1 < steps.max() <= 16
+                                                  or self.dataset.overviews(1)))
         return result
 
 

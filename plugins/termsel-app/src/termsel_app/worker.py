@@ -109,7 +109,7 @@ class Worker:
             except (EOFError, OSError):
                 if self._process is not None and pipe is self._pipe:
                     self.tell({"serial": -1, "stage": "refused", "ids": [],
-                                "text": "The process that computes has ended.",
-                                "hint": "The next change starts it again."})
+                               "text": "The process that computes has ended.",
+                               "hint": "The next change starts it again."})
                 return
             self.tell(answer)

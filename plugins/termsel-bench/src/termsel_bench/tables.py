@@ -11,7 +11,7 @@ from termsel.toolkit import csv_table
 from termsel_bench.protocol import Score
 
 TABLE_COLUMNS = ("set", "kind", "method", "points", "independent", "rmse", "low", "high", "ratio",
-           "seconds", "why")
+                 "seconds", "why")
 """Columns of table.csv."""
 
 LOSS_RATIO = 1.02
@@ -41,7 +41,7 @@ def csv_text(scores: Sequence[Score]) -> str:
             score.rmse, score.low, score.high, ratio_to_best(score, best))]
         rows.append([score.set_name, score.kind, score.method.title, score.control,
                      score.independent,
-                         *figures, f"{score.seconds:.2f}", score.why])
+                     *figures, f"{score.seconds:.2f}", score.why])
     return csv_table(rows)
 
 
@@ -59,11 +59,11 @@ def ratios_by_kind(scores: Sequence[Score]) -> tuple[list[str], list[list[str]]]
         all_ratios = list(chain.from_iterable(ratios.values()))
         rows.append((median(all_ratios),
                      [title, *(_ratio_in_words(median(values) if values else math.inf)
-                                                   for values in ratios.values()),
-                                          _ratio_in_words(median(all_ratios)),
-                                          str(sum(value <= LOSS_RATIO for value in all_ratios)),
-                                          str(sum(math.isinf(value) for value in all_ratios)),
-                                          f"{median(score.seconds for score in of_title):.2f}"]))
+                               for values in ratios.values()),
+                      _ratio_in_words(median(all_ratios)),
+                      str(sum(value <= LOSS_RATIO for value in all_ratios)),
+                      str(sum(math.isinf(value) for value in all_ratios)),
+                      f"{median(score.seconds for score in of_title):.2f}"]))
     header = ["method", *kinds, "all", f"within {100 * (LOSS_RATIO - 1):.0f} %", "no result",
               "seconds"]
     return header, [row for _, row in sorted(rows, key=lambda pair: pair[0])]

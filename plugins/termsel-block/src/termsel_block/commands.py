@@ -155,7 +155,7 @@ def block_select(file: Path, output: Path, solver: str, most_features: int | Non
     # Refused before the search, not after it.
     require_replaceable([output], reads=[file, *block.files], overwrite=overwrite)
     selected = select(block, solver=solver, seed=seed, evaluations=evaluations, most=most_features,
-                   tie_candidates=candidates)
+                      tie_candidates=candidates)
     write_text(output, table_of(selected))
     click.echo(msgspec.json.encode(selected.record(solver, seed)) if as_json else text_of(selected),
                nl=as_json)

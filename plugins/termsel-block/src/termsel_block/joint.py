@@ -257,7 +257,7 @@ def _height_errors(result: BlockResult) -> str:
     """
     tie_rows = result.adjusted.solved.tie_rows[:len(result.block.images)]
     px_of_100_m = [100 * float(np.median(np.hypot(*rows.slopes[:, :, 2].T))) for rows in tie_rows
-            if len(rows.tie)]
+                   if len(rows.tie)]
     return ("Without control the heights are the DEM's. For each 100 m that it is off, images are "
             f"up to {max(px_of_100_m):.2g} px off, which intervals do not include.")
 

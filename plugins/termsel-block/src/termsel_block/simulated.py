@@ -136,7 +136,7 @@ def simulate_block(
     # Control of a stack serves its three images: the most that any of them asks for.
     of_stacks = [max(control[k:k + 3], default=0) for k in range(0, n_images, 3)]
     known_ground, stack = _draw_known_places(sensors, of_stacks, independent + check, width, hills,
-                                  rng)
+                                             rng)
     for i, sensor in enumerate(sensors):
         n = control[i] if i < len(control) else 0
         is_control = stack >= 0

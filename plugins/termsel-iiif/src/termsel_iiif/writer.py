@@ -84,15 +84,15 @@ class AnnotationWriter(Writer):
             result.exported, used.image, places_on_earth[:, :2], stated_before)
         annotation = source.pop("annotation", None)
         content = {"type": "Annotation", **({"id": annotation} if annotation else {}),
-                  "@context": ["http://iiif.io/api/extension/georef/1/context.json",
-                               "http://iiif.io/api/presentation/3/context.json"],
-                  "motivation": "georeferencing",
-                  "target": {"type": "SpecificResource", "source": source,
-                             "selector": {"type": "SvgSelector",
-                                          "value": self._choose_mask(result)}},
-                  "body": {"type": "FeatureCollection",
-                           **({"transformation": stated} if stated else {}),
-                           "features": features}}
+                   "@context": ["http://iiif.io/api/extension/georef/1/context.json",
+                                "http://iiif.io/api/presentation/3/context.json"],
+                   "motivation": "georeferencing",
+                   "target": {"type": "SpecificResource", "source": source,
+                              "selector": {"type": "SvgSelector",
+                                           "value": self._choose_mask(result)}},
+                   "body": {"type": "FeatureCollection",
+                            **({"transformation": stated} if stated else {}),
+                            "features": features}}
         write_text(path, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
 
     def _choose_source(self, result: Result) -> dict[str, Any]:

@@ -37,7 +37,7 @@ from termsel_match.points.given import read_candidates
 Bounds = tuple[float, float, float, float]
 
 CANDIDATES, REPORT, PICTURE, RESULT = ("candidates.csv", "report.txt", "residuals.png",
-                                        "result")
+                                       "result")
 
 # Px for lines, from the model of the points.
 _SEARCH = 12.0
@@ -263,7 +263,7 @@ def _judge_candidates(image: Path | str, reference: Path | str | None, candidate
             model = Start("the model", candidates.crs, 0.0, result.project, result.locate)
             overlap, outline, repeats = _ground_shown(references_of(reference), picture, model, dem,
                                                       masks,
-                                    candidates.crs)
+                                                      candidates.crs)
             # Chips are smaller than what is looked at.
             if not overlap.any():
                 # Then the places next to candidates stand for what the chips show.

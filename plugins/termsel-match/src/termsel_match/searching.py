@@ -17,6 +17,6 @@ def features_by_search(problem: str, features: FeatureSet, model: str, options: 
     task = termsel.prepare(problem, features=features, model=model, criterion=criterion,
                            options=dict(options))
     best = termsel.search(task.problem, task.solver, seed=seed,
-                           generations=task.recipe.generations, patience=task.recipe.patience,
-                           **task.options["search"])
+                          generations=task.recipe.generations, patience=task.recipe.patience,
+                          **task.options["search"])
     return task.problem.decode(best.genes).features

@@ -231,7 +231,7 @@ def from_deap(toolbox_factory: Callable[[Problem], base.Toolbox],
                                    hint="Return what termsel_optimisers.to_deap(problem) returned.")
             # Twice as many children as parents, unless the user says otherwise.
             yield from generations_of(box, algorithm, rng, n,
-                               {"mu": n, "lambda_": 2 * n, **loop_arguments})
+                                      {"mu": n, "lambda_": 2 * n, **loop_arguments})
 
     FromDeap.name = name or factory_name.strip("_").replace("_", "-").lower()
     return FromDeap

@@ -54,7 +54,7 @@ class EvaluatedValues(tuple[float, ...]):
         """Return values, penalised as by `deap.tools.DeltaPenalty` if there is a violation."""
         # WORST is above every objective: an infeasible individual is worse than any feasible one.
         values = super().__new__(cls, [WORST + violation] * len(objectives) if violation
-                              else objectives.tolist())
+                                 else objectives.tolist())
         values.genes = genes
         values.objectives = objectives
         values.violation = violation
@@ -171,7 +171,7 @@ def to_deap(problem: Problem) -> base.Toolbox:
 
 
 OPERATORS = {"select": ("sel", "selTournament:tournsize=3"), "mate": ("cx", "cxUniform:indpb=0.5"),
-         "mutate": ("mut", "mutFlipBit")}
+             "mutate": ("mut", "mutFlipBit")}
 """Operators of a toolbox: how their functions in `deap.tools` begin, and the default."""
 
 

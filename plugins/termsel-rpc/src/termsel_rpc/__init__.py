@@ -62,8 +62,8 @@ def termsel_datasets() -> Iterable[DatasetSpec]:
     """Return candidates of mixed quality."""
     return [DatasetSpec(
         DATASET_NAME, "simulated IKONOS scene of Hamedan, 1 m: 240 points; of 160 for control and "
-                    "check 40 are inexact and 24 blunders (after Konugurthi et al. "
-                    "2016)", partial(kept_features, "termsel_rpc", DATASET_NAME),
+        "check 40 are inexact and 24 blunders (after Konugurthi et al. "
+        "2016)", partial(kept_features, "termsel_rpc", DATASET_NAME),
         simulated=True), DatasetSpec(
         MATCHES, "simulated Cartosat-1 scene, 2.5 m: 100 points of image matching, 30 of them "
                  "wrong (after Konugurthi et al. 2016); 100 independent ones",

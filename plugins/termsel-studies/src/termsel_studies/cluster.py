@@ -100,7 +100,7 @@ def _connect(address: str) -> Client:
     from distributed import Client
 
     refused = TermselError(f"{address!r} is no address of a scheduler",
-                         hint="Write --scheduler tcp://host:8786.")
+                           hint="Write --scheduler tcp://host:8786.")
     # A client of dask would wait, then fail in its own words.
     if not _has_port(address):
         raise refused

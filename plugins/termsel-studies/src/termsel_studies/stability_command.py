@@ -149,8 +149,8 @@ def _write(repeated: Stability, outputs: tuple[Mapping[str, Path], Path | None],
     assert run_settings.out is not None
     fitted = run(problem, features=features, dataset=run_settings.dataset,
                  source=run_settings.source,
-                         model=run_settings.model, solver=_SOLVER, criterion=_CRITERION,
-                         options=options)
+                 model=run_settings.model, solver=_SOLVER, criterion=_CRITERION,
+                 options=options)
     content = repeated.to_dict()
     result = fitted.with_(stability=TermFrequencies(
         content["repeats"], content["threshold"], content["frequency"]),

@@ -190,9 +190,9 @@ def radar_views(positions: FloatArray, azimuth: float, latitude: float, *,
     altitude, tilt = (rng.uniform(0.0, 1.0, n) for _ in range(2))
     heading = azimuth + CAMERA_YAW * rng.standard_normal(n)
     flights = _simulate_flights(rng, heading, latitude, RADAR_INCIDENCE[0] + tilt *
-                       (RADAR_INCIDENCE[1] - RADAR_INCIDENCE[0]), heading +
-                       (-0.5 if right else 0.5) * np.pi, ORBIT_ALTITUDES[0] + altitude *
-                       (ORBIT_ALTITUDES[1] - ORBIT_ALTITUDES[0]))
+                                (RADAR_INCIDENCE[1] - RADAR_INCIDENCE[0]), heading +
+                                (-0.5 if right else 0.5) * np.pi, ORBIT_ALTITUDES[0] + altitude *
+                                (ORBIT_ALTITUDES[1] - ORBIT_ALTITUDES[0]))
     orbit_radius = np.linalg.norm(flights.station, axis=1)
     climb = RADAR_CLIMB * rng.standard_normal(n)
     places = _from_centre(positions)

@@ -288,7 +288,7 @@ class RunOptions:
                       if option.name in options} if options else {}
         refuse_misspelt(options)
         arguments = {"raster": self.raster, "image_lines": self.image_lines,
-                 "columns": self.columns}
+                     "columns": self.columns}
         accepted: set[str] = set()
         for reader in readers_of(self.files, self.formats):
             accepted |= {option.name for option in reader.declared_options}

@@ -109,7 +109,7 @@ def allow_driver(*names: str) -> Iterator[None]:
     """
     # GDAL takes names in any case; the list has them as it writes them.
     driver_names = {name.casefold(): name for name in
-             (*RASTER_DRIVERS, *VECTOR_DRIVERS, *WORKING_DRIVERS, *_OTHERS)}
+                    (*RASTER_DRIVERS, *VECTOR_DRIVERS, *WORKING_DRIVERS, *_OTHERS)}
     for name in names:
         if name.casefold() not in driver_names:
             raise TermselError(f"GDAL has no driver {name!r}",

@@ -131,7 +131,7 @@ def normalise(crs: str) -> str:
         return by_name
     raise TermselError(f"unknown CRS {crs!r}",
                        hint=f"{_question_on_meaning(text)}Examples: {EXAMPLES}; WKT, or a "
-                             "string of PROJ.")
+                       "string of PROJ.")
 
 
 def _question_on_meaning(text: str) -> str:

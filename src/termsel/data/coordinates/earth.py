@@ -241,7 +241,7 @@ def zone_of_utm_instead(crs: str, features: FeatureSet) -> str:
 
 
 def is_inside(position: tuple[float, float], area: tuple[float, float, float, float],
-               margin: float) -> bool:
+              margin: float) -> bool:
     """Return whether a position is within an area and a margin around it [deg]."""
     lon, lat = position
     west, south, east, north = area

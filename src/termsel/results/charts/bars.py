@@ -119,9 +119,9 @@ def baseline_bars(view: View) -> Any:
         color=alt.Color("role:N", scale=colours, legend=role_legend()))
     selected_fit = alt.selection_point(name="fit", fields=["fit"], empty=False)
     tooltip = [alt.Tooltip("fit:N"), alt.Tooltip("role:N", title="points"),
-            alt.Tooltip("rmse:Q", title="RMSE [px]", format=".3f"),
-            alt.Tooltip("low:Q", format=".3f"), alt.Tooltip("high:Q", format=".3f"),
-            alt.Tooltip("note:N", title="selection points")]
+               alt.Tooltip("rmse:Q", title="RMSE [px]", format=".3f"),
+               alt.Tooltip("low:Q", format=".3f"), alt.Tooltip("high:Q", format=".3f"),
+               alt.Tooltip("note:N", title="selection points")]
     shape = alt.Shape("role:N", scale=alt.Scale(
         domain=list(roles), range=[ROLE_SHAPES[role] for role in roles]), legend=role_legend())
     # The interval below the symbol, so that it can be picked.

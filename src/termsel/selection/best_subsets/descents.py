@@ -76,7 +76,7 @@ def _descend_from(systems: ScoreSystems, starts: list[IntArray]) -> tuple[FloatA
     masks, (k + 1,), and the number of nodes that this took.
     """
     centres = [int(BITS[np.concatenate([systems.everything.used, start])].sum())
-              for start in starts]
+               for start in starts]
     best = np.full(systems.k + 1, np.inf)
     masks = np.zeros(systems.k + 1, dtype=np.uint64)
     visited = set(centres)

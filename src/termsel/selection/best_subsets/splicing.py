@@ -24,7 +24,7 @@ ROUNDING = 1e-9
 
 
 def find_best_by_splicing(systems: ScoreSystems, mask: int, best: FloatArray, masks: Masks,
-            infeasible: set[bytes]) -> tuple[FloatArray, Masks] | None:
+                          infeasible: set[bytes]) -> tuple[FloatArray, Masks] | None:
     """Return the best score and mask of each size, (k + 1,) each, after all changes of a subset.
 
     Best and masks are those so far. Infeasible subsets that were scored before are not scored

@@ -49,7 +49,7 @@ def without_heights(names: tuple[str, ...], options: Mapping[str, Any]) -> dict[
     They are for control that does not show what a height does; `options` are those it has.
     """
     height_terms = {name: term for name in names if (term := Term.parse(name)).has_height
-            and not isinstance(term.exponents, str)}
+                    and not isinstance(term.exponents, str)}
     # A problem without term genes takes the terms in use as a list; others force genes off.
     if "terms" in options:
         return {"terms": options["terms"] or ",".join(name for name in names
@@ -135,7 +135,7 @@ def count_excess_terms(systems: tuple[IndependentPart, ...], terms: BoolArray,
     for system in systems:
         # Only rows of features in use count: a feature may have several in a part, or none.
         rows_of_feature = np.bincount(system.equations.feature,
-                           minlength=0 if features is None else features.shape[1])
+                                      minlength=0 if features is None else features.shape[1])
         # As floats, which are exact here: BLAS has no whole numbers.
         rows = np.asarray(rows_of_feature.sum() if features is None
                           else features @ rows_of_feature.astype(np.float64), dtype=np.intp)
@@ -168,7 +168,7 @@ def cap_segments(segments: Iterable[Bits], gene_of_term: IntArray,
                 supported = int(largest_term_share(np.array(equations), share))
                 # Genes of no column here are free; the others switch as many as the fewest do.
                 maximum = min(maximum, int((columns == 0).sum())
-                           + supported // columns[columns > 0].min())
+                              + supported // columns[columns > 0].min())
         if maximum < 1:
             segment_name = segment.name.replace(".", " of ")
             raise TermselError(f"max_share={share:.2g} allows no {segment_name}: the control gives "

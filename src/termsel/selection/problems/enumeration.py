@@ -81,7 +81,7 @@ def enumerable_parts(inputs: ProblemData, equations: Equations, genome: Genome,
         cost = partial(criterion.subset_cost, system=system)
         if criterion.is_rmse:
             n_errors = (sum(map(len, folds)) if score == "kfold" else
-                      len(inputs.check) if score == "check" else len(system.design))
+                        len(inputs.check) if score == "check" else len(system.design))
             # An RMSE of all parts up to ROUNDING is a sum of squares of each up to its share.
             rounding = n_errors * ROUNDING**2 / len(axis_systems)
             cost = partial(_cost_by_size, cost=cost, rounding=rounding,
@@ -187,7 +187,7 @@ def _merge(axis_systems: list[SubsetSystem], genes: list[IntArray]) -> SubsetSys
     """Return line and sample as two right-hand sides of one system."""
     line, sample = axis_systems
     same_columns = (np.array_equal(genes[0], genes[1]) and line.denominator is None
-             and np.array_equal(line.design, sample.design))
+                    and np.array_equal(line.design, sample.design))
     if not same_columns:
         raise _not_enumerable_error("with a shared mask, line and sample must have the same "
                                     "columns and no denominators; use --set mask=per-axis")

@@ -276,7 +276,7 @@ class SelectionProblem(Problem):
         return np.asarray(np.maximum(share - max_uncovered, 0.0))
 
     def _all_objectives(self, score: FloatArray, terms: BoolArray,
-                features: BoolArray | None) -> FloatArray:
+                        features: BoolArray | None) -> FloatArray:
         """Return the criterion and the further objectives, in their order, shape (p, m)."""
         if len(self.objectives) == 1:
             return score[:, None]

@@ -160,7 +160,7 @@ def _search_as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
     task, search = search_without_blunders(
         task, Auto(memory=MEMORY), seed=call["seed"], observers=[trace],
         **{name: call.get(name) for name in ("generations", "evaluations", "seconds",
-                                               "patience")})
+                                             "patience")})
     if search.interrupted:
         raise KeyboardInterrupt  # half a search is no result of a study
     selection = task.problem.decode(search.genes)

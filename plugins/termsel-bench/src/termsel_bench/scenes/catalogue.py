@@ -44,7 +44,7 @@ class SetSettings:
 
 def _sets_of(kind: str, counts: tuple[int, ...],
              **settings: tuple[Any, ...]) -> tuple[SetSettings,
-                                                                                       ...]:
+                                                   ...]:
     """Return the settings of sets of a kind, one for each count, with the values of that number."""
     sets = []
     for i, count in enumerate(counts):
@@ -66,7 +66,7 @@ _ALL_SETS = (
     *_sets_of("matches", (40, 60, 80, 100), wrong=(0.1, 0.2, 0.3, 0.4)),
     *_sets_of("lines", (6, 6, 8, 8), scene=("ikonos-hamedan", "geoeye-tehran", "spot-isfahan",
                                             "cartosat-hyderabad"),
-                  n_lines=(24, 40, 60, 100), wrong_lines=(0, 3, 0, 10)),
+              n_lines=(24, 40, 60, 100), wrong_lines=(0, 3, 0, 10)),
 )
 SETS: Mapping[str, SetSettings] = {bench_set.name: bench_set for bench_set in _ALL_SETS}
 """Settings of all sets by name."""

@@ -211,7 +211,7 @@ def image_pairs(ties: Sequence[IntArray], count: int) -> list[Shared]:
         for a in range(size):
             for b in range(a, size):
                 combinations.append(np.stack([image[at[:, a]], image[at[:, b]], row[at[:, a]],
-                                       row[at[:, b]]]))
+                                              row[at[:, b]]]))
     shared = np.concatenate(combinations, axis=1)
     # One number for each pair of images, by which the measurements are grouped.
     key = shared[0] * len(ties) + shared[1]
@@ -322,7 +322,7 @@ def _reduced_matrix(diagonal: Sequence[FloatArray], half: Sequence[FloatArray],
     for (i, j), block in blocks.items():
         at = np.indices(block.shape)
         for first, second, is_wanted in ((at[0] + begin[i], at[1] + begin[j], True),
-                                    (at[1] + begin[j], at[0] + begin[i], i != j)):
+                                         (at[1] + begin[j], at[0] + begin[i], i != j)):
             if is_wanted:
                 rows.append(first.ravel())
                 columns.append(second.ravel())

@@ -91,7 +91,7 @@ class Steps:
             tie_rows.append(TieRows(measured.tie,
                                     camera.jacobian(parameters, local, self._fixed_at_ties(i)),
                                     self.slopes[i],
-                             residual, weight))
+                                    residual, weight))
             block, of_control = self._equations_of_control(i, camera, control, robust
                                                            and wide == 1.0)
             precision = np.diag(1 / variances[i])

@@ -258,7 +258,7 @@ def _draw_scales(x: FloatArray, equations: tuple[FloatArray, FloatArray], group:
     # Scales of a group follow it as images follow their scale.
     if len(of_scale) > 1:
         of_scale = drawn(np.bincount(group.scale, squares / (common * of_images)**2).astype(float),
-                     np.bincount(group.scale, count).astype(np.intp))
+                         np.bincount(group.scale, count).astype(np.intp))
     of_images = drawn(squares / (common * of_scale[group.scale])**2, count)
     columns = np.concatenate(group.images)
     # Interwoven: x / common is held, and common is drawn by the data that x has to fit.

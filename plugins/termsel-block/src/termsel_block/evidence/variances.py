@@ -21,7 +21,7 @@ TAIL = 4.0
 
 
 def estimate_variances(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
-              covariances: Sequence[FloatArray], variances: Sequence[FloatArray],
+                       covariances: Sequence[FloatArray], variances: Sequence[FloatArray],
               ) -> list[FloatArray]:
     """Return the new variance of each parameter of each image [px2].
 
@@ -87,7 +87,7 @@ def loosening_factors(cameras: Sequence[Camera], parameters: Sequence[FloatArray
 
 
 def posterior_mean(mean: FloatArray, variance: FloatArray, prior: FloatArray,
-                    guess: FloatArray) -> float:
+                   guess: FloatArray) -> float:
     """Return the mean of the posterior of the variance that values have in common.
 
     Each value has its posterior (mean, variance) and the variance of its present prior, shape (k,);

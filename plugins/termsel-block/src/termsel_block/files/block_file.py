@@ -430,7 +430,7 @@ def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple
                     hint="Keep one of them, or give two ties two names.")
             first_at[name, image] = file, line
             positions.append((_number_of_cell(row["line"], file, line, "line"),
-                           _number_of_cell(row["sample"], file, line, "sample")))
+                              _number_of_cell(row["sample"], file, line, "sample")))
     # The first position out of any image, by row and by line or sample.
     for k, axis in np.argwhere(np.abs(np.array(positions).reshape(-1, 2)) > _LARGEST)[:1]:
         file, line = list(first_at.values())[k]

@@ -32,7 +32,7 @@ _WAVES = 16
 """Half waves of jitter along an image at most: ties seldom lie closer than 30 to an image."""
 
 EXPONENTS = tuple(sorted((p for p in product(range(4), repeat=3) if sum(p) + p[2] <= 3),
-                      key=lambda p: (sum(p), p)))
+                         key=lambda p: (sum(p), p)))
 """Exponents of x, y and z: cubic on the plane, heights by themselves and with x and y."""
 
 _AXES = (1, 0, 0), (0, 1, 0), (0, 0, 1)

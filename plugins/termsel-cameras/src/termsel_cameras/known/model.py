@@ -301,7 +301,7 @@ class KnownFrame(SensorModel):
         """Return the cameras of values of terms (s, 9), s of them."""
         rotation = rotation_matrices(values[:, :3]) @ self._downwards
         return Cameras(rotation, values[:, 3:6], self.focal * np.exp(values[:, 6]),
-                               self._middle + values[:, 7:])
+                       self._middle + values[:, 7:])
 
     @property
     def _downwards(self) -> FloatArray:

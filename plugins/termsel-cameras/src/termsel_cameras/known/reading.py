@@ -113,7 +113,7 @@ def _position_of(tags: Mapping[str, str], crs: str) -> dict[str, str]:
     south = tags.get("GPSLatitudeRef", "N").strip().upper() == "S"
     west = tags.get("GPSLongitudeRef", "E").strip().upper() == "W"
     position = np.array([[-longitude if west else longitude, -latitude if south else latitude,
-                       _number(tags["GPSAltitude"])]])
+                          _number(tags["GPSAltitude"])]])
     x, y, z = transformation_between("EPSG:4979", crs)(position)[0].tolist()
     return {"camera_position": f"{x!r},{y!r},{z!r},{EXIF_POSITION_SPREAD:g}"}
 

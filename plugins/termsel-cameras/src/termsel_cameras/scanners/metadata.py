@@ -159,7 +159,7 @@ def _parse_attitude(strip: ElementTree.Element, start: float) -> tuple[FloatArra
     for where in (f"{below}/Corrected_Attitudes/Corrected_Attitude/Angles",
                   f"{below}/Raw_Attitudes/Aocs_Attitude/Angular_Speeds_List/Angular_Speeds"):
         elements = [element for element in strip.findall(where)
-                 if (element.findtext("OUT_OF_RANGE") or "N").strip().upper() != "Y"]
+                    if (element.findtext("OUT_OF_RANGE") or "N").strip().upper() != "Y"]
         if not elements:
             continue
         times = np.array([seconds_of(text_of(element, "TIME")) - start for element in elements])

@@ -105,7 +105,7 @@ def observe_targets(
         """Return how far the view of places is off line and sample at a time: 0 when they are seen.
         """
         from_camera = rotate(rotate(ground[None], pole, TURNING * time), orbit,
-                       -motion[:, None] * time) - station[:, None]
+                             -motion[:, None] * time) - station[:, None]
         misses = from_camera @ frame
         slopes = misses[..., :2] / misses[..., 2:]
         roll, pitch, yaw = (cameras.rates[:, i, None] * time

@@ -137,7 +137,7 @@ class Physical(SensorModel):
             columns = self.slopes(coefficients, ground)
             # image(x) = image(x0) + J (x - x0): the constant part is image(x0) - J x0.
             rows += [columns, self.image_of(coefficients[None], ground)[0]
-                      - columns @ coefficients]
+                     - columns @ coefficients]
         unweighted = image_equations(features, *rows[::2], *rows[1::2])
         return Equations(unweighted.A, unweighted.b, unweighted.feature, self.prior())
 

@@ -72,7 +72,7 @@ def first_of_the_best(
         raise TermselError("in no projection the points determine a model",
                            hint="Measure more points, spread over the map.")
     nearly_best = {projection.crs: projection for projection in ranked
-                    if projection.rmse <= nearly * best}
+                   if projection.rmse <= nearly * best}
     return next(nearly_best[candidate.crs] for candidate in candidates
                 if candidate.crs in nearly_best)
 

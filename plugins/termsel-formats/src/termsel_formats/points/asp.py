@@ -203,7 +203,7 @@ def _row_ids(names: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names if all are whole numbers, else numbers from 1."""
     # bundle_adjust leaves out rows whose ids are no whole numbers.
     are_numbers = all(name.isascii() and name.isdecimal() and str(int(name)) == name
-                and int(name) <= _LARGEST_ID for name in names)
+                      and int(name) <= _LARGEST_ID for name in names)
     return names if are_numbers else tuple(str(number) for number in range(1, len(names) + 1))
 
 

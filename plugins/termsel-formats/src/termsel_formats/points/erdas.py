@@ -49,7 +49,7 @@ class ErdasGcps(Reader):
         separator = max("\t,;", key=header.count)
         names = [cell.strip() for cell in header.split(separator)]
         column_of = {meaning: i for i, name in enumerate(names)
-                 if (meaning := _COLUMNS.get(re.sub(r"[^a-z ]", "", name.lower()).strip()))}
+                     if (meaning := _COLUMNS.get(re.sub(r"[^a-z ]", "", name.lower()).strip()))}
         if not {"sample", "line", "x", "y"} <= set(column_of):
             raise TermselError("this table has no X Input, Y Input, X Ref. and Y Ref.", file=path,
                                line=1, hint="Export these columns too.")

@@ -169,7 +169,7 @@ class MetashapeMarkersWriter(PointsWriter):
                 strict=True)):
             marker = ElementTree.SubElement(markers, "marker", id=str(i), label=name)
             coordinates = {axis: repr(value) for axis, value in zip("xyz", position, strict=True)
-                     if not np.isnan(value)}
+                           if not np.isnan(value)}
             ElementTree.SubElement(marker, "reference", {
                 **coordinates, "enabled": "false" if is_check else "true"})
             ElementTree.SubElement(

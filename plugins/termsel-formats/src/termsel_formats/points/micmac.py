@@ -193,7 +193,7 @@ class MicmacXmlWriter(PointsWriter):
         appuis = ElementTree.SubElement(ground, _GROUND)
         sigma = float(self.options["ground_sigma"])
         for name, (line, sample), position in zip(control.ids, control.image.tolist(),
-                                               control.ground.tolist(), strict=True):
+                                                  control.ground.tolist(), strict=True):
             mark = ElementTree.SubElement(of_image, "OneMesureAF1I")
             _add_text_element(mark, "NamePt", name)
             _add_text_element(mark, "PtIm", f"{sample!r} {line!r}")

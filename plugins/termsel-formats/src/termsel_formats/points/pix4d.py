@@ -81,7 +81,7 @@ class Pix4dMarks(Reader):
                                     "--set ground=FILE.")
         ground_rows = {row[0]: (number, row) for number,
                        row in _numbered_rows(ground_file, (3, 4, 5, 6),
-                                                                "label,x,y,z")}
+                                             "label,x,y,z")}
         image = image_of(path, (row[0] for _, row in marks if row[1] in ground_rows),
                          self.options["image_name"], "image_name=NAME") \
             if any(row[1] in ground_rows for _, row in marks) else None

@@ -109,7 +109,7 @@ def clearest_bands(picture: GreyRaster, ends: FloatArray, search: float, limit: 
             if band is not None:
                 (first, last), sigma = band
                 clearest.append(Band(np.stack([ends[0] + first * across, ends[1] + last * across]),
-                                  sigma, (first + last) / 2, float(best[i] / spread)))
+                                     sigma, (first + last) / 2, float(best[i] / spread)))
     return clearest
 
 

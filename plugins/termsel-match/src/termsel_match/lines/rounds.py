@@ -157,7 +157,7 @@ def iterate_lines(
     first = search
     while True:
         candidates = match_lines(image, vectors, dem=dem, start=at, search=search, band=band,
-                            progress=progress)
+                                 progress=progress)
         features = FeatureSet(lines=candidates.lines, crs=candidates.crs,
                               image_size=candidates.image_size)
 

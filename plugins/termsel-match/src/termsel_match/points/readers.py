@@ -22,7 +22,7 @@ REFERENCE = Option("reference", "", "Required: the georeferenced image in which 
 
 RASTER_OPTION = Option("raster", "",
                        "The image: a few matches outside it are left out. By default that of "
-                             "the run, --image FILE.")
+                       "the run, --image FILE.")
 _MOST_NAMED = 10
 _MOST_OUTSIDE = 0.1
 """Share of matches outside the image up to which these are wrong, and not the image."""
@@ -163,7 +163,7 @@ def are_in_image(positions: FloatArray, image: str, names: Sequence[str]) -> Boo
 
 
 def with_ground(path: Path, ids: Sequence[str], image: FloatArray, at: FloatArray,
-                 reference: str, sigma: FloatArray | None) -> FeatureSet:
+                reference: str, sigma: FloatArray | None) -> FeatureSet:
     """Return points whose ground coordinates are those of pixels of a reference raster.
 
     `image` and `at` (n, 2) are line and sample in the image and in the reference; a match that

@@ -126,7 +126,7 @@ class AntColony(Solver):
                 grafted = graft_segments(champion[0], best[0], problem.genome)
                 champion, champion_evaluation = _best_ants(1, champion, champion_evaluation,
                                                            grafted,
-                                              problem.evaluate(grafted))
+                                                           problem.evaluate(grafted))
                 # The next start knows nothing of this one; the champion is not lost to it.
                 best = best[:0]
                 best_evaluation = best_evaluation.take(np.arange(0))

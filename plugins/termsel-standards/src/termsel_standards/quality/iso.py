@@ -62,7 +62,7 @@ def _quality_elements(report: Quality) -> list[Element]:
         elements.append(_x("mdq:DQ_AbsoluteExternalPositionalAccuracy", *(
             _x("mdq:result",
                _x("mdq:DQ_DescriptiveResult", _time_element("mdq:dateTime", report.made),
-                                _string_element("mdq:statement", words)))
+                  _string_element("mdq:statement", words)))
             for words in report.statements)))
     return elements
 

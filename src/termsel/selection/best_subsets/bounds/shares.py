@@ -46,9 +46,9 @@ def largest_denominator_shares(
     # margin or above, where t times the sum of the check points' denominators is 1.
     for i, row in enumerate(np.vstack([rows[:c], np.eye(1, rows.shape[1])])):
         optimum = linprog(-row, A_ub=-lowest, b_ub=np.zeros(len(rows)), A_eq=sums[None], b_eq=[1.0],
-                        bounds=(None, None), method="highs",
-                        options={"primal_feasibility_tolerance": _TOLERANCE,
-                                 "dual_feasibility_tolerance": _TOLERANCE})
+                          bounds=(None, None), method="highs",
+                          options={"primal_feasibility_tolerance": _TOLERANCE,
+                                   "dual_feasibility_tolerance": _TOLERANCE})
         if optimum.status == 0:
             largest[i] = min(largest[i], -optimum.fun * (1.0 + _MAXIMUM_ROUNDING))
     return largest

@@ -52,7 +52,7 @@ def subtract(difference: FloatArray, a: FloatArray, b: FloatArray, ratio: float)
 
 @_compiled
 def subtract_measured(difference: FloatArray, a: FloatArray, b: FloatArray, ratio: float,
-                   t: FloatArray) -> tuple[float, float]:
+                      t: FloatArray) -> tuple[float, float]:
     """Write a - ratio b; return its squared length and its product with t."""
     square = 0.0
     product = 0.0

@@ -103,7 +103,7 @@ class BinarySwarm(Solver):
         genome = problem.genome
         bits = problem.genome.dtype == np.bool_
         parameters = {**(_FOR_BITS if bits else _FOR_KEYS),
-             **{name: value for name, value in self.options.items() if value is not None}}
+                      **{name: value for name, value in self.options.items() if value is not None}}
         limit = parameters["velocity"]
         # Where a particle is: its bits, or the random keys of its genes.
         if bits:

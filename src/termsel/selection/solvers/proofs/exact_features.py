@@ -114,7 +114,7 @@ def prove_features(problem: Problem, selections: Selections,
                     open_branches += selections.halves(branch)
                 elif size:
                     in_progress.append((branch, pool.submit(selections.walk, branch,
-                                                        records.limits())))
+                                                            records.limits())))
             else:
                 branch, future = in_progress.popleft()
                 records.decide(*future.result())
@@ -139,7 +139,7 @@ def proof_generations(problem: Problem, systems: tuple[RowSystem, ...], workers:
     if selections.needs_compilation:
         log.info("Compiling: the first proof on this machine takes some 6 s longer.")
     outlook = (f"; about {duration_in_words(estimate_seconds(selections, workers))}" if systems
-           else "; each is evaluated, as the criterion or the model allows no other way")
+               else "; each is evaluated, as the criterion or the model allows no other way")
     log.info("exact: %s to enumerate or exclude by bounds (%s)%s", amount_in_words(total, "subset"),
              space, outlook)
     index, last = 0, 0
