@@ -244,9 +244,9 @@ def _record_of_line(line: bytes) -> Mapping[str, Any] | None:
             "schema" not in record or isinstance(record.get("versions"), dict))
         # The text is made again from what was read, so that any change of it shows.
         is_valid = is_valid and _checksum_of_text(_entry_text(record)) == sealed["sha256"]
-        return record if is_valid else None
     except (ValueError, TypeError, KeyError, RecursionError):
         return None
+    return record if is_valid else None
 
 
 def _entry_text(record: Mapping[str, Any]) -> str:
