@@ -14,6 +14,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import wraps
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -70,8 +71,12 @@ def _remember_between_tests(request: pytest.FixtureRequest) -> Iterator[None]:
         return
     shared = request.config.stash.setdefault(MEMORY, module.Memory(max_answers=500))
     recall = module.Memory.recall
-    module.Memory.recall = lambda memory, *args: recall(
-        shared if memory.max_answers == module.MAX_ANSWERS else memory, *args)
+
+    @wraps(recall)
+    def recall_shared(memory: Any, *args: Any) -> Any:
+        return recall(shared if memory.max_answers == module.MAX_ANSWERS else memory, *args)
+
+    module.Memory.recall = recall_shared
     yield
     module.Memory.recall = recall
 

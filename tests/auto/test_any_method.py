@@ -154,7 +154,8 @@ def test_methods_that_auto_does_not_choose_are_fitted_where_they_are_asked_for(
 
 
 def test_a_method_that_cannot_be_held_against_features_says_why(scene: FeatureSet) -> None:
-    with pytest.raises(TermselError, match="points cannot test a third-order RFM by ridge"):
+    with pytest.raises(TermselError,
+                       match="points cannot test a third-order rational function model by ridge"):
         termsel.run(features=scene, method="ridge")
 
 

@@ -145,7 +145,7 @@ def test_image_the_points_were_not_measured_in(folder: Path, tmp_path: Path) -> 
     (["--to", "rpb"], "the format rpb cannot hold this result. It needs a model of ground "
                       "coordinates in a CRS"),
     (["--to", "geotiff"], "A rectified image is written by termsel rectify."),
-    (["--to", "rbp"], "unknown writer 'rbp'. Did you mean 'rpb'?"),
+    (["--to", "rbp"], "unknown format to write 'rbp'. Did you mean 'rpb'?"),
     (["--to", "qgis-points", "--set", "dam=x.tif"], "unknown option 'dam'"),
     (["--to", "gcp-grid-vrt", "--set", "across=many"], "option 'across' does not accept 'many'"),
     (["--to", "gcp-vrt", "--image", "none.tif"], "none.tif: this file does not exist"),
@@ -191,7 +191,7 @@ def test_run_exports_into_its_folder(tmp_path: Path) -> None:
     assert "--export requires --out. Give a folder: --out DIR" in err
     code, _, err = _termsel(*run, "--export", "rcp", "--out", tmp_path / "late")
     assert code == 2
-    assert "unknown writer 'rcp'" in err
+    assert "unknown format to write 'rcp'" in err
     assert not (tmp_path / "late").exists()
 
 

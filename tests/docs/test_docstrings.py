@@ -52,6 +52,29 @@ def test_a_public_function_of_other_modules_has_returns_and_an_example(function:
     assert "Examples" in sections
 
 
+def _public_classes() -> list[type]:
+    """Return the public classes of termsel and of the other modules that are installed."""
+    modules = [termsel, *(import_module(name) for name in OTHER_MODULES if util.find_spec(name))]
+    things = [getattr(module, name) for module in modules for name in module.__all__]
+    return list(dict.fromkeys(thing for thing in things if inspect.isclass(thing)))
+
+
+@pytest.mark.parametrize("documented", _public_classes(), ids=lambda cls: cls.__name__)
+def test_public_methods_say_what_they_return(documented: type) -> None:
+    """In the first words, as numpydoc has it for docstrings of one line, or in a section."""
+    silent = []
+    for name, member in vars(documented).items():
+        method = getattr(member, "__func__", member)
+        if name.startswith("_") or not inspect.isfunction(method) \
+                or inspect.signature(method).return_annotation in (None, "None"):
+            continue
+        text = inspect.getdoc(method) or ""
+        if not text.startswith(("Return ", "Yield ")) and not _sections(method) & {
+                "Returns", "Yields"}:
+            silent.append(name)
+    assert not silent
+
+
 @pytest.mark.parametrize("name", CLASSES)
 def test_a_public_class_has_an_example(name: str) -> None:
     assert "Examples" in _sections(getattr(termsel, name))

@@ -280,7 +280,8 @@ def without_heights() -> FeatureSet:
     (points_of(30).with_(points=replace(points_of(30).points, ground=points_of(
         30).points.ground * [1, 1, 0])), "affine", {}, "determines only . of the 8 terms"),
     (without_heights(), "affine", {}, "needs heights; they are unknown for"),
-    (without_heights(), "rfm-2", {}, "a second-order RFM needs heights that are known and differ"),
+    (without_heights(), "rfm-2", {},
+     "a second-order rational function model needs heights that are known and differ"),
     (points_of(), "projective", {}, "a projective transformation is for features without heights"),
     (points_of(4), "regularised-cubic", {},
      "4 control points without any one of them do not determine an affine"),

@@ -244,7 +244,7 @@ def test_nobody_knows_what_the_points_of_a_table_took_part_in(tmp_path: Path) ->
     path = tmp_path / "example.csv"
     path.write_text(EXAMPLE)
     shown = invoke("accuracy", path).output
-    assert "5 check points, which must have taken no part in any choice" in shown
+    assert "5 independent check points, which must have taken no part in any choice" in shown
 
 
 def test_a_table_that_is_no_text(tmp_path: Path) -> None:

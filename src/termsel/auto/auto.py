@@ -251,7 +251,7 @@ class Auto(Method):
 
     def choose(self, data: FitData, watch: Watch | None = None, *,
                with_contained: bool = True) -> Choice | None:
-        """Fit the methods to features and choose by leave-one-out; None if none is determined.
+        """Return the choice among the fitted methods by leave-one-out; None if none is determined.
 
         A regularised polynomial is averaged over all that lies between the plain ones, by a measure
         that needs no points to be left out. The rule is that of `termsel.auto.rule.best_of`: where
@@ -321,7 +321,7 @@ class Auto(Method):
 
     def choose_features(self, data: FitData, watch: Watch | None = None, *,
                         with_contained: bool = True) -> Choice | None:
-        """Choose as `choose`, and whether from points with lines, or from the points alone.
+        """Return the choice of `choose`, from points with lines or from the points alone.
 
         Lines that add more error than redundancy are left out whole: where the points alone predict
         the points, each by the others, better by PRIOR_MARGIN standard errors. The control of the

@@ -117,7 +117,7 @@ class FunctionMethod(Method):
     estimator: Estimator = FUNCTION
 
     def fit(self, data: FitData) -> Fit:
-        """Call the function with the features, and again without each, or without parts of many."""
+        """Return the fit of the function, called again without each feature, or parts of many."""
         fitted = self._call_function(data)
         try:
             held_out = held_out_by_refits(self._call_function, data.features, heights=data.heights)

@@ -57,7 +57,7 @@ class Memory:
 
     def recall(self, question: Hashable, data: FitData, find: Callable[[], _T],
                faults: Callable[[], int] = lambda: 0) -> _T:
-        """Return the earlier value for equal features, or find it.
+        """Return the earlier value for equal features, or what `find` gives.
 
         `question` says what of, and by which methods. Nothing is kept where finding it raised the
         number of `faults`, as it may not the next time.

@@ -83,7 +83,7 @@ class Structure(Method):
             or 2 * len(data) > len(model.terms)
 
     def fit(self, data: FitData) -> Fit:
-        """Fit the model by the estimator, offering all its terms."""
+        """Return the fit of the model by the estimator, which is offered all its terms."""
         model = self.model(data.heights)
         assert model is not None
         # All terms are offered; an estimator that selects takes fewer.

@@ -57,7 +57,7 @@ def describe(name: str) -> None:
     for i, (kind, entry) in enumerate(entries):
         if i:
             echo()
-        echo(f"{entry.name}: {KINDS[kind].word} of {entry.provided_by}")
+        echo(f"{entry.name}: {KINDS[kind].in_words} of {entry.provided_by}")
         _print_lead(kind, entry)
         _DESCRIBE.get(kind, _describe_format)(entry)
 

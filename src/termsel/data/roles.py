@@ -356,11 +356,12 @@ def with_roles(features: FeatureSet, named: Mapping[str, str]) -> FeatureSet:
     for name, role in named.items():
         if name not in features.ids:
             near = get_close_matches(name, features.ids, n=3)
+            is_range = RANGE.search(name) or set(name.split("-")) <= set(features.ids)
             raise TermselError(
                 f"{'--off' if role == 'off' else '--role'} names {name!r}, an id that the files "
                 "do not have",
                 hint="Write each id, with commas between: ranges and patterns are not read."
-                if RANGE.search(name) else f"Did you mean {' or '.join(map(repr, near))}?" if near
+                if is_range else f"Did you mean {' or '.join(map(repr, near))}?" if near
                 else f"Their ids are {first_names_in_words(features.ids)}.", name=name)
         if name in lines.features and role not in ("control", "off"):
             raise TermselError(f"{name!r} is a line and cannot have the role {role}",

@@ -101,6 +101,10 @@ class Estimator(ABC):
         used : ndarray of bool, shape (len(control),)
             Features in use.
 
+        Returns
+        -------
+        Fit
+
         Raises
         ------
         Undetermined

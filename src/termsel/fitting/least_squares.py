@@ -61,7 +61,7 @@ class LeastSquares(Estimator):
 
     def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Fit a model (see `Estimator.fit`); `Fit.determined` says whether there is one."""
+        """Return the fit (see `Estimator.fit`); `Fit.determined` says whether there is one."""
         model = model.prepared(scaling, control.crs)
         features = scaling.features(control)
         adjustment = (adjust(model, features, terms, used) if self.iterated

@@ -432,7 +432,7 @@ def _refuse_other_content(path: Path, head: bytes) -> None:
         raise TermselError("this is a file of settings, expected points or lines", file=path,
                            hint="A study: termsel compare FILE --out DIR. A block: termsel block "
                                 "FILE --out DIR.")
-    if path.suffix.lower() == ".json" and text[:1] in ("{", "["):
+    if path.suffix.lower() in (".json", ".geojson") and text[:1] in ("{", "["):
         try:
             parse_json(read_text(path), "Copy or download it again.")
         except TermselError as error:

@@ -36,6 +36,11 @@ class Kind:
     base: str
     must_start: bool = False
 
+    @property
+    def in_words(self) -> str:
+        """What people call such a thing: who reads or writes a file names its format."""
+        return {"reader": "format to read", "writer": "format to write"}.get(self.word, self.word)
+
     def base_of(self, item: Any) -> type | None:
         """Return the type that a thing must be of; None if it is of no type of this kind."""
         if self.home:

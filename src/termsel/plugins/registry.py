@@ -115,7 +115,8 @@ class Registry:
         """Return the thing of a kind of `KINDS` that has a name, or ``distribution:name``."""
         if (item := self.known(kind, name)) is not None:
             return item
-        raise unknown_name_error(KINDS[kind].word, name, self.names(kind), self.hint(name, kind))
+        raise unknown_name_error(KINDS[kind].in_words, name, self.names(kind),
+                                 self.hint(name, kind))
 
     def known(self, kind: str, name: str) -> Any:
         """Return the thing of a kind by its name, as for `get`; None if nothing has the name."""

@@ -84,7 +84,7 @@ class Search(TaskMethod):
         self.__dict__.update(problem=problem, settings=settings or {}, limits=limits or {})
 
     def fit(self, data: FitData) -> Fit:
-        """Search, and fit the selection.
+        """Return the fit of the selection that a search makes.
 
         Where no point is a selection point some become such, by their places, as the search judges
         by them; none is independent.
@@ -111,7 +111,7 @@ class Search(TaskMethod):
         return held_out_by_refits(self.fit, fitted.control, heights=fitted.model.uses_height)
 
     def find(self, task: Task, memory: Memory) -> tuple[Request, Finding]:
-        """Search a prepared task, or the problem of one's own with its features."""
+        """Return what a search finds of a prepared task, or of a problem of one's own."""
         if self.problem is not None or self.settings:
             task = self._own_task(task)
         # The outlier test comes before the search, which may leave blunders out.
@@ -165,12 +165,18 @@ class GivenGenes(TaskMethod):
         self.__dict__.update(genes=genes)
 
     def fit(self, data: FitData) -> Fit:
-        """Refuse: genes are of one task, with its features."""
+        """Raise TermselError: genes are of one task, with its features, and have no other fit.
+
+        Returns
+        -------
+        Fit
+            Never.
+        """
         raise TermselError("genes are of a prepared task, and cannot be fitted to other features",
                            hint="Call termsel.assess(termsel.GivenGenes(genes), task).")
 
     def find(self, task: Task, memory: Memory) -> tuple[Request, Finding]:
-        """Decode the genes for a prepared task."""
+        """Return what the genes are for a prepared task: their request, and the selection."""
         # One chromosome, evaluated as the population of one that a search ends with.
         population = np.asarray(self.genes)[None]
         if fault := task.problem.genome.fault(population):

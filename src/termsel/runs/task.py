@@ -99,6 +99,11 @@ def require_enough(observations: Observations, criterion: Criterion, model: Sens
         raise TermselError(
             f"all {len(control)} control {control.word} have the same place on the ground",
             hint="Check that the columns x and y hold the position of each of them.")
+    xy = control.ground_vertices()[:, :2]
+    if len(control) > 2 and (xy[:, 0] == xy[:, 1]).all():
+        raise TermselError("x and y are the same at all points", column="y",
+                           hint="Is that the right column? Name the one that holds it: --columns "
+                                "y=NAME.")
     # The singular values of centred plan coordinates: the second is 0 on one straight line.
     spread = np.linalg.svd(control.ground_vertices()[:, :2]
                            - control.ground_vertices()[:, :2].mean(axis=0), compute_uv=False)

@@ -111,6 +111,11 @@ def _choose_projection(sheets: list[FeatureSet], candidates: Path | None,
     return best.crs
 
 
+_ONE_SERIES = 0.1
+"""Largest standard deviation of the scales of one series' sheets, scanned alike: paper shrinks by
+few per cent."""
+
+
 def _say_paper(series: Series) -> None:
     """Print what the paper of a series is like: scale, turn, stretch and shear, with their spreads.
     """
@@ -127,6 +132,9 @@ def _say_paper(series: Series) -> None:
          f"{math.degrees(paper.means[1]):.3g} deg ({math.degrees(turn):.2g}), stretch "
          f"{100 * paper.means[2]:.2g} % ({100 * stretch:.2g}), shear {100 * paper.means[3]:.2g} % "
          f"({100 * shear:.2g}); an affine map leaves {paper.noise:.3g} px.")
+    if len(series.sheets) > 1 and scale > _ONE_SERIES:
+        echo("Caution: the scales of these sheets differ more than those of one series do. Is one "
+             "of them of another map, or scanned at another resolution? Then leave it out.")
 
 
 def _read_photo(photo: Path, crs: str | None, size: tuple[int, int]) -> FeatureSet:

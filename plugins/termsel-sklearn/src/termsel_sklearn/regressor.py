@@ -106,6 +106,11 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
             Weights of the points, 1 / sigma^2 up to a common factor; points with 0 are left out.
             Points of one place count as one, with their mean and the sum of their weights.
 
+        Returns
+        -------
+        SensorModelRegressor
+            Itself, fitted.
+
         Raises
         ------
         ValueError

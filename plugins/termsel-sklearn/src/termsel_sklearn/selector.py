@@ -165,6 +165,11 @@ class TermSelector(SelectorMixin, WithOptions):  # type: ignore[misc]
         sample_weight : array_like, shape (n,), optional
             Weights of the rows, in the criterion as if each row were there so many times.
 
+        Returns
+        -------
+        TermSelector
+            Itself, fitted.
+
         Raises
         ------
         ValueError

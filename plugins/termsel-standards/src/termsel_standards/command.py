@@ -135,7 +135,7 @@ def _lines_of(stated: Statements | PredictedStatement, took: str) -> Iterator[st
 def _tested_lines(stated: Statements, took: str) -> Iterator[str]:
     """Yield the lines of a tested statement; `took` says what part the check points took."""
     points = stated.distribution.points
-    yield f"{stated.source}: {points} check points, {took} no part in any choice"
+    yield f"{stated.source}: {points} independent check points, {took} no part in any choice"
     yield ""
     yield f"{'':8}{'mean':>10}{'std':>10}{'RMSE':>10}{'95 %':>10}{'largest':>10}  normal"
     for component in stated.components:

@@ -183,8 +183,8 @@ def refused_format_error(path: object, head: bytes, of: object = None) -> Termse
         hint = "Copy or download it again."
     elif is_text(head):
         reason = "this is a file of text, not a raster"
-        hint = "Give a raster, such as a GeoTIFF. Tables of points and RPCs are for termsel run: " \
-               "--points FILE, --rpc FILE."
+        hint = "Give a raster, such as a GeoTIFF. A table of points is given by --points FILE, " \
+               "an RPC by --rpc FILE."
     else:
         reason = "this is no raster of a format that termsel opens"
         hint = f"If a GIS shows it, convert it: {hint[len('Convert it: '):]}"

@@ -87,7 +87,8 @@ def note_on_turned(features: FeatureSet) -> str:
         upwards = (" If lines count from the lower edge of the image, give --set "
                    "image_origin=bottom-left and --image FILE." if is_upwards else "")
         return (f"{direction} here, as on maps whose y points up and in some radar images."
-                f"{upwards} If this is neither, check whether x and y are swapped.")
+                f"{upwards} If this is neither, check x and y: they may be swapped, or one of them "
+                "may have the wrong sign.")
     return ""
 
 
