@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 
@@ -29,8 +29,12 @@ from termsel.adjustment.bayesian.shrinkage import (
     designs_of,
     shrinkage_of,
 )
+from termsel.adjustment.compiled import compiled
 from termsel.data.features import FloatArray, IntArray
 from termsel.data.monomials import Exponents, evaluate_monomials
+
+# Nothing is allocated, and sums are taken in the order in which they are written.
+_compiled = partial(compiled, _nrt=False)
 
 PRIOR_SIZES = np.append(0.0, 10.0 ** np.arange(-0.5, 5.5, 0.5))
 """Standard deviations of quadratic coefficients by that of the noise: 0, which is the affine model,
@@ -230,22 +234,63 @@ def _grid_cells(line: AxisEvidence, sample: AxisEvidence, freedom: int, noise: f
     """
     # Scales are those of both axes; sizes are each axis' own.
     count = len(PRIOR_SIZES)
-    log_factor = (line.log_factor.reshape(-1, count, 1)
-                  + sample.log_factor.reshape(-1, 1, count))
-    square = line.square.reshape(-1, count, 1) + sample.square.reshape(-1, 1, count)
-    log_posterior = log_factor - freedom / 2 * np.log(square + noise)         # (g, s, s)
+    line_log, sample_log, line_square, sample_square = (
+        values.reshape(-1, count) for values in (line.log_factor, sample.log_factor, line.square,
+                                                 sample.square))
+    log_posterior = line_square[:, :, None] + sample_square[:, None]                  # (g, s, s)
+    log_posterior += noise
+    np.log(log_posterior, out=log_posterior)
     # Without quadratic terms all groups are one: the first has the probability of all.
     log_affine = -np.inf
     if affine and PRIOR_SIZES[0] == 0.0:
-        log_affine = log_posterior[0, 0, 0] + np.log(len(log_posterior))
-    log_posterior[:, PRIOR_SIZES == 0.0] = -np.inf
-    log_posterior[:, :, PRIOR_SIZES == 0.0] = -np.inf
-    log_posterior[0, 0, 0] = max(log_posterior[0, 0, 0], log_affine)
-    group, line_size, sample_size = np.nonzero(
-        log_posterior > log_posterior.max() - MAX_LOG_RATIO)
-    share, log_total = normalise_probabilities(log_posterior[group, line_size, sample_size])
-    return GridCells((group * count + line_size, group * count + sample_size), share,
+        log_affine = (line_log[0, 0] + sample_log[0, 0] - freedom / 2 * log_posterior[0, 0, 0]
+                      + np.log(len(log_posterior)))
+    of_line, of_sample = np.empty((2, log_posterior.size), dtype=np.intp)
+    logs = np.empty(log_posterior.size)
+    n_cells = _fill_likely_cells(log_posterior, line_log, sample_log, freedom / 2, log_affine,
+                                 PRIOR_SIZES, of_line, of_sample, logs)
+    share, log_total = normalise_probabilities(logs[:n_cells])
+    return GridCells((of_line[:n_cells].copy(), of_sample[:n_cells].copy()), share,
                      float(log_total))
+
+
+@_compiled
+def _fill_likely_cells(logs_of_squares: FloatArray, line_log: FloatArray, sample_log: FloatArray,
+                       half: float, log_affine: float, sizes: FloatArray, of_line: IntArray,
+                       of_sample: IntArray, logs: FloatArray) -> int:
+    """Fill in solutions of line and sample, and logarithms, of the likely cells; return how many.
+
+    The grid (g, s, s) has the logarithms of sums of squares, `logs_of_squares`, which are
+    overwritten; `line_log` and `sample_log` (g, s) are what their power `half` is multiplied by.
+    All cells without terms are one, of `log_affine`. What is filled in has room for all cells.
+    """
+    groups, count, _ = logs_of_squares.shape
+    highest = log_affine
+    for g in range(groups):
+        for i in range(count):
+            row = logs_of_squares[g, i]
+            for j in range(count):
+                row[j] = line_log[g, i] + sample_log[g, j] - half * row[j]
+            for j in range(count):
+                if sizes[i] > 0.0 and sizes[j] > 0.0 and row[j] > highest:
+                    highest = row[j]
+    lowest = highest - MAX_LOG_RATIO
+    n_cells = 0
+    if log_affine > lowest:
+        of_line[0] = 0
+        of_sample[0] = 0
+        logs[0] = log_affine
+        n_cells = 1
+    for g in range(groups):
+        for i in range(count):
+            for j in range(count):
+                value = logs_of_squares[g, i, j]
+                if sizes[i] > 0.0 and sizes[j] > 0.0 and value > lowest:
+                    of_line[n_cells] = g * count + i
+                    of_sample[n_cells] = g * count + j
+                    logs[n_cells] = value
+                    n_cells += 1
+    return n_cells
 
 
 def normalise_probabilities(logarithm: FloatArray) -> tuple[FloatArray, FloatArray]:
