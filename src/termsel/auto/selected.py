@@ -9,12 +9,14 @@ with all points and once without each of them (of many, without each of some fol
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from math import comb
 
 import numpy as np
 
+from termsel.adjustment.compiled import compiled
 from termsel.adjustment.equations import weights_of
-from termsel.adjustment.solve import ROUNDING, TOLERANCE, index_of_largest
+from termsel.adjustment.solve import ROUNDING, TOLERANCE
 from termsel.auto.shrunken import points_alone
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
 from termsel.data.monomials import evaluate_monomials
@@ -25,6 +27,9 @@ from termsel.models.base import SensorModel
 from termsel.models.polynomial import Polynomial
 
 MAX_FOLDS = 100
+
+# Nothing is allocated, and sums are taken in the order in which they are written.
+_compiled = partial(compiled, _nrt=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,36 +161,114 @@ def _selected_terms(systems: FloatArray, equations: FloatArray, forced: int,
     forced_diagonal = np.abs(np.diagonal(systems, axis1=1, axis2=2)[:, :forced])
     if (forced_diagonal <= TOLERANCE * lengths[:, :forced]).any():
         return None
-    # The forced terms are taken out: their rows of the triangle are.
-    free_rows = systems[:, forced:, forced:-1].copy()
-    targets = systems[:, forced:, -1]
-    lengths = lengths[:, forced:]
-    chosen = np.zeros((count, free), dtype=bool)
-    best = chosen.copy()
-    best_value = np.full(count, np.inf)
-    rows = np.arange(count)
     # All terms are a candidate of their own. No selection leaves less than they do.
-    counts = range(max(min(max_selected, free - 1), 0) + 1)
+    counts = np.arange(max(min(max_selected, free - 1), 0) + 1)
     rounding = (ROUNDING * np.linalg.norm(systems[:, :, -1], axis=1)) ** 2
-    bounds = np.array([_criterion(systems[:, forced + free:, -1], rounding, equations, n_more, free,
-                                  forced + n_more) for n_more in counts])
-    for added in counts:
-        value = _criterion(targets, rounding, equations, added, free, forced + added)
-        better = value < best_value
-        best_value = np.where(better, value, best_value)
-        best = np.where(better[:, None], chosen, best)
-        squares = np.einsum("bnk,bnk->bk", free_rows, free_rows)
-        usable = ~chosen & (squares > (TOLERANCE * lengths) ** 2)
-        if (not usable.any(axis=1).all()
-                or (best_value < bounds[added + 1:].min(axis=0, initial=np.inf)).all()):
-            break
-        gain = np.einsum("bnk,bn->bk", free_rows, targets) ** 2
-        entering = index_of_largest(np.where(usable, gain / np.where(usable, squares, 1.0), -1.0))
-        q = free_rows[rows, :, entering] / np.sqrt(squares[rows, entering])[:, None]
-        free_rows -= q[:, :, None] * np.einsum("bn,bnk->bk", q, free_rows)[:, None, :]
-        targets = targets - q * np.einsum("bn,bn->b", q, targets)[:, None]
-        chosen[rows, entering] = True
+    smallest = np.maximum(rounding, np.finfo(float).tiny)
+    # What the criterion adds for the number of terms, (counts, s).
+    penalties = np.multiply.outer(forced + counts, np.log(equations)) + np.array(
+        [2 * np.log(comb(free, added)) for added in counts.tolist()])[:, None]
+    unexplained = np.maximum((systems[:, forced + free:, -1]**2).sum(axis=1), smallest)
+    bounds = equations * np.log(unexplained / equations) + penalties
+    best = np.zeros((count, free), dtype=bool)
+    # The forced terms are taken out: their rows of the triangle are.
+    _select_terms(systems[:, forced:, forced:].copy(), lengths[:, forced:].copy(), equations,
+                  smallest, penalties, bounds, np.zeros_like(best), best, np.empty((2, free)),
+                  np.full(count, np.inf))
     return np.concatenate([np.ones((count, forced), dtype=bool), best], axis=1)
+
+
+@_compiled
+def _select_terms(rows: FloatArray, lengths: FloatArray, equations: FloatArray,
+                  smallest: FloatArray, penalties: FloatArray, bounds: FloatArray,
+                  chosen: BoolArray, best: BoolArray, work: FloatArray,
+                  best_value: FloatArray) -> None:
+    """Mark in `best` (s, k) the terms of the least criterion on the way of forward selection.
+
+    `rows` (s, r, k + 1) are columns and targets without what forced terms explain; what terms
+    that enter explain is taken from them. `lengths` (s, k) were those of the columns before.
+    The criterion of n `equations` (s,) is n log(sum of squares / n) and the `penalties`
+    (counts, s), `bounds` (counts, s) are its values if all terms were in; sums of squares are at
+    least the `smallest` (s,). `chosen` (s, k), `work` (2, k) and `best_value` (s,) are scratch.
+    """
+    count, m, width = rows.shape
+    k = width - 1
+    squares, products = work
+    for added in range(len(penalties)):
+        settled = True  # whether no more terms can lower any criterion
+        exhausted = False  # whether some system has no more terms
+        for s in range(count):
+            rest = 0.0
+            for i in range(m):
+                rest += rows[s, i, k] * rows[s, i, k]
+            rest = rest if rest > smallest[s] else smallest[s]
+            value = equations[s] * np.log(rest / equations[s]) + penalties[added, s]
+            if value < best_value[s]:
+                best_value[s] = value
+                for j in range(k):
+                    best[s, j] = chosen[s, j]
+            for later in range(added + 1, len(bounds)):
+                settled = settled and best_value[s] < bounds[later, s]
+        if settled:
+            return
+        for s in range(count):
+            entering = _entering_term(rows[s], lengths[s], chosen[s], squares, products)
+            exhausted = exhausted or entering < 0
+            if entering < 0:
+                continue
+            chosen[s, entering] = True
+            _take_out(rows[s], entering, squares[entering], products)
+        if exhausted:
+            return
+
+
+@_compiled
+def _entering_term(rows: FloatArray, lengths: FloatArray, chosen: BoolArray, squares: FloatArray,
+                   gains: FloatArray) -> int:
+    """Return the term that explains most of the target of `rows` (r, k + 1); -1 if there is none.
+
+    Among equals, but for rounding, it is the first. `squares` (k,) becomes the sums of squares of
+    the columns; `gains` (k,) is scratch.
+    """
+    m, width = rows.shape
+    k = width - 1
+    squares[:] = 0.0
+    gains[:] = 0.0
+    for i in range(m):
+        for j in range(k):
+            squares[j] += rows[i, j] * rows[i, j]
+            gains[j] += rows[i, j] * rows[i, k]
+    most = -1.0
+    for j in range(k):
+        smallest = TOLERANCE * lengths[j]
+        usable = not chosen[j] and squares[j] > smallest * smallest
+        gains[j] = gains[j] * gains[j] / squares[j] if usable else -1.0
+        most = gains[j] if gains[j] > most else most
+    for j in range(k):
+        if gains[j] >= 0.0 and gains[j] >= most - ROUNDING * most:
+            return j
+    return -1
+
+
+@_compiled
+def _take_out(rows: FloatArray, column: int, square: float, products: FloatArray) -> None:
+    """Take what a column explains from all columns of `rows` (r, k + 1), in place.
+
+    `square` is its sum of squares; `products` (k,) is scratch.
+    """
+    m, width = rows.shape
+    k = width - 1
+    products[:] = 0.0
+    of_target = 0.0
+    for i in range(m):
+        for j in range(k):
+            products[j] += rows[i, column] * rows[i, j]
+        of_target += rows[i, column] * rows[i, k]
+    for i in range(m):
+        share = rows[i, column] / square
+        for j in range(k):
+            rows[i, j] -= share * products[j]
+        rows[i, k] -= share * of_target
 
 
 def _errors_of_folds(rows: FloatArray, fold: IntArray, systems: FloatArray,
@@ -193,27 +276,63 @@ def _errors_of_folds(rows: FloatArray, fold: IntArray, systems: FloatArray,
     """Return the error of each row (n, k + 1), shape (n,), by the terms selected without its fold.
     """
     errors = np.empty(len(rows))
-    # Most folds select the same terms, and are solved together.
-    masks, mask_of_fold = np.unique(best, axis=0, return_inverse=True)
-    mask_of_fold = mask_of_fold.ravel()
-    for mask_index, mask in enumerate(masks):
-        folds_of_mask = np.flatnonzero(mask_of_fold == mask_index)
-        count = int(mask.sum())
-        r = _triangle(systems[folds_of_mask][:, :, np.append(mask, True)])
-        position = np.empty(len(best), dtype=np.intp)
-        position[folds_of_mask] = np.arange(len(folds_of_mask))
-        x = np.linalg.solve(r[:, :count, :count], r[:, :count, count:])[:, :, 0]
-        rows_of_mask = mask_of_fold[fold] == mask_index
-        errors[rows_of_mask] = rows[rows_of_mask, -1] - np.einsum(
-            "nk,nk->n", rows[rows_of_mask, :-1][:, mask], x[position[fold[rows_of_mask]]])
+    work = np.empty((systems.shape[2], systems.shape[1]))
+    _fill_errors_of_folds(rows, fold, systems, best, work, np.empty(systems.shape[2]), errors)
     return errors
 
 
-def _criterion(residuals: FloatArray, rounding: FloatArray, n: FloatArray, count: int, free: int,
-               used: int) -> FloatArray:
-    """Return the criterion of some of the free terms, of n equations each.
+@_compiled
+def _fill_errors_of_folds(rows: FloatArray, fold: IntArray, systems: FloatArray, best: BoolArray,
+                          work: FloatArray, solution: FloatArray, errors: FloatArray) -> None:
+    """Fill in the errors (n,) of `_errors_of_folds`; `work` (k + 1, r), `solution` are scratch."""
+    m = systems.shape[1]
+    k = systems.shape[2] - 1
+    for f in range(len(best)):
+        # The columns selected, and the target after them, as rows.
+        count = 0
+        for j in range(k + 1):
+            if j == k or best[f, j]:
+                for i in range(m):
+                    work[count, i] = systems[f, i, j]
+                count += 1
+        count -= 1
+        for j in range(count):
+            _reflect_rows(work, j, count + 1)
+        for j in range(count - 1, -1, -1):
+            solution[j] = work[count, j]
+            for later in range(j + 1, count):
+                solution[j] -= work[later, j] * solution[later]
+            solution[j] /= work[j, j]
+        for i in range(len(rows)):
+            if fold[i] == f:
+                error = rows[i, k]
+                number = 0
+                for j in range(k):
+                    if best[f, j]:
+                        error -= rows[i, j] * solution[number]
+                        number += 1
+                errors[i] = error
 
-    A sum of squares is at least that of rounding (s,): its logarithm has no meaning below.
+
+@_compiled
+def _reflect_rows(vectors: FloatArray, column: int, count: int) -> None:
+    """Bring one of the first `count` vectors (., r) to its first entries by a reflection of all.
+
+    The vector of the number `column` keeps as many entries; one more is its length, and those after
+    it have no meaning.
     """
-    rss = np.maximum((residuals**2).sum(axis=1), np.maximum(rounding, np.finfo(float).tiny))
-    return np.asarray(n * np.log(rss / n) + used * np.log(n) + 2 * np.log(comb(free, count)))
+    v = vectors[column, column:]
+    square = 0.0
+    for i in range(len(v)):
+        square += v[i] * v[i]
+    length = -np.sqrt(square) if v[0] > 0.0 else np.sqrt(square)
+    v[0] -= length  # away from 0, so that nothing cancels
+    factor = -1.0 / (length * v[0]) if square > 0.0 else 0.0
+    for other in range(column + 1, count):
+        w = vectors[other, column:]
+        total = 0.0
+        for i in range(len(v)):
+            total += v[i] * w[i]
+        for i in range(len(v)):
+            w[i] -= factor * total * v[i]
+    v[0] = length
