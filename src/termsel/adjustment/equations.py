@@ -48,6 +48,9 @@ class Equations:
 
     def take(self, rows: BoolArray, columns: BoolArray) -> Equations:
         """Return the system of some rows and columns."""
+        if rows.all() and columns.all():
+            return Equations(np.ascontiguousarray(self.A), np.ascontiguousarray(self.b),
+                             np.ascontiguousarray(self.feature), self.prior)
         return Equations(np.ascontiguousarray(self.A[np.ix_(rows, columns)]),
                          np.ascontiguousarray(self.b[rows]),
                          np.ascontiguousarray(self.feature[rows]),

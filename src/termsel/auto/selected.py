@@ -14,7 +14,7 @@ from math import comb
 
 import numpy as np
 
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 from termsel.adjustment.equations import weights_of
 from termsel.adjustment.solve import ROUNDING, TOLERANCE
 from termsel.auto.shrunken import points_alone
@@ -29,7 +29,7 @@ from termsel.models.polynomial import Polynomial
 MAX_FOLDS = 100
 
 # Nothing is allocated, and sums are taken in the order in which they are written.
-_compiled = partial(compiled, _nrt=False)
+_compiled = partial(compile_lazily, _nrt=False)
 
 
 @dataclass(frozen=True, eq=False)

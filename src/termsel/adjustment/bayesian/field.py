@@ -386,9 +386,14 @@ def _cached_gaussian_process(measurements: Measurements,
     at_once = len(FIELD_LENGTHS) if knots is positions else 1
     for start in range(0, len(FIELD_LENGTHS), at_once):
         batch = FIELD_LENGTHS[start:start + at_once]
-        whitenings = [_whitening_matrix(knots, lengths) for lengths in batch]
-        shrunken = np.array([_columns_with_field(own, positions, knots, lengths, whitening)
-                             for lengths, whitening in zip(batch, whitenings, strict=True)])
+        covariances = np.array([_covariances_with_knots(knots, knots, lengths)
+                                for lengths in batch])
+        whitenings = _whitening_matrices(covariances)
+        if knots is not positions:
+            covariances = np.array([_covariances_with_knots(positions, knots, lengths)
+                                    for lengths in batch])
+        shrunken = np.concatenate([np.broadcast_to(own, (len(batch), *own.shape)),
+                                   covariances @ whitenings.swapaxes(1, 2)], axis=2)
         grids = solve_posteriors(lead, shrunken, points.image, weights, scales, len(shrunk))
         if grids is None:
             return None
@@ -399,7 +404,7 @@ def _cached_gaussian_process(measurements: Measurements,
             if solution.log_evidence <= highest - MAX_LOG_RATIO:
                 solutions[i] = replace(solution, grid=None)
     if spline_weight > 0.0:  # next to affine functions alone, all of one scale
-        whitening = _whitening_matrix(knots, SPLINE_LENGTHS)
+        whitening = _whitening_of_spline(knots)
         grids = solve_posteriors(
             lead, _columns_with_field(own, positions, knots, SPLINE_LENGTHS,
                                       whitening)[None], points.image,
@@ -489,19 +494,20 @@ def _columns_with_field(columns: FloatArray, positions: FloatArray, knots: Float
         [columns, _covariances_with_knots(positions, knots, lengths) @ whitening.T], axis=1)
 
 
-def _whitening_matrix(knots: FloatArray, lengths: tuple[float, float] | None) -> FloatArray:
-    """Return W (c, k): coefficients W' u of the k knots have the field's covariance if u is white.
+def _whitening_matrices(covariances: FloatArray) -> FloatArray:
+    """Return W (d, k, k) of fields whose covariances of the knots are (d, k, k).
 
-    Shape (0, 0) without lengths, hence without a field.
+    Coefficients W' u of the knots have a field's covariance if u is white.
     """
-    if lengths is None:
-        return np.empty((0, 0))
-    covariances = _covariances_with_knots(knots, knots, lengths)
-    if lengths != SPLINE_LENGTHS:
-        # K = L L': coefficients by L^-1 are independent with variance one.
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(
-            covariances + COVARIANCE_JITTER * np.eye(len(knots))).T).T)
-    values, vectors = np.linalg.eigh(covariances)  # what affine functions fit has no variance
+    # K = L L': coefficients by L^-1 are independent with variance one.
+    factors = np.linalg.cholesky(covariances + COVARIANCE_JITTER * np.eye(covariances.shape[1]))
+    return np.asarray(np.linalg.inv(factors.swapaxes(1, 2)).swapaxes(1, 2))
+
+
+def _whitening_of_spline(knots: FloatArray) -> FloatArray:
+    """Return W (c, k) of the field whose best prediction is a spline (see above)."""
+    values, vectors = np.linalg.eigh(_covariances_with_knots(knots, knots, SPLINE_LENGTHS))
+    # What affine functions fit has no variance.
     spanned = values > COVARIANCE_JITTER * values.max()
     return np.asarray((vectors[:, spanned] / np.sqrt(values[spanned])).T)
 

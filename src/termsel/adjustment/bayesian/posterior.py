@@ -29,12 +29,12 @@ from termsel.adjustment.bayesian.shrinkage import (
     designs_of,
     shrinkage_of,
 )
-from termsel.adjustment.compiled import compiled
+from termsel.adjustment.compiled import compile_lazily
 from termsel.data.features import FloatArray, IntArray
 from termsel.data.monomials import Exponents, evaluate_monomials
 
 # Nothing is allocated, and sums are taken in the order in which they are written.
-_compiled = partial(compiled, _nrt=False)
+_compiled = partial(compile_lazily, _nrt=False)
 
 PRIOR_SIZES = np.append(0.0, 10.0 ** np.arange(-0.5, 5.5, 0.5))
 """Standard deviations of quadratic coefficients by that of the noise: 0, which is the affine model,
