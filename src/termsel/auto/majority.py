@@ -180,7 +180,8 @@ def _best_random_halves(design: FloatArray, image: FloatArray,
     gram = normal.transpose(0, 2, 1) @ normal
     gram += 1e-12 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(k)
     coefficients = np.linalg.solve(gram, normal.transpose(0, 2, 1) @ image[samples])
-    squares = ((image - design @ coefficients) ** 2).sum(axis=2)
+    line, sample = np.moveaxis(image - design @ coefficients, 2, 0)                # (samples, n)
+    squares = line**2 + sample**2
     trimmed = np.partition(squares, n // 2 - 1, axis=1)[:, :n // 2].sum(axis=1)
     best = np.argsort(trimmed, kind="stable")[:CONCENTRATED]
     return np.argsort(squares[best], axis=1, kind="stable")[:, :n // 2]

@@ -8,6 +8,7 @@ Handbook of Mathematical Functions, 6.5.29 and 26.5.8.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from math import exp, lgamma, log, sqrt
 
 import numpy as np
@@ -84,6 +85,7 @@ def chi_squared_quantile(share: float, freedom: float) -> float:
     return _argument_of(below, share, start)
 
 
+@lru_cache(maxsize=256)  # many features ask for those of a few degrees of freedom
 def t_quantile(share: float, freedom: float) -> float:
     """Return the number that a t distributed number is below with the chance `share`, above 1/2.
 
