@@ -258,7 +258,7 @@ class Auto(Method):
         the points support a random field, the regularised polynomial with it takes the place of
         those without. Where features are too few for any method with a prior, similarities and a
         plane affine polynomial are tried, too. `with_contained` has methods that others contain
-        fitted all the same, to be shown.
+        fitted all the same, and the reason stated, to be shown.
         """
         candidates = self.offered(data)
         # A method may say that nothing else is possible, as of a file that names its sensor.
@@ -285,7 +285,7 @@ class Auto(Method):
         compared = [fits[method.name] for method in candidates if method.name in fits]
         if not any(method_of(fitted).has_prior for fitted in compared):
             compared = [*self.few(data), *compared]
-        choice = self.best_of(compared)
+        choice = self.best_of(compared, explained=with_contained)
         if choice is not None and self.is_one_method:
             return replace(choice, reason="You named this method.")
         return choice
@@ -315,9 +315,13 @@ class Auto(Method):
         fits = (self.validated(method, data) for method in self.offered(data, for_few=True))
         return [fitted for fitted in fits if fitted]
 
-    def best_of(self, fits: Iterable[Fit]) -> Choice | None:
-        """Return the choice among fits by the rule; None if there is none."""
-        return best_of(fits, lambda fitted: self.ask(method_of(fitted), "describe", fitted))
+    def best_of(self, fits: Iterable[Fit], *, explained: bool = True) -> Choice | None:
+        """Return the choice among fits by the rule; None if there is none.
+
+        Only where it is to be `explained` are methods asked to describe what supports them.
+        """
+        return best_of(fits, lambda fitted: self.ask(method_of(fitted), "describe", fitted),
+                       explained=explained)
 
     def choose_features(self, data: FitData, watch: Watch | None = None, *,
                         with_contained: bool = True) -> Choice | None:

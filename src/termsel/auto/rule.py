@@ -194,8 +194,9 @@ def is_contained(method: Method, fits: Iterable[Fit]) -> bool:
                for fitted in fits)
 
 
-def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None) -> Choice | None:
-    """Return the choice among methods; None without any.
+def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
+            explained: bool = True) -> Choice | None:
+    """Return the choice among methods, with its reason where it is to be `explained`; None without.
 
     Of methods with a prior, the first is to be beaten by the others by PRIOR_MARGIN standard
     errors; what none of them contains by CLEAR_MARGIN, a central projection by PROJECTION_MARGIN,
@@ -219,6 +220,8 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None) -> Choice 
           or is_supported_and_smaller(alternative, base))
     ]
     chosen = min(rivals, key=beyond_rounding)
+    if not explained:
+        return Choice(chosen, compared, "")
     descriptions = [description for fitted in dict.fromkeys((chosen, base))
                     if (description := describe(fitted))]
     return Choice(chosen, compared,

@@ -84,7 +84,9 @@ class _Watch:
     """
 
     def __init__(self, observers: Iterable[Observer], methods: int, folds: int) -> None:
-        self._observers = Observers(observers)
+        all_observers = tuple(observers)
+        self._observers = Observers(all_observers)
+        self._is_observed = bool(all_observers)
         self._folds = folds
         self.methods = methods
         self.fits: list[Fit] = []
@@ -92,6 +94,8 @@ class _Watch:
 
     def tell(self, activity: str, share: float | None = None) -> None:
         """Show observers the present step, and the share of the work that is done, 0 to 1."""
+        if not self._is_observed:
+            return
         best = min((fitted.held_out_rmse for fitted in self.fits), default=np.inf)
         generation = Generation(self.count, np.zeros((0, 0), dtype=bool),
                                 Evaluation(np.zeros((0, 1)), np.zeros(0)))
