@@ -376,7 +376,7 @@ def test_few_points_of_a_map_are_averaged_over_what_they_do_not_tell_apart(n: in
         every = Points(tuple(map(str, range(n + 60))), image, ground)
         first = np.arange(n + 60) < n
         control = FitData.of(FeatureSet(every.take(first), crs="local"))
-        choice = Auto().choose(control, with_contained=False)
+        choice = Auto().choose(control)
         affine = named("affine")
         assert choice is not None
         assert affine is not None
