@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,11 @@ from termsel import (
     FitData,
     Method,
     Option,
+    Scaling,
     SensorModel,
     Undetermined,
 )
-from termsel.toolkit.coordinates import is_geographic
+from termsel.toolkit.coordinates import is_geographic, to_wgs84
 from termsel.toolkit.models import (
     SensorFigure,
     camera_figures,
@@ -89,13 +91,7 @@ class Photo(Physical):
 
     def local(self, ground: FloatArray) -> FloatArray:
         """Return scaled places in metres east, north and up of the control's middle, (n, 3)."""
-        # A local frame is plane already.
-        if self.crs in ("", "local"):
-            return np.asarray(ground * require_scaling(self.scaling).ground_scale)
-        # In space, as the Earth bends by metres within a photo.
-        middle = self.geographic(np.zeros((1, 3)))
-        axes = axes_at(*middle[0, :2])
-        return np.asarray((to_geocentric(self.geographic(ground)) - to_geocentric(middle)) @ axes.T)
+        return _local(ground, require_scaling(self.scaling), self.crs)
 
     def starts(self, features: FeatureSet) -> FloatArray:
         """Return the values of terms (s, k) from which fits begin.
@@ -163,8 +159,8 @@ class Photo(Physical):
                                           features.points.image)[0][1:])
 
     def _ground_extent(self) -> float:
-        """Return the length on the ground [m] from -1 to 1 of the first scaled coordinate."""
-        return float(np.linalg.norm(self.local(np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]))[0]))
+        """Return how far the eastern edge of the control is from its middle [m]."""
+        return _ground_extent_of(require_scaling(self.scaling), self.crs)
 
     def seen(self, x: dict[str, FloatArray], ground: FloatArray,
              ray: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -211,6 +207,37 @@ class Photo(Physical):
     def film(self, x: dict[str, FloatArray], ground: FloatArray) -> FloatArray:
         """Return scaled positions on the film (p, n, 2), about where the middle is seen."""
         raise NotImplementedError
+
+
+def _local(ground: FloatArray, scaling: Scaling, crs: str) -> FloatArray:
+    """Return scaled places in metres east, north and up of the control's middle, (n, 3)."""
+    # A local frame is plane already.
+    if crs in ("", "local"):
+        return np.asarray(ground * scaling.ground_scale)
+    # In space, as the Earth bends by metres within a photo.
+    middle, axes = _middle_and_axes(scaling, crs)
+    return np.asarray((to_geocentric(_geographic(ground, scaling, crs)) - middle) @ axes.T)
+
+
+def _geographic(ground: FloatArray, scaling: Scaling, crs: str) -> FloatArray:
+    """Return longitude, latitude [deg] and height [m] of scaled places, (n, 3)."""
+    return to_wgs84(crs)(scaling.unscaled(ground))
+
+
+# Fits ask thousands of times about the same control.
+
+
+@lru_cache(maxsize=32)
+def _middle_and_axes(scaling: Scaling, crs: str) -> tuple[FloatArray, FloatArray]:
+    """Return the middle of the control, Earth-fixed (1, 3), and its east, north and up (3, 3)."""
+    middle = _geographic(np.zeros((1, 3)), scaling, crs)
+    return to_geocentric(middle), axes_at(*middle[0, :2])
+
+
+@lru_cache(maxsize=32)
+def _ground_extent_of(scaling: Scaling, crs: str) -> float:
+    """Return how far the eastern edge of the control is from its middle [m]."""
+    return float(np.linalg.norm(_local(np.array([[1.0, 0.0, 0.0]]), scaling, crs)))
 
 
 def _turn_and_tilts(columns: FloatArray, *, mirrored: bool) -> tuple[float, tuple[float, float]]:
