@@ -46,7 +46,8 @@ def solved_without(run: Steps, i: int, at: BoolArray) -> float:
     run.state.control_in_use[i] = used & ~at
     solved = run.linearised(run.state.variances)
     run.state.control_in_use[i] = used
-    rows, away = run._control_rows(i, run.state.cameras[i], known)
+    rows = run._control_rows(i, run.state.cameras[i], known)
+    away = run._control_residuals(i, run.state.cameras[i], known)
     away = (away - rows @ solved.steps[i])[at]
     spread = rows[at] @ solved.image_covariances[i] @ rows[at].T + np.diag(
         (run.state.sigma_control * known.sigma[at])**2)

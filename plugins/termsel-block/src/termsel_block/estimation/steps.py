@@ -243,7 +243,8 @@ class Steps:
         if not len(control):
             return np.zeros((p, p)), np.zeros(p)
         # Kept for `residual_deviations` and for the estimates of variances: of the same equations.
-        rows, residual = self._control_rows(i, camera, control)
+        rows = self._control_rows(i, camera, control)
+        residual = self._control_residuals(i, camera, control)
         self.design[i] = rows
         self.noise[i] = sigma = self.state.sigma_control * control.sigma
         share = self.state.control_in_use[i].astype(float)
@@ -253,16 +254,17 @@ class Steps:
         weight = share / sigma**2
         return (rows * weight[:, None]).T @ rows, (rows * weight[:, None]).T @ residual
 
-    def _control_rows(self, i: int, camera: Camera, control: OwnControl) -> tuple[FloatArray,
-                                                                                  FloatArray]:
-        """Return the rows (n, p) of an image's control, and the residuals [px]."""
-        parameters = self.state.parameters[i]
+    def _control_rows(self, i: int, camera: Camera, control: OwnControl) -> FloatArray:
+        """Return the rows (n, p) of an image's control."""
         # Derivatives of the distance in the direction that is measured, n . (line, sample).
-        fixed = camera.fixed(control.local)
-        rows = np.einsum("na,nap->np", control.normal,
-                         camera.jacobian(parameters, control.local, fixed))
-        computed = camera.project(parameters, control.local, fixed)
-        return rows, control.value - (control.normal * computed).sum(axis=1)
+        return np.einsum("na,nap->np", control.normal, camera.jacobian(
+            self.state.parameters[i], control.local, camera.fixed(control.local)))
+
+    def _control_residuals(self, i: int, camera: Camera, control: OwnControl) -> FloatArray:
+        """Return the residuals (n,) of an image's control [px]."""
+        computed = camera.project(self.state.parameters[i], control.local,
+                                  camera.fixed(control.local))
+        return np.asarray(control.value - (control.normal * computed).sum(axis=1))
 
     def moved(self) -> FloatArray:
         """Return how far the last step moved any tie in each image, at most (images,) [px].
@@ -286,11 +288,13 @@ class Steps:
         """Return the residuals of each image's ties (n, 2) and of its rows of control (k,) [px]."""
         state = self.state
         of_ties = []
-        for i, measured in enumerate(self.measured):
+        of_control = []
+        for i, (camera, measured, control) in enumerate(
+                zip(state.cameras, self.measured, self.control, strict=True)):
             of_ties.append(measured.position - self._positions_of_ties(i))
-        return of_ties, [self._control_rows(i, camera, control)[1] if len(control) else np.empty(0)
-                         for i, (camera, control) in enumerate(
-                             zip(state.cameras, self.control, strict=True))]
+            of_control.append(self._control_residuals(i, camera, control) if len(control)
+                              else np.empty(0))
+        return of_ties, of_control
 
 
 def soft_weights(ratio: FloatArray) -> FloatArray:

@@ -131,11 +131,18 @@ class PhysicalCamera(Camera):
     def jacobian(self, parameters: FloatArray, local: FloatArray, fixed: Fixed = None,
                  ) -> FloatArray:
         """Return the derivatives (n, 2, p) by central differences, for all terms at once."""
+        return self._jacobian_and_image(parameters, local)[0]
+
+    def _jacobian_and_image(self, parameters: FloatArray,
+                            local: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the derivatives (n, 2, p), and line and sample (n, 2), by one projection."""
         terms = parameters * self.scale
         steps = _TERM_STEP * np.diag(self.scale)
-        images = self._project_with_terms(np.concatenate([terms + steps, terms - steps]), local)
+        images = self._project_with_terms(
+            np.concatenate([terms + steps, terms - steps, terms[None]]), local)
         p = len(terms)
-        return np.asarray(np.moveaxis(images[:p] - images[p:], 0, -1) / (2 * _TERM_STEP))
+        slopes = np.moveaxis(images[:p] - images[p:-1], 0, -1) / (2 * _TERM_STEP)
+        return np.asarray(slopes), np.asarray(images[-1])
 
     def parameters_after_step(self, parameters: FloatArray, step: FloatArray, aim: FloatArray,
                               local: FloatArray) -> FloatArray:
@@ -147,8 +154,9 @@ class PhysicalCamera(Camera):
         stepped = super().parameters_after_step(parameters, step, aim, local)
         bent = stepped
         for _ in range(_BENDINGS if len(local) else 0):
-            rows = self.jacobian(bent, local).reshape(-1, bent.size)
-            misses = (aim - self.project(bent, local)).ravel()
+            slopes, image = self._jacobian_and_image(bent, local)
+            rows = slopes.reshape(-1, bent.size)
+            misses = (aim - image).ravel()
             # Least squares of the misses, which stay near the step in what does not show:
             # (J^T J + w I) d = J^T m + w (stepped - bent).
             right = rows.T @ misses + _STEP_WEIGHT * (stepped - bent)
