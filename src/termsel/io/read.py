@@ -21,10 +21,10 @@ from termsel.core.files.names import JOURNAL, is_there
 from termsel.core.isolation.faults import PluginFault, is_own, name_of
 from termsel.core.isolation.parts import missing_package_error, values_of_slot
 from termsel.core.options import Option
-from termsel.data.coordinates.angles import with_degrees
 from termsel.data.coordinates.crs import LOCAL, WGS84, normalise, short_crs_name
 from termsel.data.coordinates.earth import say_turned, unknown_crs_error
 from termsel.data.coordinates.plausible import check_ground, note_on_mixed
+from termsel.data.coordinates.true_lengths import note_on_scale, with_degrees
 from termsel.data.features import FeatureSet, empty_lines, empty_points
 from termsel.data.georeferenced import warn_of_incomplete, warn_of_map
 from termsel.data.roles import asked_roles, with_roles
@@ -661,6 +661,7 @@ def _say_doubts(features: FeatureSet) -> None:
         log.warning("Warning: %s", mixed)
     else:
         say_turned(features)
+    note_on_scale(features)
 
 
 def _say_misspelt(path: Path, features: FeatureSet) -> None:

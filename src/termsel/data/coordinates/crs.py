@@ -256,6 +256,28 @@ def is_geographic(crs: str) -> bool:
 
 
 @lru_cache
+def longitudes_and_latitudes_of(crs: str) -> Callable[[FloatArray], FloatArray] | None:
+    """Return a function from x and y (n, 2) of a projected CRS to angles on its ellipsoid [rad].
+
+    Longitudes count from the meridian of the CRS. Where it is not defined they are infinite. None
+    for CRSs that are not projected, and without pyproj.
+    """
+    parsed = _with_pyproj(horizontal_crs(normalise(crs)))
+    if parsed is None or not parsed.is_projected:
+        return None
+    from pyproj import Transformer
+
+    geodetic = parsed.geodetic_crs
+    inverse = Transformer.from_crs(parsed, geodetic, always_xy=True)
+    radians = geodetic.axis_info[0].unit_conversion_factor
+
+    def angles_of(positions: FloatArray) -> FloatArray:
+        return np.column_stack(inverse.transform(*positions.T)) * radians
+
+    return angles_of
+
+
+@lru_cache
 def axes_of_degrees(crs: str) -> tuple[float, str]:
     """Return the unit of longitude and latitude [deg], and the CRS with degrees in its place.
 

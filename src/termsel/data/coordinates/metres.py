@@ -10,22 +10,90 @@ import numpy as np
 from termsel.core.errors import TermselError
 from termsel.data.coordinates.crs import (
     EARTH,
+    UTM,
     body_of,
     ellipsoid_of,
     geodetic_of,
     horizontal_crs,
     is_geocentric,
     is_geographic,
+    longitudes_and_latitudes_of,
     metres_per_height,
     metres_per_unit,
     transformation_between,
 )
 from termsel.data.features import FloatArray
 
+TRUE_SCALE = 0.01
+"""How far the scale of a projection is from 1 at most where lengths are taken as they stand."""
+_LATTICE = 1e4  # metres
+
 
 def offsets_in_metres(crs: str, positions: FloatArray, offsets: FloatArray) -> FloatArray | None:
     """Return offsets (n, 2) to east and north of positions in metres; None if the unit is unknown.
+
+    They are metres on the ground where a projection shows distances far too long or too short, as
+    Web Mercator does; else those of the plane, as surveyors state them.
     """
+    plane = _offsets_on_plane(crs, positions, offsets)
+    if plane is None or _kind_and_units(crs)[0] or scales_at(crs, positions) is None:
+        return plane
+    return plane / _scales_along_axes(crs, positions)
+
+
+def scales_at(crs: str, positions: FloatArray) -> tuple[float, float] | None:
+    """Return the scales of a projection along x and y in the middle of positions (n, 2 or more).
+
+    None where both are within `TRUE_SCALE` of 1, as that of UTM and of national grids is, and where
+    there is none.
+    """
+    if not crs or UTM.fullmatch(crs) or not len(positions):
+        return None
+    unit = _kind_and_units(crs)[2]
+    middle = np.nanmean(positions[:, :2], axis=0)
+    if unit is None or not np.isfinite(middle).all():
+        return None
+    # By whole tens of kilometres, so that pyproj is asked once for a scene.
+    lattice = _LATTICE / unit
+    x, y = (np.round(middle / lattice) * lattice).tolist()
+    return _scales_of_place(crs, x, y)
+
+
+@lru_cache
+def _scales_of_place(crs: str, x: float, y: float) -> tuple[float, float] | None:
+    """Return the scales along x and y at a place; None where they are nearly 1 or not known."""
+    along_x, along_y = _scales_along_axes(crs, np.array([[x, y]]))[0].tolist()
+    distortion = max(abs(along_x - 1.0), abs(along_y - 1.0))
+    return (along_x, along_y) if TRUE_SCALE < distortion < np.inf else None
+
+
+def _scales_along_axes(crs: str, positions: FloatArray) -> FloatArray:
+    """Return how long a projection shows a metre along x and along y at positions, (n, 2).
+
+    By differences of places a metre to either side, as points of the ellipsoid in space: a
+    projection need not be conformal, and a pole is a place like any other.
+    """
+    angles_of = longitudes_and_latitudes_of(crs)
+    unit = _kind_and_units(crs)[2]
+    if angles_of is None or unit is None:
+        return np.ones((len(positions), 2))
+    major, eccentricity = ellipsoid_of(crs)
+    scales = []
+    for step in (np.array([1.0, 0.0]), np.array([0.0, 1.0])):
+        ends = []
+        for sign in (-1.0, 1.0):
+            lon, lat = angles_of(positions[:, :2] + sign * step / unit).T
+            normal_radius = major / np.sqrt(1.0 - eccentricity * np.sin(lat) ** 2)
+            ends.append(np.stack([normal_radius * np.cos(lat) * np.cos(lon),
+                                  normal_radius * np.cos(lat) * np.sin(lon),
+                                  normal_radius * (1.0 - eccentricity) * np.sin(lat)], axis=1))
+        # Two metres of the plane lie between the ends.
+        scales.append(2.0 / np.linalg.norm(ends[1] - ends[0], axis=1))
+    return np.stack(scales, axis=1)
+
+
+def _offsets_on_plane(crs: str, positions: FloatArray, offsets: FloatArray) -> FloatArray | None:
+    """Return offsets (n, 2) in metres of the plane of a CRS, or to east and north of degrees."""
     if _kind_and_units(crs)[0]:
         # Radii of curvature: N = a / W along the parallel, M = a (1 - e^2) / W^3 along the
         # meridian, with W^2 = 1 - e^2 sin^2 (latitude).
@@ -56,7 +124,8 @@ def plan_of(crs: str, ground: FloatArray) -> FloatArray | None:
     if crs and _kind_and_units(crs)[1]:
         return None
     plan = ground[:, :2] - ground[:, :2].mean(axis=0)
-    metres = offsets_in_metres(crs, ground, plan) if crs else None
+    # Models of the plane take it as it is, whatever the scale of its projection.
+    metres = _offsets_on_plane(crs, ground, plan) if crs else None
     return plan if metres is None else metres
 
 

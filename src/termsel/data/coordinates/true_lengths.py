@@ -1,4 +1,4 @@
-"""Longitudes and latitudes that a CRS counts in other units than degrees, such as grads."""
+"""Coordinates that are no degrees or metres of the ground: grads, and stretched projections."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from termsel.data.coordinates.crs import axes_of_degrees, is_geographic, normalise, short_crs_name
+from termsel.data.coordinates.metres import TRUE_SCALE, scales_at
 from termsel.data.features import FeatureSet
 
 log = logging.getLogger(__name__)
@@ -32,3 +33,17 @@ def with_degrees(features: FeatureSet) -> FeatureSet:
         features, crs=crs,
         points=replace(features.points, ground=features.points.ground * factors),
         lines=replace(features.lines, ground=features.lines.ground * factors))
+
+
+def note_on_scale(features: FeatureSet) -> None:
+    """Say where a projection shows lengths other than they are, as figures in metres are true."""
+    scales = scales_at(features.crs, features.ground_vertices())
+    if scales is None:
+        return
+    along_x, along_y = scales
+    # On the ellipsoid both differ a little in Web Mercator, which is of a sphere.
+    words = f"{along_x:.3g} times" if abs(along_x / along_y - 1.0) < TRUE_SCALE else \
+        f"{along_x:.3g} times along x and {along_y:.3g} times along y"
+    log.info("Note: %s shows lengths here %s as long as they are on the ground. Accuracies in "
+             "metres are those on the ground; coordinates and pixels of maps are not.",
+             short_crs_name(features.crs), words)

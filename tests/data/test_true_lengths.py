@@ -59,3 +59,39 @@ def test_columns_in_gons_by_their_names_are_converted_once(tmp_path: Path) -> No
     named = termsel.read(table(tmp_path, "EPSG:4807", "lon (gon),lat (gon)"))
     assert named.crs == by_crs.crs
     np.testing.assert_allclose(named.points.ground, by_crs.points.ground, rtol=1e-13)
+
+
+@pytest.mark.parametrize(("crs", "lon", "lat"), [
+    ("EPSG:3857", 15.0, 47.0), ("EPSG:3395", -70.0, 65.0), ("EPSG:4087", 15.0, 47.0),
+    ("EPSG:3413", -45.0, 50.0), ("IAU_2015:30110", 10.0, 60.0)])
+def test_metres_are_those_of_the_ground_in_a_stretched_projection(
+        crs: str, lon: float, lat: float) -> None:
+    parsed = pyproj.CRS(crs)
+    geodetic = parsed.geodetic_crs
+    forward = pyproj.Transformer.from_crs(geodetic, parsed, always_xy=True)
+    ends = np.column_stack(forward.transform([lon, lon + 1e-4, lon], [lat, lat, lat + 1e-4]))
+    metres = offsets_in_metres(crs, ends[:1].repeat(2, axis=0), ends[1:] - ends[0])
+    geod = geodetic.get_geod()
+    lengths = [geod.inv(lon, lat, lon + 1e-4, lat)[2], geod.inv(lon, lat, lon, lat + 1e-4)[2]]
+    assert metres is not None
+    np.testing.assert_allclose(np.linalg.norm(metres, axis=1), lengths, rtol=2e-3)
+
+
+@pytest.mark.parametrize("crs", ["EPSG:2056", "EPSG:32633", "EPSG:27700", "EPSG:2263"])
+def test_metres_of_surveyors_stay_those_of_the_plane(crs: str) -> None:
+    area = pyproj.CRS(crs).area_of_use
+    forward = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
+    place = forward.transform((area.west + area.east) / 2, (area.south + area.north) / 2)
+    unit = pyproj.CRS(crs).axis_info[0].unit_conversion_factor
+    metres = offsets_in_metres(crs, np.array([place]), np.array([[3.0, 4.0]]))
+    np.testing.assert_array_equal(metres, [[3.0 * unit, 4.0 * unit]])
+
+
+def test_a_stretched_projection_is_named(tmp_path: Path,
+                                         caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO", "termsel")
+    path = tmp_path / "control.csv"
+    rows = [f"{1.67e6 + 300 * i},{5.94e6 + 90 * i * i},{5 * i},{7 * i * i}" for i in range(5)]
+    path.write_text("\n".join(["# crs: EPSG:3857", "x,y,line,sample", *rows]))
+    termsel.read(path)
+    assert "EPSG:3857 shows lengths here 1.46 times as long as they are" in caplog.text
