@@ -20,8 +20,12 @@ def turned(axis: int, degrees: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("angles", [(0.0, 0.0, 0.0), (3.0, -2.0, 170.0), (35.0, 1.0, -90.0)])
-@pytest.mark.parametrize("mirrored", [False, True])
-def test_place_and_angles_of_a_camera(angles: tuple[float, float, float], mirrored: bool) -> None:
+@pytest.mark.parametrize(("mirrored", "crs", "units"), [
+    (False, "EPSG:32633", ("m", "m", "m")), (True, "local", ("m", "m", "m")),
+    (True, "EPSG:4979", ("deg", "deg", "m")), (False, "EPSG:2263+6360", ("us-ft",) * 3),
+    (False, "EPSG:2263", ("us-ft", "us-ft", "m")), (True, "EPSG:2222", ("ft", "ft", "m"))])
+def test_place_and_angles_of_a_camera(angles: tuple[float, float, float], mirrored: bool,
+                                      crs: str, units: tuple[str, ...]) -> None:
     omega, phi, kappa = angles
     matrix = turned(2, kappa) @ turned(1, phi) @ turned(0, omega)
     np.testing.assert_allclose(angles_of(matrix), angles, atol=1e-9)
@@ -35,8 +39,9 @@ def test_place_and_angles_of_a_camera(angles: tuple[float, float, float], mirror
         return metres
 
     centre = local(np.array([[0.1, -0.2, 24.0]]))[0]
-    figures = {figure.name: figure.value for figure in exterior_orientation(
-        rotation, centre, local, scaling, "m")}
+    orientation = exterior_orientation(rotation, centre, local, scaling, crs)
+    assert tuple(figure.unit for figure in orientation[:3]) == units
+    figures = {figure.name: figure.value for figure in orientation}
     expected = {"projection centre x": 400_100.0, "projection centre y": 4_999_820.0,
                 "projection centre z": 1500.0, "omega": omega, "phi": phi, "kappa": kappa}
     assert figures.keys() == expected.keys()

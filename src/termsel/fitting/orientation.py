@@ -11,6 +11,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from termsel.data.coordinates.crs import is_geographic, metres_per_unit
+from termsel.data.coordinates.height_units import METRE, unit_of_size
+from termsel.data.coordinates.metres import height_unit
 from termsel.data.features import FloatArray
 from termsel.data.record.figures import SensorFigure
 from termsel.data.scaling import Scaling
@@ -21,7 +24,7 @@ _ORIENTATION_STEPS, _STEP = 20, 1e-4
 
 def exterior_orientation(rotation: FloatArray, centre: FloatArray,
                          local: Callable[[FloatArray], FloatArray], scaling: Scaling,
-                         unit: str) -> tuple[SensorFigure, ...]:
+                         crs: str) -> tuple[SensorFigure, ...]:
     """Return the projection centre in the CRS of the control, and omega, phi and kappa.
 
     Parameters
@@ -34,8 +37,8 @@ def exterior_orientation(rotation: FloatArray, centre: FloatArray,
         Takes scaled ground coordinates (n, 3), returns local ones: a plane frame that is nearly a
         linear function of them.
     scaling : Scaling
-    unit : str
-        Of x and y, "deg" or "m".
+    crs : str
+        In which the projection centre is stated, in its units.
     """
     jacobian = _local_jacobian(local)
     ground = np.zeros(3)
@@ -52,10 +55,21 @@ def exterior_orientation(rotation: FloatArray, centre: FloatArray,
     # image, samples run the other way.
     sample = sample if np.linalg.det(rotation) < 0.0 else -sample
     omega, phi, kappa = angles_of(np.stack([sample, -line, -view])).tolist()
+    unit = "deg" if crs and is_geographic(crs) else _unit_of(metres_per_unit(crs) if crs else None)
     return (SensorFigure("projection centre x", x, unit),
             SensorFigure("projection centre y", y, unit),
-            SensorFigure("projection centre z", z, "m"), SensorFigure("omega", omega, "deg"),
+            SensorFigure("projection centre z", z, _unit_of(height_unit(crs))),
+            SensorFigure("omega", omega, "deg"),
             SensorFigure("phi", phi, "deg"), SensorFigure("kappa", kappa, "deg"))
+
+
+def _unit_of(metres: float | None) -> str:
+    """Return the name of a unit of a length [m]; metres where nobody knows it."""
+    if metres is None:
+        return "m"
+    unit = unit_of_size(metres)
+    # Old chains and links have no name here.
+    return f"{metres:g} m" if unit is None else "m" if unit == METRE else unit
 
 
 def camera_figures(orientation: tuple[SensorFigure, ...], focal: float,

@@ -71,7 +71,7 @@ def _sensor_table(figures: Sequence[SensorFigure]) -> TableBlock:
         (name, value, unit) for name, value, _, unit in rows])
 
 
-_DECIMALS = {"px": 2, "m": 2, "deg": 4}
+_DECIMALS = {"px": 2, "m": 2, "ft": 2, "us-ft": 2, "deg": 4}
 """Decimals of a figure of a sensor by its unit; those of longitude and latitude are more."""
 
 _PLACE_DECIMALS = 8

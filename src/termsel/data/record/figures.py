@@ -338,7 +338,7 @@ class SensorFigure(RecordPart, frozen=True):
     value: float
     """Its value."""
     unit: str
-    """Its unit: px, m or deg."""
+    """Its unit: px, deg, m, or the foot of the CRS: ft or us-ft."""
     standard_deviation: float | None = None
     """Its standard deviation, in the same unit; null where it is not known."""
 

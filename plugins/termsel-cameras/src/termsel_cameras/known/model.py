@@ -16,7 +16,7 @@ from termsel import (
     Undetermined,
     image_equations,
 )
-from termsel.toolkit.coordinates import LOCAL, is_geographic, to_ecef
+from termsel.toolkit.coordinates import LOCAL, to_ecef
 from termsel.toolkit.models import (
     Cameras,
     Measured,
@@ -322,9 +322,8 @@ class KnownFrame(SensorModel):
         assert self.scaling is not None
         camera = self.camera_of(np.asarray(coefficients)[None])
         focal = float(camera.focal[0]) * self.scaling.image_scale
-        unit = "deg" if is_geographic(self.crs) else "m"
         orientation = exterior_orientation(camera.rotation[0], camera.position[0], self.local,
-                                           self.scaling, unit)
+                                           self.scaling, self.crs)
         return camera_figures(orientation, focal, self.scaling.pixels(camera.middle)[0])
 
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:

@@ -18,7 +18,7 @@ from termsel import (
     SensorModel,
     Undetermined,
 )
-from termsel.toolkit.coordinates import is_geographic, to_wgs84
+from termsel.toolkit.coordinates import to_wgs84
 from termsel.toolkit.models import (
     SensorFigure,
     camera_figures,
@@ -312,8 +312,7 @@ class FrameCamera(Photo):
         # In the camera's axes a place is R X scale / focal + ray, which is 0 at the camera.
         centre = -np.append(away / focal, 1.0) * focal / scale @ rotation
         principal = np.array([[x["line"][0], x["sample"][0]]]) - away
-        unit = "deg" if is_geographic(self.crs) else "m"
-        orientation = exterior_orientation(rotation, centre, self.local, scaling, unit)
+        orientation = exterior_orientation(rotation, centre, self.local, scaling, self.crs)
         return camera_figures(orientation, focal * scaling.image_scale,
                               scaling.pixels(principal)[0])
 
