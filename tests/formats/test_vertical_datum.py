@@ -58,12 +58,12 @@ def relief(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def dem(path: Path, *, crs: str = "EPSG:4326", above: float = 0.0, unit: float = 1.0,
-        units: str = "", offset: float = 0.0, **tags: str) -> Path:
+        units: str = "", offset: float = 0.0, turn: float = 0.0, **tags: str) -> Path:
     """Write heights of the relief, so much above it, in a unit, less an offset that is stated."""
     row, column = np.mgrid[:100, :100] + 0.5
     values = (relief(WEST + STEP * column, NORTH - STEP * row) + above) / unit
     with rasterio.open(path, "w", driver="GTiff", width=100, height=100, count=1, dtype="float64",
-                       crs=crs, transform=from_origin(WEST, NORTH, STEP, STEP)) as raster:
+                       crs=crs, transform=from_origin(WEST + turn, NORTH, STEP, STEP)) as raster:
         raster.write(values - offset, 1)
         raster.offsets = (offset,)
         raster.update_tags(**tags)
@@ -283,13 +283,14 @@ def test_maps_are_the_same_whatever_the_dem_refers_to(tmp_path: Path, image: Pat
     dems = {"plain": dem(tmp_path / "plain.tif"),
             "geoid": dem(tmp_path / "geoid.tif", crs="EPSG:4326+5773", above=-GEOID),
             "feet": dem(tmp_path / "feet.tif", unit=0.3048, units="ft"),
-            "offset": dem(tmp_path / "offset.tif", offset=300.0)}
+            "offset": dem(tmp_path / "offset.tif", offset=300.0),
+            "0 to 360": dem(tmp_path / "turned.tif", turn=360.0)}
     maps = {}
     for name, path in dems.items():
         termsel.rectify(result, image, tmp_path / f"{name}_map.tif", dem=path, resolution=20)
         with rasterio.open(tmp_path / f"{name}_map.tif") as raster:
             maps[name] = raster.read(1).astype(float)
-    for name in ("geoid", "feet", "offset"):
+    for name in dems:
         assert maps[name].shape == maps["plain"].shape
         assert np.mean(np.abs(maps[name] - maps["plain"]) > 1) < 0.001
 
@@ -330,3 +331,22 @@ def test_whatever_takes_a_dem_holds_it_against_the_control(
         else:
             termsel.export(result, verb, tmp_path / "grid.vrt", image=str(image), dem=str(path))
     assert caplog.text.count("geoid and ellipsoid?") == (1 if above < -1 else 0)
+
+
+@pytest.mark.parametrize(("above", "is_hole"), [(1000.0, True), (0.0, False)])
+def test_holes_of_a_dem_that_are_filled_with_0_are_named(
+        above: float, is_hole: bool, tmp_path: Path, image: Path,
+        caplog: pytest.LogCaptureFixture) -> None:
+    """Of a coast, whose heights go down to the sea, nobody can tell."""
+    features = small(control(30, sigma=0.0))
+    ground = features.points.ground + np.array([0.0, 0.0, above])
+    result = termsel.run(features=replace(features, points=replace(features.points, ground=ground)),
+                         model="poly3d", solver="all-terms", options={"degree": 1})
+    path = dem(tmp_path / "dem.tif", above=above)
+    with rasterio.open(path, "r+") as raster:
+        heights = raster.read(1)
+        heights[40:60, 40:60] = 0.0
+        raster.write(heights, 1)
+    caplog.clear()
+    termsel.rectify(result, image, tmp_path / "map.tif", dem=path, resolution=20)
+    assert ("are exactly 0" in caplog.text) == is_hole

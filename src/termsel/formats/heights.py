@@ -89,6 +89,14 @@ class Dem:
         return self.unit == 1.0 and self.to_datum is None \
             and self.raster.scales[0] == 1.0 and self.raster.offsets[0] == 0.0
 
+    @property
+    def is_beyond_180(self) -> bool:
+        """Whether longitudes of the raster go beyond 180 degrees, as of a model from 0 to 360."""
+        bounds = self.raster.bounds
+        # The edge of a global raster may be half a pixel beyond.
+        edge = 180.0 + abs(self.raster.transform.a)
+        return self.turns and (bounds.left < -edge or bounds.right > edge)
+
     def __call__(self, xy: FloatArray) -> FloatArray:
         """Return heights, shape (n,), of x and y, shape (n, 2); NaN where there are none."""
         x, y = self._raster_xy(xy)
@@ -394,7 +402,7 @@ def say_difference(features: FeatureSet, project: Projection, surface: Dem | flo
     if not isinstance(surface, Dem):
         caution = _far_height_note(features, project, surface)
     else:
-        caution = None
+        caution = _hole_note(features, project, surface)
         difference = difference_of(features, surface)
         if difference is not None and difference.contradicts:
             pixels = pixels_of(difference, features, project)
@@ -402,6 +410,39 @@ def say_difference(features: FeatureSet, project: Projection, surface: Dem | flo
     if caution is not None:
         log.warning("Warning: %s", caution.sentence)
     return caution
+
+
+_HOLE_NODES = 48
+"""Places along a side at which a raster is searched for holes, over the area of the control."""
+_LEAST_HILL = 30.0  # metres above 0 of all other heights from which on a 0 is a hole
+
+
+def _hole_note(features: FeatureSet, project: Projection, surface: Dem) -> HeightCaution | None:
+    """Return that a raster has heights of exactly 0 among such that are all far above or below it.
+
+    Programs write 0 where they know no height, and not all declare it.
+    """
+    ground = features.ground_vertices()[:, :2]
+    ground = ground[np.isfinite(ground).all(axis=1)]
+    if not len(ground):
+        return None
+    axes = np.linspace(ground.min(axis=0), ground.max(axis=0), _HOLE_NODES).T
+    heights = surface(np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2))
+    heights = heights[np.isfinite(heights)]
+    is_zero = heights == 0.0
+    others = heights[~is_zero]
+    # Heights next to a hole are interpolated with its 0: one in twenty may be lower.
+    if not is_zero.any() or not len(others):
+        return None
+    nearest = float(np.quantile(np.abs(others), 0.05))
+    if nearest * height_unit(features.crs) < _LEAST_HILL:
+        return None
+    pixels = pixels_by(float(np.median(others)), features, project)
+    return HeightCaution(
+        f"{100 * is_zero.mean():.2g} % of the heights of {surface.path.name} in the area of the "
+        f"control are exactly 0, and the others are about {np.median(others):.4g}: are these "
+        f"holes? There places are up to {rounded_size_text(pixels)} px off. Declare them: "
+        "gdal_edit.py -a_nodata 0", pixels)
 
 
 def _far_height_note(features: FeatureSet, project: Projection,

@@ -192,7 +192,8 @@ def _write_source(result: Result, picture: Picture, vrt: Path, surface: Dem | fl
     # By an RPC the warper would put the sky, mirrored, on places behind the camera.
     level = float(result.fit.ground_box()[0][2]) if isinstance(surface, Dem) else surface
     rpc_fit = _usable_rpc(result) if sees_all(result, grid, level) else None
-    if rpc_fit is None:
+    # GDAL looks longitudes up in the raster as they are, and finds none of 290 degrees.
+    if rpc_fit is None or (isinstance(surface, Dem) and surface.is_beyond_180):
         log.info("Positions in the image are computed on a grid of the map, and interpolated.")
         write_text(vrt, vrt_text(picture, vrt.parent))
         return vrt, None
