@@ -432,7 +432,7 @@ def _hole_note(features: FeatureSet, project: Projection, surface: Dem) -> Heigh
     is_zero = heights == 0.0
     others = heights[~is_zero]
     # Heights next to a hole are interpolated with its 0: one in twenty may be lower.
-    if not is_zero.any() or not len(others):
+    if not is_zero.any() or not len(others) or others.min() < 0.0 < others.max():
         return None
     nearest = float(np.quantile(np.abs(others), 0.05))
     if nearest * height_unit(features.crs) < _LEAST_HILL:
