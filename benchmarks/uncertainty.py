@@ -240,31 +240,36 @@ def square_of_block(count: int, seed: int) -> float:
     return float(np.mean(squares))
 
 
-def cell(squares: list[float]) -> tuple[float, str]:
-    """Return the root mean square of scenes, and it with its standard error by the bootstrap."""
+def cell(squares: list[float]) -> tuple[float, float, str]:
+    """Return the root mean square of scenes, its standard error by the bootstrap, and both."""
     if not squares:
-        return np.nan, "-"
+        return np.nan, np.nan, "-"
     rng = np.random.default_rng(0)
     again = rng.choice(squares, (400, len(squares))).mean(axis=1)
     ratio = float(np.sqrt(np.mean(squares)))
-    return ratio, f"{ratio:.2f} ± {np.sqrt(again).std():.2f}"
+    error = float(np.sqrt(again).std())
+    return ratio, error, f"{ratio:.2f} ± {error:.2f}"
 
 
 def table(squares: dict[tuple[str, int], list[float]], kinds: list[str]) -> str:
     """Return a row for each kind of scene, and how many meet what is required."""
     rows = ["| scenes | " + " | ".join(f"{count} points" for count in COUNTS) + " |",
             "|---|" + "---:|" * len(COUNTS)]
+    low, high = REQUIRED
     held = dict.fromkeys(COUNTS, 0)
+    clearly_outside = dict.fromkeys(COUNTS, 0)
     for kind in kinds:
         cells = []
         for count in COUNTS:
-            ratio, text = cell(squares.get((kind, count), []))
-            held[count] += REQUIRED[0] <= ratio <= REQUIRED[1]
+            ratio, error, text = cell(squares.get((kind, count), []))
+            held[count] += low <= ratio <= high
+            clearly_outside[count] += ratio + 2.0 * error < low or ratio - 2.0 * error > high
             cells.append(text)
         rows.append(f"| {kind} | " + " | ".join(cells) + " |")
-    low, high = REQUIRED
     rows.append(f"| **kinds between {low:g} and {high:g}** | " + " | ".join(
         f"{held[count]} of {len(kinds)}" for count in COUNTS) + " |")
+    rows.append("| **outside by more than two standard errors** | " + " | ".join(
+        f"{clearly_outside[count]} of {len(kinds)}" for count in COUNTS) + " |")
     return "\n".join(rows)
 
 
