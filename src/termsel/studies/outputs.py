@@ -111,7 +111,7 @@ _MOST_ROWS, _MOST_REASONS = 4, 2
 failed and the next command it has twelve lines at most."""
 _MOST_IDS = 3
 """Blunders of an image that its row names."""
-_WIDTH = 88
+_SCREEN_WIDTH = 88
 """Characters of a line of the screen."""
 
 
@@ -136,7 +136,7 @@ def screen(study: Study) -> str:
     reasons = image_reasons(rows)
     room = _MOST_REASONS + _MOST_ROWS - len(shown)
     remedy = [SWAPPED_IN_SHORT] if any("swapped" in reason for reason in reasons) else []
-    lines = [*(shorten(_first_sentence(reason), _WIDTH, placeholder=" ...")
+    lines = [*(shorten(_first_sentence(reason), _SCREEN_WIDTH, placeholder=" ...")
                for reason in reasons[:room - len(remedy)]), *remedy]
     table = image_table(shown)
     named = [(*cells, _few_of(row["blunders"] or ()))
