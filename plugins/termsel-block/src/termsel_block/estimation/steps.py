@@ -257,8 +257,9 @@ class Steps:
     def _control_rows(self, i: int, camera: Camera, control: OwnControl) -> FloatArray:
         """Return the rows (n, p) of an image's control."""
         # Derivatives of the distance in the direction that is measured, n . (line, sample).
-        return np.einsum("na,nap->np", control.normal, camera.jacobian(
-            self.state.parameters[i], control.local, camera.fixed(control.local)))
+        slopes = camera.jacobian(self.state.parameters[i], control.local,
+                                 camera.fixed(control.local))
+        return np.asarray(np.einsum("na,nap->np", control.normal, slopes))
 
     def _control_residuals(self, i: int, camera: Camera, control: OwnControl) -> FloatArray:
         """Return the residuals (n,) of an image's control [px]."""
