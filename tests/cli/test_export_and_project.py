@@ -346,6 +346,20 @@ def test_heights_of_places_are_of_no_account_to_a_plane_model(tmp_path: Path) ->
     assert float(row["line"]) == pytest.approx(59_100.0, abs=1e-3)
 
 
+def test_places_in_one_of_several_layers(folder: Path, tmp_path: Path) -> None:
+    geopandas = pytest.importorskip("geopandas")
+    control = read_result(folder).fit.control
+    for name, rows in (("towns", slice(0, 1)), ("peaks", slice(1, 3))):
+        ground = control.points.ground[rows]
+        geopandas.GeoDataFrame({"name": control.points.ids[rows]}, crs=control.crs, geometry=(
+            geopandas.points_from_xy(*ground.T))).to_file(tmp_path / "places.gpkg", layer=name)
+    _, first, said = _termsel("project", folder, "--points", tmp_path / "places.gpkg")
+    _, peaks, _ = _termsel("project", folder, "--points", tmp_path / "places.gpkg", "--layer",
+                           "peaks")
+    assert (len(first.splitlines()), len(peaks.splitlines())) == (3, 4)
+    assert "layers towns, peaks; towns is read, and --layer NAME" in said
+
+
 @pytest.mark.parametrize(("text", "arguments", "message"), [
     ("id,line,sample\na,1,2\n", [], "add --inverse"),
     ("id,x,y,z\na,59,36,\n", [], "line 2, column 'z': the height is blank"),

@@ -12,6 +12,7 @@ import pyproj
 
 import termsel
 from termsel import TermselError
+from termsel.data.coordinates.crs import short
 
 BONNE = "+proj=bonne +lat_1=45 +lon_0=0 +ellps=clrk66 +units=m"
 TABLE = "id,line,sample,x,y\nP1,10,20,5000,6000\nP2,900,40,5050,1000\nP3,40,800,9000,5900\n"
@@ -60,17 +61,21 @@ def test_what_a_crs_may_mean_is_asked(given: str, meant: str, tmp_path: Path) ->
 def test_a_projection_without_a_code_in_every_form(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(TABLE)
     (tmp_path / "bonne.wkt").write_text(pyproj.CRS(BONNE).to_wkt(pretty=True))
+    (tmp_path / "bonne.crs").write_text(BONNE)
     (tmp_path / "b.csv").write_text(TABLE)
     (tmp_path / "b.prj").write_text(pyproj.CRS(BONNE).to_wkt("WKT1_ESRI"))
     (tmp_path / "c.csv").write_text(f"# crs: {BONNE}\n{TABLE}")
     read = [termsel.read(tmp_path / "a.csv", crs=BONNE),
             termsel.read(tmp_path / "a.csv", crs=str(tmp_path / "bonne.wkt")),
+            termsel.read(tmp_path / "a.csv", crs=str(tmp_path / "bonne.crs")),
             termsel.read(tmp_path / "a.csv", crs=pyproj.CRS(BONNE).to_wkt()),
             termsel.read(tmp_path / "b.csv"), termsel.read(tmp_path / "c.csv")]
     for features in read:
         operation = pyproj.CRS(features.crs).coordinate_operation
         assert operation is not None
         assert operation.method_name.startswith("Bonne")
+        # Neither name says more than "unknown".
+        assert short(features.crs) == "custom Bonne"
 
 
 @pytest.mark.parametrize("name", ["a.prj", "a.csv.prj", "a.qpj"])
@@ -89,3 +94,20 @@ def test_a_file_without_a_crs_is_named(tmp_path: Path) -> None:
     (tmp_path / "a.wkt").write_text("nothing")
     with pytest.raises(TermselError, match=r"a\.wkt: unknown CRS 'nothing'"):
         termsel.read(tmp_path / "a.csv", crs=str(tmp_path / "a.wkt"))
+
+
+def test_a_file_that_is_not_there_is_no_name_of_a_crs(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(TABLE)
+    with pytest.raises(TermselError, match=r"a\.prj: this file does not exist"):
+        termsel.read(tmp_path / "a.csv", crs=str(tmp_path / "a.prj"))
+
+
+def test_the_crs_beside_the_image_is_proposed(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    (tmp_path / "a.csv").write_text(TABLE)
+    (tmp_path / "scan.prj").write_text(pyproj.CRS(3857).to_wkt("WKT1_ESRI"))
+    with rasterio.open(tmp_path / "scan.tif", "w", driver="GTiff", width=900, height=950, count=1,
+                       dtype="uint8", sparse_ok=True):
+        pass
+    with pytest.raises(TermselError, match=r"beside the image: --crs .*scan\.prj"):
+        termsel.read(tmp_path / "a.csv", image=tmp_path / "scan.tif")

@@ -147,12 +147,17 @@ def test_layers(tmp_path: Path, name: str) -> None:
         np.testing.assert_array_equal(lines.ground[:, 0, 2], [12, 1, 3])
 
 
-def test_layer_of_several(tmp_path: Path) -> None:
+def test_layer_of_several(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = layer(tmp_path / "roads.gpkg", layer="streets")
     layer(path, layer="rivers", append=True)
     assert len(termsel.read(lines=path, join="nr", layer="rivers").lines) == 3
-    with pytest.raises(TermselError, match=r"GDAL cannot read this file.*canals"):
+    with pytest.raises(TermselError, match=r"no layer 'canals'\. It has streets, rivers"):
         termsel.read(lines=path, join="nr", layer="canals")
+    assert "layers" not in caplog.text
+    caplog.set_level("INFO", logger="termsel")
+    termsel.read(lines=path, join="nr")
+    assert "has the layers streets, rivers; streets is read, and --set layer=NAME chooses " \
+        "another" in caplog.text
 
 
 @pytest.mark.parametrize(("wkt", "words"), [

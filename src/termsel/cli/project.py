@@ -17,6 +17,8 @@ from termsel.cli.options.shared import final_option, remote_option
               help="Table id,x,y,z of ground points in the CRS of the control, or GeoJSON and "
                    "other vector files; with --inverse id,line,sample of image points.")
 @COLUMNS_OPTION
+@click.option("--layer", metavar="NAME",
+              help="Layer of a vector file, or sheet of a spreadsheet; by default the first.")
 @click.option("--inverse", is_flag=True, help="From the image to the ground.")
 @click.option("--dem", metavar="FILE", type=click.Path(path_type=Path),
               help="Raster of heights of the ground, for points without heights and for "
@@ -27,8 +29,9 @@ from termsel.cli.options.shared import final_option, remote_option
 @final_option
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @remote_option
-def project(folder: Path, points: Path, columns: str | None, inverse: bool, dem: Path | None,
-            height: float | None, output: Path | None, final: bool | None, overwrite: bool) -> None:
+def project(folder: Path, points: Path, columns: str | None, layer: str | None, inverse: bool,
+            dem: Path | None, height: float | None, output: Path | None, final: bool | None,
+            overwrite: bool) -> None:
     """Compute image positions of ground points, or ground positions of image points.
 
     DIR is the folder that a run wrote with --out. The output has the columns
@@ -56,7 +59,7 @@ def project(folder: Path, points: Path, columns: str | None, inverse: bool, dem:
         require_replaceable([output], reads=[folder, points, dem], overwrite=overwrite)
     text, warnings = project_table(as_exported(read_result(folder), final), points,
                                    inverse=inverse, dem=dem, height=height,
-                                   columns=columns or "")
+                                   columns=columns or "", layer=layer)
     if output is None:
         echo_table(text)
     else:

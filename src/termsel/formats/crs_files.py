@@ -6,8 +6,8 @@ import logging
 from pathlib import Path
 
 from termsel.core.errors import TermselError
-from termsel.core.files.names import is_there
-from termsel.data.coordinates.crs import normalise, short_crs_name
+from termsel.core.files.names import is_there, no_such_file_error
+from termsel.data.coordinates.crs import begins_as_crs, normalise, short_crs_name
 from termsel.data.rasters import open_raster
 from termsel.formats.base import error_in_file, read_head, read_text
 from termsel.formats.readers.vector import is_vector, open_layer
@@ -15,6 +15,7 @@ from termsel.formats.readers.vector import is_vector, open_layer
 log = logging.getLogger(__name__)
 
 _TEXTS = (".prj", ".wkt", ".wkt2", ".txt", ".proj", ".proj4")
+_OTHER_FILES = (".tif", ".tiff", ".vrt", ".gpkg", ".shp", ".fgb", ".geojson", ".json")
 _NO_CRS = "Give a file of WKT, a raster or a layer that has a CRS, or its name, such as EPSG:32631."
 
 
@@ -31,13 +32,16 @@ def stated_crs(stated: str | None) -> str | None:
     # WKT is longer than any name of a file may be.
     may_be_file = max(len(part.encode(errors="replace")) for part in path.parts or ("",)) < 256 \
         and "\n" not in stated and bool(path.suffix)
-    is_file = may_be_file and is_there(path) and path.is_file()
-    return _crs_of_file(path) if is_file else normalise(stated)
+    if may_be_file and is_there(path) and path.is_file():
+        return _crs_of_file(path)
+    if may_be_file and path.suffix.lower() in (*_TEXTS, *_OTHER_FILES) and not is_there(path):
+        raise no_such_file_error(path)
+    return normalise(stated)
 
 
 def crs_next_to(path: Path) -> str:
     """Return the CRS in the file of the same name that ends in .prj; "" without such a file."""
-    prj = _prj_next_to(path)
+    prj = prj_next_to(path)
     if prj is None:
         return ""
     crs = _crs_of_text(prj)
@@ -47,7 +51,7 @@ def crs_next_to(path: Path) -> str:
 
 def say_other_crs(path: Path, stated: str) -> None:
     """Say that the file next to a file has another CRS than the one that is stated for it."""
-    prj = _prj_next_to(path)
+    prj = prj_next_to(path)
     if prj is None:
         return
     try:
@@ -60,7 +64,7 @@ def say_other_crs(path: Path, stated: str) -> None:
                     short_crs_name(stated))
 
 
-def _prj_next_to(path: Path) -> Path | None:
+def prj_next_to(path: Path) -> Path | None:
     """Return the .prj file of a file, or its .qpj of QGIS, or its a.csv.prj; None without one."""
     candidates = (path.with_suffix(".prj"), path.with_suffix(".PRJ"),
                   path.with_name(f"{path.name}.prj"), path.with_suffix(".qpj"))
@@ -73,6 +77,8 @@ def _crs_of_file(path: Path) -> str:
     if path.suffix.lower() in _TEXTS:
         return _crs_of_text(path)
     head = read_head(path, _NO_CRS)
+    if begins_as_crs(head[:80].decode("utf-8-sig", errors="replace")):
+        return _crs_of_text(path)
     if is_vector(head) or path.suffix.lower() in (".geojson", ".json", ".gml", ".kml"):
         meta, _, _ = open_layer(path, None, (), [])
         text = str(meta.get("crs") or "")

@@ -52,13 +52,14 @@ def project_table(
     dem: Path | None = None,
     height: float | None = None,
     columns: str = "",
+    layer: str | None = None,
 ) -> tuple[str, list[str]]:
     """Return points with image and ground coordinates as CSV, and warnings.
 
     The table has x, y and, for models with height, z, or is a vector file of points; blank and
     missing heights are those of the raster `dem` or the one `height`. With `inverse`, from the
     image to the ground, it has line and sample, and `dem` or `height` is the ground; models without
-    height need neither.
+    height need neither. `layer` names a layer of a vector file or a sheet of a spreadsheet.
 
     The CSV is headed id,line,sample,x,y,z,uncertainty_line,uncertainty_sample,outside: standard
     deviations of what the model predicts (`termsel.Fit.sigma`), and how far a place is outside the
@@ -77,9 +78,9 @@ def project_table(
                            hint="Give a finite number.")
     if inverse:
         try:
-            table = _read_table(path, columns, "line", "sample")
+            table = _read_table(path, columns, "line", "sample", layer=layer)
         except TermselError as error:
-            if _lacks_a_column(error) and _has_columns(path, columns, "x", "y"):
+            if _lacks_a_column(error) and _has_columns(path, columns, "x", "y", layer=layer):
                 error.hint = ("These are ground positions: leave --inverse out for their positions "
                               "in the image.")
             raise
@@ -100,9 +101,9 @@ def project_table(
             ground[:, 2] = np.nan
     else:
         try:
-            ids, ground = read_ground(result, path, columns, dem, height)
+            ids, ground = read_ground(result, path, columns, dem, height, layer)
         except TermselError as error:
-            if _lacks_a_column(error) and _has_columns(path, columns, "line", "sample"):
+            if _lacks_a_column(error) and _has_columns(path, columns, "line", "sample", layer=layer):
                 error.hint = ("These are image positions: add --inverse, with --dem FILE or "
                               "--height H, for ground positions.")
             raise
@@ -182,7 +183,8 @@ def _control_ground(result: Result) -> FloatArray:
 
 
 def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None = None,
-                height: float | None = None) -> tuple[list[str], FloatArray]:
+                height: float | None = None, layer: str | None = None,
+                ) -> tuple[list[str], FloatArray]:
     """Return ids and ground positions, shape (n, 3), of a table, as `project_table` reads it."""
     model = result.fit.model
     crs = result.fit.control.crs
@@ -193,15 +195,16 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
     if dem is not None and not is_there(dem):  # also where no height is blank
         raise no_such_file_error(dem)
     try:
-        table = _read_table(path, columns, *names, flat=fills)
+        table = _read_table(path, columns, *names, layer=layer, flat=fills)
     except TermselError as error:
-        if _lacks_a_column(error) and _has_columns(path, columns, "line", "sample"):
+        if _lacks_a_column(error) and _has_columns(path, columns, "line", "sample", layer=layer):
             error.hint = f"These are image positions; ground positions {','.join(names)} are " \
                 "needed. termsel project --inverse computes them."
         raise
     if table.crs and not _is_crs_of_control(table.crs, normalise(crs), model.uses_height):
-        raise TermselError(f"the file declares the CRS {table.crs}, but the control is in {crs}",
-                           file=path, hint="Transform the points to the CRS of the control.")
+        raise TermselError(f"the file declares the CRS {short_crs_name(table.crs)}, but the control is "
+                           f"in {short_crs_name(crs)}", file=path,
+                           hint="Transform the points to the CRS of the control.")
     try:
         refuse_other_units(table.named_units(), crs)
     except TermselError as error:
@@ -257,20 +260,22 @@ def _lacks_a_column(error: TermselError) -> bool:
     return error.what.startswith(("there is no column", "there are no columns"))
 
 
-def _has_columns(path: Path, columns: str, *meanings: str) -> bool:
+def _has_columns(path: Path, columns: str, *meanings: str, layer: str | None) -> bool:
     """Return whether a table has columns of some meanings."""
     try:
-        _read_table(path, columns, *meanings)
+        _read_table(path, columns, *meanings, layer=layer)
     except TermselError:
         return False
     return True
 
 
-def _read_table(path: Path, columns: str, *meanings: str, flat: bool = False) -> Table:
+def _read_table(path: Path, columns: str, *meanings: str, layer: str | None,
+                flat: bool = False) -> Table:
     """Return the table of a file, also of the points of a vector file."""
     aliases = _ID | {meaning: COORDINATES[meaning] for meaning in meanings}
-    places = table_of_places(path, aliases, parse_columns(columns), flat=flat)
+    places = table_of_places(path, aliases, parse_columns(columns), layer=layer, flat=flat)
     if places is not None:
         return places
     with read_once(path) as file:
-        return replace(read_table(file, aliases, columns=columns, flat=flat), path=path)
+        return replace(read_table(file, aliases, columns=columns, layer=layer, flat=flat),
+                       path=path)

@@ -22,7 +22,7 @@ from termsel.core.isolation.faults import PluginFault, is_own, name_of
 from termsel.core.isolation.parts import missing_package_error, values_of_slot
 from termsel.core.options import Option
 from termsel.data.coordinates.crs import LOCAL, WGS84, normalise, short_crs_name
-from termsel.data.coordinates.earth import say_turned, unknown_crs_error
+from termsel.data.coordinates.earth import UNKNOWN_CRS, say_turned, unknown_crs_error
 from termsel.data.coordinates.plausible import check_ground, note_on_mixed
 from termsel.data.coordinates.true_lengths import note_on_scale, with_degrees
 from termsel.data.features import FeatureSet, empty_lines, empty_points
@@ -40,7 +40,7 @@ from termsel.formats.base import (
     read_text,
     utf16_error,
 )
-from termsel.formats.crs_files import crs_next_to, say_other_crs, stated_crs
+from termsel.formats.crs_files import crs_next_to, prj_next_to, say_other_crs, stated_crs
 from termsel.formats.heights import with_heights
 from termsel.formats.image_origin import (
     IMAGE_ORIGIN,
@@ -213,9 +213,14 @@ def read(
         readers = readers_of([path for path in paths if path is not None], formats)
         if image is not None and paths[0] is not None:
             of_readers |= _options_of_image(paths[0], Path(image), readers, formats, of_readers)
-        features = read_features(*paths[:2], areas=paths[2], crs=crs, readers=readers,
-                                 formats=formats, options=of_readers, origin=origin,
-                                 swapped=swapped)
+        try:
+            features = read_features(*paths[:2], areas=paths[2], crs=crs, readers=readers,
+                                     formats=formats, options=of_readers, origin=origin,
+                                     swapped=swapped)
+        except TermselError as error:
+            if image is not None and error.what == UNKNOWN_CRS:
+                _propose_prj_of(Path(image), error)
+            raise
         features = _with_image_size(features, image, size, off)
     files = [path for path in (points, lines, areas) if path is not None]
     try:
@@ -223,6 +228,14 @@ def read(
         return _with_packages(features, of_packages, image)
     except TermselError as error:
         raise (error_in_file(error, Path(files[0])) if error.file is None else error) from error
+
+
+def _propose_prj_of(image: Path, error: TermselError) -> None:
+    """Add the .prj beside an image to the error for points without a CRS."""
+    prj = prj_next_to(image)
+    # It may be that of another map, so it is not taken unasked.
+    if prj is not None:
+        error.hint = f"{error.hint} If the points are in the CRS beside the image: --crs {prj}."
 
 
 def _options_of_image(path: Path, image: Path, readers: Sequence[type[Reader]],

@@ -45,6 +45,7 @@ _NO_TRANSFORMATION = ("State another CRS, or transform the coordinates with anot
 _GRIDS = 3  # that an error names
 _OF_EARTH = 0.01  # share by which ellipsoids of the Earth differ at most
 _QUOTED_NAME = re.compile(r'\w+\s*\[\s*"([^"]{1,80})"')
+_PROJECTION_METHOD = re.compile(r'(?:PROJECTION|METHOD)\s*\[\s*"([^"]{1,80})"')
 _UNKNOWN_DATUM = re.compile(r"(D_)?(unknown|not[ _]specified)", re.IGNORECASE)
 _UNNAMED = re.compile(r"unknown|unnamed|", re.IGNORECASE)
 _CRS_LINE = re.compile(r"\s*(EPSG|ESRI\s*:|WGS ?84|ETRS ?89|UTM|PROJC|GEOG|\+\w+=)", re.IGNORECASE)
@@ -552,9 +553,23 @@ def _missing_grids(source: CRS, target: CRS) -> tuple[str, ...]:
 
 
 def short_crs_name(crs: str) -> str:
-    """Return a CRS as messages name it: WKT is long, so they say the name in it."""
-    name = _QUOTED_NAME.match(crs)
-    return name[1] if name else crs if len(crs) <= 40 else f"{crs[:40]}..."
+    """Return a CRS as messages name it: WKT is long, so they say the name in it.
+
+    That of a custom projection is often "unknown": it is named by its projection.
+
+    Examples
+    --------
+    >>> short_crs_name('PROJCS["unknown", GEOGCS["unknown"], PROJECTION["Bonne"]]')
+    'custom Bonne'
+    """
+    # A bound CRS begins with the CRS that it transforms.
+    name = _QUOTED_NAME.search(crs) if crs.startswith("BOUNDCRS") else _QUOTED_NAME.match(crs)
+    if name is None:
+        return crs if len(crs) <= 40 else f"{crs[:40]}..."
+    projection = _PROJECTION_METHOD.search(crs)
+    if projection and _UNNAMED.fullmatch(name[1]):
+        return f"custom {projection[1].replace('_', ' ')}"
+    return name[1]
 
 
 def begins_as_crs(line: str) -> bool:

@@ -31,6 +31,7 @@ from termsel.data.record.chances import median_of
 
 log = logging.getLogger(__name__)
 
+UNKNOWN_CRS = "the CRS of the ground coordinates is unknown"
 _TELLING = 4  # points from which on a mirror image shows, or half as many again lines
 MIRRORED = 3  # points from which on it shows next to other images
 _UPWARDS = "line numbers grow to the north"
@@ -97,8 +98,7 @@ def unknown_crs_error(features: FeatureSet, may_turn: bool) -> TermselError:
 
     Where axes look swapped and `may_turn`, it says which option exchanges them, too.
     """
-    error = TermselError("the CRS of the ground coordinates is unknown",
-                         hint=f"State it with --crs: {EXAMPLES}.")
+    error = TermselError(UNKNOWN_CRS, hint=f"State it with --crs: {EXAMPLES}.")
     ground = features.ground_vertices()
     plane = ground[:, :2]
     if len(ground) and np.abs(plane).max() > _NO_DEGREES:

@@ -98,6 +98,10 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
     if numeric and all(_counts_upwards(numbers[reading["line"]]) for reading in numeric):
         error.options["--set"] = "image_origin=y-up"
         error.hint = f"{error.hint or ''} Its lines count upwards: --set image_origin=y-up."
+    elif numeric and (upwards := _read_upwards(numeric[0], known_columns)):
+        columns = _columns_option(upwards, header, aliases, fixed)
+        error.hint = (f"{error.hint or ''} If its lines count upwards from the lower edge: "
+                      f"--columns {columns} --set image_origin=bottom-left --image FILE.")
     if any(_are_two_images(numbers, reading) for reading in numeric):
         error.hint = (f"{error.hint or ''} If both pairs are pixels, the second those of a "
                       "georeferenced image, head them x1,y1,x2,y2.")
@@ -162,6 +166,18 @@ def _shows_ground(numbers: Mapping[int, FloatArray], reading: Mapping[str, int])
 def _counts_upwards(lines: FloatArray) -> bool:
     """Return whether lines are at most 0, as those of programs whose y points upwards."""
     return bool(np.nanmax(lines) <= 0.0 and np.nanmin(lines) < 0.0)
+
+
+def _read_upwards(reading: Mapping[str, int], known_columns: Mapping[str, int],
+                  ) -> dict[str, int] | None:
+    """Return a guess with the usual order, sample before line, where it puts the line first.
+
+    Image and ground are then no mirror images only if lines count downwards. None for others.
+    """
+    guessed = _REQUIRED - known_columns.keys()
+    if guessed < _REQUIRED or reading["line"] > reading["sample"] or reading["x"] > reading["y"]:
+        return None
+    return {**reading, "line": reading["sample"], "sample": reading["line"]}
 
 
 def _are_two_images(numbers: Mapping[int, FloatArray], reading: Mapping[str, int]) -> bool:

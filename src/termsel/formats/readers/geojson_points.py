@@ -74,20 +74,21 @@ class VectorPoints(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, feature and column."""
-        features, crs = read_layer(path, self.options["layer"], POINT_KINDS)
+        features, crs = read_layer(path, self.options["layer"], POINT_KINDS, "--set layer=NAME")
         return points_of(_table_of_features(path, features, self.options), crs)
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
         """Return the images of the points, each of which is a part."""
-        return _images_of(read_layer(path, self.options["layer"], POINT_KINDS)[0])
+        return _images_of(read_layer(path, self.options["layer"], POINT_KINDS, None)[0])
 
 
 def table_of_places(path: Path, aliases: Aliases, stated: Mapping[str, str], *,
-                    flat: bool = False) -> Table | None:
+                    layer: str | None = None, flat: bool = False) -> Table | None:
     """Return the points of a vector file as a table of their coordinates and properties.
 
-    It is None if the file is not GeoJSON and no vector file of a GIS. With `flat`, points without
-    a height have blank ones. Raises TermselError where the file has other geometries than points.
+    A file of several layers has them in `layer`, or in the first of points. The table is None if
+    the file is not GeoJSON and no vector file of a GIS. With `flat`, points without a height have
+    blank ones. Raises TermselError where the file has other geometries than points.
 
     Examples
     --------
@@ -99,7 +100,7 @@ def table_of_places(path: Path, aliases: Aliases, stated: Mapping[str, str], *,
     has_content = os.path.isfile(path) and path.stat().st_size > 0
     head = read_head(path, "Give points as a table or a vector file.") if has_content else b""
     if is_vector(head):
-        features, crs = read_layer(path, None, POINT_KINDS)
+        features, crs = read_layer(path, layer, POINT_KINDS, "--layer NAME of termsel project")
     elif sniff_geojson(head, r"\w+") or is_without_collection(head):
         features, crs = read_geojson(path, POINT_KINDS)
     else:

@@ -74,7 +74,7 @@ class VectorLines(Reader):
     def read(self, path: Path) -> FeatureSet:
         """Return the lines; errors name file and feature."""
         options = dict(self.options)
-        features, crs = read_layer(path, options.pop("layer"), _GEOMETRIES)
+        features, crs = read_layer(path, options.pop("layer"), _GEOMETRIES, "--set layer=NAME")
         return _join_image_lines(path, features, crs, **options)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import logging
 import re
 import shutil
 import sqlite3
@@ -25,6 +26,8 @@ from termsel.core.files.sources import foreign_format, is_text
 from termsel.formats.base import read_head, read_text
 from termsel.formats.readers.geojson import Feature
 from termsel.formats.readers.tables import COLUMNS
+
+log = logging.getLogger(__name__)
 
 LAYER = next(option for option in COLUMNS if option.name == "layer")
 
@@ -60,10 +63,13 @@ def has_points(path: Path) -> bool:
 
 
 def open_layer(path: Path, layer: str | None, kinds: Container[str],
-               columns: list[str] | None = None) -> tuple[dict[str, Any], Any, list[Any]]:
+               columns: list[str] | None = None, chooser: str | None = "",
+               ) -> tuple[dict[str, Any], Any, list[Any]]:
     """Return what is known of a layer, its shapes (None without) and its columns, by default all.
 
-    The layer is by default the first that has such kinds, or that GDAL takes for the first.
+    The layer is by default the first that has such kinds, or that GDAL takes for the first. Of
+    several such layers a note names all, and says that `chooser`, an option, or by default ogr2ogr
+    chooses another; with None nothing is said.
     """
     if read_head(path, "Expected a GeoPackage, Shapefile or FlatGeobuf.").lstrip()[:1] == b"{":
         read_text(path)  # lest GDAL quotes what is no text
@@ -75,10 +81,17 @@ def open_layer(path: Path, layer: str | None, kinds: Container[str],
     if not layers:
         raise TermselError("the file has no layers", file=path,
                            hint="Check it in a GIS, or export it again.")
+    if layer is not None and layer not in layers:
+        raise TermselError(f"the file has no layer {layer!r}", file=path,
+                           hint=f"It has {', '.join(layers)}.")
     if layer is None:
         # A layer of mixed geometries has the kind Unknown: the next best.
-        layer = next((key for key, kind in layers.items() if kind in kinds),
-                     next((key for key, kind in layers.items() if kind == "Unknown"), None))
+        fitting = [key for key, kind in layers.items() if kind in kinds] \
+            or [key for key, kind in layers.items() if kind == "Unknown"]
+        layer = fitting[0] if fitting else None
+        if chooser is not None and len(fitting) > 1:
+            log.info("Note: %s has the layers %s; %s is read, and %s chooses another.", path.name,
+                     ", ".join(fitting), layer, chooser or f"ogr2ogr one.gpkg {path.name} NAME")
     meta, geometries, values = call_apart(_read_layer, path, layer, columns)
     # A CRS may name grid files, which PROJ would open.
     refuse_grids(str(meta["crs"] or ""), path)
@@ -214,9 +227,9 @@ def _unreadable_error(path: Path, error: Exception) -> TermselError:
 
 
 def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],
-               ) -> tuple[list[Feature], str]:
-    """Return the features of a layer, by default of the first that has such kinds, and its CRS."""
-    meta, shapes, columns = open_layer(path, layer, kinds)
+               chooser: str | None = "") -> tuple[list[Feature], str]:
+    """Return the features of a layer and its CRS; `open_layer` has the arguments."""
+    meta, shapes, columns = open_layer(path, layer, kinds, chooser=chooser)
     from shapely import get_coordinates, get_parts
 
     names = list(meta["fields"])
