@@ -38,6 +38,17 @@ ORDERS = ("sample line x y", "line sample x y", "x y sample line", "x y line sam
 TABLES = [(order, kind) for order in ORDERS for kind in ("metres", "degrees")]
 
 
+def test_lines_that_may_count_upwards_are_said(tmp_path: Path) -> None:
+    table = np.column_stack([SAMPLE, 2000.0 - LINE, METRES["x"], METRES["y"]])
+    np.savetxt(tmp_path / "links.txt", table, fmt="%.2f")
+    with pytest.raises(TermselError, match="first point would be line") as caught:
+        termsel.read(tmp_path / "links.txt", crs="EPSG:32619")
+    # Read so, they are no mirror image; but most programs write samples first.
+    assert caught.value.guesses[0] == "line=1,sample=2,x=3,y=4"
+    assert "count upwards from the lower edge: --columns line=2,sample=1,x=3,y=4 --set " \
+        "image_origin=bottom-left" in str(caught.value)
+
+
 @pytest.mark.parametrize(("order", "kind"), TABLES)
 def test_every_guess_is_called_a_guess(order: str, kind: str, tmp_path: Path) -> None:
     known = COLUMNS | (METRES if kind == "metres" else DEGREES)

@@ -14,7 +14,8 @@ from termsel.core.isolation.parts import missing_package_error
 from termsel.formats.readers.csv_tables import write_points_csv
 from termsel.simulate import simulate_scene
 from termsel.studies import outputs
-from termsel.studies.plan.spec import Spec
+from termsel.studies.plan.data import data_of
+from termsel.studies.plan.spec import Spec, spec_of
 from termsel.studies.study import Study
 
 
@@ -33,6 +34,17 @@ def test_messages_of_many_images_name_the_image(
     warnings = sorted(line for line in done.stderr.splitlines() if "qgis-points: at most" in line)
     assert [line.partition(": qgis-points")[0] for line in warnings] == [
         "Warning: 100 %d.csv", "Warning: b.csv"]
+
+
+def test_that_tables_have_no_heights_is_said_once(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for name in "abc":
+        (tmp_path / f"{name}.csv").write_text("id,line,sample,x,y\nP1,1,2,3,4\nP2,5,6,7,9\n")
+    spec = spec_of({"data": [{"points": "*.csv", "crs": "local"}], "strategies": ["auto"]})
+    with caplog.at_level("INFO", logger="termsel"):
+        assert len(data_of(spec, tmp_path)) == 3
+    assert "a.csv has no column for z, so its heights are unknown" in caplog.messages[0]
+    assert caplog.messages[1:] == ["Note: so it is in 2 further files."]
 
 
 def test_messages_outside_a_study_stay_as_they_are(caplog: pytest.LogCaptureFixture) -> None:

@@ -7,16 +7,17 @@ import logging
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Timer
 from typing import Any
 
 from termsel.core.display.quiet import quiet_logger
-from termsel.core.errors import TermselError
+from termsel.core.errors import TermselError, counted
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
+from termsel.formats.readers.tables import NO_HEIGHTS
 from termsel.io.read import parts_of, read
 from termsel.plugins.registry import registry
 from termsel.results.result import checksum_of_attributes, checksum_of_features
@@ -52,7 +53,7 @@ def data_of(spec: Spec, folder: Path, tables: frozenset[Path] = frozenset()) -> 
     """
     data_sets: list[Data] = []
     # What is said of the heights of one file would stand there for each of hundreds.
-    with quiet_logger("termsel.formats.heights", logging.WARNING):
+    with quiet_logger("termsel.formats.heights", logging.WARNING), _said_once(NO_HEIGHTS):
         for source in spec.data:
             data_sets += _data_of_source(spec, source, folder, tables)
     _say_heights(data_sets)
@@ -67,6 +68,27 @@ def data_of(spec: Spec, folder: Path, tables: frozenset[Path] = frozenset()) -> 
         raise TermselError(data_sets[0].reason, hint=None if len(data_sets) == 1 else
                            f"None of the {len(data_sets)} data can be read; this is the first.")
     return data_sets
+
+
+@contextmanager
+def _said_once(words: str) -> Iterator[None]:
+    """Let readers of tables say a note with these words of the first file; count the others."""
+    records = []
+
+    def is_first(record: logging.LogRecord) -> bool:
+        if words not in record.getMessage():
+            return True
+        records.append(record)
+        return len(records) == 1
+
+    logger = logging.getLogger("termsel.formats.readers.tables")
+    logger.addFilter(is_first)
+    try:
+        yield
+    finally:
+        logger.removeFilter(is_first)
+    if len(records) > 1:
+        log.info("Note: so it is in %s.", counted(len(records) - 1, "further file"))
 
 
 def _say_heights(data_sets: Sequence[Data]) -> None:
