@@ -22,7 +22,7 @@ from termsel_cameras.known.cameras import CAMERAS
 from termsel_cameras.known.interior import interior_of, interior_of_file
 from termsel_cameras.known.lens import Lens
 from termsel_cameras.known.method import KNOWN_CAMERA
-from termsel_cameras.known.sharing import shared_camera
+from termsel_cameras.known.sharing import shared_camera, unlike_photos
 
 SIZE, FOCAL, HIGH = (3000, 4000), 3500.0, 1200.0
 CRS = "EPSG:32633"
@@ -253,6 +253,17 @@ def test_photos_of_one_flight_share_their_camera(tmp_path: Path) -> None:
     assert camera["source"] == "4 photos, 28 control points"
     assert abs(camera["focal"] / FOCAL - 1.0) < max(3.0 * camera["focal_spread"], 0.01)
     assert abs(camera["distortion"][0] + 0.03) < 0.03
+
+
+@pytest.mark.slow
+def test_a_flight_of_strong_distortion_shows_its_camera_and_a_photo_that_is_not_of_it() -> None:
+    photos = [photo(8, seed=seed, lens=Lens(-0.05))[0] for seed in range(4)]
+    wild = photos[0].points.image + 60.0 * np.random.default_rng(1).standard_normal((8, 2))
+    photos.append(replace(photos[0], points=replace(photos[0].points, image=wild)))
+    camera = shared_camera(photos, SIZE)
+    assert abs(np.log(camera.focal / FOCAL)) < 3.0 * camera.spread < 0.1
+    assert abs(camera.k1 + 0.05) < 0.02
+    assert unlike_photos("abcde", camera.residuals)[0].startswith("e (")
 
 
 @pytest.mark.slow

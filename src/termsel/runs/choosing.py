@@ -282,6 +282,10 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
                                predict_rmse_between_lines(*between))
         elif errors is None and is_enough and len(features) > 1:
             errors = auto.repeated(data, watch.method, choice)
+            # A camera of few points may have one of them behind it, when it is left out: no error
+            # of it is known, and the others alone would promise too much.
+            if errors is not None and not np.isfinite(errors[:len(features.points) or None]).all():
+                errors = None
         return _Chosen(choice, errors, not is_enough)
     except KeyboardInterrupt:
         # Of a choice that was cut short the best method so far is the result.

@@ -172,7 +172,7 @@ def flight_camera(photos: tuple[Path, ...], crs: str | None, size: tuple[int, in
     """
     import json
 
-    from termsel_cameras.known.sharing import shared_camera
+    from termsel_cameras.known.sharing import shared_camera, unlike_photos
 
     require_replaceable([output], reads=photos, overwrite=overwrite)
     read_photos = [_read_photo(photo, crs, size) for photo in photos]
@@ -184,6 +184,10 @@ def flight_camera(photos: tuple[Path, ...], crs: str | None, size: tuple[int, in
     echo(f"Focal length {camera.focal:,.1f} px, standard deviation {100 * camera.spread:.2g} %; "
          f"radial distortion k1 {camera.k1:.3g}; residuals {camera.sigma:.2g} px at "
          f"{camera.points} points in {count_in_words(camera.photos, 'photo')}.")
+    if unlike := unlike_photos(photos, camera.residuals):
+        echo(f"Warning: much larger residuals with this camera than in the other photos: "
+             f"{', '.join(unlike)}. Check their points, and whether they are of this flight.",
+             err=True)
     if camera.photos == 1:
         echo("Note: one photo hardly distinguishes focal length from height of flight. Give the "
              "photos of the whole flight.", err=True)

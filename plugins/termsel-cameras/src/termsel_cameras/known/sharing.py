@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize
 
 from termsel import FeatureSet, FitData, TermselError
 from termsel.toolkit.models import Measured, Pinhole, camera_next_to, camera_of
@@ -33,11 +34,23 @@ SHORTEST_FOCAL, LONGEST_FOCAL = 0.4, 6.0
 DISTORTIONS = (-0.1, -0.05, -0.02, 0.0, 0.02, 0.05)
 """Radial distortions k1 that are tried."""
 
+BESIDE, FOCALS_BESIDE = 1.12, 5
+"""Factor up to which focal lengths are tried with each distortion, and how many."""
+
+FIRST_STEPS, STEPS_OF_SIMPLEX = (0.03, 0.015), 60
+"""Sides of the first simplex of log f and k1, and costs that it may ask for."""
+
+UNLIKE = 4.0
+"""Ratio of the residuals of a photo to the median from which on its points are doubted."""
+
 PHOTOS_ALONE = 4
 """Photos that are asked for a focal length of their own."""
 
 HELD = 1e-6
 """Relative standard deviation that holds a focal length where it is tried."""
+
+UNKNOWN = np.array([0.1, 0.05])
+"""Standard deviations of log f and of k1 where the cost is not bent upwards."""
 
 WIDTHS = (0.02, 0.01)
 """Differences of log f and of k1 by which the cost is bent at first."""
@@ -65,6 +78,8 @@ class SharedCamera:
         Root mean square of what its measurements leave, with robust weights [px].
     photos, points : int
         How many told it.
+    residuals : tuple of float
+        Those of each photo that was given [px]; NaN of one that was left out.
     """
 
     focal: float
@@ -73,6 +88,7 @@ class SharedCamera:
     sigma: float
     photos: int
     points: int
+    residuals: tuple[float, ...] = ()
 
 
 def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
@@ -94,9 +110,11 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
     TermselError
         If no photo shows the camera.
     """
+    controls = [without_independent(photo) for photo in photos]
+    tells = [len(photo.points) >= MIN_POINTS_OF_PHOTO and not photo.without_height()
+             for photo in controls]
     data = [FitData.of(replace(photo, image_size=size))
-            for photo in map(without_independent, photos)
-            if len(photo.points) >= MIN_POINTS_OF_PHOTO and not photo.without_height()]
+            for photo, is_telling in zip(controls, tells, strict=True) if is_telling]
     if not data:
         fewest = f"{MIN_POINTS_OF_PHOTO} control points with heights"
         if any(len(photo.points) >= MIN_POINTS_OF_PHOTO for photo in photos):
@@ -113,15 +131,31 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
     best = flight.least(best * np.geomspace(1.0 / step, step, FOCALS_TRIED_NEAR), 0.0)
     # Oblique photos have sharp minima between places of the grid: each photo alone shows its own.
     best = flight.least(np.array([*flight.focals_of_each(best), best]), 0.0, afresh=True)
-    costs = np.array([flight.penalised_cost(best, distortion) for distortion in DISTORTIONS])
-    start = np.array([np.log(best), DISTORTIONS[int(np.argmin(costs))]])
     solution, covariance = _minimum_of_two_unknowns(
-        lambda values: flight.penalised_cost(float(np.exp(values[0])), float(values[1])), start)
+        lambda values: flight.penalised_cost(float(np.exp(values[0])), float(values[1])),
+        flight.near_least(best))
     shared_focal = float(np.exp(solution[0]))
     spread = float(np.clip(np.sqrt(covariance[0, 0]), 1e-4, 0.1))
     sigma = flight.cost(shared_focal, float(solution[1]))[1]
+    residuals = np.full(len(photos), np.nan)
+    residuals[tells] = flight.residuals()
     return SharedCamera(shared_focal, spread, float(solution[1]), sigma, photos=len(data),
-                        points=sum(len(photo) for photo in data))
+                        points=sum(len(photo) for photo in data),
+                        residuals=tuple(residuals.tolist()))
+
+
+def unlike_photos(names: Sequence[object], residuals: Sequence[float]) -> list[str]:
+    """Return photos that a shared camera leaves far larger residuals of than of most, with these.
+
+    Examples
+    --------
+    >>> unlike_photos(["a.csv", "b.csv", "c.csv", "d.csv"], [1.2, 60.0, 0.9, float("nan")])
+    ['b.csv (60 px)']
+    """
+    usual = float(np.nanmedian(residuals))
+    return [f"{name} ({residual:.2g} px)"
+            for name, residual in zip(names, residuals, strict=True)
+            if residual > UNLIKE * usual]
 
 
 class _Flight:
@@ -169,7 +203,6 @@ class _Flight:
         Both are infinite if a photo has no camera of this focal length and distortion.
         """
         total = 0.0
-        squares = []
         for i, photo in enumerate(self.photos):
             model = self._model_of_photo(i, focal, k1)
             camera = self._camera_of_photo(i, model.measured(photo.scaled, photo.features.noise))
@@ -180,13 +213,37 @@ class _Flight:
             # Twice the minus logarithm of the likelihood, whose size depends on the noise, too.
             total += float(camera.measured.costs(camera.camera, rows, camera.sigma)[0]) \
                 + 4.0 * len(photo) * float(np.log(camera.sigma))
-            squares.append((camera.sigma * photo.scaling.image_scale) ** 2)
-        return total, float(np.sqrt(np.median(squares)))
+        return total, float(np.median(self.residuals()))
+
+    def residuals(self) -> list[float]:
+        """Return the noise that the last cameras leave of each photo [px]."""
+        return [camera.sigma * photo.scaling.image_scale
+                for camera, photo in zip(self.cameras, self.photos, strict=True)
+                if camera is not None]
 
     def penalised_cost(self, focal: float, k1: float) -> float:
         """Return the cost of all photos plus that of the distortion, which is expected to be small.
         """
         return self.cost(focal, k1)[0] + (k1 / USUAL_DISTORTION) ** 2
+
+    def near_least(self, focal: float) -> FloatArray:
+        """Return log f and k1 near those of the least cost, about a focal length of k1 = 0 [px].
+
+        A distortion that is left out changes the focal length by up to a tenth: the least cost is
+        at the end of a narrow, bent valley, so that neither is found with the other held.
+        """
+        tried = [(float(tried_focal), k1) for k1 in DISTORTIONS
+                 for tried_focal in focal * np.geomspace(1.0 / BESIDE, BESIDE, FOCALS_BESIDE)]
+        costs = [self.penalised_cost(*pair) for pair in tried]
+        best_focal, best_k1 = tried[int(np.argmin(costs))]
+        start = np.array([np.log(best_focal), best_k1])
+        corners = start + np.array([[0.0, 0.0], [FIRST_STEPS[0], 0.0], [0.0, FIRST_STEPS[1]]])
+        # Costs at k1 = 0 left cameras that differ: the valley is followed by a simplex.
+        found = minimize(
+            lambda values: self.penalised_cost(float(np.exp(values[0])), float(values[1])), start,
+            method="Nelder-Mead", options={"initial_simplex": corners, "maxfev": STEPS_OF_SIMPLEX,
+                                           "xatol": 1e-4, "fatol": 0.01})
+        return np.asarray(found.x)
 
     def _model_of_photo(self, i: int, focal: float, k1: float) -> KnownFrame:
         """Return the model of a photo with a focal length and a distortion that are held."""
@@ -224,7 +281,7 @@ def _minimum_of_two_unknowns(cost: Callable[[FloatArray], float],
     best = start
     least = cost(best)
     widths = np.array(WIDTHS)
-    covariance = np.diag(widths**2)
+    covariance = np.diag(UNKNOWN**2)
     for _ in range(ROUNDS):
         ahead = np.array([cost(best + step) for step in np.diag(widths)])
         behind = np.array([cost(best - step) for step in np.diag(widths)])
