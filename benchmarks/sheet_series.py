@@ -158,7 +158,7 @@ def figures_of_like_map(few: int, number: int) -> dict[str, float]:
     control = replace(maps[number], points=points.take(order[:few]), fit_crs=REAL_CRS)
     rest = points.take(order[few:])
     like = [maps[other] for other in maps_like(number)]
-    sheet = in_series(control, series_of(like, REAL_CRS))
+    sheet = with_series_columns(control, series_of(like, REAL_CRS))
     alone = termsel.run(features=control)
     result = termsel.run(features=sheet)
     predicted = result.predicted

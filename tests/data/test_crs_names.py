@@ -12,7 +12,7 @@ import pyproj
 
 import termsel
 from termsel import TermselError
-from termsel.data.coordinates.crs import short
+from termsel.data.coordinates.crs import short_crs_name
 
 BONNE = "+proj=bonne +lat_1=45 +lon_0=0 +ellps=clrk66 +units=m"
 TABLE = "id,line,sample,x,y\nP1,10,20,5000,6000\nP2,900,40,5050,1000\nP3,40,800,9000,5900\n"
@@ -75,7 +75,7 @@ def test_a_projection_without_a_code_in_every_form(tmp_path: Path) -> None:
         assert operation is not None
         assert operation.method_name.startswith("Bonne")
         # Neither name says more than "unknown".
-        assert short(features.crs) == "custom Bonne"
+        assert short_crs_name(features.crs) == "custom Bonne"
 
 
 @pytest.mark.parametrize("name", ["a.prj", "a.csv.prj", "a.qpj"])

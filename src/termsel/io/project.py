@@ -103,7 +103,8 @@ def project_table(
         try:
             ids, ground = read_ground(result, path, columns, dem, height, layer)
         except TermselError as error:
-            if _lacks_a_column(error) and _has_columns(path, columns, "line", "sample", layer=layer):
+            if _lacks_a_column(error) \
+                    and _has_columns(path, columns, "line", "sample", layer=layer):
                 error.hint = ("These are image positions: add --inverse, with --dem FILE or "
                               "--height H, for ground positions.")
             raise
@@ -202,8 +203,8 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
                 "needed. termsel project --inverse computes them."
         raise
     if table.crs and not _is_crs_of_control(table.crs, normalise(crs), model.uses_height):
-        raise TermselError(f"the file declares the CRS {short_crs_name(table.crs)}, but the control is "
-                           f"in {short_crs_name(crs)}", file=path,
+        raise TermselError(f"the file declares the CRS {short_crs_name(table.crs)}, but the "
+                           f"control is in {short_crs_name(crs)}", file=path,
                            hint="Transform the points to the CRS of the control.")
     try:
         refuse_other_units(table.named_units(), crs)

@@ -14,7 +14,7 @@ from threading import Timer
 from typing import Any
 
 from termsel.core.display.quiet import quiet_logger
-from termsel.core.errors import TermselError, counted
+from termsel.core.errors import TermselError, count_in_words
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
 from termsel.formats.readers.tables import NO_HEIGHTS
@@ -88,7 +88,7 @@ def _said_once(words: str) -> Iterator[None]:
     finally:
         logger.removeFilter(is_first)
     if len(records) > 1:
-        log.info("Note: so it is in %s.", counted(len(records) - 1, "further file"))
+        log.info("Note: so it is in %s.", count_in_words(len(records) - 1, "further file"))
 
 
 def _say_heights(data_sets: Sequence[Data]) -> None:
