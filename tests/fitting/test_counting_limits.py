@@ -81,7 +81,7 @@ def test_one_point_near_the_origin_of_a_projection_is_no_degree() -> None:
     some = Points(("A", "B", "C"), np.arange(6.0).reshape(3, 2), ground)
     check_ground(FeatureSet(some, crs="EPSG:32639"))
     far = Points(("A", "B", "C"), some.image, [ground[0], (4e5, 4e6, 0), (4.1e5, 4.02e6, 0)])
-    with pytest.raises(TermselError, match="1 of 3 features looks like degrees"):
+    with pytest.raises(TermselError, match="1 of 3 points looks like degrees"):
         check_ground(FeatureSet(far, crs="EPSG:32639"))
     with pytest.raises(TermselError, match="look like degrees, but EPSG:32639 is a projected CRS"):
         check_ground(FeatureSet(some.take([0]), crs="EPSG:32639"))
