@@ -118,6 +118,11 @@ def weights_of(points: Points) -> FloatArray:
             else np.asarray(median_of(points.sigma.ravel()) / points.sigma))
 
 
+def has_unlike_weights(points: Points) -> bool:
+    """Return whether points state standard deviations of which some differ."""
+    return points.sigma is not None and len(points) > 0 and float(np.ptp(points.sigma)) > 0.0
+
+
 # Points and lines in an adjustment: their rows, positions of vertices, and weights.
 
 # Each step of each fit to some features asks for the same; by whether heights are used.

@@ -14,8 +14,9 @@ from statistics import NormalDist
 from typing import TypeVar
 
 import numpy as np
+from msgspec import UNSET
 
-from termsel.adjustment.equations import weights_of
+from termsel.adjustment.equations import has_unlike_weights, weights_of
 from termsel.core.errors import TermselError, count_in_words
 from termsel.data.coordinates.metres import offsets_in_metres
 from termsel.data.features import FeatureSet, FloatArray, IntArray, Points
@@ -162,8 +163,14 @@ def predict_rmse_of_fit(fitted: Fit, errors: FloatArray, points: int,
     """Return the RMSE that held-out errors predict for a fit (see `predict_rmse`).
 
     With the ground (m, 3) of the points, it is that at their heights, unlike the control's or not.
+    Where points state unlike standard deviations, it is the weighted mean of the squares.
     """
     in_use = fitted.control.take(fitted.used)
+    # Of unit weight: what all of them say of one variance, each by its own standard deviation.
+    weights = weights_of(in_use.points)
+    is_weighted = has_unlike_weights(in_use.points) and len(weights) == len(errors)
+    if is_weighted:
+        errors = errors * weights
     experience = fitted.estimator.experience(fitted)
     if experience is None or not errors.any():
         shared = shared_variance(fitted.model, fitted.scaling.features(in_use))
@@ -171,6 +178,11 @@ def predict_rmse_of_fit(fitted: Fit, errors: FloatArray, points: int,
             _errors_with_all_points(fitted, errors), fitted.effective, points, shared)
     else:
         at_control = _predict_with_experience(fitted, errors, points, experience)
+    if is_weighted:
+        # sum(w^2 e^2) / sum(w^2): the error of the model counts whole, whatever the weights are.
+        mean_weight = float(np.sqrt((weights**2).mean()))
+        at_control = Predicted(at_control.rmse / mean_weight, at_control.low / mean_weight,
+                               at_control.high / mean_weight)
     height_square = 0.0
     if ground is not None:
         height_square = _square_of_unlike_heights(fitted, in_use, ground)
@@ -180,7 +192,19 @@ def predict_rmse_of_fit(fitted: Fit, errors: FloatArray, points: int,
     low, high = np.sqrt(height_square * tails)
     rmse, low, high = np.hypot([at_control.rmse, at_control.low, at_control.high],
                                [height_square**0.5, low, high]).tolist()
-    return Predicted(rmse, low, high, points=points or None)
+    return Predicted(rmse, low, high, points=points or None,
+                     weighted=True if is_weighted else UNSET)
+
+
+def weighted_rmse(errors: FloatArray, points: Points) -> float:
+    """Return the RMSE of errors (n, 2) [px] by what their points state of themselves.
+
+    Without standard deviations, and where errors of lines are among them, all count alike.
+    """
+    if not has_unlike_weights(points) or len(points) != len(errors):
+        return float(np.sqrt((errors**2).sum(axis=1).mean()))
+    weights = weights_of(points)
+    return float(np.sqrt((weights**2 * errors**2).sum(axis=1).mean() / (weights**2).mean()))
 
 
 def predict_rmse_between_lines(errors: FloatArray, lines: IntArray) -> Predicted:
@@ -289,7 +313,7 @@ def predict_rmse_of_all(fitted: Fit, expected: Predicted, ground: FloatArray) ->
     """
     share = share_left(fitted, ground)
     return Predicted(expected.rmse * share, expected.low * share, expected.high * share,
-                     pixel=expected.pixel)
+                     pixel=expected.pixel, weighted=expected.weighted)
 
 
 def pixel_on_ground(fitted: Fit) -> float | None:

@@ -10,6 +10,7 @@ from termsel.core.errors import count_in_words
 from termsel.data.coordinates.places import distance_beyond_hull, feature_centres
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.fit_data import FitData, distance_off_plane
+from termsel.data.record.cautions import EXTRAPOLATION
 from termsel.data.scaling import Scaling
 from termsel.fitting.uncertainty import sees_heights
 
@@ -65,7 +66,7 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
             n_outside += int(far.sum())
             groups.append(f"{far.sum()} of 4 corners of the image")
     if groups:
-        yield (f"Extrapolation: {' and '.join(groups)} {_lie_or_lies(n_outside)} far outside "
+        yield (f"{EXTRAPOLATION}{' and '.join(groups)} {_lie_or_lies(n_outside)} far outside "
                "the control "
                "in use. The RMSE does not apply there.")
     # Heights by themselves: a point within the hull may be on a summit far above all control.
@@ -76,7 +77,7 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
         above = np.maximum(check_heights - heights.max(), heights.min() - check_heights)
         n_above = int((above > FAR_OUTSIDE * span).sum())
         if n_above:
-            yield (f"Extrapolation: {count_in_words(n_above, 'selection point')} "
+            yield (f"{EXTRAPOLATION}{count_in_words(n_above, 'selection point')} "
                    f"{_lie_or_lies(n_above)} far "
                    "above or below the control.")
 

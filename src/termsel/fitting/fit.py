@@ -11,7 +11,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from termsel.adjustment.equations import line_normals
+from termsel.adjustment.equations import has_unlike_weights, line_normals, weights_of
 from termsel.adjustment.interpolation import Interpolation
 from termsel.adjustment.solve import ROUNDING, Adjustment
 from termsel.core.display import Glance
@@ -675,10 +675,20 @@ class Fit(Glance):
 
     @cached_property
     def held_out_rmse(self) -> float:
-        """RMSE of features in use, each held out [px], over points and vertices of lines."""
+        """RMSE of features in use, each held out [px], over points and vertices of lines.
+
+        Points that state unlike standard deviations count by their inverse squares.
+        """
         # Over all measured positions, so that lines count by their vertices.
         errors = len(self.control.points) + 2 * len(self.control.lines)
-        return float(np.sqrt(self.held_out().squares.sum() / errors))
+        squares = self.held_out().squares
+        points = self.control.take(self.used).points
+        if has_unlike_weights(points):
+            precisions = (weights_of(points)**2).mean(axis=1)
+            shares = np.ones(len(squares))
+            shares[:len(points)] = precisions / precisions.mean()
+            squares = squares * shares
+        return float(np.sqrt(squares.sum() / errors))
 
     @property
     def rounding(self) -> float:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from termsel.core.errors import count_in_words
 from termsel.core.version import __version__
+from termsel.data.record.cautions import limits_of_accuracy
 from termsel.fitting.accuracy import pixel_on_ground
 from termsel.formats.heights import HeightCaution
 from termsel.results.accuracy import are_computed, expected_rmse, is_prediction_surer, lattice_of
@@ -101,10 +102,13 @@ def accuracy_tags(result: Result, heights: HeightCaution | None = None) -> dict[
             "TIFFTAG_DATETIME": f"{written_at:%Y:%m:%d %H:%M:%S}"}
     accuracy = result.accuracy
     expected = expected_rmse(result)
-    if far := next((note for note in result.notes if note.startswith("Extrapolation: ")), ""):
-        tags["ACCURACY_CAUTION"] = far
+    cautions = limits_of_accuracy(result.notes)
     if heights is not None:
-        tags["ACCURACY_CAUTION"] = heights.sentence
+        cautions.insert(0, heights.sentence)
+    if cautions:
+        tags["ACCURACY_CAUTION"] = " ".join(
+            f"{caution.removesuffix('.')}." for caution in cautions)
+    if heights is not None:
         rmse = [] if expected is None else [expected.rmse]
         if accuracy is not None:
             rmse.append(accuracy.image.total)

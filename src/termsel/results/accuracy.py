@@ -70,7 +70,7 @@ def accuracy_lines(record: Record) -> list[str]:
                 f"{measured.replace(level, '[')}{_agreement_text(accuracy, predicted)}",
                 *_doubt_clauses(record, accuracy)]
     return [_rmse_at_check_points(accuracy),
-            f"{PREDICTED_BY} {rounded_size_text(predicted.rmse)} px"
+            f"{_predicted_by(predicted)} {rounded_size_text(predicted.rmse)} px"
             f"{_agreement_text(accuracy, predicted)}", *_doubt_clauses(record, accuracy)]
 
 
@@ -141,8 +141,13 @@ def _prediction_sentence(predicted: Predicted) -> str:
     """Return the predicted RMSE in px, and in metres where the size of a pixel is known."""
     ground = \
         f" / {rounded_size_text(predicted.rmse * predicted.pixel)} m" if predicted.pixel else ""
-    return (f"{rounded_size_text(predicted.rmse)} px{ground}   RMSE {PREDICTED_BY} "
+    return (f"{rounded_size_text(predicted.rmse)} px{ground}   RMSE {_predicted_by(predicted)} "
             f"{interval_text(predicted.low, predicted.high, 100 * predicted.level)}")
+
+
+def _predicted_by(predicted: Predicted) -> str:
+    """Return how an RMSE was found, and that points counted by what they state of themselves."""
+    return f"{PREDICTED_BY}, by the stated sigmas," if predicted.weighted is True else PREDICTED_BY
 
 
 def _rmse_at_check_points(accuracy: Accuracy) -> str:
@@ -158,8 +163,11 @@ def _agreement_text(accuracy: Accuracy, predicted: Predicted) -> str:
     """Return how a line on the measured RMSE ends, from its colon on.
 
     It says that the measured RMSE lies in the interval of the predicted one (consistent), is
-    outside by chance, or that the prediction was too small or too large.
+    outside by chance, or that the prediction was too small or too large. A prediction by stated
+    standard deviations is of points as good as the best ones, and "" is returned.
     """
+    if predicted.weighted is True:
+        return ""
     measured = accuracy.image.total
     if predicted.low <= measured <= predicted.high:
         return ": consistent"

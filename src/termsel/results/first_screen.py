@@ -313,7 +313,8 @@ def _no_outlier_clause(record: Record) -> str:
     if record.options.data.get("tested"):
         return "tested in an earlier run, not in this one"
     # Independent points far outside the prediction are outliers as a whole, or the model is.
-    if accuracy and predicted and accuracy.image.total > _CONTRADICTED * predicted.high:
+    if accuracy and predicted and predicted.weighted is not True \
+            and accuracy.image.total > _CONTRADICTED * predicted.high:
         return (f"none among the others, but the "
                 f"{count_in_words(accuracy.image.n, 'independent check point')} contradict"
                 f"{'s' if accuracy.image.n == 1 else ''} the prediction: check "

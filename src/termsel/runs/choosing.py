@@ -25,12 +25,14 @@ from termsel.fitting.accuracy import (
     predict_rmse_between_lines,
     predict_rmse_of_all,
     predict_rmse_of_fit,
+    weighted_rmse,
 )
 from termsel.fitting.extrapolation import warnings_of
 from termsel.fitting.figures import Baseline, Rmses, finite_or_none, restrict_to_control
 from termsel.fitting.fit import Fit, Undetermined
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
+from termsel.runs.between_points import uncertain_between_points
 from termsel.runs.data_notes import notes_on_data, notes_on_dem, uncertain_corners
 from termsel.runs.exported_rpc import doubt_of_rpc
 from termsel.runs.finding import Finding, plugins_of
@@ -189,7 +191,9 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
                             is_asked_for=auto.is_one_method)
 
     is_judged = predicted is not None and not method.from_one and clean.lattice is None
-    corners = [*uncertain_corners(fitted, predicted.rmse)] if predicted and is_judged else []
+    uncertain_places = [*uncertain_corners(fitted, predicted.rmse),
+                        *uncertain_between_points(choice.chosen, predicted)] \
+        if predicted and is_judged else []
     rpc_unused, rpc_correction = _notes_on_rpc(request, data, auto, choice.chosen)
     strategy = _strategy_record(choice, errors, predicted, data, clean, rpc_unused)
     interrupted = INTERRUPTED.format(min(watch.count, watch.methods), watch.methods) \
@@ -217,7 +221,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
         *_notes_on_choice(request.model, clean, errors, interrupted,
                           plane=not fitted.model.uses_height,
                           determined=outcome.exact,
-                          has_geometry=method.from_one), *corners,
+                          has_geometry=method.from_one), *uncertain_places,
         *([] if lattice is None else [lattice.sentence(known=method.from_one)]),
         *left_out_for_height, *verdict.notes, *without_lines, *contradicting.notes, *auto.notes)
     # The objective of the record is what the rule of the choice compares.
@@ -324,7 +328,7 @@ def _strategy_record(choice: Choice, errors: FloatArray | None, predicted: Predi
     if errors is not None:
         # Between the lines of a lattice the predicted figure is that of the interval's middle.
         held_out = predicted.rmse if clean.lattice is not None and predicted is not None \
-            else float(np.sqrt((errors**2).sum(axis=1).mean()))
+            else weighted_rmse(errors, data.features.points)
     candidates = tuple(
         CandidateRow(method_of(fitted).name, fitted.model.name, int(fitted.terms.sum()),
                      fitted.effective, finite_or_none(fitted.held_out_rmse))

@@ -23,6 +23,7 @@ from termsel.data.fit_data import (
     errors_hide_heights,
     relief_carriers,
 )
+from termsel.data.record.cautions import EXTRAPOLATION, ON_ONE_LINE, TWO_DATUMS
 from termsel.data.roles import Observations, find_twins, twin_groups
 from termsel.fitting.extrapolation import corners_of
 from termsel.fitting.fit import Fit
@@ -92,8 +93,8 @@ class TwoGroups:
             directions.append(f"{abs(north):.0f} m {'north' if north > 0 else 'south'}")
         levels = "" if self.heights else ", or on two levels whose heights are not known"
         return (f"{len(self.second)} of {len(self.first) + len(self.second)} points lie "
-                f"{' and '.join(directions)} of the positions that the others predict, as if "
-                f"they were in another datum{levels}")
+                f"{' and '.join(directions)} of the positions that the others predict"
+                f"{TWO_DATUMS}{levels}")
 
 
 def datum_of(groups: TwoGroups, crs: str, position: tuple[float, float]) -> str:
@@ -276,7 +277,7 @@ def uncertain_corners(fitted: Fit, rmse: float) -> Iterator[str]:
         sigma = np.hypot(*fitted.sigma(ground).T)
     largest = float(np.max(sigma, initial=0.0, where=np.isfinite(sigma)))
     if largest > _UNCERTAIN * rmse:
-        yield ("Extrapolation: the standard deviation of the model is up to "
+        yield (f"{EXTRAPOLATION}the standard deviation of the model is up to "
                f"{rounded_size_text(largest)} px "
                f"at the corners of the image, {largest / rmse:.0f} times the RMSE, which holds "
                "within the control. Measure points near the corners, or see termsel sigma.")
@@ -315,7 +316,7 @@ def _note_on_one_line(features: FeatureSet) -> Iterator[str]:
         ("in the image", features.image_vertices()), ("on the ground", plan))
         if _is_narrow(positions))
     if views:
-        yield (f"All {features.word} lie close to one straight line {views}. Nothing shows what "
+        yield (f"All {features.word}{ON_ONE_LINE}{views}. Nothing shows what "
                "the model does away from it: measure points there.")
 
 

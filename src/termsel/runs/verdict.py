@@ -21,6 +21,7 @@ from termsel.auto.majority import MAX_BLUNDER_SHARE
 from termsel.auto.rule import Choice, method_of
 from termsel.data.features import FeatureSet, FloatArray, IntArray, Points, select
 from termsel.data.fit_data import MEASURED, FitData, distance_off_plane
+from termsel.data.record.cautions import CONTRADICT, EXCHANGED, UNLIKE_CONTROL
 from termsel.data.record.chances import median_of
 from termsel.data.record.figures import BlunderTest, Outlier, Role
 from termsel.data.roles import Observations, leave_out, with_twins
@@ -214,7 +215,7 @@ def _note_on_contradictions(pool: FitData, suspects: Suspects) -> Iterator[str]:
     agreeing = agreement(pool)
     if agreeing is None or (~agreeing <= suspects.blunders).all():
         return
-    yield (f"The points contradict one another: {int(agreeing.sum())} of {len(pool)} agree, and "
+    yield (f"The points{CONTRADICT}{int(agreeing.sum())} of {len(pool)} agree, and "
            "all are too few to show which are wrong. Look at "
            f"{', '.join(select(pool.features.ids, ~agreeing))} in the image.")
 
@@ -243,7 +244,7 @@ def _blunders_by_view(pool: FitData, exchange: Exchange,
 def _note_on_exchange(features: FeatureSet, exchange: Exchange) -> str:
     """Return a note on which points are wrong or exchanged, and the reason."""
     ids = [features.ids[i] for i in exchange.points]
-    reason = "no view of a plane reverses some triangles of points and others not, as these do"
+    reason = f"{EXCHANGED} of points and others not, as these do"
     if exchange.is_pair:
         return (f"{ids[0]} and {ids[1]} are likely exchanged: {reason}. With the image place of "
                 "each at the other one, all triangles agree. Exchange them, and run again.")
@@ -298,7 +299,7 @@ def judge_independent(observations: Observations, choice: Choice | None, auto: A
         subject = ("The independent check point contradicts" if len(points) == 1 else
                    f"{count} of {len(points)} independent check points contradict")
         return Verdict(notes=(
-            f"{subject} control and check. Either {'it was' if len(points) == 1 else 'they were'} "
+            f"{subject}{UNLIKE_CONTROL}{'it was' if len(points) == 1 else 'they were'} "
             "measured differently, or the model does not hold there.",)), observations
     wrong = frozenset(select(points.ids, suspects.blunders))
     # Independent points are blunders or not: nothing is chosen that would leave it open.

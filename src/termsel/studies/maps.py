@@ -27,7 +27,7 @@ PLANNED, WRITTEN, KEPT, OUTDATED, LEFT_OUT, FAILED = (
 is older than the result of its image."""
 
 TABLE = "maps.csv"
-"""The table in the folder of the maps: what was written, what not, and why."""
+"""The table in the folder of the maps: what was written, what not or with doubt, and why."""
 _HEADER = ("image", "verdict", "state", "map", "why")
 
 _PICTURES = frozenset((".tif", ".tiff", ".jp2", ".jpg", ".jpeg", ".png", ".img", ".ntf", ".vrt",
@@ -99,7 +99,8 @@ def plan_maps(folder: Path, pictures: Path, out: Path, *, with_doubtful: bool, o
     for key, labels in study.cells.items():
         row = rows[key]
         planned = ImageMap(str(labels["data"]), str(row["verdict"]), folder / IMAGES / names[key],
-                           out / f"{names[key]}.tif")
+                           out / f"{names[key]}.tif",
+                           why=str(row["why"]) if row["verdict"] == DOUBTFUL else "")
         planned = _image_without_map(planned, row) if row["verdict"] not in verdicts else \
             _with_picture(planned, pictures, pictures_of, overwrite)
         maps.append(_with_earlier_map(planned))
@@ -219,7 +220,7 @@ def write_maps(maps: Sequence[ImageMap], write: Callable[[Result, Path, Path], N
 
 
 def table_of_maps(maps: Iterable[ImageMap]) -> str:
-    """Return the table of maps as CSV: image, verdict, state, map, and why there is none."""
+    """Return the table of maps as CSV: image, verdict, state, map, why there is none or in doubt."""
     rows = [(item.image, item.verdict, item.state,
              item.output.name if item.state in (WRITTEN, KEPT, OUTDATED) else "", item.why)
             for item in maps]

@@ -243,6 +243,9 @@ class Predicted(RecordPart, frozen=True, omit_defaults=False):
     """Number of independent points whose RMSE the interval is for; null for the true accuracy."""
     pixel: Size | None = None
     """How far a pixel is on the ground [m]; null where the CRS or the model does not show."""
+    weighted: Literal[True] | UnsetType = UNSET
+    """True if points state unlike standard deviations: their squared errors then count by the
+    inverse squares of these; absent otherwise."""
 
 
 class Errors(RecordPart, frozen=True, kw_only=True):

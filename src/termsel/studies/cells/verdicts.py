@@ -3,7 +3,9 @@
 Where an accuracy is asked for, the interval of the RMSE decides: an image is fit for use where all
 of the interval meets it, unfit where none does, and doubtful between. Where none is asked for, an
 image is unfit only where it has no result or where its axes or signs look wrong, and doubtful where
-something contradicts its figures, or where they are known only to a factor of `WIDE`.
+something contradicts its figures, or where they are known only to a factor of `WIDE`. Either way an
+image is doubtful where a caution says what the accuracy does not vouch for, as away from points on
+one line.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from termsel.core.errors import TermselError, count_in_words, rounded_size_text
+from termsel.data.record.cautions import limits_of_accuracy
 from termsel.data.record.figures import EXACTLY, MANY_INDEPENDENT, rmse_interval
 from termsel.data.record.search import clauses_on_unused_data
 from termsel.studies.cells.neighbours import ELSEWHERE
@@ -168,12 +171,19 @@ def _rmse_interval(row: Mapping[str, Any], unit: str) -> tuple[float, float, flo
     return None if size is None else (size * interval[0], size * interval[1], size * interval[2])
 
 
+def _clauses_on_limits(notes: Sequence[str]) -> list[str]:
+    """Return the first sentences of notes on what the stated accuracy does not vouch for."""
+    sentences = [note.partition(". ")[0].removesuffix(".") for note in limits_of_accuracy(notes)]
+    return [f"{sentence[0].lower()}{sentence[1:]}" for sentence in sentences]
+
+
 def _contradiction_clauses(row: Mapping[str, Any], usual: float) -> list[str]:
     """Return clauses on why the figures of an image are doubtful; [] if they are not."""
     said = []
     if row["doubt"]:
         said.append(str(row["doubt"]).rstrip("."))
     said += clauses_on_unused_data(row["notes"] or ())
+    said += _clauses_on_limits(row["notes"] or ())
     blunders = len(row["blunders"] or ())
     points = (row["n_control"] or 0) + (row["excluded"] or 0)
     if blunders > MANY_BLUNDERS * max(points, 1):

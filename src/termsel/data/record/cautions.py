@@ -1,0 +1,43 @@
+"""Notes of a run that say where its stated accuracy does not hold, known by their words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+EXTRAPOLATION = "Extrapolation: "
+"""How notes begin on places outside the control."""
+
+ON_ONE_LINE = " lie close to one straight line "
+"""What a note on control along one line has in it."""
+
+BETWEEN_POINTS = "Between "
+"""How a note begins on a model that is less certain between its points than at them."""
+
+TWO_DATUMS = ", as if they were in another datum"
+"""What a note on two groups of points has in it."""
+
+CONTRADICT = " contradict one another: "
+"""What a note has in it on points of which too few agree."""
+
+EXCHANGED = "no view of a plane reverses some triangles"
+"""What a note has in it on points that are exchanged, or of which one is wrong."""
+
+UNLIKE_CONTROL = " control and check. Either "
+"""What a note has in it on independent points that the model does not meet."""
+
+_OPENINGS = (EXTRAPOLATION, BETWEEN_POINTS)
+_WORDS = (ON_ONE_LINE, TWO_DATUMS, CONTRADICT, EXCHANGED, UNLIKE_CONTROL)
+
+
+def limits_of_accuracy(notes: Iterable[str]) -> list[str]:
+    """Return the notes that say where, or that, the stated accuracy does not hold.
+
+    Examples
+    --------
+    >>> from termsel.data.record.cautions import limits_of_accuracy
+    >>> limits_of_accuracy(["All points lie close to one straight line on the ground. Measure "
+    ...                     "points away from it.", "All heights are 7, so they were not used."])
+    ['All points lie close to one straight line on the ground. Measure points away from it.']
+    """
+    return [note for note in notes
+            if note.startswith(_OPENINGS) or any(words in note for words in _WORDS)]

@@ -1,0 +1,113 @@
+"""Whether the stated RMSE holds between the control points, too.
+
+Points held out show errors where points are. Where points lie in clusters, or in pairs, each that
+is held out has neighbours in the fit, and its error says little of the places between. What the
+model says of its own uncertainty there is then above the interval of the RMSE.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from termsel.core.errors import rounded_size_text
+from termsel.data.coordinates.metres import plan_of
+from termsel.data.coordinates.places import convex_hull, distance_beyond_hull
+from termsel.data.features import FloatArray, Points
+from termsel.data.record.cautions import BETWEEN_POINTS
+from termsel.data.record.figures import Predicted
+from termsel.fitting.fit import Fit
+
+CLEAR_GAP = 2.0
+"""Least ratio of the distance between clusters to that within them."""
+
+PLACES_ALONG_A_SIDE = 8
+"""Places along a side of the box of the control, of which those in its hull are looked at."""
+
+MIN_POINTS = 5
+"""Points below which the interval of the RMSE and the uncertainty are little more than beliefs."""
+
+
+def uncertain_between_points(fitted: Fit, predicted: Predicted) -> Iterator[str]:
+    """Yield a sentence if the model is less certain within the hull of its points than its RMSE.
+
+    The root mean square of the standard deviations over the hull is held against the upper end of
+    the interval of the RMSE.
+    """
+    points = fitted.control.take(fitted.used).points
+    if len(points) < MIN_POINTS or len(fitted.control.lines):
+        return
+    places = places_within_hull(points.ground)
+    if not len(places):
+        return
+    with np.errstate(all="ignore"):
+        sigma = np.hypot(*fitted.sigma(places).T)
+    sigma = sigma[np.isfinite(sigma)]
+    if not len(sigma):
+        return
+    uncertainty = float(np.sqrt((sigma**2).mean()))
+    if uncertainty <= predicted.high:
+        return
+    clusters = count_clusters(points, fitted.control.crs)
+    where = f"the {clusters} clusters of points" if clusters else "the points"
+    yield (f"{BETWEEN_POINTS}{where} the map may be off by {rounded_size_text(uncertainty)} px: "
+           "the RMSE holds near them only. Measure points between them, or see termsel sigma.")
+
+
+def places_within_hull(ground: FloatArray) -> FloatArray:
+    """Return places (m, 3) over the convex hull of points on the ground (n, 3).
+
+    Each at the height of the nearest point. None where the points lie on one line.
+    """
+    plan = ground[:, :2]
+    if not convex_hull(plan):
+        return np.empty((0, 3))
+    # In the middle of as many cells along each side, so that none is on the hull itself.
+    steps = (np.arange(PLACES_ALONG_A_SIDE) + 0.5) / PLACES_ALONG_A_SIDE
+    low = plan.min(axis=0)
+    extent = np.ptp(plan, axis=0)
+    grid = low + extent * np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    grid = grid[distance_beyond_hull(plan, grid) == 0.0]
+    distances = np.linalg.norm((grid[:, None] - plan) / extent, axis=2)
+    return np.column_stack([grid, ground[distances.argmin(axis=1), 2]])
+
+
+def count_clusters(points: Points, crs: str) -> int:
+    """Return in how many clusters points lie; 0 where there is no clear gap between any.
+
+    Of the edges of the shortest tree that joins all points, those between clusters are clearly
+    longer than those within. At least half of the points have a neighbour in their cluster.
+    """
+    plan = plan_of(crs, points.ground)
+    count = len(points)
+    if plan is None or count < MIN_POINTS:
+        return 0
+    edges = np.sort(_edges_of_shortest_tree(plan))
+    # With k clusters the k - 1 longest edges join them, and at most half of the points are first.
+    within = edges[count // 2 - 1:-1]
+    between = edges[count // 2:]
+    if not len(within):
+        return 0
+    ratios = between / np.maximum(within, np.finfo(float).tiny)
+    widest = int(np.argmax(ratios))
+    if ratios[widest] < CLEAR_GAP:
+        return 0
+    return len(edges) - (count // 2 + widest) + 1
+
+
+def _edges_of_shortest_tree(plan: FloatArray) -> FloatArray:
+    """Return the lengths of the edges of the shortest tree that joins places (n, 2), (n - 1,).
+
+    By R.C. Prim, Bell System Technical Journal 36 (1957) 1389-1401.
+    """
+    distances = np.linalg.norm(plan - plan[0], axis=1)
+    is_outside = np.ones(len(plan), dtype=bool)
+    is_outside[0] = False
+    edges = []
+    while is_outside.any():
+        nearest = int(np.argmin(np.where(is_outside, distances, np.inf)))
+        edges.append(distances[nearest])
+        is_outside[nearest] = False
+        distances = np.minimum(distances, np.linalg.norm(plan - plan[nearest], axis=1))
+    return np.array(edges)

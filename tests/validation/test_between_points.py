@@ -1,0 +1,94 @@
+"""Points in clusters and pairs: the RMSE holds near them, and the caution says so."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel.data.features import FeatureSet, Points
+from termsel.data.record.cautions import limits_of_accuracy
+from termsel.io.accuracy_tags import accuracy_tags
+from termsel.runs.between_points import count_clusters, places_within_hull
+from termsel.studies.cells.verdicts import DOUBTFUL, Accept, verdicts_of
+from tests.studies.test_verdicts import row
+
+
+def deformed_scan(plan: np.ndarray, noise: float, seed: int) -> FeatureSet:
+    """Return points of a scan [px] that is bent by 4 px over some 800 px, at plan (n, 2)."""
+    rng = np.random.default_rng(seed)
+    x, y = plan.T
+    image = np.column_stack([y + 4.0 * np.sin(x / 120.0) * np.cos(y / 150.0),
+                             x + 4.0 * np.cos(x / 140.0 + y / 180.0)])
+    ids = tuple(f"P{i}" for i in range(len(plan)))
+    ground = np.column_stack([plan, np.full(len(plan), np.nan)])
+    return FeatureSet(Points(ids, image + rng.normal(0.0, noise, image.shape), ground), crs="local")
+
+
+def clustered(seed: int, clusters: int = 6, each: int = 5) -> np.ndarray:
+    """Return plan positions [px] in clusters of some 10 px, (clusters * each, 2)."""
+    rng = np.random.default_rng(seed)
+    # One in each cell of a 3 x 2 pattern, so that none meets another by chance.
+    columns = 3
+    cells = np.array([(i % columns, i // columns) for i in range(clusters)], dtype=float)
+    centres = (cells + rng.uniform(0.3, 0.7, cells.shape)) * 300.0
+    return np.repeat(centres, each, axis=0) + rng.normal(0.0, 10.0, (clusters * each, 2))
+
+
+@pytest.fixture(scope="module")
+def clusters() -> termsel.Result:
+    return termsel.run(features=deformed_scan(clustered(11), 0.2, 11))
+
+
+def test_clusters_are_cautioned_of_with_the_figure(clusters: termsel.Result) -> None:
+    [note] = [note for note in clusters.notes if note.startswith("Between ")]
+    assert note.startswith("Between the 6 clusters of points the map may be off by ")
+
+
+def test_the_caution_reaches_the_tags_of_a_map(clusters: termsel.Result) -> None:
+    assert "6 clusters" in accuracy_tags(clusters)["ACCURACY_CAUTION"]
+
+
+def test_evenly_spread_points_have_no_such_caution() -> None:
+    plan = np.random.default_rng(3).uniform(0.0, 900.0, (30, 2))
+    result = termsel.run(features=deformed_scan(plan, 0.2, 3))
+    assert not any(note.startswith("Between ") for note in result.notes)
+
+
+@pytest.mark.parametrize("note", [
+    "Between the 6 clusters of points the map may be off by 2.1 px: the RMSE holds near them only.",
+    "All points lie close to one straight line in the image. Nothing shows what is away from it.",
+    "Extrapolation: 3 of 4 corners of the image lie far outside the control in use. The RMSE does "
+    "not apply there."])
+def test_what_the_accuracy_does_not_vouch_for_makes_an_image_doubtful(note: str) -> None:
+    assert limits_of_accuracy([note]) == [note]
+    for accept in (None, Accept.of("2px")):
+        [(verdict, why)] = verdicts_of([row(notes=[note])], accept)
+        assert verdict == DOUBTFUL
+        first = note.partition(". ")[0].removesuffix(".")
+        assert first[1:] in why
+
+
+def points_of(plan: np.ndarray) -> Points:
+    return deformed_scan(plan, 0.0, 0).points
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_clusters_are_counted_by_the_gap_between_them(seed: int) -> None:
+    assert count_clusters(points_of(clustered(seed)), "local") == 6
+    pairs = clustered(seed, each=1)
+    assert count_clusters(points_of(np.concatenate([pairs, pairs + 2.0])), "local") == 6
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_points_at_random_are_no_clusters(seed: int) -> None:
+    plan = np.random.default_rng(seed).uniform(0.0, 900.0, (25, 2))
+    assert count_clusters(points_of(plan), "local") == 0
+
+
+def test_places_lie_within_the_hull_at_the_height_of_the_nearest_point() -> None:
+    ground = np.array([[0.0, 0.0, 1.0], [10.0, 0.0, 2.0], [0.0, 10.0, 3.0]])
+    places = places_within_hull(ground)
+    assert (places[:, 0] + places[:, 1] <= 10.0 + 1e-9).all()
+    assert set(places[:, 2]) == {1.0, 2.0, 3.0}
+    assert not len(places_within_hull(ground * [1.0, 0.0, 1.0]))
