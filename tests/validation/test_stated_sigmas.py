@@ -1,4 +1,4 @@
-"""Standard deviations that points state count in the choice, in the outlier test and in the RMSE."""
+"""Standard deviations that points state count in the choice and in the predicted RMSE."""
 
 from __future__ import annotations
 

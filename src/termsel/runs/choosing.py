@@ -191,8 +191,8 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
                             is_asked_for=auto.is_one_method)
 
     is_judged = predicted is not None and not method.from_one and clean.lattice is None
-    uncertain_places = [*uncertain_corners(fitted, predicted.rmse),
-                        *uncertain_between_points(choice.chosen, predicted)] \
+    uncertain_places = [*uncertain_between_points(choice.chosen, predicted),
+                        *uncertain_corners(fitted, predicted.rmse)] \
         if predicted and is_judged else []
     rpc_unused, rpc_correction = _notes_on_rpc(request, data, auto, choice.chosen)
     strategy = _strategy_record(choice, errors, predicted, data, clean, rpc_unused)

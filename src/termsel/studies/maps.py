@@ -220,7 +220,7 @@ def write_maps(maps: Sequence[ImageMap], write: Callable[[Result, Path, Path], N
 
 
 def table_of_maps(maps: Iterable[ImageMap]) -> str:
-    """Return the table of maps as CSV: image, verdict, state, map, why there is none or in doubt."""
+    """Return the table of maps as CSV: image, verdict, state, map, why none or doubtful."""
     rows = [(item.image, item.verdict, item.state,
              item.output.name if item.state in (WRITTEN, KEPT, OUTDATED) else "", item.why)
             for item in maps]
