@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.auto.rule import fold_of_each, folds_of
+from termsel.data.coordinates.clusters import cluster_labels
+from termsel.data.coordinates.places import ground_centres, spatial_order
 from termsel.data.features import FeatureSet, Points
 from termsel.data.record.cautions import limits_of_accuracy
 from termsel.io.accuracy_tags import accuracy_tags
-from termsel.runs.between_points import count_clusters, places_within_hull
+from termsel.runs.between_points import places_within_hull
 from termsel.studies.cells.verdicts import DOUBTFUL, Accept, verdicts_of
 from tests.studies.test_verdicts import row
 
@@ -69,21 +72,36 @@ def test_what_the_accuracy_does_not_vouch_for_makes_an_image_doubtful(note: str)
         assert first[1:] in why
 
 
-def points_of(plan: np.ndarray) -> Points:
-    return deformed_scan(plan, 0.0, 0).points
+@pytest.mark.parametrize("seed", range(5))
+def test_clusters_are_told_by_the_gap_between_them(seed: int) -> None:
+    labels = cluster_labels(clustered(seed), 2.0)
+    assert labels is not None
+    assert labels.reshape(6, 5).tolist() == [[label] * 5 for label in labels[::5]]
+    assert sorted(labels[::5]) == list(range(6))
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_clusters_are_counted_by_the_gap_between_them(seed: int) -> None:
-    assert count_clusters(points_of(clustered(seed)), "local") == 6
-    pairs = clustered(seed, each=1)
-    assert count_clusters(points_of(np.concatenate([pairs, pairs + 2.0])), "local") == 6
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_points_at_random_are_no_clusters(seed: int) -> None:
+def test_places_at_random_are_no_clusters(seed: int) -> None:
     plan = np.random.default_rng(seed).uniform(0.0, 900.0, (25, 2))
-    assert count_clusters(points_of(plan), "local") == 0
+    assert cluster_labels(plan, 2.0) is None
+
+
+def test_places_that_were_measured_twice_are_held_out_together() -> None:
+    places = np.random.default_rng(1).uniform(0.0, 900.0, (14, 2))
+    features = deformed_scan(np.concatenate([places, places + 1.5]), 0.2, 1)
+    folds = folds_of(features)
+    fold = fold_of_each(features, folds)
+    assert folds == 14
+    assert fold[:14].tolist() == fold[14:].tolist()
+    assert sorted(fold[:14].tolist()) == list(range(14))
+
+
+def test_folds_of_places_without_clusters_are_along_a_curve() -> None:
+    features = deformed_scan(np.random.default_rng(2).uniform(0.0, 900.0, (45, 2)), 0.2, 1)
+    order = spatial_order(ground_centres(features))
+    fold = fold_of_each(features, 10)
+    for i in range(10):
+        assert sorted(order[i::10].tolist()) == np.flatnonzero(fold == i).tolist()
 
 
 def test_places_lie_within_the_hull_at_the_height_of_the_nearest_point() -> None:

@@ -24,6 +24,7 @@ from termsel.auto.rule import (
     Choice,
     best_of,
     fit_to_beat,
+    fold_of_each,
     folds_along,
     folds_of,
     gain,
@@ -43,7 +44,7 @@ from termsel.core.isolation.faults import (
     fault_of_method,
     is_own,
 )
-from termsel.data.coordinates.places import Lattice, ground_centres, spatial_order
+from termsel.data.coordinates.places import Lattice
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, empty_lines
 from termsel.data.fit_data import FitData, relief_carriers
 from termsel.fitting.fit import Fit, HeldOut, Undetermined
@@ -428,17 +429,14 @@ class Auto(Method):
         weights in the adjustment.
         """
         features = data.features
-        order = spatial_order(ground_centres(features))
+        fold_of_feature = fold_of_each(features, folds)
         # Points first, then the vertices of lines.
         count = len(features.points)
         owner = features.feature
         errors = np.empty((len(owner), 2))
         fit_without = self._fitting_without(data, watch, choice)
         for fold in range(folds):
-            in_fold = np.zeros(len(data), dtype=bool)
-            # Every so many features in the order along a curve through the ground: each fold is
-            # everywhere.
-            in_fold[order[fold::folds]] = True
+            in_fold = fold_of_feature == fold
             fold_features = features.take(in_fold)
             fitted = fit_without(in_fold)
             if fitted is None:

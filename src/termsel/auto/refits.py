@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from termsel.auto.rule import folds_of
-from termsel.data.coordinates.places import ground_centres, spatial_order
+from termsel.auto.rule import fold_of_each, folds_of
 from termsel.data.features import FeatureSet
 from termsel.data.fit_data import FitData
 from termsel.fitting.fit import Fit, HeldOut
@@ -50,13 +49,12 @@ def held_out_by_refits(fit: Callable[[FitData], Fit], features: FeatureSet, *,
     3.14
     """
     data = FitData.of(features, heights)
-    order = spatial_order(ground_centres(features))
     owner = features.vertex_feature
     errors = np.empty((len(owner), 2))
     folds = folds_of(features)
+    fold_of_feature = fold_of_each(features, folds)
     for fold in range(folds):
-        out = np.zeros(len(features), dtype=bool)
-        out[order[fold::folds]] = True
+        out = fold_of_feature == fold
         held = features.take(out)
         fitted = fit(data.take(~out))
         errors[out[owner]] = np.concatenate([

@@ -12,9 +12,11 @@ from math import erf, sqrt
 
 import numpy as np
 
+from termsel.data.coordinates.clusters import cluster_labels
+from termsel.data.coordinates.metres import plan_of
 from termsel.data.coordinates.places import MIN_LATTICE_LINES as FEWEST_LINES
-from termsel.data.coordinates.places import lattice_of
-from termsel.data.features import FeatureSet, FloatArray, empty_points
+from termsel.data.coordinates.places import ground_centres, lattice_of, spatial_order
+from termsel.data.features import FeatureSet, FloatArray, IntArray, empty_points
 from termsel.data.fit_data import FitData
 from termsel.data.record.chances import t_quantile
 from termsel.fitting.fit import Fit, Undetermined
@@ -97,6 +99,12 @@ FOLDS = ((40, 20), (5000, 10), (50_000, 5), (np.inf, 2))
 """Folds for fewer points than a number: of many, nine tenths or four fifths predict all but as well
 as all, and of very many a half."""
 
+MIN_CLUSTERS = 10
+"""Clusters of points from which on each is held out as a whole."""
+
+CLUSTER_GAP = 3.0
+"""Least ratio of the distances between such clusters to those within them."""
+
 FOLDS_OF_LATTICE = 8
 """Folds of the lines of a lattice, and of its columns: of a radar image with ten, one each."""
 
@@ -108,7 +116,38 @@ def folds_of(features: FeatureSet) -> int:
     lattice = lattice_of(features.points)
     if lattice is not None:
         return folds_along(lattice.lines) + folds_along(lattice.columns)
-    return next(min(folds, len(features)) for below, folds in FOLDS if len(features) < below)
+    clusters = clusters_of(features)
+    count = len(features) if clusters is None else int(clusters.max()) + 1
+    return next(min(folds, count) for below, folds in FOLDS if len(features) < below)
+
+
+def clusters_of(features: FeatureSet) -> IntArray | None:
+    """Return the cluster of each point that is held out with it, (n,); None without such clusters.
+
+    Neighbours in the fit would predict a point that is held out, and its error would say nothing of
+    other places. Of few clusters the others hardly predict a whole one: points are then held out
+    one by one, and the uncertainty of the model shows what lies between.
+    """
+    if len(features.lines) or len(features) < 2 * MIN_CLUSTERS:
+        return None
+    plan = plan_of(features.crs, features.points.ground)
+    clusters = None if plan is None else cluster_labels(plan, CLUSTER_GAP)
+    return None if clusters is None or clusters.max() + 1 < MIN_CLUSTERS else clusters
+
+
+def fold_of_each(features: FeatureSet, folds: int) -> IntArray:
+    """Return the fold of each feature, (n,): each fold is everywhere, each cluster in one."""
+    centres = ground_centres(features)
+    clusters = clusters_of(features)
+    if clusters is None:
+        clusters = np.arange(len(features))
+    else:
+        centres = np.array([centres[clusters == cluster].mean(axis=0)
+                            for cluster in range(clusters.max() + 1)])
+    # Every so many along a curve through the ground.
+    fold = np.empty(len(centres), dtype=np.intp)
+    fold[spatial_order(centres)] = np.arange(len(centres)) % folds
+    return np.asarray(fold[clusters])
 
 
 def held_out_lines(count: int) -> tuple[int, int]:

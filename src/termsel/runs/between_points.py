@@ -12,9 +12,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from termsel.core.errors import rounded_size_text
+from termsel.data.coordinates.clusters import cluster_labels
 from termsel.data.coordinates.metres import plan_of
 from termsel.data.coordinates.places import convex_hull, distance_beyond_hull
-from termsel.data.features import FloatArray, Points
+from termsel.data.features import FloatArray
 from termsel.data.record.cautions import BETWEEN_POINTS
 from termsel.data.record.figures import Predicted
 from termsel.fitting.fit import Fit
@@ -49,8 +50,9 @@ def uncertain_between_points(fitted: Fit, predicted: Predicted) -> Iterator[str]
     uncertainty = float(np.sqrt((sigma**2).mean()))
     if uncertainty <= predicted.high:
         return
-    clusters = count_clusters(points, fitted.control.crs)
-    where = f"the {clusters} clusters of points" if clusters else "the points"
+    plan = plan_of(fitted.control.crs, points.ground)
+    clusters = None if plan is None else cluster_labels(plan, CLEAR_GAP)
+    where = "the points" if clusters is None else f"the {clusters.max() + 1} clusters of points"
     yield (f"{BETWEEN_POINTS}{where} the map may be off by {rounded_size_text(uncertainty)} px: "
            "the RMSE holds near them only. Measure points between them, or see termsel sigma.")
 
@@ -71,43 +73,3 @@ def places_within_hull(ground: FloatArray) -> FloatArray:
     grid = grid[distance_beyond_hull(plan, grid) == 0.0]
     distances = np.linalg.norm((grid[:, None] - plan) / extent, axis=2)
     return np.column_stack([grid, ground[distances.argmin(axis=1), 2]])
-
-
-def count_clusters(points: Points, crs: str) -> int:
-    """Return in how many clusters points lie; 0 where there is no clear gap between any.
-
-    Of the edges of the shortest tree that joins all points, those between clusters are clearly
-    longer than those within. At least half of the points have a neighbour in their cluster.
-    """
-    plan = plan_of(crs, points.ground)
-    count = len(points)
-    if plan is None or count < MIN_POINTS:
-        return 0
-    edges = np.sort(_edges_of_shortest_tree(plan))
-    # With k clusters the k - 1 longest edges join them, and at most half of the points are first.
-    within = edges[count // 2 - 1:-1]
-    between = edges[count // 2:]
-    if not len(within):
-        return 0
-    ratios = between / np.maximum(within, np.finfo(float).tiny)
-    widest = int(np.argmax(ratios))
-    if ratios[widest] < CLEAR_GAP:
-        return 0
-    return len(edges) - (count // 2 + widest) + 1
-
-
-def _edges_of_shortest_tree(plan: FloatArray) -> FloatArray:
-    """Return the lengths of the edges of the shortest tree that joins places (n, 2), (n - 1,).
-
-    By R.C. Prim, Bell System Technical Journal 36 (1957) 1389-1401.
-    """
-    distances = np.linalg.norm(plan - plan[0], axis=1)
-    is_outside = np.ones(len(plan), dtype=bool)
-    is_outside[0] = False
-    edges = []
-    while is_outside.any():
-        nearest = int(np.argmin(np.where(is_outside, distances, np.inf)))
-        edges.append(distances[nearest])
-        is_outside[nearest] = False
-        distances = np.minimum(distances, np.linalg.norm(plan - plan[nearest], axis=1))
-    return np.array(edges)

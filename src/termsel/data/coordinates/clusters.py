@@ -1,0 +1,78 @@
+"""Clusters of places: groups whose distances are clearly longer than those within them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from termsel.data.features import FloatArray, IntArray
+
+MIN_PLACES, MAX_PLACES = 5, 500
+"""Numbers of places that are looked at: fewer show no gap, and of more the search takes long."""
+
+_ROUNDING = 1e-9
+"""Distances by the longest edge, below which they are rounding."""
+
+
+def cluster_labels(plan: FloatArray, gap: float) -> IntArray | None:
+    """Return the cluster of each place (n, 2), counted from 0, (n,); None where there are none.
+
+    Of the edges of the shortest tree that joins all places, those between clusters are at least
+    `gap` times as long as those within. Half of the edges at least are within, as of places that
+    were measured twice; of places at random the longer half of the edges has no such gap.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from termsel.data.coordinates.clusters import cluster_labels
+    >>> cluster_labels(np.array([[0, 0], [0, 1], [1, 0], [9, 9], [9, 8], [8, 9]]), 3.0).tolist()
+    [0, 0, 0, 1, 1, 1]
+    """
+    count = len(plan)
+    if not MIN_PLACES <= count <= MAX_PLACES:
+        return None
+    order, parents, edges = _shortest_tree(plan)
+    sorted_edges = np.sort(edges)
+    shorter = sorted_edges[count // 2 - 1:-1]
+    longer = sorted_edges[count // 2:]
+    rounding = _ROUNDING * sorted_edges[-1]
+    if rounding == 0.0:
+        return None
+    ratios = longer / np.maximum(shorter, rounding)
+    widest = int(np.argmax(ratios))
+    if ratios[widest] < gap:
+        return None
+    # A place whose edge is no longer than those within is in the cluster of its parent.
+    labels = np.zeros(count, dtype=np.intp)
+    clusters = 1
+    for place, parent, edge in zip(order, parents, edges, strict=True):
+        if edge <= shorter[widest]:
+            labels[place] = labels[parent]
+        else:
+            labels[place] = clusters
+            clusters += 1
+    return labels
+
+
+def _shortest_tree(plan: FloatArray) -> tuple[list[int], list[int], FloatArray]:
+    """Return the places of the shortest tree but the first, their parents, and the edges between.
+
+    By R.C. Prim, Bell System Technical Journal 36 (1957) 1389-1401.
+    """
+    distances = np.linalg.norm(plan - plan[0], axis=1)
+    nearest_inside = np.zeros(len(plan), dtype=np.intp)
+    is_outside = np.ones(len(plan), dtype=bool)
+    is_outside[0] = False
+    order: list[int] = []
+    parents: list[int] = []
+    edges: list[float] = []
+    while is_outside.any():
+        place = int(np.argmin(np.where(is_outside, distances, np.inf)))
+        order.append(place)
+        parents.append(int(nearest_inside[place]))
+        edges.append(float(distances[place]))
+        is_outside[place] = False
+        from_place = np.linalg.norm(plan - plan[place], axis=1)
+        is_nearer = from_place < distances
+        nearest_inside[is_nearer] = place
+        distances = np.minimum(distances, from_place)
+    return order, parents, np.array(edges)
