@@ -86,6 +86,11 @@ def test_places_at_random_are_no_clusters(seed: int) -> None:
     assert cluster_labels(plan, 2.0) is None
 
 
+def test_rows_of_a_lattice_are_no_clusters() -> None:
+    rows, columns = np.divmod(np.arange(96), 8)
+    assert cluster_labels(np.column_stack([columns, 4.0 * rows]), 2.0) is None
+
+
 def test_places_that_were_measured_twice_are_held_out_together() -> None:
     places = np.random.default_rng(1).uniform(0.0, 900.0, (14, 2))
     features = deformed_scan(np.concatenate([places, places + 1.5]), 0.2, 1)

@@ -18,7 +18,8 @@ def cluster_labels(plan: FloatArray, gap: float) -> IntArray | None:
 
     Of the edges of the shortest tree that joins all places, those between clusters are at least
     `gap` times as long as those within. Half of the edges at least are within, as of places that
-    were measured twice; of places at random the longer half of the edges has no such gap.
+    were measured twice; of places at random the longer half of the edges has no such gap. No
+    cluster is as long as the gaps.
 
     Examples
     --------
@@ -50,7 +51,9 @@ def cluster_labels(plan: FloatArray, gap: float) -> IntArray | None:
         else:
             labels[place] = clusters
             clusters += 1
-    return labels
+    # The rows of an even lattice are longer than the gaps between them, and no clusters.
+    extents = [np.ptp(plan[labels == cluster], axis=0).max() for cluster in range(clusters)]
+    return labels if max(extents) < longer[widest] else None
 
 
 def _shortest_tree(plan: FloatArray) -> tuple[list[int], list[int], FloatArray]:
