@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import termsel
 from termsel.auto import likeliest_majority
 from termsel.auto.contradictions import polynomial_of
 from termsel.auto.likeliest_majority import Likelihoods, likelier_right
 from termsel.data.features import BoolArray, FloatArray
+from termsel.data.fit_data import FitData
 from termsel.data.monomials import evaluate_monomials
 
 EXPONENTS = polynomial_of(False, 3).exponents
@@ -101,3 +105,25 @@ def test_at_least_half_of_the_points_are_right() -> None:
     np.testing.assert_array_equal(likelier_right(np.array([[-1.0, -3.0, -2.0, -4.0],
                                                            [5.0, 1.0, 2.0, -1.0]])),
                                   [[True, False, True, False], [True, True, True, False]])
+
+
+@pytest.mark.parametrize(("scene", "count", "seed"), [
+    ("spot-isfahan", 40, 12), ("irs1c-mashad", 40, 4), ("spot-isfahan", 60, 6)])
+def test_relief_without_heights_is_no_blunder(scene: str, count: int, seed: int) -> None:
+    """Hills move points along the direction of view: a third disagrees, and none is wrong."""
+    features = termsel.simulate_scene(scene, seed=seed, roles=(count, 0, 0), n_lines=0)
+    ground = features.points.ground.copy()
+    ground[:, 2] = np.nan
+    flat = features.with_(points=replace(features.points, ground=ground))
+    assert likeliest_majority.likeliest_majority(FitData.of(flat), None) is None
+
+
+@pytest.mark.parametrize("is_relief", [False, True])
+def test_directions_of_relief_are_told_from_those_of_blunders(is_relief: bool) -> None:
+    """About the nadir point of a camera, and along one direction of a scanner."""
+    rng = np.random.default_rng(3)
+    image = rng.uniform(-1, 1, (20, 2))
+    for outwards in (image - [0.2, -0.4], np.ones((20, 2)) * [0.1, 1.0]):
+        errors = rng.normal(0, 1, (20, 1)) * outwards if is_relief else rng.normal(0, 1, (20, 2))
+        errors = errors + rng.normal(0, 0.02, (20, 2))
+        assert likeliest_majority._may_be_relief(image, errors) is is_relief

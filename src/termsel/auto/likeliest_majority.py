@@ -26,6 +26,7 @@ from termsel.adjustment.equations import weights_of
 from termsel.auto.contradictions import Division, Test, polynomial_of
 from termsel.auto.majority import (
     MAX_BLUNDER_SHARE,
+    MAX_DEVIATION,
     MAX_SAMPLED_POINTS,
     MIN_POINTS,
     closest_halves,
@@ -94,6 +95,10 @@ GROSS_STRAIN = 5.0
 CLEARLY_UNLIKE = 0.5
 """Squared difference of the errors of neighbours, by that of independent errors, from which on they
 are no bend. Of bends that pass all else it is at most 0.4."""
+
+RELIEF_CROSS = 0.33
+"""Sine of the angle between errors and the directions of relief, up to which they may be such: in
+the root mean square. Of twenty independent errors it is 0.4 to 0.7."""
 
 PREDICTED_STRAIN = 3.0
 """Standard deviations within which the regularised polynomial takes a point into its next fit."""
@@ -246,6 +251,8 @@ class Likelihoods:
         if (~used).mean() <= MAX_BLUNDER_SHARE:
             return False
         judged = self.judge(used[None])
+        if _may_be_relief(self.image[~used], judged.errors[0, ~used]):
+            return False
         squares = (judged.errors[0, ~used]**2).sum(axis=1)
         strains = np.sqrt(squares / 2 / judged.variances[0, ~used])
         are_gross = bool(np.median(strains) >= GROSS_STRAIN)
@@ -256,6 +263,27 @@ class Likelihoods:
         # The second and third term are the scaled coordinates of the plane.
         return may_be_bend(self.design[:, 1:3], used, self.judge(used[None]).errors[0, ~used],
                            unlike)
+
+
+def _may_be_relief(image: FloatArray, errors: FloatArray) -> bool:
+    """Return whether errors (m, 2) at image positions (m, 2) are what unknown heights do.
+
+    Relief moves points along one direction in the image of a scanner, and along lines through the
+    nadir point c in that of a camera: e x (p - c) is 0 for the direction e of each error. In
+    homogeneous coordinates, (w p - c) with w = 0 for one direction, that is the least singular
+    value of the rows (e x p, e_sample, -e_line). Errors that are one are a shift, and no relief.
+    """
+    shift = errors.mean(axis=0)
+    if np.linalg.norm(errors - shift) < MAX_DEVIATION * np.linalg.norm(shift) * len(errors)**0.5:
+        return False
+    # By the root of its size, as the direction of a small error is noise.
+    sizes = np.linalg.norm(errors, axis=1)
+    line, sample = (errors / np.sqrt(np.maximum(sizes * sizes.mean(), 1e-300))[:, None]).T
+    rows = np.column_stack([line * image[:, 1] - sample * image[:, 0], sample, -line])
+    # As long as the others, whatever the extent of the image.
+    rows[:, 0] /= max(float(np.sqrt((rows[:, 0]**2).mean() * 2)), 1e-300)
+    least = np.linalg.svd(rows, compute_uv=False)[-1]
+    return bool(least < RELIEF_CROSS * len(rows)**0.5)
 
 
 def likelier_right(log_odds: FloatArray) -> BoolArray:
