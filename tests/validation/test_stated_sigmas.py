@@ -45,6 +45,15 @@ def test_equal_sigmas_change_no_figure() -> None:
     assert weighted_rmse(errors, points) == float(np.sqrt((errors**2).sum(axis=1).mean()))
 
 
+def test_an_axis_that_is_measured_worse_counts_whole() -> None:
+    errors = np.random.default_rng(1).normal(0.0, [0.2, 5.0], (6, 2))
+    plain = float(np.sqrt((errors**2).sum(axis=1).mean()))
+    alike = affine_points(np.tile([[0.2, 5.0]], (6, 1))).points
+    assert weighted_rmse(errors, alike) == plain
+    unlike = affine_points(np.array([[0.2, 5.0], [0.4, 10.0]] * 3)).points
+    assert weighted_rmse(errors, unlike) > np.abs(errors[:, 1]).min()
+
+
 def test_a_weighted_rmse_is_that_of_equally_good_points() -> None:
     sigmas = np.tile([[0.5], [2.0]], (3, 2))
     errors = np.ones((6, 2))

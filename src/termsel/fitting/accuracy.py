@@ -166,11 +166,13 @@ def predict_rmse_of_fit(fitted: Fit, errors: FloatArray, points: int,
     Where points state unlike standard deviations, it is the weighted mean of the squares.
     """
     in_use = fitted.control.take(fitted.used)
-    # Of unit weight: what all of them say of one variance, each by its own standard deviation.
-    weights = weights_of(in_use.points)
-    is_weighted = has_unlike_weights(in_use.points) and len(weights) == len(errors)
+    is_weighted = has_unlike_weights(in_use.points) and len(in_use.points) == len(errors)
+    ratio = 1.0
     if is_weighted:
-        errors = errors * weights
+        # Of unit weight: what all of them say of one variance, each by its own standard deviation.
+        weighted = weighted_rmse(errors, in_use.points)
+        errors = errors * weights_of(in_use.points)
+        ratio = weighted / max(_plain_rmse(errors), np.finfo(float).tiny)
     experience = fitted.estimator.experience(fitted)
     if experience is None or not errors.any():
         shared = shared_variance(fitted.model, fitted.scaling.features(in_use))
@@ -179,10 +181,8 @@ def predict_rmse_of_fit(fitted: Fit, errors: FloatArray, points: int,
     else:
         at_control = _predict_with_experience(fitted, errors, points, experience)
     if is_weighted:
-        # sum(w^2 e^2) / sum(w^2): the error of the model counts whole, whatever the weights are.
-        mean_weight = float(np.sqrt((weights**2).mean()))
-        at_control = Predicted(at_control.rmse / mean_weight, at_control.low / mean_weight,
-                               at_control.high / mean_weight)
+        at_control = Predicted(at_control.rmse * ratio, at_control.low * ratio,
+                               at_control.high * ratio)
     height_square = 0.0
     if ground is not None:
         height_square = _square_of_unlike_heights(fitted, in_use, ground)
@@ -202,9 +202,15 @@ def weighted_rmse(errors: FloatArray, points: Points) -> float:
     Without standard deviations, and where errors of lines are among them, all count alike.
     """
     if not has_unlike_weights(points) or len(points) != len(errors):
-        return float(np.sqrt((errors**2).sum(axis=1).mean()))
-    weights = weights_of(points)
-    return float(np.sqrt((weights**2 * errors**2).sum(axis=1).mean() / (weights**2).mean()))
+        return _plain_rmse(errors)
+    # sum(w^2 e^2) / sum(w^2) of each axis, as one may be measured better than the other: the error
+    # of the model counts whole, whatever the weights are.
+    precisions = weights_of(points)**2
+    return float(np.sqrt(((precisions * errors**2).sum(axis=0) / precisions.sum(axis=0)).sum()))
+
+
+def _plain_rmse(errors: FloatArray) -> float:
+    return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
 
 def predict_rmse_between_lines(errors: FloatArray, lines: IntArray) -> Predicted:

@@ -684,9 +684,9 @@ class Fit(Glance):
         squares = self.held_out().squares
         points = self.control.take(self.used).points
         if has_unlike_weights(points):
-            precisions = (weights_of(points)**2).mean(axis=1)
+            precisions = weights_of(points)**2
             shares = np.ones(len(squares))
-            shares[:len(points)] = precisions / precisions.mean()
+            shares[:len(points)] = (precisions / precisions.mean(axis=0)).mean(axis=1)
             squares = squares * shares
         return float(np.sqrt(squares.sum() / errors))
 
