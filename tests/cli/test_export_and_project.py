@@ -332,7 +332,8 @@ def test_places_of_a_gis_are_projected_as_those_of_a_table(folder: Path, tmp_pat
     assert "feature 1: it has several vertices, expected one point" in " ".join(err.split())
 
 
-def test_heights_of_places_are_of_no_account_to_a_plane_model(tmp_path: Path) -> None:
+def test_heights_of_places_are_of_no_account_to_a_plane_model(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     places = np.array([[59.1, 36.2], [59.2, 36.4], [59.3, 36.1], [59.2, 36.2]])
     ground = np.column_stack([places, np.full(4, np.nan)])
     points = termsel.Points(tuple("abcd"), places * 1000.0, ground)
@@ -344,6 +345,30 @@ def test_heights_of_places_are_of_no_account_to_a_plane_model(tmp_path: Path) ->
     text, _ = project_table(result, tmp_path / "places.geojson")
     row = dict(zip(*(line.split(",") for line in text.splitlines()[-2:]), strict=True))
     assert float(row["line"]) == pytest.approx(59_100.0, abs=1e-3)
+    (tmp_path / "places.csv").write_text("id,x,y\na,59.1,36.2\n")
+    without_heights, _ = project_table(result, tmp_path / "places.csv")
+    caplog.set_level("WARNING")
+    assert project_table(result, tmp_path / "places.csv", height=5.0)[0] == without_heights
+    assert "does not use heights, so --height is not used" in caplog.text
+
+
+def test_a_table_for_control_in_gons_is_said_to_be_read_as_degrees(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    pytest.importorskip("pyproj")
+    rows = [f"{i},{100 * x},{100 * y},{2.5 + x / 100},{54 + y / 100}"
+            for i, (x, y) in enumerate([(1, 1), (3, 1), (2, 4), (5, 3)])]
+    (tmp_path / "control.csv").write_text("\n".join(["id,line,sample,x,y", *rows]) + "\n")
+    result = termsel.run(features=termsel.read(tmp_path / "control.csv", crs="EPSG:4807"),
+                         method="affine")
+    lines = []
+    for names, said in [("x,y", True), ("x_gon,y_gon", False)]:
+        (tmp_path / "places.csv").write_text(f"id,{names}\na,2.52,54.02\n")
+        caplog.clear()
+        text, _ = project_table(result, tmp_path / "places.csv")
+        lines.append(float(text.splitlines()[-1].split(",")[1]))
+        assert ("the control was not in degrees" in caplog.text) == said
+    assert lines[1] == pytest.approx(200.0, abs=1e-3)
+    assert lines[0] != pytest.approx(200.0, abs=1.0)
 
 
 def test_places_in_one_of_several_layers(folder: Path, tmp_path: Path) -> None:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import pickle
+import subprocess
+import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -87,3 +92,57 @@ def test_every_executor_gives_the_same(
         executor: Callable[[Task], list[dict[str, Any]]]) -> None:
     task = _task("rfm-terms", solver="ga")
     assert executor(task) == [found(task, seed) for seed in SEEDS]
+
+
+STARTS = """
+import os
+from termsel.core.isolation.helper import context_of_workers
+
+if __name__ == "__main__":
+    print(context_of_workers([]).get_start_method())
+    os.environ["OMP_NUM_THREADS"] = "7"
+    print(context_of_workers([]).get_start_method())
+"""
+
+DRAWS = """
+import os
+from concurrent.futures import ProcessPoolExecutor
+import numpy as np
+from termsel.core.isolation.helper import context_of_workers
+from termsel.studies.execution.executors import begin_worker
+
+def draw():
+    return np.random.random()
+
+def draw_in_worker():
+    with ProcessPoolExecutor(1, context_of_workers(["numpy"]), initializer=begin_worker,
+                             initargs=({}, dict(os.environ))) as pool:
+        return pool.submit(draw).result()
+
+if __name__ == "__main__":
+    print(draw_in_worker(), draw_in_worker())
+"""
+
+
+def _output_of(script: str, temporary: Path) -> list[str]:
+    """Return the words that a script prints where the temporary folder is `temporary`."""
+    path = temporary / "script.py"
+    path.write_text(script)
+    return subprocess.run([sys.executable, path], env=os.environ | {"TMPDIR": str(temporary)},
+                          check=True, text=True, stdout=subprocess.PIPE).stdout.split()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="workers are forked on Linux alone")
+def test_workers_are_forked_unless_settings_changed_or_a_socket_has_no_place(tmp_path: Path,
+                                                                             ) -> None:
+    with TemporaryDirectory(dir="/tmp") as folder:
+        assert _output_of(STARTS, Path(folder)) == ["forkserver", "spawn"]
+    folder_of_job = tmp_path / ("x" * 90)
+    folder_of_job.mkdir()
+    assert _output_of(STARTS, folder_of_job) == ["spawn", "spawn"]
+
+
+@pytest.mark.slow
+def test_each_worker_draws_its_own_numbers(tmp_path: Path) -> None:
+    first, second = _output_of(DRAWS, tmp_path)
+    assert first != second

@@ -13,6 +13,7 @@ import numpy as np
 from termsel.core.errors import TermselError, count_in_words, first_names_in_words
 from termsel.core.files.names import is_there, no_such_file_error
 from termsel.data.coordinates.crs import (
+    IN_DEGREES,
     WGS84,
     horizontal_crs,
     is_geographic,
@@ -196,7 +197,8 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
     if dem is not None and not is_there(dem):  # also where no height is blank
         raise no_such_file_error(dem)
     try:
-        table = _read_table(path, columns, *names, layer=layer, flat=fills)
+        table = _read_table(path, columns, *names, layer=layer,
+                            flat=fills and model.uses_height)
     except TermselError as error:
         if _lacks_a_column(error) and _has_columns(path, columns, "line", "sample", layer=layer):
             error.hint = f"These are image positions; ground positions {','.join(names)} are " \
@@ -211,12 +213,18 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
     except TermselError as error:
         raise error_in_file(error, path) from error
     ground = np.full((len(table.lines), 3), np.nan)
+    if IN_DEGREES in crs and not table.crs and not table.named_units():
+        log.warning("Warning: the control was not in degrees, but this table is read as degrees. "
+                    "If it is in gons (grads), name its columns x_gon and y_gon.")
     # Heights that are missing altogether have no column.
     present = [name for name in names if name in table.columns]
     ground[:, :len(present)] = table.stack(*present)
     ids = table.ids()
     _require_crs_of_control(ids, ground, crs, path)
     if not model.uses_height:
+        if fills:
+            log.warning("Note: the model does not use heights, so %s is not used.",
+                        "--height" if dem is None else "--dem")
         return ids, ground
     blank = np.flatnonzero(np.isnan(ground[:, 2]))
     if fills and not blank.size:

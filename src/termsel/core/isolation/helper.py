@@ -69,19 +69,41 @@ def safe_start() -> Iterator[None]:
             os.environ[SAFE_PATH] = variable_before
 
 
+_READ_ONCE = ("OMP_", "OPENBLAS_", "MKL_", "BLIS_", "NUMBA_")
+"""How variables begin that libraries read as they are imported, numbers of threads among them."""
+
+_settings_of_server: dict[str, str] | None = None  # as the process began that is forked
+
+
 def context_of_workers(modules: Sequence[str]) -> BaseContext:
     """Return how the processes of a pool start: of their own, with modules imported.
 
     This process is not forked: its threads, those of numba and BLAS among them, would not survive.
     On Linux a process without any imports the modules once and is forked for each worker, which
-    saves most of what a worker takes to start. Elsewhere each imports for itself.
+    saves most of what a worker takes to start. Each imports for itself elsewhere, where there is
+    no such process, and where settings have changed that it read as it imported the modules.
     """
-    if sys.platform != "linux":
+    if sys.platform != "linux" or not _fork_server_is_ready(modules):
         return get_context("spawn")
-    context = get_context("forkserver")
-    # Of no effect on a server that is running, as that of an earlier pool.
-    context.set_forkserver_preload(list(modules))
-    return context
+    return get_context("forkserver")
+
+
+def _fork_server_is_ready(modules: Sequence[str]) -> bool:
+    """Start the process that workers are forked from; return whether it has today's settings."""
+    # Windows has no use for it, and commands without workers need not wait for it.
+    from multiprocessing import forkserver
+
+    global _settings_of_server
+    settings = {name: value for name, value in os.environ.items() if name.startswith(_READ_ONCE)}
+    # Of no effect on one that is running, as that of an earlier pool.
+    get_context("forkserver").set_forkserver_preload(list(modules))
+    try:
+        forkserver.ensure_running()
+    except OSError:  # its socket is in TMPDIR, whose name may be too long for one
+        return False
+    if _settings_of_server is None:
+        _settings_of_server = settings
+    return settings == _settings_of_server
 
 
 class ProcessEndedError(Exception):

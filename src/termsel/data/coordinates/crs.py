@@ -48,6 +48,9 @@ _QUOTED_NAME = re.compile(r'\w+\s*\[\s*"([^"]{1,80})"')
 _PROJECTION_METHOD = re.compile(r'(?:PROJECTION|METHOD)\s*\[\s*"([^"]{1,80})"')
 _UNKNOWN_DATUM = re.compile(r"(D_)?(unknown|not[ _]specified)", re.IGNORECASE)
 _UNNAMED = re.compile(r"unknown|unnamed|", re.IGNORECASE)
+IN_DEGREES = ", in degrees"
+"""How the name ends of a CRS that is another one but for its unit."""
+
 _CRS_LINE = re.compile(r"\s*(EPSG|ESRI\s*:|WGS ?84|ETRS ?89|UTM|PROJC|GEOG|\+\w+=)", re.IGNORECASE)
 """What a line begins with that is a CRS."""
 _BODY = re.compile(r"(?:GCS_|D_)?([A-Za-z]+)")
@@ -293,7 +296,7 @@ def axes_of_degrees(crs: str) -> tuple[float, str]:
         return 1.0, crs
     described = parsed.to_json_dict()
     described.pop("id", None)
-    described["name"] = f"{parsed.name}, in degrees"
+    described["name"] = f"{parsed.name}{IN_DEGREES}"
     for axis in described["coordinate_system"]["axis"][:2]:
         axis["unit"] = "degree"
     return unit, str(type(parsed).from_json_dict(described).to_wkt())

@@ -14,6 +14,8 @@ from contextlib import contextmanager
 from multiprocessing import parent_process
 from types import FrameType
 
+import numpy as np
+
 from termsel.core.files.drivers import claim_process
 from termsel.core.isolation.helper import context_of_workers, safe_start
 from termsel.data.features import FeatureSet
@@ -91,7 +93,8 @@ def _run_in_pool(waiting: deque[Cell], features: Mapping[str, FeatureSet], stop:
     """Yield outcomes until all are done or a process dies; say which cells were under way then."""
     running: dict[Future[Outcome], Cell] = {}
     with safe_start():  # its locks have a process of their own
-        # The environment may have changed since the process that workers are forked from began.
+        # The environment may have changed since the process that workers are forked from began;
+        # what its libraries read as they were imported has not, or each worker imports for itself.
         executor = ProcessPoolExecutor(workers, context_of_workers(_MODULES),
                                        initializer=begin_worker,
                                        initargs=(dict(features), dict(os.environ)))
@@ -124,6 +127,7 @@ def begin_worker(features: Mapping[str, FeatureSet], environment: Mapping[str, s
     _features = features
     os.environ.clear()
     os.environ.update(environment)
+    np.random.seed()  # all that are forked from one process would draw the same
     claim_process()  # no driver of GDAL but termsel's, as on the command line
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the study decides when cells end
     sys.stdout = sys.stderr  # stdout is for the results of the command
