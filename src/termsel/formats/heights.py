@@ -431,6 +431,10 @@ def _hole_note(features: FeatureSet, project: Projection, surface: Dem) -> Heigh
     heights = heights[np.isfinite(heights)]
     is_zero = heights == 0.0
     others = heights[~is_zero]
+    # Control on the sea or on a lake knows of it.
+    control = features.ground_vertices()[:, 2] * height_unit(features.crs)
+    if (np.abs(control) < _LEAST_HILL).any():
+        return None
     # Heights next to a hole are interpolated with its 0: one in twenty may be lower.
     if not is_zero.any() or not len(others) or others.min() < 0.0 < others.max():
         return None
@@ -440,9 +444,9 @@ def _hole_note(features: FeatureSet, project: Projection, surface: Dem) -> Heigh
     pixels = pixels_by(float(np.median(others)), features, project)
     return HeightCaution(
         f"{100 * is_zero.mean():.2g} % of the heights of {surface.path.name} in the area of the "
-        f"control are exactly 0, and the others are about {np.median(others):.4g}: are these "
-        f"holes? There places are up to {rounded_size_text(pixels)} px off. Declare them: "
-        "gdal_edit.py -a_nodata 0", pixels)
+        f"control are exactly 0, and the others are about {np.median(others):.4g}: is this "
+        f"water, or are these holes? In a hole places are about {rounded_size_text(pixels)} px "
+        "off. A copy by gdal_translate -a_nodata 0 leaves holes out.", pixels)
 
 
 def _far_height_note(features: FeatureSet, project: Projection,

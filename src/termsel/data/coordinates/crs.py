@@ -276,7 +276,7 @@ def longitudes_and_latitudes_of(crs: str) -> Callable[[FloatArray], FloatArray] 
     radians = geodetic.axis_info[0].unit_conversion_factor
 
     def angles_of(positions: FloatArray) -> FloatArray:
-        return np.column_stack(inverse.transform(*positions.T)) * radians
+        return np.asarray(np.column_stack(inverse.transform(*positions.T)) * radians)
 
     return angles_of
 
