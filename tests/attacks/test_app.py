@@ -51,7 +51,7 @@ def written(folder: Path, header: dict[str, Any], entries: list[Any] | None = No
 
 def opened(folder: Path) -> Any:
     """Open a session by its folder, as `termsel app DIR` does, and return it."""
-    given, place = command.found(session.Files(str(folder)), None)
+    given, place = command.files_of_session(session.Files(str(folder)), None)
     with session.open_session(given, place) as made:
         return made
 
