@@ -50,7 +50,7 @@ def scales_at(crs: str, positions: FloatArray) -> tuple[float, float] | None:
     if not crs or UTM.fullmatch(crs) or not len(positions):
         return None
     unit = _kind_and_units(crs)[2]
-    middle = np.nanmean(positions[:, :2], axis=0)
+    middle = np.nanmedian(positions[:, :2], axis=0)
     if unit is None or not np.isfinite(middle).all():
         return None
     # By whole tens of kilometres, so that pyproj is asked once for a scene.

@@ -310,7 +310,7 @@ def sniff_table(path: Path, head: bytes, aliases: Aliases, columns: str = "",
 def _column_by_meaning(path: Path | None, line: int | None, header: Sequence[str],
                        rows: list[list[str]], aliases: Aliases, stated: Mapping[str, int],
                        fixed: Collection[int], *, flat: bool) -> dict[str, int]:
-    """Return the number of the column of each meaning, count_in_words from 0.
+    """Return the number of the column of each meaning, counted from 0.
 
     `line` is that of the header, for errors; `stated` has the columns that the user named by
     meaning, `fixed` the columns that nobody can declare, such as those of a geometry. Heights have
