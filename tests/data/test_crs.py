@@ -14,6 +14,7 @@ from termsel.data.coordinates.crs import (
     horizontal_crs,
     is_geographic,
     normalise,
+    plane_transformer,
     short_crs_name,
     to_wgs84,
 )
@@ -228,3 +229,25 @@ def test_without_pyproj_a_code_that_nothing_checks_is_named_once(
         normalise(name)
     assert [record.message.partition(".")[0] for record in caplog.records] == [
         "Note: pyproj is not installed, so nothing checks that EPSG:0 exists"]
+
+
+def test_planes_of_two_datums_are_never_copied_as_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    pyproj = pytest.importorskip("pyproj")
+    asked = []
+    real = pyproj.Transformer.from_crs
+
+    def refuse(*ends: object, **options: object) -> object:
+        asked.append(options["allow_ballpark"])
+        if not options["allow_ballpark"]:
+            raise pyproj.exceptions.ProjError("no operation")
+        return real(*ends, **options)
+
+    monkeypatch.setattr(pyproj.Transformer, "from_crs", refuse)
+    with pytest.raises(TermselError, match=r"EPSG:26711 cannot be transformed to EPSG:26911: PROJ "
+                                           r"does not have the grid ca_nrc_ntv2_0.tif") as error:
+        plane_transformer("EPSG:26711", "EPSG:26911")
+    assert "choose a CRS of the same datum" in str(error.value.hint)
+    # Old maps state an ellipsoid alone, and the Moon has one datum.
+    plane_transformer("+proj=longlat +a=6377397 +b=6356079 +type=crs", "EPSG:4326")
+    plane_transformer("IAU_2015:30100", "IAU_2015:30110")
+    assert asked == [False, True, True]

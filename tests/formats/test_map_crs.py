@@ -153,3 +153,29 @@ def test_a_continent_is_not_put_into_one_zone_of_utm_without_a_word(
 def test_control_around_a_pole_is_mapped_in_a_polar_projection(
         lat: float, expected: int, tmp_path: Path) -> None:
     assert made(scene("EPSG:4979", 160.0, lat, gsd=1600.0), tmp_path)[0] == expected
+
+
+@pytest.mark.parametrize(("crs", "target", "lon", "lat", "moved"), [
+    ("EPSG:28355", "EPSG:7855", 147.0, -36.0, 1.5), ("EPSG:7855", "EPSG:28355", 147.0, -36.0, 1.5),
+    ("EPSG:26711", "EPSG:26911", -117.0, 34.0, 211.8),
+    ("EPSG:32632", "EPSG:25832", 9.0, 48.0, 0.0)])
+def test_a_map_in_another_datum_is_where_the_operation_between_the_two_puts_it(
+        crs: str, target: str, lon: float, lat: float, moved: float, tmp_path: Path) -> None:
+    size = 60, 80
+    result = scene(crs, lon, lat, size=size, gsd=0.1)
+    pixels = np.stack(np.indices(size), axis=-1).reshape(-1, 2)
+    ground = result.locate(pixels, 110.0)[:, :2]
+    middle = ground.mean(axis=0)
+    path = tmp_path / "scene.tif"
+    with rasterio.open(path, "w", driver="GTiff", height=size[0], width=size[1], count=2,
+                       dtype="float32") as raster:
+        raster.write((ground - middle).T.reshape(2, *size).astype("float32"))
+    rectify(result, path, tmp_path / "map.tif", height=110.0, crs=target)
+    with rasterio.open(tmp_path / "map.tif") as raster:
+        row, column = (side // 2 for side in raster.shape)
+        shown = raster.read()[:, row, column] + middle
+        place = np.array(raster.xy(row, column))
+    turn = pyproj.Transformer.from_crs(crs, target, always_xy=True, allow_ballpark=False)
+    expected = np.array(turn.transform(*shown))
+    assert np.linalg.norm(expected - shown) == pytest.approx(moved, abs=0.6)
+    assert place == pytest.approx(expected, abs=0.02)

@@ -19,7 +19,7 @@ from termsel.core.errors import (
     require_import,
     rounded_size_text,
 )
-from termsel.data.coordinates.crs import LOCAL, UTM, horizontal_crs, to_wgs84
+from termsel.data.coordinates.crs import LOCAL, UTM, horizontal_crs, plane_transformer, to_wgs84
 from termsel.data.coordinates.earth import degrees_of, place_of, position_in_words
 from termsel.data.coordinates.longitudes import nearest_longitudes
 from termsel.data.coordinates.metres import height_unit
@@ -268,8 +268,8 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
     with open_raster(path) as raster:
         refuse_empty_giant(raster)
         with require_import("heights require", "pyproj", GIS):
-            from pyproj import CRS, Transformer
-            from pyproj.exceptions import CRSError, ProjError
+            from pyproj import CRS
+            from pyproj.exceptions import CRSError
         # A raster without georeferencing has the identity, which would put pixels at degrees.
         _require_georeferenced(raster, path)
         if raster.count != 1:
@@ -278,9 +278,11 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
         try:
             raster_crs = CRS.from_user_input(raster.crs.to_wkt())
             # x before y on both sides, whatever the order of axes that the CRS states.
-            to_raster = Transformer.from_crs(CRS.from_user_input(crs).to_2d(), raster_crs.to_2d(),
-                                             always_xy=True)
-        except (CRSError, ProjError) as error:  # of a building, or of the Moon
+            to_raster = plane_transformer(crs, raster_crs)
+        except TermselError as error:  # of the Moon, or of a datum whose grid is missing
+            raise TermselError(f"the CRS of this raster cannot be used: {error.what}", file=path,
+                               hint=error.hint or _PLACED) from error
+        except CRSError as error:  # of a building
             raise TermselError(f"the CRS of this raster cannot be used: {error}", file=path,
                                hint=_PLACED) from error
         if not (raster_crs.is_geographic or raster_crs.is_projected):
@@ -519,7 +521,7 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
 
 def where_raster_is(surface: Dem, features: FeatureSet) -> str:
     """Return where a raster is that covers no feature, and the zone of UTM in which it would."""
-    from pyproj import CRS, Transformer
+    from pyproj import CRS
 
     middle = degrees_of(surface.crs, np.column_stack([surface.extent(), np.zeros(2)]))
     if middle is None:
@@ -532,8 +534,7 @@ def where_raster_is(surface: Dem, features: FeatureSet) -> str:
     for zone in _zones_near(middle[0]):
         for hemisphere in "67":
             other = f"EPSG:32{hemisphere}{zone:02}"
-            to_raster = Transformer.from_crs(other, CRS(surface.raster.crs.to_wkt()).to_2d(),
-                                             always_xy=True)
+            to_raster = plane_transformer(other, CRS(surface.raster.crs.to_wkt()))
             if replace(surface, to_raster=to_raster, crs=other).covers(xy).all():
                 return (f"{place}. In {other} the {features.word} would be on it: is {stated[0]} "
                         "right?")

@@ -18,6 +18,7 @@ from termsel.data.coordinates.crs import (
     is_geographic,
     metres_per_unit,
     normalise,
+    plane_transformer,
     transformation_between,
 )
 from termsel.data.coordinates.earth import place_of, zone_of_utm_instead
@@ -212,13 +213,11 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
 
 def sees_all(result: Result, grid: MapGrid, height: float) -> bool:
     """Return whether all places of a map, at a height, are in front of the camera."""
-    from pyproj import Transformer
-
     # The edges included: the sky begins there.
     samples, lines = np.meshgrid(np.linspace(0.0, grid.samples, _OUTLINE),
                                  np.linspace(0.0, grid.lines, _OUTLINE))
     x, y = grid.transform @ (samples.ravel(), lines.ravel())
-    turn = Transformer.from_crs(grid.crs, horizontal_crs(result.features.crs), always_xy=True)
+    turn = plane_transformer(grid.crs, horizontal_crs(result.features.crs))
     ground = np.column_stack([*turn.transform(x, y), np.full(len(x), height)])
     is_known = np.isfinite(ground).all(axis=1)
     return not result.fit.unseen(ground[is_known]).any()
@@ -255,18 +254,10 @@ def _pixel_of_equal_count(outline: FloatArray, pixels: float) -> float:
 def _outline_on_map(
         result: Result, dem: Path | str | None, height: float, target: str, ) -> FloatArray:
     """Return where on the map a grid of image places is, shape (_OUTLINE, _OUTLINE, 2)."""
-    from pyproj import Transformer
-    from pyproj.exceptions import ProjError
-
     control_crs = result.features.crs
     with surface_of(dem, control_crs, height) as surface:
         ground = footprint_of(result, surface)
-    try:
-        turn = Transformer.from_crs(horizontal_crs(control_crs), target, always_xy=True)
-    except ProjError as error:
-        raise TermselError(
-            f"coordinates in {control_crs} cannot be transformed to the map's CRS: {error}",
-            hint="Give another --crs.") from error
+    turn = plane_transformer(horizontal_crs(control_crs), target)
     x, y = turn.transform(ground[:, 0], ground[:, 1])
     positions = np.stack([x, y], axis=-1)
     is_placed = np.isfinite(positions).all(axis=1)

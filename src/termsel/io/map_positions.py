@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel.adjustment.compiled import compile_lazily
-from termsel.data.coordinates.crs import horizontal_crs, is_geographic
+from termsel.data.coordinates.crs import horizontal_crs, is_geographic, plane_transformer
 from termsel.data.coordinates.longitudes import nearest_longitudes
 from termsel.data.features import FloatArray
 from termsel.fitting.fit import Fit
@@ -187,10 +187,7 @@ class MapPositions:
 
     @cached_property
     def _to_ground(self) -> Any:
-        from pyproj import Transformer
-
-        return Transformer.from_crs(
-            self.crs, horizontal_crs(self.fitted.control.crs), always_xy=True)
+        return plane_transformer(self.crs, horizontal_crs(self.fitted.control.crs))
 
     def _heights_of_tile(self, shape: tuple[int, int], transform: Any) -> FloatArray:
         """Return the heights of the ground at the pixels of a tile, (lines, samples)."""

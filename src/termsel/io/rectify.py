@@ -20,6 +20,7 @@ from termsel.data.coordinates.crs import (
     UTM,
     has_ellipsoidal_metres,
     horizontal_crs,
+    plane_transformer,
     short_crs_name,
     to_wgs84,
 )
@@ -55,6 +56,9 @@ if TYPE_CHECKING:
     from termsel.results.result import Result
 
 log = logging.getLogger(__name__)
+
+_DATUM_PX = 0.1
+"""Largest move of a map by the way over WGS84, as an RPC goes, in px of the map."""
 
 
 def rectify(
@@ -191,7 +195,9 @@ def _write_source(result: Result, picture: Picture, vrt: Path, surface: Dem | fl
     """
     # By an RPC the warper would put the sky, mirrored, on places behind the camera.
     level = float(result.fit.ground_box()[0][2]) if isinstance(surface, Dem) else surface
-    rpc_fit = _usable_rpc(result) if sees_all(result, grid, level) else None
+    rpc_fit = None
+    if sees_all(result, grid, level) and _shift_over_wgs84(result, grid) <= _DATUM_PX:
+        rpc_fit = _usable_rpc(result)
     # GDAL looks longitudes up in the raster as they are, and finds none of 290 degrees.
     if rpc_fit is None or (isinstance(surface, Dem) and surface.is_beyond_180):
         log.info("Positions in the image are computed on a grid of the map, and interpolated.")
@@ -212,6 +218,25 @@ def _write_source(result: Result, picture: Picture, vrt: Path, surface: Dem | fl
         write_ellipsoidal(surface, dem, grid.bounds, grid.crs)
     # GDAL's PROJ must not convert heights once more.
     return vrt, {"RPC_DEM": str(dem), "RPC_DEM_APPLY_VDATUM_SHIFT": "FALSE"}
+
+
+def _shift_over_wgs84(result: Result, grid: MapGrid) -> float:
+    """Return how far a map by an RPC is off for the way over WGS84 at most [px of the map].
+
+    The same datums, and those with no better operation between them, are 0 off.
+    """
+    control_crs = result.features.crs
+    if horizontal_crs(control_crs) == grid.crs:
+        return 0.0
+    from pyproj import Transformer
+
+    ground = result.features.ground_vertices()
+    direct = plane_transformer(horizontal_crs(control_crs), grid.crs).transform(*ground[:, :2].T)
+    # GDAL's warper takes whatever PROJ has first, ballpark ones included.
+    from_wgs84 = Transformer.from_crs("EPSG:4326", grid.crs, always_xy=True)
+    over_wgs84 = from_wgs84.transform(*to_wgs84(control_crs)(ground)[:, :2].T)
+    shifts = np.hypot(*(np.asarray(direct) - np.asarray(over_wgs84))) / grid.transform.a
+    return float(shifts[np.isfinite(shifts)].max(initial=0.0))
 
 
 def _say_heights(result: Result, surface: Dem | float) -> HeightCaution | None:

@@ -5,6 +5,7 @@ from termsel.data.coordinates.crs import body_of as body_of
 from termsel.data.coordinates.crs import horizontal_crs as horizontal_crs
 from termsel.data.coordinates.crs import is_geographic as is_geographic
 from termsel.data.coordinates.crs import normalise as normalise
+from termsel.data.coordinates.crs import plane_transformer as plane_transformer
 from termsel.data.coordinates.crs import to_wgs84 as to_wgs84
 from termsel.data.coordinates.crs import transformation_between as transformation_between
 from termsel.data.coordinates.longitudes import nearest_longitudes as nearest_longitudes

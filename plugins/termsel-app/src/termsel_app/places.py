@@ -16,7 +16,12 @@ import numpy as np
 
 from termsel import open_dem
 from termsel.toolkit import FloatArray
-from termsel.toolkit.coordinates import LOCAL, horizontal_crs, is_geographic
+from termsel.toolkit.coordinates import (
+    LOCAL,
+    horizontal_crs,
+    is_geographic,
+    plane_transformer,
+)
 
 MERCATOR = "EPSG:3857"
 _LOCK = Lock()  # objects of pyproj belong to one thread at a time
@@ -31,12 +36,12 @@ def shown_crs(crs: str) -> str:
 def transformer_between(source: str, target: str) -> Any:
     """Return the transformer of x and y from one CRS to another; None if both are alike or local.
     """
-    from pyproj import CRS, Transformer
+    from pyproj import CRS
 
     if LOCAL in (source, target) or source == target:
         return None
     ends = [CRS.from_user_input(crs).to_2d() for crs in (source, target)]
-    return None if ends[0].equals(ends[1]) else Transformer.from_crs(*ends, always_xy=True)
+    return None if ends[0].equals(ends[1]) else plane_transformer(*ends)
 
 
 def transform_places(transformer: Any, xy: Any, inverse: bool = False) -> FloatArray:

@@ -18,6 +18,7 @@ from termsel.toolkit.coordinates import (
     is_geographic,
     nearest_longitudes,
     offsets_in_metres,
+    plane_transformer,
 )
 from termsel.toolkit.files import MapGrid, accuracy_tags, grid_of_image, map_crs, surface_of
 from termsel.toolkit.models import (
@@ -363,9 +364,7 @@ def _to_ground(crs: str, control_crs: str, control: FloatArray) -> Callable[[Flo
                                                                             FloatArray]:
     """Return the function from x and y on the map (n, 2) to the ground (n, 3), with heights of 0.
     """
-    from pyproj import Transformer
-
-    turn = Transformer.from_crs(crs, horizontal_crs(control_crs), always_xy=True)
+    turn = plane_transformer(crs, horizontal_crs(control_crs))
     turns = is_geographic(control_crs)
     middle = float(control[:, 0].min() + control[:, 0].max()) / 2
 

@@ -25,7 +25,7 @@ from termsel.core.files.names import refuse_grids
 from termsel.data.coordinates.wgs84 import ECCENTRICITY, SEMI_MAJOR, FloatArray
 
 if TYPE_CHECKING:
-    from pyproj import CRS
+    from pyproj import CRS, Transformer
 
 log = logging.getLogger(__name__)
 
@@ -373,7 +373,6 @@ def transformation_between(source: str, target: str, *, strict: bool = True,
                            hint="State the CRS of the ground coordinates.")
     with require_import(
             f"the transformation of {short_crs_name(source)} to {into} requires", "pyproj", GIS):
-        from pyproj import Transformer
         from pyproj.exceptions import ProjError
 
     failure = f"coordinates in {short_crs_name(source)} cannot be transformed to {into}"
@@ -391,21 +390,12 @@ def transformation_between(source: str, target: str, *, strict: bool = True,
     # Ballpark transformations would leave heights, or datums, as they are, without a word.
     without_datum = next((name for name, crs in zip((source, target), parsed, strict=True)
                           if crs is not None and _has_no_datum(crs)), "")
-    try:
-        turn = Transformer.from_crs(*ends, always_xy=True, allow_ballpark=bool(without_datum))
-        # For a fit the model takes up what a shift between datums does.
-        if without_datum and not for_fit:
-            _say_no_datum(without_datum)
-    except ProjError as error:
-        grids = _missing_grids(*ends)
-        if not grids:
-            raise TermselError(f"{failure}: PROJ knows no transformation between the two",
-                               hint=_NO_TRANSFORMATION) from error
-        further_grids = f" or one of {len(grids) - _GRIDS} others" if len(grids) > _GRIDS else ""
-        raise TermselError(
-            f"{failure}: PROJ does not have the grid {' or '.join(grids[:_GRIDS])}{further_grids}",
-            hint=f"Get it with pyproj sync --file {grids[0]}, or set PROJ_NETWORK=ON. Or give "
-                 "ellipsoidal heights, as in EPSG:4979.") from error
+    turn = _transformer_without_ballpark(
+        ends, failure, remedy="give ellipsoidal heights, as in EPSG:4979",
+        without_datum=bool(without_datum))
+    # For a fit the model takes up what a shift between datums does.
+    if without_datum and not for_fit:
+        _say_no_datum(without_datum)
 
     def convert(ground: FloatArray) -> FloatArray:
         """Return ground coordinates (n, 3) in the other CRS."""
@@ -421,6 +411,59 @@ def transformation_between(source: str, target: str, *, strict: bool = True,
         return positions
 
     return convert
+
+
+def plane_transformer(source: str | CRS, target: str | CRS) -> Transformer:
+    """Return the transformer of x and y from one CRS to another, heights left as they are.
+
+    Longitudes and latitudes of one datum are never copied to another, except from or to a CRS that
+    states no datum, and on other bodies than the Earth. Where PROJ lacks the grid of the best
+    operation, it is the best one that needs none.
+
+    Raises
+    ------
+    TermselError
+        If PROJ has no operation between the two; the message names the grid that is missing.
+
+    Examples
+    --------
+    >>> x, y = plane_transformer("EPSG:28355", "EPSG:7855").transform(500000.0, 5800000.0)
+    >>> round(x - 500000.0, 1), round(y - 5800000.0, 1)
+    (0.5, 1.5)
+    """
+    from pyproj import CRS
+
+    ends = [CRS.from_user_input(crs).to_2d() for crs in (source, target)]
+    names = [short_crs_name(crs) if isinstance(crs, str) else crs.name for crs in (source, target)]
+    # Datums of other bodies are frames that differ by their ellipsoids alone.
+    on_earth = body_of(ends[0].to_wkt()) == EARTH
+    return _transformer_without_ballpark(
+        ends, f"coordinates in {names[0]} cannot be transformed to {names[1]}",
+        remedy="choose a CRS of the same datum",
+        without_datum=not on_earth or any(map(_has_no_datum, ends)))
+
+
+def _transformer_without_ballpark(ends: list[CRS], failure: str, *, remedy: str,
+                                  without_datum: bool) -> Transformer:
+    """Return the transformer between two CRSs; ballpark ones only for a CRS without a datum.
+
+    Raises TermselError, which begins with `failure`, where PROJ has none.
+    """
+    from pyproj import Transformer
+    from pyproj.exceptions import ProjError
+
+    try:
+        return Transformer.from_crs(*ends, always_xy=True, allow_ballpark=without_datum)
+    except ProjError as error:
+        grids = _missing_grids(*ends)
+        if not grids:
+            raise TermselError(f"{failure}: PROJ knows no transformation between the two",
+                               hint=_NO_TRANSFORMATION) from error
+        further_grids = f" or one of {len(grids) - _GRIDS} others" if len(grids) > _GRIDS else ""
+        raise TermselError(
+            f"{failure}: PROJ does not have the grid {' or '.join(grids[:_GRIDS])}{further_grids}",
+            hint=f"Get it with pyproj sync --file {grids[0]}, or set PROJ_NETWORK=ON. Or "
+                 f"{remedy}.") from error
 
 
 def _has_no_datum(crs: CRS) -> bool:

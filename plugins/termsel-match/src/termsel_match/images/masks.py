@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from termsel import TermselError
 from termsel.toolkit import open_layer
+from termsel.toolkit.coordinates import plane_transformer
 from termsel_match.images.rasters import FloatArray, GreyRaster, Mask, open_picture
 
 log = logging.getLogger("termsel.match")
@@ -114,8 +115,6 @@ def mask_from_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> t
     transform : affine.Affine
         From its columns and rows to coordinates.
     """
-    from pyproj import Transformer
-
     excluded = []
     for name in masks:
         if str(name) == NONE:
@@ -123,7 +122,7 @@ def mask_from_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> t
         shapes, mask_crs = read_polygons(name)
         if not mask_crs:
             continue
-        turn = Transformer.from_crs(mask_crs, crs, always_xy=True)
+        turn = plane_transformer(mask_crs, crs)
 
         def to_px(coordinates: FloatArray, turn: Any = turn, name: Path | str = name) -> FloatArray:
             """Return the pixels of the reference at coordinates of a mask."""

@@ -21,6 +21,7 @@ from termsel import (
     read_rpc,
 )
 from termsel.toolkit import say_difference, sentence_on_common_offset
+from termsel.toolkit.coordinates import plane_transformer
 from termsel_match.images.rasters import FloatArray
 
 Heights = float | Callable[[FloatArray], FloatArray]
@@ -105,11 +106,8 @@ class Start:
 
 def transform_plane(plane: FloatArray, crs: str, to: str) -> FloatArray:
     """Return plane coordinates (..., 2), x and y, of a CRS in another one."""
-    from pyproj import CRS, Transformer
-
     # Heights stay as they are: only the plane is transformed.
-    turn = Transformer.from_crs(CRS.from_user_input(crs).to_2d(), CRS.from_user_input(to).to_2d(),
-                                always_xy=True)
+    turn = plane_transformer(crs, to)
     return np.stack(turn.transform(plane[..., 0], plane[..., 1]), axis=-1)
 
 

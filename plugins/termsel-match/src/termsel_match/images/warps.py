@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from termsel import TermselError, open_dem
+from termsel.toolkit.coordinates import plane_transformer
 from termsel_match.images.masks import mask_from_ground
 from termsel_match.images.positions import middle_in_words
 from termsel_match.images.rasters import (
@@ -264,9 +265,6 @@ def open_reference(path: Path | str, start: Start, dem: Path | str | None, size:
         If the image has no CRS; if it or the DEM cannot be read, or does not cover any part of
         what the start says that the image shows.
     """
-    from pyproj import CRS, Transformer
-    from pyproj.exceptions import ProjError
-
     with ExitStack() as stack:
         picture = stack.enter_context(open_picture(path, band))
         crs = crs_of(picture)
@@ -278,11 +276,10 @@ def open_reference(path: Path | str, start: Start, dem: Path | str | None, size:
             else:
                 heights.append(stack.enter_context(open_dem(Path(dem), of_crs)))
         try:
-            to_map = Transformer.from_crs(CRS.from_user_input(start.crs).to_2d(), crs,
-                                          always_xy=True)
-        except ProjError as error:
+            to_map = plane_transformer(start.crs, crs)
+        except TermselError as error:
             raise TermselError(f"the CRS of {start.description} cannot be transformed to that of "
-                               f"this raster: {error}", file=path,
+                               f"this raster: {error.what}", file=path,
                                hint="Give a reference in a CRS of the Earth.") from error
         reference = Reference(picture, crs, start, heights[0], heights[1], to_map)
         _require_overlap(reference, size, dem)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from termsel import TermselError, open_dem
 from termsel.toolkit import open_layer
+from termsel.toolkit.coordinates import plane_transformer
 from termsel_match.images.positions import middle_in_words
 from termsel_match.images.rasters import FloatArray
 from termsel_match.images.starts import Start
@@ -74,14 +75,11 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
         If the file cannot be read, has no CRS or no lines, the DEM does not cover the vectors, or
         none of them is in the image; or if the image has a single line or sample.
     """
-    from pyproj import CRS, Transformer
-
     if min(size) < 2:
         raise TermselError(f"an image of {size[0]} x {size[1]} px shows no lines",
                            hint="Give the whole image, or a larger part of it.")
     lines, crs = read_vectors(Path(path))
-    to_start = Transformer.from_crs(CRS.from_user_input(crs).to_2d(),
-                                    CRS.from_user_input(start.crs).to_2d(), always_xy=True)
+    to_start = plane_transformer(crs, start.crs)
     image_place = start.locate(np.array([[0.0, 0.0], [size[0] - 1.0, size[1] - 1.0]]), start.height)
     nowhere = TermselError(
         f"no straight piece of {SHORTEST:.0f} px of the vectors is in the image: they are around "
