@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +23,8 @@ LOCATE_TOLERANCE = 1e-6
 _NEWTON_STEPS, _STARTS_KEPT = 24, 3
 _WORSE, _SHORTER = 2.0, 8
 _SECANTS, _BISECTIONS = 20, 40
+_LOWER_TOPS = 6
+_MOST_STEPS, _RAYS_AT_ONCE = 2000, 500
 _AT_SURFACE, _CLOSE = 1e-6, 1e-3  # in the unit of height; both far less than 1 px
 _FAR_RANGES = 5.0  # half-ranges
 _DIFFERENCE = 1e-4  # of the half-range: central differences leave about 1e-8 of a derivative
@@ -40,7 +43,8 @@ def locate(
     Heights are (n,), one number, or a surface that gives them for x and y; the search starts in the
     middle, `centre` and half-range `scale` of the ground (3,). NaN where the ray meets no ground
     point, or the surface has no height there. Where a ray meets a steep surface several times, one
-    of the places is returned, not always the visible one. Raises TermselError for other shapes.
+    of the places is returned; `visible_places` moves it to the visible one. Raises TermselError for
+    other shapes.
     """
     image = np.asarray(image, dtype=np.float64)
     if image.ndim != 2 or image.shape[1] != 2:
@@ -62,6 +66,106 @@ def locate(
     # Higher polynomials map places far away to the same image point.
     ground[(np.abs(ground[:, :2] - middle[:2]) > _FAR_RANGES * unit[:2]).any(axis=1)] = np.nan
     return ground
+
+
+def visible_places(
+    project: Projection,
+    image: FloatArray,
+    ground: FloatArray,
+    surface: Surface,
+    highest: float,
+    spacing: float,
+    unit: FloatArray,
+) -> FloatArray:
+    """Return where rays meet a surface first on their way down, shape (n, 3).
+
+    Parameters
+    ----------
+    project : callable
+    image : ndarray, shape (n, 2)
+        Line and sample [px].
+    ground : ndarray, shape (n, 3)
+        Where the rays meet the surface, as `locate` returns it; NaN stays.
+    surface : callable
+    highest : float
+        Height that the surface is nowhere above.
+    spacing : float
+        Of heights of the surface, in the plane.
+    unit : ndarray, shape (3,)
+        Half-range of the ground.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+    """
+    ground = ground.copy()
+    rays = np.flatnonzero(np.isfinite(ground).all(axis=1) & (ground[:, 2] < highest - _CLOSE))
+    inverse = _inverse_derivatives(project, ground, unit)
+
+    def at_height(rays: IntArray, height: FloatArray) -> FloatArray:
+        """Return the places (r, 3) of rays at heights (r,)."""
+        places = ground[rays]
+        places[:, 2] = height
+        return _iterate_newton(project, image[rays], places, unit, inverse[rays])
+
+    # Two places of each ray above the first one: a camera may be below the highest ground.
+    low = ground[rays, 2]
+    top = np.full(len(rays), highest)
+    upper = at_height(rays, top)
+    for _ in range(_LOWER_TOPS):
+        lost = np.isnan(upper[:, 0])
+        if not lost.any():
+            break
+        top[lost] = (top[lost] + low[lost]) / 2
+        upper[lost] = at_height(rays[lost], top[lost])
+    middle = at_height(rays, (top + low) / 2)
+    # A ray that stays within a pixel of the surface, as in views from above, cannot leave it again.
+    distance = np.linalg.norm(upper[:, :2] - ground[rays, :2], axis=1)
+    going = np.flatnonzero((distance > spacing) & np.isfinite(middle[:, 0]))
+    for i in range(0, len(going), _RAYS_AT_ONCE):
+        batch = going[i:i + _RAYS_AT_ONCE]
+        steps = int(min(np.ceil(2 * distance[batch].max() / spacing), _MOST_STEPS))
+        curves = np.stack([upper[batch], middle[batch], ground[rays[batch]]])
+        start, end = _first_crossings(curves, surface, steps)
+        found = np.flatnonzero(np.isfinite(start))
+        if not found.size:
+            continue
+        hidden = rays[batch[found]]
+        places = _bisect(partial(at_height, hidden), surface, end[found], start[found])
+        is_crossing = np.abs(surface(places[:, :2]) - places[:, 2]) <= _CLOSE
+        ground[hidden[is_crossing]] = places[is_crossing]
+    return ground
+
+
+def _first_crossings(curves: FloatArray, surface: Surface, steps: int,
+                     ) -> tuple[FloatArray, FloatArray]:
+    """Return the heights between which rays go first below a surface, (r,) each; NaN for none.
+
+    `curves` are places of the rays above, half-way and at a crossing, shape (3, r, 3).
+    """
+    # Lagrange's polynomials through t = 0, 1/2 and 1; the last step ends above the known crossing.
+    t = np.linspace(0.0, 1.0, steps + 1)[:-1, None]
+    weights = np.stack([(2 * t - 1) * (t - 1), 4 * t * (1 - t), t * (2 * t - 1)])
+    places = np.einsum("kti,krc->trc", weights, curves)
+    heights = surface(places[..., :2].reshape(-1, 2)).reshape(places.shape[:2])
+    is_below = heights - places[..., 2] > _CLOSE
+    # At the top itself a ray is above all of the surface, or the camera is inside of it.
+    first = np.argmax(is_below, axis=0)
+    rays = np.arange(places.shape[1])
+    start = np.where(first > 0, places[np.maximum(first - 1, 0), rays, 2], np.nan)
+    return start, places[first, rays, 2]
+
+
+def _bisect(at_height: Callable[[FloatArray], FloatArray], surface: Surface, below: FloatArray,
+            over: FloatArray) -> FloatArray:
+    """Return the places (r, 3) where rays cross a surface, between heights under and above it."""
+    for _ in range(_BISECTIONS):
+        middle = (below + over) / 2
+        places = at_height(middle)
+        rises = surface(places[:, :2]) > places[:, 2]
+        below = np.where(rises, middle, below)
+        over = np.where(rises, over, middle)
+    return places
 
 
 def _iterate_newton(project: Projection, image: FloatArray, ground: FloatArray, unit: FloatArray,

@@ -47,6 +47,8 @@ Projection = Callable[[FloatArray], FloatArray]
 _TILE = 256  # largest number of pixels read at once along either side
 _AROUND = 2  # further pixels on each side of a part
 _NODATA = -1e10
+_SAMPLED = 2048  # lines and samples of a raster, of which the highest is looked for
+_DATUM_MARGIN = 20.0  # [m]
 _HEIGHT_TYPES = ("int16", "int32", "float32", "float64")
 _PLACED = "Give a raster in a geographic or projected CRS of the Earth."
 
@@ -130,6 +132,44 @@ class Dem:
                                         [bounds.bottom, bounds.bottom, bounds.top, bounds.top],
                                         direction="INVERSE")
         return np.array([[min(x), min(y)], [max(x), max(y)]])
+
+    def highest(self, corners: FloatArray) -> float:
+        """Return the greatest height in the box around places (n, 2); NaN where there is none.
+
+        In a large box it is the greatest that is sampled.
+        """
+        from rasterio.windows import Window
+
+        pixels = pixel_positions(self.raster, *self._raster_xy(corners))
+        size = np.array(self.raster.shape)
+        if not np.isfinite(pixels).all():
+            return np.nan
+        first = np.clip(np.floor(pixels.min(axis=0)), 0, size).astype(int)
+        last = np.clip(np.ceil(pixels.max(axis=0)) + 1, 0, size).astype(int)
+        lines, samples = (last - first).tolist()
+        if min(lines, samples) < 1:
+            return np.nan
+        heights = self.raster.read(
+            1, window=Window(int(first[1]), int(first[0]), samples, lines), masked=True,
+            out_shape=(min(lines, _SAMPLED), min(samples, _SAMPLED))).astype(np.float64)
+        heights = heights.filled(np.nan) * self.raster.scales[0] + self.raster.offsets[0]
+        finite = heights[np.isfinite(heights)]
+        if not finite.size:
+            return np.nan
+        bounds = self.raster.bounds
+        middle = (np.array([bounds.left + bounds.right]) / 2,
+                  np.array([bounds.bottom + bounds.top]) / 2)
+        # What the datum adds changes by metres within a raster.
+        return float(self.converted(*middle, finite.max(keepdims=True))[0]
+                     + _DATUM_MARGIN / height_unit(self.crs))
+
+    def spacing(self) -> float:
+        """Return the side of a pixel in the middle, in the unit of the ground coordinates."""
+        line, sample = np.array(self.raster.shape) / 2
+        x, y = self.raster.transform @ (np.array([sample, sample + 1.0, sample]),
+                                        np.array([line, line, line + 1.0]))
+        plan = np.stack(self.to_raster.transform(x, y, direction="INVERSE"), axis=1)
+        return float(np.linalg.norm(plan[1:] - plan[0], axis=1).min())
 
     def _raster_xy(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return x and y, (n,) each, in the raster's CRS of ground positions (n, 2)."""
@@ -277,11 +317,6 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
                                file=path, hint="Choose one, for example with gdal_translate -b.")
         try:
             raster_crs = CRS.from_user_input(raster.crs.to_wkt())
-            # x before y on both sides, whatever the order of axes that the CRS states.
-            to_raster = plane_transformer(crs, raster_crs)
-        except TermselError as error:  # of the Moon, or of a datum whose grid is missing
-            raise TermselError(f"the CRS of this raster cannot be used: {error.what}", file=path,
-                               hint=error.hint or _PLACED) from error
         except CRSError as error:  # of a building
             raise TermselError(f"the CRS of this raster cannot be used: {error}", file=path,
                                hint=_PLACED) from error
@@ -289,6 +324,12 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
             raise TermselError(f"the CRS of this raster, {raster_crs.name}, has no horizontal "
                                "coordinates",
                                file=path, hint=_PLACED)
+        try:
+            # x before y on both sides, whatever the order of axes that the CRS states.
+            to_raster = plane_transformer(crs, raster_crs)
+        except TermselError as error:  # of the Moon, or of a datum whose grid is missing
+            raise TermselError(f"the CRS of this raster cannot be used: {error.what}", file=path,
+                               hint=error.hint or _PLACED) from error
         raster_crs = with_declared_datum(raster, raster_crs, path)
         unit = metres_of_band(raster, raster_crs, path)
         to_datum = to_datum_of(crs, raster_crs, path)

@@ -1,0 +1,65 @@
+"""From the image to the ground where hills hide ground behind them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from termsel.data.arrays import BoolArray, FloatArray
+from termsel.data.locate import locate, visible_places
+
+CAMERA = np.array([-1500.0, 0.0, 900.0])
+UNIT = np.array([800.0, 800.0, 100.0])
+
+
+def hill(xy: FloatArray) -> FloatArray:
+    """Return heights: a hill of 260 m around the origin, on 300 m."""
+    return np.asarray(300.0 + 260.0 * np.exp(-((xy / 180.0) ** 2).sum(axis=1)))
+
+
+def oblique(ground: FloatArray) -> FloatArray:
+    """Return line and sample by a camera that looks along x, 20 degrees down; NaN behind it."""
+    forward, down = np.array([0.94, 0.0, -0.342]), np.array([-0.342, 0.0, -0.94])
+    rays = ground - CAMERA
+    depth = np.where(rays @ forward > 0.0, rays @ forward, np.nan)
+    return np.stack([rays @ down, rays[:, 1]], axis=1) * 2000.0 / depth[:, None]
+
+
+def from_above(ground: FloatArray) -> FloatArray:
+    return np.stack([-ground[:, 1], ground[:, 0] + 0.1 * ground[:, 2]], axis=1)
+
+
+def is_hidden(ground: FloatArray, above: float = 1.0) -> BoolArray:
+    """Return which places (n, 3) have ground so far above their ray, in metres, (n,)."""
+    shares = np.linspace(0.05, 0.999, 2000)[:, None]
+    return np.array([(hill((ray := CAMERA + (place - CAMERA) * shares)[:, :2]) - ray[:, 2]).max()
+                     > above for place in ground])
+
+
+@pytest.mark.parametrize("highest", [560.0, 580.0, 3000.0])  # the last one is above the camera
+def test_the_ground_before_a_hill_is_given_and_not_that_behind_it(highest: float) -> None:
+    plan = np.random.default_rng(1).uniform(-700.0, 700.0, (150, 2))
+    image = oblique(np.column_stack([plan, hill(plan)]))
+    ground = locate(oblique, image, hill, centre=(0.0, 0.0, 350.0), scale=UNIT)
+    # Rays to the back of the hill, which meet it twice more.
+    behind = np.column_stack([plan, hill(plan)])
+    for start in (ground, behind):
+        visible = visible_places(oblique, image, start, hill, highest, 5.0, UNIT)
+        known = np.isfinite(start).all(axis=1)
+        assert oblique(visible[known]) == pytest.approx(image[known], abs=1e-5)
+        assert hill(visible[known, :2]) == pytest.approx(visible[known, 2], abs=2e-3)
+        assert not is_hidden(visible[known]).any()
+        # Rays that graze a hill apart.
+        stays = known.copy()
+        stays[known] = ~is_hidden(start[known], 0.01)
+        assert visible[stays] == pytest.approx(start[stays], abs=1.0)
+    assert is_hidden(behind).sum() > 5
+
+
+def test_views_from_above_and_blanks_stay_as_they_are() -> None:
+    plan = np.random.default_rng(2).uniform(-700.0, 700.0, (50, 2))
+    image = from_above(np.column_stack([plan, hill(plan)]))
+    ground = locate(from_above, image, hill, centre=(0.0, 0.0, 350.0), scale=UNIT)
+    ground[3] = np.nan
+    found = visible_places(from_above, image, ground, hill, 580.0, 30.0, UNIT)
+    assert np.array_equal(found, ground, equal_nan=True)
