@@ -119,6 +119,7 @@ def test_so_few_points_are_held_out_from_what_all_choose(n: int, heights: bool) 
     (["a,10,10,0,0,5", "b,20,20,10,10,6", "c,30,30,20,20,5"], "on one straight line"),
     (["a,10,10,0,0,5", "b,10,10,10,10,6"], "the same place in the image"),
     (["a,10,10,0,0,5", "b,20,20,0,0,5"], "have the same ground coordinates"),
+    (["a,10,10,0,0,5", "b,20,20,0,0,5", "c,30,20,0,0,5"], "all points have the same ground"),
     (["a,10,10,0,0,5", "b,20,20,0,0,6"], "the same place on the ground")])
 def test_points_that_determine_nothing(rows: list[str], words: str, call: Call,
                                        tmp_path: Path) -> None:

@@ -106,8 +106,8 @@ def test_two_files_of_points_are_to_be_joined_or_compared(example_files: Path) -
 
 def test_an_image_alone_is_asked_for_its_points(example_files: Path) -> None:
     message = refused("run", str(example_files / "scene.tif"))
-    assert "this raster has no ground control points. Give the file of points with it: termsel " \
-        "run points.csv scene.tif." in message
+    assert "this raster has no ground control points. Give the file of its points instead" \
+        in message
 
 
 def test_heights_among_the_files_are_not_taken_for_the_image(example_files: Path) -> None:

@@ -142,11 +142,19 @@ DOUBT = "doubt"
 """Value of it: said by the summary of a run as well."""
 
 
+_DEGREES = {"linear": 1, "quadratic": 2, "cubic": 3}
+"""Degrees of polynomials by what the summary of a run calls them."""
+
+
 def unknown_name_error(
         kind: str, name: str, names_known: Iterable[str], hint: str = "") -> TermselError:
     """Return the error for a name of some kind that is not among the known, with the nearest."""
     names = sorted(set(names_known))
     near = _likely_names(name, names)
+    if name.lower() in _DEGREES and "poly2d" in names:  # a word of the summary
+        hint = (f"Name it poly2d, or poly3d with heights, and --set degree="
+                f"{_DEGREES[name.lower()]}. {hint}").rstrip()
+        near = []
     guess = f"Did you mean {' or '.join(map(repr, near))}?" if near else ""
     remainder = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
     listed = (f"Known: {', '.join(names[:MOST_NAMED])}{remainder}." if names

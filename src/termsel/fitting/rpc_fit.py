@@ -252,7 +252,7 @@ def _grid_on_ground(fitted: Fit, convert: Callable[[FloatArray], FloatArray], ac
     if is_seen.mean() < 0.8:
         raise TermselError(
             f"the model has no ground position for {1 - is_seen.mean():.0%} of the image",
-            hint="Do not use it: choose a simpler model, or fewer terms.")
+            hint="Do not use it: choose a simpler model or fewer terms, or measure more points.")
     is_seen &= fitted.holds(ground)
     return image[is_seen, :2], convert(ground[is_seen])
 

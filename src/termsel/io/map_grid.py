@@ -168,6 +168,10 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
         control = result.fit.control
         with open_dem(Path(dem), control.crs) as surface:
             where = where_raster_is(surface, control)
+            covers_some = surface.covers(control.ground_vertices()[:, :2]).any()
+        if covers_some:
+            raise TermselError("this raster of heights has no data in the area of the image",
+                               file=dem, hint="Give one with heights there, or --height H.")
         raise TermselError(f"this raster of heights does not cover the image, which is around "
                            f"{place_of(control)}", file=dem,
                            hint=f"{where} Give a raster of that area.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -104,7 +105,10 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
     if np.isnan(fitted.control.ground_vertices()[:, 2]).any():
         # The grid of a plane model has a height for the sake of arithmetic.
         best_positions[:, 2] = np.nan
-    return Plan(tuple(ids[i] for i in numbers[ranking.order]), np.column_stack(
+    names = tuple(ids[i] for i in numbers[ranking.order])
+    if candidates is not None:
+        _say_measured(names, best_positions, fitted.control.points.ground)
+    return Plan(names, np.column_stack(
         [fitted.project(best_positions), best_positions, np.hypot(ranking.sigma, shared)]),
         float(np.hypot(ranking.sigma_before, shared)), fitted.control.crs)
 
@@ -114,3 +118,14 @@ def _say_unseen(unseen: list[str]) -> None:
     log.warning("Note: %s left out, as the image does not show %s: %s.",
                 count_in_words(len(unseen), "candidate"), "it" if len(unseen) == 1 else "them",
                 first_names_in_words(unseen))
+
+
+def _say_measured(names: Sequence[str], positions: FloatArray, control: FloatArray) -> None:
+    """Say which places (n, 3) are those of control points (p, 3)."""
+    measured_places = {tuple(place) for place in control[:, :2].tolist()}
+    measured = [name for name, place in zip(names, positions[:, :2].tolist(), strict=True)
+                if tuple(place) in measured_places]
+    if measured:
+        log.warning("Note: control of this fit already, so that a further point there is the same "
+                    "place measured again: %s.",
+                    first_names_in_words(measured))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from termsel import Points, Result, TermselError
-from termsel.toolkit import FloatArray, read_text
+from termsel.toolkit import FloatArray, count_in_words, read_text
 from termsel.toolkit.coordinates import offsets_in_metres
 from termsel.toolkit.models import OnGround, distance_figures
 
@@ -104,7 +104,15 @@ def errors_of(result: Result) -> GroundErrors:
     offsets = (fitted.locate(points.image, heights) - ground)[:, :2]
     crs = result.features.crs
     metres = offsets_in_metres(crs, ground, offsets)
-    if metres is None or not np.isfinite(metres).all():
+    if metres is not None and not np.isfinite(metres).all():
+        lost = [name for name, offset in zip(points.ids, metres, strict=True)
+                if not np.isfinite(offset).all()]
+        raise TermselError("the model gives no ground position for "
+                           f"{count_in_words(len(lost), 'independent point')}, such as {lost[0]}",
+                           ids=lost,
+                           hint="It is not valid there: choose another model, or measure more "
+                                "control.")
+    if metres is None:
         raise TermselError("the errors on the ground are not known in metres",
                            hint="State the CRS of the ground coordinates when you run termsel.")
     # An exported fit may use the independent points: then the errors are other than those recorded.

@@ -260,8 +260,7 @@ class _Nodes:
         if FAR_OUTSIDE < closest < np.inf:
             raise TermselError("all of this map is far outside the control, and the model is not "
                                "valid there",
-                               hint="Give --bounds in the CRS of the raster, west, south, east and "
-                                    "north.")
+                               hint=_advice_far_outside(control, known_heights, flat=flat))
         truth = _sigma_at(result, tested_ground)
         if not np.isfinite(truth).any():
             raise TermselError("the uncertainty of this model is not known anywhere on this map",
@@ -334,6 +333,17 @@ class _Nodes:
         bands[4] = np.where(np.isfinite(distance), distance > 0, np.nan)
         bands[:, ~np.isfinite(bands[:4]).all(axis=0)] = np.nan
         return bands.reshape(len(BANDS), window.height, window.width)
+
+
+def _advice_far_outside(control: FloatArray, heights: FloatArray, *, flat: bool) -> str:
+    """Return what to do about a map whose ground is all far outside the control (v, 3)."""
+    lowest, highest = np.nanmin(control[:, 2]), np.nanmax(control[:, 2])
+    if not flat and (heights.max() < lowest or heights.min() > highest):
+        return (f"Its heights are {heights.min():,.0f} to {heights.max():,.0f}, those of the "
+                f"control {lowest:,.0f} to {highest:,.0f}: give those of the ground, or --bounds "
+                "in the CRS of the raster, west, south, east and north, that hold the control.")
+    return ("Give --bounds in the CRS of the raster, west, south, east and north, that hold the "
+            "control.")
 
 
 def _no_area_error(bounds: Sequence[float]) -> TermselError:

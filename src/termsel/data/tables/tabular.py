@@ -104,6 +104,11 @@ def check_places(ground: FloatArray, ids: Sequence[str]) -> None:
         is_pair = len(repeated) == 1 and len(repeated[0]) == 2
         surplus = "one of them" if is_pair else "all but one of each"
         earlier, later, *_ = repeated[0]
+        if len(repeated[0]) == len(ids) > 2:
+            raise TermselError("all points have the same ground coordinates",
+                               ids=[ids[later], ids[earlier]],
+                               hint="Was one position filled down the columns x and y? Give each "
+                                    "point its own.")
         raise TermselError(places_in_words(ids, repeated), ids=[ids[later], ids[earlier]],
                            hint=f"Remove {surplus}, or average their image coordinates: --set "
                                 "repeated=average.")

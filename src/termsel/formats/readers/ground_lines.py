@@ -83,7 +83,7 @@ def _no_join_error(path: Path, join: str, names: list[str], has_image_lines: boo
     known = f"Their properties are {', '.join(names)}. " if names else "They have no properties. "
     example = names[0] if len(names) == 1 else "PROPERTY"
     needed = "" if has_image_lines else \
-        " The lines in the image are a table of their own: --image-lines FILE."
+        f" The lines in the image are a table of their own: --lines {path} --image-lines FILE."
     error = TermselError(f"the ground lines have no property {join!r} that names each line",
                          file=path, hint=f"{known}Say which one does: --set join={example}.{needed}"
                          if names else f"{known}Give each line a property {join!r}.{needed}")

@@ -195,6 +195,9 @@ def _refuse_unknown_key(message: str, text: str, path: Path) -> None:
     of_image = _image_in_words(unknown[2])
     keys = (_Image if of_image else _File).__struct_fields__
     near = get_close_matches(unknown[1], keys, n=1)
+    if re.search(r"^\s*(problems|solvers|seeds)\s*=", text, re.MULTILINE):
+        raise TermselError("this file is of a study, not of a block", file=path,
+                           hint=f"Run it by termsel compare {path} --out DIR.")
     guess = f"Did you mean {near[0]!r}? " if near else ""
     raise TermselError(f"unknown key {unknown[1]!r}{of_image or ' of a block'}", file=path,
                        line=_line_of(unknown[1], text),

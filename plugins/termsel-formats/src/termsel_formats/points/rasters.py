@@ -45,9 +45,8 @@ class GdalGcps(Reader):
             size = raster.shape
         if not gcps:
             raise TermselError("this raster has no ground control points", file=path,
-                               hint="Give the file of points with it: termsel run points.csv "
-                                    f"{path.name}. Or collect points on it: termsel app "
-                                    f"{path.name} --map MAP.")
+                               hint="Give the file of its points instead, or with it to termsel "
+                                    f"run. Or collect points on it: termsel app {path} --map MAP.")
         corner = CORNER if self.options["gcp_origin"] == "corner" else 0.0
         points = points_of(path, [str(gcp.id or "") for gcp in gcps], [
             (gcp.row - corner, gcp.col - corner, gcp.x, gcp.y, np.nan if gcp.z is None else gcp.z)
