@@ -116,7 +116,7 @@ def test_so_few_points_are_held_out_from_what_all_choose(n: int, heights: bool) 
 @pytest.mark.parametrize(("rows", "words"), [
     (["a,10,10,0,0,5"],
      "only 1 control point; at least 2 control points are needed. Measure more."),
-    (["a,10,10,0,0,5", "b,20,20,10,10,6", "c,30,30,20,20,5"], "on one straight line"),
+    (["a,10,10,0,0,5", "b,20,20,10,20,6", "c,30,30,20,40,5"], "on one straight line"),
     (["a,10,10,0,0,5", "b,10,10,10,10,6"], "the same place in the image"),
     (["a,10,10,0,0,5", "b,20,20,0,0,5"], "have the same ground coordinates"),
     (["a,10,10,0,0,5", "b,20,20,0,0,5", "c,30,20,0,0,5"], "all points have the same ground"),
