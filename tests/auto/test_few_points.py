@@ -344,7 +344,7 @@ def test_five_lines_predict_no_accuracy() -> None:
     assert result.predicted is None
     assert result.strategy is not None
     assert result.strategy.predicted is None
-    assert any(note.startswith("The features are too few to repeat") for note in result.notes)
+    assert any(note.startswith("The lines are too few to repeat") for note in result.notes)
 
 
 def test_an_affine_image_has_a_probability_of_its_own() -> None:

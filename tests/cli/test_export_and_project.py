@@ -14,6 +14,7 @@ from click.testing import CliRunner
 
 import termsel
 from termsel.cli.main import cli
+from termsel.io.plan import plan
 from termsel.io.project import project_table
 from termsel.io.result_folder import read_result, write_result
 from termsel.results.result import checksum_of_record
@@ -347,9 +348,12 @@ def test_heights_of_places_are_of_no_account_to_a_plane_model(
     assert float(row["line"]) == pytest.approx(59_100.0, abs=1e-3)
     (tmp_path / "places.csv").write_text("id,x,y\na,59.1,36.2\n")
     without_heights, _ = project_table(result, tmp_path / "places.csv")
+    (tmp_path / "candidates.csv").write_text("id,x,y\nnew,59.15,36.25\nold,59.1,36.2\n")
     caplog.set_level("WARNING")
     assert project_table(result, tmp_path / "places.csv", height=5.0)[0] == without_heights
     assert "does not use heights, so --height is not used" in caplog.text
+    plan(result, 2, tmp_path / "candidates.csv")
+    assert "the same place measured again: old." in caplog.text
 
 
 def test_a_table_for_control_in_gons_is_said_to_be_read_as_degrees(

@@ -430,3 +430,9 @@ def test_two_points_are_not_sent_to_leave_one_out(tmp_path: Path) -> None:
                       "rfm-terms")
     assert "are needed. Measure more" in message
     assert "press" not in message
+
+
+def test_a_word_of_the_summary_leads_to_the_name_of_the_model(example_files: Path) -> None:
+    message = refused("run", str(example_files / "gcps.csv"), "--model", "quadratic")
+    assert "multiquadric'?" not in message
+    assert "Name it poly2d, or poly3d with heights, and --set degree=2." in message

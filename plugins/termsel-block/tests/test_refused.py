@@ -31,6 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (("rpc =", "rcp ="), "unknown key 'rcp' of image number 1. Did you mean 'rpc'? Known: name, "),
     (("[[image]]", "[[images]]"), "unknown key 'images' of a block. Did you mean 'image'? Known: "),
     (("rpc =", "rcp ="), "bad.toml, line "),
+    (('crs = "EPSG:4979"', 'solvers = ["ga"]'), "Run it by termsel compare"),
     (('"B.RPB"', '"ties.csv"'), "this file has no RPC"),
     (('name = "C"', 'name = "../C"'), "cannot be the name of an image"),
     (('crs = "EPSG:4979"', 'crs = "EPSG:32639"'), "the block says EPSG:32639"),
