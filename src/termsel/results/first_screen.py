@@ -469,7 +469,7 @@ def _urgent_warnings_and_notes(record: Record) -> list[str]:
     is_exact_said = is_exact(record)
     return [*_urgent_warnings(record),
             *(note for note in record.notes if note and not _is_shown(note)
-              and note not in (heights, _why_rpc_unused(record))
+              and note not in (heights, *_said_of_rpc(record))
               and not (is_exact_said and EXACTLY in note)
               and not (doubt and note.casefold().startswith(doubt))
               and not (reused and " no longer independent: " in note))]
@@ -483,6 +483,11 @@ def _caution_on_heights(record: Record) -> str:
     # A note says the same, and what it does to a map in px.
     opening = doubt.partition("; ")[0]
     return next((note for note in record.notes if note.startswith(opening)), doubt)
+
+
+def _said_of_rpc(record: Record) -> tuple[str, ...]:
+    """Return what the lines above the cautions say of the RPC, as a note may say it again."""
+    return (record.strategy.rpc,) if record.strategy else ()
 
 
 def _why_rpc_unused(record: Record) -> str:
