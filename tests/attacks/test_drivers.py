@@ -10,7 +10,6 @@ import sys
 import zipfile
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +23,7 @@ from termsel.core.files.drivers import (
     drivers_are_off,
     skipped_drivers,
 )
+from termsel.core.isolation.helper import context_of_workers
 from termsel.studies.execution.executors import begin_worker
 from termsel.toolkit import open_layer
 from tests.attacks.files import (
@@ -367,6 +367,6 @@ def test_vector_formats(driver: str, ending: str, folder: Path) -> None:
 
 
 def test_workers_of_a_study_have_no_other_drivers() -> None:
-    with ProcessPoolExecutor(1, get_context("spawn"), initializer=begin_worker,
+    with ProcessPoolExecutor(1, context_of_workers([]), initializer=begin_worker,
                              initargs=({}, dict(os.environ))) as workers:
         assert workers.submit(drivers_are_off).result()
