@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from termsel.core.display.quiet import quiet_logger
-from termsel.core.errors import ON_SUCCESS, PENDING, TermselError
+from termsel.core.errors import ON_SUCCESS, PENDING, TermselError, rounded_size_text
 from termsel.core.files.atomic import private_folder
 from termsel.core.files.names import is_there, refuse_link
 from termsel.formats.vrt import IMAGE, picture_for
 from termsel.io.replacing import require_replaceable
 from termsel.plugins.registry import registry
+from termsel.results.verdict import does_nothing_fit, size_of_errors
 
 if TYPE_CHECKING:
     from termsel.formats.base import Writer
@@ -40,6 +41,10 @@ def _options_of_other_formats(writer: type[Writer]) -> set[str]:
 
 def as_exported(result: Result, final: bool | None) -> Result:
     """Return the result with the fit that is exported (see `Result.as_exported`), and say so."""
+    if does_nothing_fit(result):
+        log.warning("Warning: no model fits these %s: their RMSE is %s px. What is made of this "
+                    "result is as far off.", result.features.word,
+                    rounded_size_text(size_of_errors(result)))
     if result.final is not None and final is False:
         log.info("Used: the fit without the independent check points.",
                  extra={PENDING: ON_SUCCESS})

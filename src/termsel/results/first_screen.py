@@ -28,6 +28,7 @@ from termsel.data.record.search import RPC_UNUSED
 from termsel.results.accuracy import accuracy_lines, is_exact, lattice_of, reused_points_in_words
 from termsel.results.blocks import Fact
 from termsel.results.verdict import (
+    NO_FIT,
     NOT_FEW,
     are_alike,
     are_too_few_to_test,
@@ -51,9 +52,9 @@ _WIDTH, _FULL_WIDTH = 76, 86
 """Characters of a line next to its label, and of one without a label."""
 _MOST_OF_A_WARNING = 3
 """Lines that other facts leave to the first warning."""
-_NO_FIT, _BLUNT = 0.01, 0.005
-"""Shares of the extent of the features in the image: of an RMSE, beyond which no model fits, and of
-an error that must be exceeded to be detected."""
+_BLUNT = 0.005
+"""Share of the extent of the features in the image of an error that must be exceeded to be
+detected."""
 _CONTRADICTED = 2.0
 """Times the upper end of the predicted RMSE beyond which independent points contradict it."""
 AS_DELIVERED = "rpc-as-delivered"
@@ -324,7 +325,7 @@ def _no_outlier_clause(record: Record) -> str:
     features = count_in_words(test.features, record.data.counts.word.removesuffix("s"))
     errors = size_of_errors(record)
     # Where nothing fits, everything is an outlier, and the test finds none.
-    nothing_fits = errors > _NO_FIT * test.extent
+    nothing_fits = errors > NO_FIT * test.extent
     is_blind = test.limit is None or are_too_few_to_test(test, errors)
     if is_blind and test.features < NOT_FEW:
         return f"not detectable: {features} {'is' if test.features == 1 else 'are'} too few"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 from termsel.auto.compare import WITHOUT_BLUNDERS
 from termsel.auto.methods import BY_NAME
@@ -11,6 +12,9 @@ from termsel.core.errors import rounded_size_text
 from termsel.data.record.figures import BlunderTest, Outlier, RmseByRole
 from termsel.data.record.record import Record
 from termsel.results.blocks import Block, TableBlock
+
+if TYPE_CHECKING:
+    from termsel.results.result import Result
 
 # This result among the fits without a search, and what they are called.
 
@@ -133,7 +137,7 @@ def outliers_in_words(record: Record) -> str:
     return wrong[0] if len(wrong) == 1 else f"{len(wrong)} outliers among them"
 
 
-def size_of_errors(record: Record) -> float:
+def size_of_errors(record: Record | Result) -> float:
     """Return the RMSE that features which took no part have, or are predicted to have [px]."""
     sizes = []
     if record.predicted:
@@ -141,6 +145,17 @@ def size_of_errors(record: Record) -> float:
     if record.accuracy:
         sizes.append(record.accuracy.image.total)
     return min(sizes, default=0.0)
+
+
+NO_FIT = 0.01
+"""Share of the extent of the features in the image of an RMSE, beyond which no model fits."""
+
+
+def does_nothing_fit(record: Record | Result) -> bool:
+    """Return whether no model fits so many features that this is no matter of chance."""
+    test = record.blunder_test
+    return test is not None and test.features >= NOT_FEW \
+        and size_of_errors(record) > NO_FIT * test.extent
 
 
 def are_too_few_to_test(test: BlunderTest, errors: float) -> bool:
