@@ -190,7 +190,7 @@ def test_everything_with_a_name_can_be_described(call, built_in):
             done = call("describe", entry.name)
             assert done.exit_code == 0, entry.name
             # A reader and a writer may share the name of their format.
-            assert f"{entry.name}: {KINDS[kind].word} of termsel" in done.stdout.splitlines()
+            assert f"{entry.name}: {KINDS[kind].in_words} of termsel" in done.stdout.splitlines()
             assert entry.summary in done.stdout
             declared = (entry.object.options if kind == "problems"
                         else getattr(entry.object, "declared_options", ()))

@@ -45,7 +45,7 @@ def test_swapped_axes_of_an_image_seen_from_above_are_told(
     image = scene("EPSG:4326", (11.0, 47.4), 1e-5, turn)
     assert said(image, caplog) == ""
     assert "Warning: x and y look swapped" in said(exchanged(image, "xy"), caplog)
-    assert "near 11.0 N, 47.4 E" in caplog.text
+    assert "If 11.0 N, 47.4 E is the place, line and sample are swapped" in caplog.text
     assert "Warning: line and sample look swapped" in said(exchanged(image, "image"), caplog)
 
 

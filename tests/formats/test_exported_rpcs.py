@@ -258,9 +258,9 @@ def test_what_its_own_points_say_of_an_rpc_without_its_record_is_cautioned(
     copied = from_items(rpc_items(own))
     budget = {} if problem is None else {"evaluations": 200}
     result = termsel.run(problem, features=replace(features, rpc=copied), **budget)
-    assert "fitted by termsel to 12 control features that its file no longer" in result.notes[0]
+    assert "fitted by termsel to 12 control points that its file no longer" in result.notes[0]
     screen = " ".join(result.summary().split())
-    assert "Caution The RPC was fitted by termsel to 12 control features" in screen
+    assert "Caution The RPC was fitted by termsel to 12 control points" in screen
     assert "if these points are among them, the accuracy stated is too good" in screen
 
 
@@ -269,7 +269,7 @@ def test_the_points_of_an_rpc_are_refused(problem: str | None) -> None:
     pytest.importorskip("termsel_rpc")
     features = points(12)
     rpc = fitted_rpc(features.take(np.arange(12) < 7))
-    with pytest.raises(TermselError, match="fitted by termsel to 7 of these 12 features") as error:
+    with pytest.raises(TermselError, match="fitted by termsel to 7 of these 12 points") as error:
         termsel.run(problem, features=replace(features, rpc=rpc))
     assert set(error.value.ids) == {f"P{i}" for i in range(7)}
     others = features.take(np.arange(12) >= 7)
@@ -335,7 +335,7 @@ def test_an_rpc_is_only_said_to_be_used_where_it_is_not_refused(
     path = tmp_path / "scene.RPB"
     path.write_text(rpb_text(fitted_rpc(features.take(np.arange(12) < 4))))
     again = with_rpc(features, path)
-    with pytest.raises(TermselError, match="to 4 of these 12 features"):
+    with pytest.raises(TermselError, match="to 4 of these 12 points"):
         refuse_makers(again.rpc, all_control(again))
     assert not caplog.messages
     rest = again.take(np.arange(12) >= 4)

@@ -256,7 +256,7 @@ HOSTILE: dict[str, tuple[bytes, str]] = {
                   "line 4, column 'Height': '10,5' has a decimal comma"),
     "two places": (b"id,x,easting,lat,h,line\n1,2,3,4,5,6\n",
                    "columns 'x' and 'easting' both mean x|sample"),
-    "JSON": (b'{"a": 1}', "in no format that termsel knows"),
+    "JSON": (b'{"a": 1}', "this is JSON without control points that termsel reads"),
     "GeoJSON without pixels": (geojson(lambda i: {"a": i}), "has ground coordinates alone"),
     "cut database": (b"SQLite format 3\0" + bytes(52) + b"GP10" + bytes(99),
                      "cannot read|no geometry"),

@@ -324,9 +324,9 @@ def test_the_knee_is_below_the_line_between_the_ends() -> None:
            "Give more points the role check: they choose among selections. Or choose by "
            "leave-one-out, without selection points: --criterion press."),
     (2, 2, "only 2 control points, next to 2 selection points and 10 independent check points; "
-           "at least 3 control points are needed. Measure more, or give more features the "
-           "role control. Or choose by leave-one-out, without selection points: --criterion "
-           "press.")])
+           "at least 3 control points are needed. Give more points the role control, in the column "
+           "role or by --role ID=control, or measure more. Or choose by leave-one-out, without "
+           "selection points: --criterion press.")])
 def test_how_many_points_a_search_needs(n_control: int, n_check: int, message: str | None) -> None:
     roles = ("control",) * n_control + ("check",) * n_check
     away = photograph(0.2, 14).points.take(np.arange(13, -1, -1))  # no corners, which are in line

@@ -17,8 +17,8 @@ from termsel.selection.problems.coverage import hull_areas, uncovered_share
 from termsel.selection.problems.objectives import (
     PopulationSelection,
     max_correlation,
-    uncovered_outside_hull,
-    unevenness_of_selections,
+    uncovered,
+    unevenness,
 )
 from termsel.selection.solvers.search import SearchResult
 from termsel_optimisers.survivals import _AgeSurvival
@@ -184,8 +184,8 @@ def chosen(image: np.ndarray, mask: np.ndarray) -> PopulationSelection:
 def test_uncovered_and_unevenness_of_a_square() -> None:
     square = np.array([[0.0, 0], [0, 10], [10, 0], [10, 10], [5, 5]])
     masks = np.array([[1, 1, 1, 1, 0], [1, 1, 1, 0, 0], [1, 1, 0, 0, 0], [1, 0, 0, 1, 1]], bool)
-    assert uncovered_outside_hull(chosen(square, masks)) == pytest.approx([0.0, 0.5, 1.0, 1.0])
-    assert unevenness_of_selections(chosen(square, masks)) == pytest.approx([0.0, 0.0, 1.0, 0.0])
+    assert uncovered(chosen(square, masks)) == pytest.approx([0.0, 0.5, 1.0, 1.0])
+    assert unevenness(chosen(square, masks)) == pytest.approx([0.0, 0.0, 1.0, 0.0])
 
 
 def test_max_correlation_is_that_of_numpy() -> None:

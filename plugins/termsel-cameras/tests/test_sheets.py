@@ -242,5 +242,5 @@ def test_a_projection_on_an_ellipsoid_without_a_datum_is_one_of_a_map(
     assert "no datum" not in caplog.text
     # For all other uses a note says that where this is on the Earth is not known well.
     transformation_between(bonne.replace("+lat_1=46", "+lat_1=46.25"), "EPSG:4979")
-    # PROJ calls a CRS without a name unknown, which names nothing.
-    assert "Note: the CRS has an ellipsoid and no datum" in caplog.text
+    # PROJ calls a CRS without a name unknown, which names nothing; its method does.
+    assert "Note: the CRS custom Bonne has an ellipsoid and no datum" in caplog.text

@@ -138,7 +138,7 @@ def test_the_command_it_prints_repeats_the_data_of_its_own(tmp_path: Path) -> No
              "--format", "points-csv", "--set", "columns=x:x,y:y", "--set", "degree=2",
              "--set", "loss=squares", "--set", "force_off=line.num:XY", "--repeats", "3",
              "--off", features.points.ids[0], "--role", f"{features.points.ids[1]}=control",
-             "--generations", "50", "--seconds", "100", "--out", str(tmp_path / "out")]
+             "--seconds", "100", "--out", str(tmp_path / "out")]
     done = invoke(*words)
     assert done.exit_code == 0, done.output
     record = json.loads((tmp_path / "out/stability.json").read_text())

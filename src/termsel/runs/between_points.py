@@ -30,6 +30,10 @@ MIN_POINTS = 5
 """Points below which the interval of the RMSE and the uncertainty are little more than beliefs."""
 
 
+NEGLIGIBLE = 0.01
+"""Uncertainty [px] that nobody measures."""
+
+
 def uncertain_between_points(fitted: Fit, predicted: Predicted) -> Iterator[str]:
     """Yield a sentence if the model is less certain within the hull of its points than its RMSE.
 
@@ -48,7 +52,7 @@ def uncertain_between_points(fitted: Fit, predicted: Predicted) -> Iterator[str]
     if not len(sigma):
         return
     uncertainty = float(np.sqrt((sigma**2).mean()))
-    if uncertainty <= predicted.high:
+    if uncertainty <= max(predicted.high, NEGLIGIBLE):
         return
     plan = plan_of(fitted.control.crs, points.ground)
     clusters = None if plan is None else cluster_labels(plan, CLEAR_GAP)

@@ -188,11 +188,14 @@ def _are_two_images(numbers: Mapping[int, FloatArray], reading: Mapping[str, int
 
 def keep_readable_guesses(error: TermselError,
                           can_be_read: Callable[[str], bool]) -> TermselError:
-    """Return an error of guesses without those with which the file cannot be read.
+    """Return an error of the first guesses with which the file can be read.
 
-    All stay where none can, as something else may be wrong.
+    Where it can with none, the first ones stay, as something else may be wrong.
     """
-    kept = [i for i, columns in enumerate(error.guesses) if can_be_read(columns)]
+    everything = range(len(error.guesses))
+    kept = [i for i in everything if can_be_read(error.guesses[i])] or list(everything)
+    # More than these nobody compares; all columns are declared by hand.
+    kept = kept[:MOST_GUESSES]
     if 0 < len(kept) < len(error.guesses):
         before = (error.hint or "").partition(_DECLARE)[0]
         _guess(error, before, [error.guesses[i] for i in kept],
@@ -251,10 +254,6 @@ def _with_readings(error: TermselError, header: Sequence[str], rows: Sequence[Se
 
 def _guess(error: TermselError, before: str, guesses: list[str], first_points: list[str]) -> None:
     """Put guesses into an error, after the hint that it had before."""
-    if len(guesses) > MOST_GUESSES:
-        # Beyond that nobody compares them; all columns are declared by hand.
-        guesses = guesses[:MOST_GUESSES]
-        first_points = first_points[:MOST_GUESSES]
     error.guesses = guesses
     error.first_points = first_points
     error.options["--columns"] = guesses[0]

@@ -115,12 +115,12 @@ def log_condition(selected: PopulationSelection) -> FloatArray:
 _SINGULAR = 16.0
 
 
-def uncovered_outside_hull(selected: PopulationSelection) -> FloatArray:
+def uncovered(selected: PopulationSelection) -> FloatArray:
     """Return the share of the image outside the hull of the selected features, (p,), 0 to 1."""
     return uncovered_share(feature_centres(selected.control), selected.features)
 
 
-def unevenness_of_selections(selected: PopulationSelection) -> FloatArray:
+def unevenness(selected: PopulationSelection) -> FloatArray:
     """Return the unevenness of the selected features, (p,): 0 if equally far from the nearest.
 
     The coefficient of variation of the distances to the nearest selected neighbour in the image; 1
@@ -180,6 +180,6 @@ OBJECTIVES = tuple(Objective(score.__name__, summary, score) for score, summary 
     (n_features, "Number of control features in use."),
     (max_correlation, "Largest correlation of two columns in use."),
     (log_condition, "Logarithm of the condition number."),
-    (uncovered_outside_hull, "Share of the image outside the hull of the features in use."),
-    (unevenness_of_selections, "Unevenness of the distances between the features in use.")))
+    (uncovered, "Share of the image outside the hull of the features in use."),
+    (unevenness, "Unevenness of the distances between the features in use.")))
 """Built-in objectives next to the criterion."""
