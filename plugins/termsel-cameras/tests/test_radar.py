@@ -380,7 +380,8 @@ def test_simulated_radars_of_the_benchmark_are_judged_by_it(seed: int) -> None:
         velocities=tuple(map(tuple, velocities.tolist())), ground_ranges=(), bursts=(),
         lines_per_burst=0)
     places = np.random.default_rng(9).uniform([10.95, 45.95, 0], [11.05, 46.05, 2000], (50, 3))
-    expected = cameras._radar_positions(np.random.default_rng(seed), ranges, size, pixel, scene, places)
+    expected = cameras._radar_positions(np.random.default_rng(seed), ranges, size, pixel, scene,
+                                        places)
     found = Radar(metadata=annotation.text()).unshifted(places)
     # Sentinel-1 looks to the right of its track; some of the benchmark's radars look to the left.
     if look == 90.0:
