@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 from termsel.auto.compare import WITHOUT_BLUNDERS
 from termsel.auto.methods import BY_NAME
@@ -12,9 +11,6 @@ from termsel.core.errors import rounded_size_text
 from termsel.data.record.figures import BlunderTest, Outlier, RmseByRole
 from termsel.data.record.record import Record
 from termsel.results.blocks import Block, TableBlock
-
-if TYPE_CHECKING:
-    from termsel.results.result import Result
 
 # This result among the fits without a search, and what they are called.
 
@@ -137,7 +133,7 @@ def outliers_in_words(record: Record) -> str:
     return wrong[0] if len(wrong) == 1 else f"{len(wrong)} outliers among them"
 
 
-def size_of_errors(record: Record | Result) -> float:
+def size_of_errors(record: Record) -> float:
     """Return the RMSE that features which took no part have, or are predicted to have [px]."""
     sizes = []
     if record.predicted:
@@ -151,7 +147,7 @@ NO_FIT = 0.01
 """Share of the extent of the features in the image of an RMSE, beyond which no model fits."""
 
 
-def does_nothing_fit(record: Record | Result) -> bool:
+def does_nothing_fit(record: Record) -> bool:
     """Return whether no model fits so many features that this is no matter of chance."""
     test = record.blunder_test
     return test is not None and test.features >= NOT_FEW \
