@@ -44,7 +44,7 @@ def as_exported(result: Result, final: bool | None) -> Result:
     if does_nothing_fit(result):
         log.warning("Warning: no model fits these %s: their RMSE is %s px. What is made of this "
                     "result is as far off.", result.features.word,
-                    rounded_size_text(size_of_errors(result)))
+                    rounded_size_text(size_of_errors(result)), extra={PENDING: ON_SUCCESS})
     if result.final is not None and final is False:
         log.info("Used: the fit without the independent check points.",
                  extra={PENDING: ON_SUCCESS})
