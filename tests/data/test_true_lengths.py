@@ -95,3 +95,10 @@ def test_a_stretched_projection_is_named(tmp_path: Path,
     path.write_text("\n".join(["# crs: EPSG:3857", "x,y,line,sample", *rows]))
     termsel.read(path)
     assert "EPSG:3857 shows lengths here 1.46 times as long as they are" in caplog.text
+
+
+@pytest.mark.parametrize("crs", ["ESRI:54009", "ESRI:54030"])
+def test_places_that_a_projection_does_not_show_have_no_scale(crs: str) -> None:
+    offsets = np.array([[3.0, 4.0]])
+    metres = offsets_in_metres(crs, np.array([[9e9, 9e9]]), offsets)
+    np.testing.assert_array_equal(metres, offsets)

@@ -93,7 +93,7 @@ def _take(column: FloatArray, v: FloatArray) -> float:
 
 @_compiled
 def _eliminate(panels: FloatArray, reflections: Reflections, heights: IntArray, n: int,
-               tolerance: float, longest: float, ) -> int:
+               tolerance: float, longest: float) -> int:
     """Bring n columns, and the right-hand side after them, to triangular form; return the rank.
 
     Column s has its entries in the first heights[s] rows, which do not decrease. A column that
@@ -177,7 +177,7 @@ def _shift_triangle_down(panels: FloatArray, n: int, shift: int) -> None:
 @_compiled
 def _factor(panels: FloatArray, reflections: Reflections, source: FloatArray, triangular: bool,
             rows: UintArray, columns: UintArray, heights: IntArray, n: int, tolerance: float,
-            longest: float, ) -> int:
+            longest: float) -> int:
     """Triangularise the system of some rows and n columns; return its rank.
 
     More rows than the panels hold are folded in block by block, on top of the triangle of
@@ -225,7 +225,7 @@ def _substitute(
 def _solve(panels: FloatArray, reflections: Reflections, source: FloatArray, triangular: bool,
            feature: IntArray, rows: UintArray, columns: UintArray, heights: IntArray,
            terms: BoolArray, features: BoolArray, tolerance: float, longest: float,
-           coefficients: FloatArray, violation: IntArray, ) -> None:
+           coefficients: FloatArray, violation: IntArray) -> None:
     """Solve a population; rows, columns and heights are work space."""
     k = terms.shape[1]
     for individual in range(len(terms)):

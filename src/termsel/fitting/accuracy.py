@@ -370,8 +370,8 @@ def distance_figures(kind: Callable[..., _Distances], errors: FloatArray) -> _Di
     axes = dict(zip(("line", "sample") if kind is InImage else ("x", "y"),
                     np.sqrt((errors**2).mean(axis=0)).tolist(), strict=True))
     return kind(**axes, n=len(errors), total=float(np.hypot(*axes.values())),
-                maximum=float(np.linalg.norm(errors,
-                                             axis=1).max()), ce90=float(ce90(errors)),
+                maximum=float(np.linalg.norm(errors, axis=1).max()),
+                ce90=float(ce90(errors)),
                 mean=tuple(errors.mean(axis=0).tolist()), normal=chances_if_normal(errors),
                 freedom=freedom_of(errors))
 

@@ -256,7 +256,7 @@ def _pixel_of_equal_count(outline: FloatArray, pixels: float) -> float:
 
 
 def _outline_on_map(
-        result: Result, dem: Path | str | None, height: float, target: str, ) -> FloatArray:
+        result: Result, dem: Path | str | None, height: float, target: str) -> FloatArray:
     """Return where on the map a grid of image places is, shape (_OUTLINE, _OUTLINE, 2)."""
     control_crs = result.features.crs
     with surface_of(dem, control_crs, height) as surface:

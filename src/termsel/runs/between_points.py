@@ -29,7 +29,6 @@ PLACES_ALONG_A_SIDE = 8
 MIN_POINTS = 5
 """Points below which the interval of the RMSE and the uncertainty are little more than beliefs."""
 
-
 NEGLIGIBLE = 0.01
 """Uncertainty [px] that nobody measures."""
 

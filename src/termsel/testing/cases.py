@@ -171,8 +171,8 @@ def label_with_options(item: type[Configurable] | Configurable, options: Mapping
     return f"{name} with {settings}" if settings else str(name)
 
 
-def declaration_check(kind: str, item_of: Callable[
-        [Any], Any] = lambda subject: subject, ) -> Callable[[Any], None]:
+def declaration_check(kind: str, item_of: Callable[[Any], Any] = lambda subject: subject,
+                      ) -> Callable[[Any], None]:
     """Return the check of a thing's declaration, given how a case's subject has the thing."""
     def declaration(subject: Any) -> None:
         """It has a name and a docstring or summary; its options are documented and parse."""

@@ -82,7 +82,9 @@ def _scales_along_axes(crs: str, positions: FloatArray) -> FloatArray:
     for step in (np.array([1.0, 0.0]), np.array([0.0, 1.0])):
         ends = []
         for sign in (-1.0, 1.0):
-            lon, lat = angles_of(positions[:, :2] + sign * step / unit).T
+            angles = angles_of(positions[:, :2] + sign * step / unit)
+            # Outside of what the projection shows there is no scale.
+            lon, lat = np.where(np.isfinite(angles), angles, np.nan).T
             normal_radius = major / np.sqrt(1.0 - eccentricity * np.sin(lat) ** 2)
             ends.append(np.stack([normal_radius * np.cos(lat) * np.cos(lon),
                                   normal_radius * np.cos(lat) * np.sin(lon),

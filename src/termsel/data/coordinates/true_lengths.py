@@ -26,9 +26,9 @@ def with_degrees(features: FeatureSet) -> FeatureSet:
     if per_unit == 1.0:
         return features
     factors = np.array([1.0 if axis in features.named_units else per_unit for axis in "xy"] + [1.0])
+    converted = "" if (factors == 1.0).all() else f"x and y are multiplied by {per_unit:g}, and "
     log.info("Note: %s does not count in degrees: %sall results are in degrees of its datum.",
-             short_crs_name(features.crs),
-             "" if features.named_units else f"x and y are multiplied by {per_unit:g}, and ")
+             short_crs_name(features.crs), converted)
     return replace(
         features, crs=crs,
         points=replace(features.points, ground=features.points.ground * factors),

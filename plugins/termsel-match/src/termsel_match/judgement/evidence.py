@@ -110,8 +110,8 @@ class OtherPlace:
     image_part: str
 
 
-def find_other_place(image: FloatArray, residuals: FloatArray, radius: float, size: tuple[
-        int, int], ) -> OtherPlace | None:
+def find_other_place(image: FloatArray, residuals: FloatArray, radius: float,
+                     size: tuple[int, int]) -> OtherPlace | None:
     """Return the largest group of wrong candidates that agree, if chance does not explain it.
 
     Wrong matches lie anywhere in the search. So the others expected within a radius of one are

@@ -147,7 +147,7 @@ def _band_response(profiles: FloatArray, width: float) -> FloatArray:
 
 
 def _middles_between_edges(
-        profiles: FloatArray, offset: FloatArray, at: FloatArray, width: float, ) -> FloatArray:
+        profiles: FloatArray, offset: FloatArray, at: FloatArray, width: float) -> FloatArray:
     """Return the middles between the two edges of bright bands, (rows,).
 
     The response is larger towards the side that differs less; edges do not depend on the other
