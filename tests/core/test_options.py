@@ -40,6 +40,18 @@ def test_what_is_no_number(value: object) -> None:
         Option("ridge", 0.5, "A number.", float).parse(value)
 
 
+def test_a_list_of_names_is_their_text_with_commas() -> None:
+    names = Option("names", None, "Names, separated by commas.")
+    assert names.parse(["X", "Y"]) == names.parse(("X", "Y")) == "X,Y"
+    assert names.parse([0.1, 2]) == "0.1,2"
+    task = termsel.prepare("rfm-terms", options={"objectives": ["n_terms", "max_correlation"],
+                                                 "force_on": ["line.num:X", "line.num:Y"]})
+    assert task.problem.objectives == ("check-rmse", "n_terms", "max_correlation")
+    assert task.problem.genome.on.sum() == 2
+    with pytest.raises(TermselError, match="unknown objective 'none-such'"):
+        termsel.prepare("rfm-terms", options={"objectives": ["none-such"]})
+
+
 class FoldedSearch(termsel.GeneticAlgorithm):
     """A search that has an option of a criterion, too."""
 

@@ -79,6 +79,10 @@ RATIONAL = [
     ("blocks", _blocks(sample=lambda x: None), "returned as sample an object of type NoneType"),
     ("blocks", _blocks(line_denominator=lambda x: x[:-1]), "returned as line_denominator an"),
     ("column_names", raising, "failed in column_names(): ValueError"),
+    ("column_names", always("abcd"), "returned an object of type str; expected tuple"),
+    ("column_names", always(7), "returned an object of type int; expected tuple"),
+    ("column_names", always(("a", None, "b", "c")), "returned None as a name; expected text"),
+    ("column_names", always(("a", "", "b", "c")), "returned '' as a name; expected text"),
     ("column_names", always(("a",)), "names 1 of 4 columns of 'line'"),
     ("column_names", always(("a", "a", "b", "c")), "gives two columns of 'line' one name"),
 ]

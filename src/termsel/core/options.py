@@ -134,7 +134,8 @@ class Option:
         Parameters
         ----------
         value : object
-            A value of the type, or its text as typed on the command line.
+            A value of the type, or its text as typed on the command line. A list or tuple of names
+            or numbers is their text, separated by commas.
 
         Raises
         ------
@@ -156,7 +157,7 @@ class Option:
                 raise wrong
             return text in _TRUE
         if self.type is str:
-            parsed = str(value)
+            parsed = _listed_text(value)
         else:
             try:
                 parsed = self._number(value)
@@ -173,7 +174,6 @@ class Option:
             raise wrong
         return parsed
 
-
     def _number(self, value: Any) -> float:
         """Return a number; whole ones of any size keep all their digits."""
         if self.type is float:
@@ -186,6 +186,13 @@ class Option:
             if number != int(number):
                 raise ValueError from None
             return int(number)
+
+
+def _listed_text(value: Any) -> str:
+    """Return the text of a value; of a list or tuple its members, separated by commas."""
+    if isinstance(value, list | tuple):
+        return ",".join(map(str, value))
+    return str(value)
 
 
 def _plain_number(bound: float) -> str:

@@ -83,6 +83,18 @@ def _blocks_fault(_model: RationalModel, value: Any, ground: FloatArray) -> str 
         or name in ("line", "sample"))), None)
 
 
+def _column_names_fault(_model: RationalModel, value: Any, _block: str) -> str | None:
+    """Return how names of columns are at fault; None if they are not, or are left to be numbered.
+    """
+    if value is None:
+        return None
+    # A text would be taken for as many names as it has letters.
+    if not isinstance(value, tuple | list):
+        return difference_from_type(value, tuple)
+    nameless = [name for name in value if not isinstance(name, str) or not name]
+    return f"returned {nameless[0]!r:.100} as a name; expected text" if nameless else None
+
+
 class RationalModel(SensorModel):
     """A model whose line and sample are each a quotient of two linear forms.
 
@@ -105,7 +117,8 @@ class RationalModel(SensorModel):
     6
     """
 
-    guards: ClassVar[Mapping[str, Check | None]] = {"blocks": _blocks_fault, "column_names": None}
+    guards: ClassVar[Mapping[str, Check | None]] = {"blocks": _blocks_fault,
+                                                    "column_names": _column_names_fault}
 
     @abstractmethod
     def blocks(self, ground: FloatArray) -> Blocks:

@@ -32,7 +32,7 @@ from termsel.runs.fit_crs import FIT_CRS
 from termsel.selection.criteria import Criterion
 from termsel.selection.problems.constraints import MAX_SHARE, split_names
 from termsel.selection.problems.objectives import Objective
-from termsel.selection.problems.recipes import Recipe, undeclared_options
+from termsel.selection.problems.recipes import OBJECTIVES, Recipe, undeclared_options
 from termsel.selection.solvers.base import Solver
 from termsel.selection.solvers.budget import SEARCH_OPTIONS
 
@@ -416,7 +416,8 @@ def _named_parts(recipe: Recipe, model: Any, solver: Any, criterion: Any,
     if issubclass(class_of(model_part), Interpolating):
         usual_solver = "all-terms"
     # Solvers are loaded only where several objectives are asked for: a choice needs none.
-    elif split_names(settings.get("objectives", settings.get("problem.objectives"))) \
+    elif split_names(OBJECTIVES.parse(settings.get("objectives",
+                                                   settings.get("problem.objectives")))) \
             and names.get("solvers", recipe.solver).max_objectives == 1:
         usual_solver = SEVERAL_OBJECTIVES
     components = {
