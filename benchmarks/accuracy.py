@@ -6,8 +6,8 @@ does, and prints the tables. ``--write`` makes docs/evidence/honest-accuracy.md 
 ``--out DIR`` files and studies are kept, and the same command goes on where an earlier one stopped.
 ``--splits N`` makes it shorter, names of sets and ``--counts`` choose among them.
 
-What no study can tell is computed here: poles at the independent points, from the results that the
-study keeps, and what other constants of the program would give.
+What no study can tell is computed here: poles at the independent check points, from the results
+that the study keeps, and what other constants of the program would give.
 """
 
 from __future__ import annotations
@@ -327,10 +327,10 @@ Made by the studies `benchmarks/honest-accuracy.toml` and `honest-accuracy-ga.to
 `python -m benchmarks.accuracy --write` draws {splits} splits of each set and number of points, a
 file each, and runs both. Points are those that the model is fitted to; up to 300 others are
 independent.
-The best conventional model (affine, DLT, projective, quadratic, cubic, of X, Y or X, Y, Z)
-is chosen with hindsight, by the median of its independent RMSE over all splits. The embedded scenes
-are simulated. Sets derived from sensor models have Gaussian noise of {NOISE} px. Seconds are CPU
-seconds of the whole choice, the search for blunders included.
+The best conventional model (affine, DLT or projective, quadratic, cubic, of X and Y or of X, Y and
+Z) is chosen with hindsight, by the median of its independent RMSE over all splits. The embedded
+scenes are simulated. Sets derived from sensor models have Gaussian noise of {NOISE} px. Seconds are
+CPU seconds of the whole choice, the search for blunders included.
 
 The studies give every RMSE and every second. The script itself looks for poles in the results that
 they keep, and changes constants of the program.

@@ -1,7 +1,7 @@
 """Exhaustive selection: `exact` compared with mlxtend's exhaustive feature selector.
 
 Both evaluate every selection of the first terms of a 2-D polynomial for the line coordinate of
-the embedded scene `ikonos-hamedan`, by the sum of squared errors at the check points. Times are
+the embedded scene `ikonos-hamedan`, by the sum of squared errors at the selection points. Times are
 seconds per selection. mlxtend runs with a scikit-learn regressor, a fixed split into control and
 check, and no parallel jobs. The benchmark is skipped if mlxtend is not installed (pip install
 mlxtend).

@@ -4,9 +4,9 @@ All select among 20 terms of a 2-D polynomial, 27 control points, with the const
 Times are processor seconds on one core, the least of three. `exact` proves the least sum of
 squares of every size up to the given one; abess splices subsets of each of these sizes and proves
 none; l0bnb proves one size up to a gap of 1 %, with the penalty that has this size as its optimum,
-or ends after a minute; scikit-learn adds terms one by one, judged at the check points, as `exact`
-is for that row. The disagreement is by how much more their worst size leaves. What is not installed
-is left out (pip install abess l0bnb).
+or ends after a minute; scikit-learn adds terms one by one, judged at the selection points, as
+`exact` is for that row. The disagreement is by how much more their worst size leaves. What is not
+installed is left out (pip install abess l0bnb).
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def l0bnb(system: SubsetSystem) -> Iterator[Row]:
 
 
 def forward(system: SubsetSystem) -> Iterator[Row]:
-    """Yield the best subset by check points next to scikit-learn's forward selection."""
+    """Yield the best subset by selection points next to scikit-learn's forward selection."""
     from sklearn.feature_selection import SequentialFeatureSelector
     from sklearn.linear_model import LinearRegression
     from sklearn.model_selection import PredefinedSplit

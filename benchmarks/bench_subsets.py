@@ -1,8 +1,8 @@
 """Every subset proven: the enumeration compared with a fit of each subset through LAPACK.
 
 Times are processor seconds per subset, on one core. The alternative fits a sample of the subsets
-by `numpy.linalg.lstsq` and predicts the check points, as a plain script does. The disagreement is
-the largest relative difference between the best score of each size and that of the same
+by `numpy.linalg.lstsq` and predicts the selection points, as a plain script does. The disagreement
+is the largest relative difference between the best score of each size and that of the same
 subset through LAPACK.
 """
 

@@ -9,7 +9,7 @@ data are simulated: scanners of 2.5 m, hills of 300 m unlike in every block, tie
 (some 140 an image in pairs and triplets, 60 in strips), vendors' RPCs that are off by a shift of 5,
 20 or 50 px and a drift of 2 px (standard deviations). Vendors take the ground to be 40 m higher or
 lower than it is. DEMs are off by 3 m as a whole and by 3 m that neighbours share. Figures are the
-RMSE of independent points, medians over images.
+RMSE of independent check points, medians over images.
 
 `python -m benchmarks.blocks --write` makes this page, from {seeds} blocks of a kind or the part of
 them that the table says.

@@ -47,7 +47,7 @@ class Case:
                                options={**self.options, **count, "blunders": "keep"})
 
     def features(self) -> FeatureSet | None:
-        """Return the candidates, 24 check points and 200 independent points."""
+        """Return the candidates, 24 selection points and 200 independent check points."""
         if self.problem == "rpc-gcps":
             return None  # its own data set
         points = self.n if self.problem == "owdis-points" else 0
@@ -65,7 +65,7 @@ CASES = (
 
 
 def independent(task: termsel.Task, chosen: BoolArray) -> float:
-    """Return the RMSE of the independent points with some features [px]."""
+    """Return the RMSE of the independent check points with some features [px]."""
     fitted = fit(task.model, task.observations.control, task.scaling, used=chosen)
     rmse = rmse_by_role(fitted, task.observations)["independent"]
     assert rmse is not None

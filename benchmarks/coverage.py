@@ -1,10 +1,10 @@
 """How often the interval of the predicted RMSE holds the independent RMSE, and what sigma is worth.
 
 ``python -m benchmarks.coverage --write`` makes docs/evidence/coverage.md. Sets and splits are
-those of `benchmarks.sets`, with up to 300 independent points, and scenes drawn for this page alone:
-images of seven cameras, some of them looking straight down, and maps of `benchmarks.unlike_maps`.
-The interval has no constant to choose; which sources of uncertainty it has was decided on other
-splits of the same sets. With `--kept` a run resumes.
+those of `benchmarks.sets`, with up to 300 independent check points, and scenes drawn for this page
+alone: images of seven cameras, some of them looking straight down, and maps of
+`benchmarks.unlike_maps`. The interval has no constant to choose; which sources of uncertainty it
+has was decided on other splits of the same sets. With `--kept` a run resumes.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ NEW = (*CAMERAS, *(f"map: {kind}" for kind in MAPS))
 
 @dataclass(frozen=True)
 class Part:
-    """Errors at the independent points inside or outside the hull of the control, by sigma."""
+    """Errors at the independent check points inside or outside the hull of the control, by sigma.
+    """
 
     count: int
     within: tuple[float, float]  # part of lines and samples within 1 and within 1.645 sigma
@@ -58,7 +59,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Case:
-    """One split: the independent RMSE, and that of a few independent points, with intervals.
+    """One split: the independent RMSE, and that of a few independent check points, with intervals.
 
     `alone` is the prediction without what all places have in common.
     """
@@ -101,7 +102,7 @@ def share(held: list[bool]) -> str:
 
 
 def drawn(name: str, count: int, seed: int) -> tuple[FeatureSet, Points]:
-    """Return control and independent points."""
+    """Return control and independent check points."""
     if name not in NEW:
         mine, others = split(name, count, seed)
         return FeatureSet(mine, crs=crs_of(name)), others
@@ -172,7 +173,7 @@ def table(cases: list[Case], wanted: list[str], counts: list[int]) -> str:
     def width(some: list[Case]) -> str:
         return f"{np.median([c.predicted.high / c.predicted.low for c in some]):.1f}"
 
-    figure(f"all, {FEW} independent points", lambda some: share([c.held_few for c in some]))
+    figure(f"all, {FEW} independent check points", lambda some: share([c.held_few for c in some]))
     figure("high / low, median", width)
     for part in (0.05, 0.5, 0.95):
         figure(f"independent / predicted, {100 * part:.0f} %", ratio(part))

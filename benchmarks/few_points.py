@@ -47,7 +47,7 @@ def exact(kind: str, count: int, seed: int) -> Points:
 
 
 def split(name: str, count: int, seed: int) -> tuple[FeatureSet, Points]:
-    """Return control and independent points."""
+    """Return control and independent check points."""
     if name in EXACT or name in KINDS:
         every = (exact if name in EXACT else unlike_map)(name, count + 150, seed)
         first = np.arange(count + 150) < count

@@ -1,4 +1,4 @@
-"""Control on flat ground, and independent points on mountains: does auto know what it does not?
+"""Control on flat ground, check points on mountains: does auto know what it does not?
 
 ``python -m benchmarks.flat_control --write`` makes docs/evidence/flat-control.md. Cameras are those
 of `termsel_bench.scenes.cameras`, of the ranges that took no part in choosing any constant.
@@ -43,7 +43,7 @@ class Case:
 
 
 def scene(kind: str, relief: str, count: int, seed: int) -> FeatureSet:
-    """Return control on a plain, with some points on hills, and independent points on mountains."""
+    """Return control on a plain, with some on hills, and independent check points on mountains."""
     every, rng = image_of(kind, seed, FRESH, 800, level=LEVEL), np.random.default_rng(
         [seed, count])
     z = every.points.ground[:, 2]
@@ -104,8 +104,8 @@ height does in the image. Does the strategy auto know how wrong it may be there?
 `python -m benchmarks.flat_control --write` makes this page.
 
 Up to {images} images of each kind, simulated with other constants each, and {fewest} to {others}
-independent points on mountains between the control. The control is on a plain at the height 0 with
-numerical dust of 1e-5 m, but for some points on hills. A ratio is that of the true RMSE to the
+independent check points on mountains between the control. The control is on a plain at the height 0
+with numerical dust of 1e-5 m, but for some points on hills. A ratio is that of the true RMSE to the
 predicted one. The interval is to hold in 90 % of cases, and 90 % of errors are to lie within 1.645
 sigma.
 

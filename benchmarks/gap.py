@@ -162,14 +162,14 @@ def of_three(value: tuple[float, float, float]) -> str:
 
 
 def errors_of(result: termsel.Result) -> FloatArray:
-    """Return errors at the independent points (n, 2) [px]."""
+    """Return errors at the independent check points (n, 2) [px]."""
     points = scene().points
     independent = points.take([role == "independent" for role in points.roles])
     return np.asarray(result.project(independent.ground) - independent.image)
 
 
 def quadratics() -> tuple[FloatArray, FloatArray]:
-    """Return errors (n, 2) of a quadratic polynomial, by the control, and with the check points."""
+    """Return errors (n, 2) of a quadratic polynomial, by control, and with selection points."""
     points = scene().points
     independent = points.take([role == "independent" for role in points.roles])
     together = tuple("control" if role == "check" else role for role in points.roles)
@@ -320,7 +320,7 @@ def other_scenes() -> Iterator[str]:
     optimum = values["proven optimum"]
     yield SECOND.format(scenes=len(SCENES))
     yield ("| method | check RMSE [px] | check / optimum | independent RMSE [px] | "
-           "scenes in which it is better on independent points than the optimum |")
+           "scenes in which it is better on independent check points than the optimum |")
     yield "|---|---:|---:|---:|---:|"
     for name, pairs in values.items():
         ratio = np.median(pairs[:, 0] / optimum[:, 0])
@@ -328,8 +328,8 @@ def other_scenes() -> Iterator[str]:
             f"{int((pairs[:, 1] < optimum[:, 1]).sum())} of {len(pairs)}"
         yield (f"| {name} | {spread_of(list(pairs[:, 0]))} | {ratio:.2f} | "
                f"{spread_of(list(pairs[:, 1]))} | {wins} |")
-    yield ("\nMedians, with intervals. `quadratic` and `auto` are fitted to control and check "
-           "points together.")
+    yield ("\nMedians, with intervals. `quadratic` and `auto` are fitted to control and "
+           "selection points together.")
 
 
 def figure(front: Front, study: termsel.Study) -> Any:
@@ -392,8 +392,8 @@ A better search does not give a better result here, nor over
 ## Question
 
 An RFM has 20 terms in each numerator and 19 in each denominator, so 39 for line and 39 for sample.
-A selection is fitted to the control points and judged by the RMSE at the check points. With up to
-16 terms per image coordinate, two thirds of its equations, there are {subsets:,} selections.
+A selection is fitted to the control points and judged by the RMSE at the selection points. With up
+to 16 terms per image coordinate, two thirds of its equations, there are {subsets:,} selections.
 Poles rule some out: no denominator may be near zero at a point.
 
 ## Proof
@@ -406,22 +406,22 @@ form holds all three. If its minimum is above the limit, none of these selection
 module `termsel.selection.best_subsets.bounds.closed` has the proof; tests hold it against
 enumeration. Linear
 programs first find how much a denominator may exceed the others, as none is below the margin at
-the check points and the guard points.
+the selection points and the guard points.
 
 The proof took {minutes:.0f} minutes on two cores. The optimum: {listed}.
 """
 
 WORTH = """## What it is worth
 
-RMSE at the new points [px], with coefficients from the control points, or from control and check
-points together:
+RMSE at the new points [px], with coefficients from the control points, or from control and
+selection points together:
 
 | terms | control | control and check |
 |---|---:|---:|
 | the optimum | {} | {} |
 | quadratic polynomial | {} | {} |
 
-More points do not correct it: the terms themselves suit the check points alone.
+More points do not correct it: the terms themselves suit the selection points alone.
 """
 
 FRONT = """The walk decides the best selection of each number of terms as well. One that fewer terms
@@ -449,9 +449,9 @@ A gap of a few per cent takes nearly the whole proof. So `exact` first proves a 
 """
 
 RESIDUALS = """Residuals resist less. With `--criterion ebic` the same RFM is fitted to control and
-check points together, and bounds of its residuals know the poles at the guard points. The optimum
-of {space} is proven in {seconds:.0f} s, the check RMSE's in {minutes:.0f} min. It has {terms} terms
-and an RMSE at the new points of {independent} px.
+selection points together, and bounds of its residuals know the poles at the guard points. The
+optimum of {space} is proven in {seconds:.0f} s, the check RMSE's in {minutes:.0f} min. It has
+{terms} terms and an RMSE at the new points of {independent} px.
 """
 
 SECOND = """## Other scenes

@@ -32,7 +32,7 @@ UNLIKELY, FAR = 0.01, 2.576
 
 @dataclass(frozen=True)
 class Case:
-    """What is stated of one fit by some independent points, and whether it is so."""
+    """What is stated of one fit by some independent check points, and whether it is so."""
 
     structure: str
     count: int
@@ -70,8 +70,8 @@ def page() -> Iterator[str]:
     found = [case for name in SCENES for seed in SEEDS for case in cases(name, seed)]
     yield HEAD.format(scenes=len(SCENES) * len(SEEDS), control=CONTROL, many=f"{MANY:,}",
                       names=", ".join(f"`{name}`" for name in SCENES))
-    yield ("| structure | independent points | their interval holds the true RMSE | the predicted "
-           "interval holds theirs | not normal by the test | a mean error is named |\n"
+    yield ("| structure | independent check points | their interval holds the true RMSE | the "
+           "predicted interval holds theirs | not normal by the test | a mean error is named |\n"
            "|---|---:|---:|---:|---:|---:|")
     for structure in STRUCTURES:
         for count in COUNTS:
@@ -96,19 +96,19 @@ Made by `python -m benchmarks.intervals --write`: {scenes} simulated scenes of {
 other terrain, points and errors. Two structures are fitted to {control} control points. Nothing is
 chosen. The true RMSE is that of {many} other points. Both intervals are for nine in ten.
 
-- The interval *of independent points* stands next to their RMSE. It takes their errors as
+- The interval *of independent check points* stands next to their RMSE. It takes their errors as
   independent. Degrees of freedom come from the errors: fewer where line and sample differ, or where
   some errors are much larger than others.
 - The *predicted* interval comes from leave-one-out over the control. It is for the RMSE of just so
-  many independent points.
+  many independent check points.
 - The summary names errors that are *not normal* where the test of Shapiro and Wilk has p below
   0.01 in line or in sample, and a *mean error* beyond 2.58 times its standard deviation. By chance
   either occurs in 2 %.
 """
 
 END = """
-The interval of independent points holds in 88 to 96 %. With two degrees of freedom of a point it
-held in 81 to 88 %: errors are not normal, and line and sample differ, as relief and the sensor
+The interval of independent check points holds in 88 to 96 %. With two degrees of freedom of a point
+it held in 81 to 88 %: errors are not normal, and line and sample differ, as relief and the sensor
 leave them so. The predicted interval holds in 82 to 95 %, least where few points have to fix many
 coefficients, or where an affine structure is wrong for many points.
 

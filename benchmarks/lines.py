@@ -263,7 +263,7 @@ All ratios are independent RMSE divided by that of the best structure in hindsig
 RFM, regularised ones included, fitted without the blunders to all other features. Columns
 are medians over draws. *OWDIS* is `owdis-lines` by default, *as published* is the same with
 `--set blunders=keep`; both use no control points. *Huber* and *Tukey* are quadratic polynomials
-over lines and check points, as baselines have them. *Named* are blunders that auto leaves out,
+over lines and selection points, as baselines have them. *Named* are blunders that auto leaves out,
 *lost* are right lines that it leaves out.
 
 ## Requirement and measurement

@@ -22,7 +22,8 @@ def scene(seed: int | None = None, roles: tuple[int, int, int] | None = None,
           new_points: int = NEW) -> termsel.FeatureSet:
     """Return the embedded scene, or that of a seed, with new points as independent ones.
 
-    `roles` are numbers of control, check and independent points other than those of the scene.
+    `roles` are numbers of control, selection and independent check points other than those
+    of the scene.
     """
     features = simulate_scene(NAME, seed=seed, roles=roles)
     new = simulate_scene(NAME, seed=9000 + (seed or 0), roles=(0, 0, new_points), n_lines=0)

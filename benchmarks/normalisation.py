@@ -160,7 +160,7 @@ def moved_by(inputs: termsel.ProblemData, factor: float, shift: float) -> termse
 
 def missed(task: termsel.Task, inputs: termsel.ProblemData, coefficients: FloatArray, factor: float,
            shift: float) -> float:
-    """Return the RMSE of the independent points [px]."""
+    """Return the RMSE of the independent check points [px]."""
     scaled = moved(task.scaling.points(task.observations.independent), factor, shift)
     errors = (inputs.model.project(coefficients, scaled.ground) - scaled.image) * inputs.pixels
     return float(np.sqrt((errors**2).sum(axis=1).mean()))
@@ -175,7 +175,7 @@ def optimum(name: str, model: str, options: dict[str, Any], seed: int | None, fa
     *_, proof = prove(problem)
     genes = proof.front()[-1]
     terms = problem.decode(genes).terms
-    # The same adjustment again, for the independent points.
+    # The same adjustment again, for the independent check points.
     equations = inputs.model.equations(inputs.control)
     chosen = np.isin([str(term) for term in inputs.model.terms], terms)
     coefficients = np.zeros(len(chosen))

@@ -59,7 +59,7 @@ class Split:
 
 
 def drawn(name: str, count: int, seed: int) -> tuple[Points, Points]:
-    """Return control and check points together, and independent points."""
+    """Return control and selection points together, and independent check points."""
     if name not in MAPS:
         return split(name, count, seed)
     points = replace(simulate_map(seed=seed, n_points=count + 200, **MAPS[name]).points, roles=())
@@ -240,7 +240,7 @@ satellite scenes, simulated, derived from sensor models or measured. The best of
 is chosen with hindsight, by the median of its independent RMSE over all splits. The standard
 error of a ratio is that of the bootstrap over splits. *Without* is the
 ratio to auto without fields and splines; *called for* is how often auto takes one of them;
-*covered* is the share of independent points within 1.645 `sigma`, of which 90 % are expected.
+*covered* is the share of independent check points within 1.645 `sigma`, of which 90 % are expected.
 Seconds are those of one processor for one choice, which a run repeats up to 20 times.
 
 ## Requirement and measurement

@@ -1,4 +1,4 @@
-"""Is a lower check RMSE a better model? Ten scenes of third order with 1,000 independent points.
+"""Is a lower check RMSE a better model? Ten scenes of third order with 1,000 check points each.
 
 ``python -m benchmarks.overfitting --kept FILE`` prints the page; what FILE holds is not repeated,
 and ``--write`` puts the page into docs/evidence. On each scene the GA and the local search by axis
@@ -50,7 +50,7 @@ class Row:
 
 
 def measured(features: FeatureSet, task: Task, genes: BoolArray) -> FloatArray:
-    """Return the squared errors of the independent points [px^2], shape (n,)."""
+    """Return the squared errors of the independent check points [px^2], shape (n,)."""
     result = termsel.assess(termsel.GivenGenes(genes), task)
     judging = features.points.take(np.array(features.points.roles) == "independent")
     return np.asarray((result.fit.errors(judging) ** 2).sum(axis=1))
@@ -136,13 +136,14 @@ def main() -> None:
 HEAD = """# Is a lower check RMSE a better model?
 
 Made by `python -m benchmarks.overfitting --write`: ten simulated scenes of five sensors, each with
-24 control, 24 check and **1,000 independent points**. The RFM has all 78 terms to choose from.
+24 control, 24 check and **1,000 independent check points**. The RFM has all 78 terms to choose
+from.
 
 Two searches minimise the check RMSE: the GA ({runs} runs of {evaluations} evaluations, without
 local refinement; medians are shown) and a local search by axis, the solver `swap` with {local}
 evaluations. Line and sample share no term, so it searches each axis by itself. The quadratic
-polynomial is fitted to control and check points. The rank correlation is that of check and
-independent RMSE over all runs of a scene; intervals of 95 % are of the independent points.
+polynomial is fitted to control and selection points. The rank correlation is that of check and
+independent RMSE over all runs of a scene; intervals of 95 % are of the independent check points.
 """
 
 TAIL = """

@@ -68,14 +68,15 @@ def figures_of_photo(name: str, repetition: int, fold: int) -> dict[str, float]:
 
 
 def by_auto(features: FeatureSet) -> dict[str, float]:
-    """Return the RMSE of auto at independent points and the one predicted; infinite of no model."""
+    """Return the RMSE of auto at independent check points, and the predicted; infinite of no model.
+    """
     try:
         result = termsel.run(features=features)
     except TermselError:
         return dict(zip(("auto", "predicted", "low", "high"), (np.inf, *NO_FIGURES), strict=True))
     predicted = result.predicted
     figures = NO_FIGURES if predicted is None else (predicted.rmse, predicted.low, predicted.high)
-    # Of the fit without them: what is exported has the independent points, too.
+    # Of the fit without them: what is exported has the independent check points, too.
     independent = result.rmse["independent"]
     assert independent is not None
     return dict(zip(("auto", "predicted", "low", "high"), (independent.total, *figures),

@@ -26,7 +26,7 @@ OPTIONS: dict[str, Any] = {"order": 2, "workers": 1}
 CRITERIA = ("check-rmse", "press", "kfold", "ebic")
 FOLDS = 5
 FEW, JOINT_SEEDS, JOINT_NEW = 12, range(301, 304), 250
-"""Control points and check points of the scenes in which terms and features are decided."""
+"""Control points and selection points of the scenes in which terms and features are decided."""
 CHUNK = 128
 
 
@@ -91,7 +91,7 @@ def proven(features: termsel.FeatureSet, criterion: str) -> termsel.Result:
 
 
 def judged(features: termsel.FeatureSet, terms: tuple[str, ...]) -> tuple[float, int]:
-    """Return the RMSE of new points of terms that control and check points determine."""
+    """Return the RMSE of new points of terms that control and selection points determine."""
     points = features.points
     roles = np.array(points.roles)
     known = points.take(roles != "independent")
@@ -110,7 +110,7 @@ def judged(features: termsel.FeatureSet, terms: tuple[str, ...]) -> tuple[float,
 
 
 def nested(features: termsel.FeatureSet) -> tuple[str, ...]:
-    """Return the terms of the size that outer folds of control and check points prefer.
+    """Return the terms of the size that outer folds of control and selection points prefer.
 
     In each outer fold the best selection of each size by press is proven without it.
     """
@@ -199,14 +199,14 @@ NAMES = {"check-rmse": "`check-rmse`, proven", "press": "`press`, proven",
 HEAD = """# What proofs of other criteria are worth
 
 Made by `python -m benchmarks.regret --write`: {scenes} simulated scenes of `ikonos-hamedan` with
-24 control and 24 check points, and {new:,} new points each. The *regret* of a choice is by how much
-its RMSE of new points is above that of the best selection in hindsight.
+24 control and 24 selection points, and {new:,} new points each. The *regret* of a choice is by how
+much its RMSE of new points is above that of the best selection in hindsight.
 
 An RFM of second order has 19 terms per image coordinate, 1,048,576 selections of both. `exact`
 decides all of
 them by each criterion: the least check RMSE, or least `press`, `kfold` or `ebic` over control and
-check points together. All selections are then fitted to control and check points together, so that
-only the choice differs. In hindsight, `exact` minimises the RMSE of the new points.
+selection points together. All selections are then fitted to control and selection points together,
+so that only the choice differs. In hindsight, `exact` minimises the RMSE of the new points.
 
 *Nested cross-validation* proves, without each of {folds} folds, the best selection of each size by
 `press`; the fold judges the sizes, and the size that errs least over all folds is taken.
@@ -219,8 +219,8 @@ JOINT = """
 In a space that is small enough every pair of selections is evaluated: an RFM of first order, seven
 terms per image coordinate, and {few} control points, 4,017 selections of three or more. Line and
 sample have
-terms of their own for each selection of points. {scenes} scenes with {few} check points and {new}
-new points. *All terms* have no solution with fewer points than they need.
+terms of their own for each selection of points. {scenes} scenes with {few} selection points and
+{new} new points. *All terms* have no solution with fewer points than they need.
 """
 
 END = """
@@ -231,9 +231,9 @@ END = """
   week or more. *There is
   no bound, for a reason.* A fold is predicted by the fit to the others, so each fold has a fit and
   denominators of its own. A bound for open terms would be a sum of bounds, one for each fold. That
-  of `check-rmse` is strong because all check points are predicted by one fit on one sphere. A fold
-  of one point, or of a fifth of them, has fewer rows than there are open terms. Some fit on its
-  sphere meets them exactly with positive denominators, so its bound is zero until few terms are
+  of `check-rmse` is strong because all selection points are predicted by one fit on one sphere. A
+  fold of one point, or of a fifth of them, has fewer rows than there are open terms. Some fit on
+  its sphere meets them exactly with positive denominators, so its bound is zero until few terms are
   open. Polynomials have no denominators; there the leverage bounds each fold.
 - **Terms and features together** have no bound either: taking a point out changes the sphere of all
   selections of terms. They are decided here by evaluation, in small spaces.

@@ -210,7 +210,7 @@ Its size is 1 to 60 px, alike on a logarithmic scale; noise is 0.3 to 1 px in li
 Points lie anywhere in the image. auto is compared with four corrections by least squares: as
 delivered, shift, drift and affine, as far as the points determine them. The best of them is
 chosen with hindsight, case by case, by its RMSE over the whole image. "As measured" adds the
-noise of a measurement to the places that are compared, as it is in independent points.
+noise of a measurement to the places that are compared, as it is in independent check points.
 
 How corrections are [averaged](../how-to/rpc-few-points.md) has these constants: a shift has half
 of the probability beforehand, no error a quarter, drift and affine an eighth each; noise is half

@@ -37,7 +37,8 @@ OF_PHOTOS = ("frame", "panoramic", "airborne")
 
 @dataclass(frozen=True)
 class Case:
-    """RMSE of independent points [px] without and with the prior, and which candidate it was."""
+    """RMSE of independent check points [px] without and with the prior, and which candidate it was.
+    """
 
     before: float
     after: float
@@ -88,15 +89,15 @@ PAGE = """# Scanners and few points
 
 What is it worth to know that an image may be of a scanner or radar in orbit, or a photo? Auto with
 the candidate [`physical-cubic`](../explanation/auto.md#a-scanner-in-orbit) next to auto without, on
-the same points. Figures are the RMSE of independent points. A ratio below 1 says that the prior
-helps.
+the same points. Figures are the RMSE of independent check points. A ratio below 1 says that the
+prior helps.
 
 `python -m benchmarks.scanners --write` makes this page.
 
 ## Seven kinds of images
 
-Simulated: {images} images of each kind, {independent} independent points each, hills, noise of
-0.2 to 1 px. Sizes are drawn: place, orbit, view, pixel, relief. Constants of the program were
+Simulated: {images} images of each kind, {independent} independent check points each, hills, noise
+of 0.2 to 1 px. Sizes are drawn: place, orbit, view, pixel, relief. Constants of the program were
 chosen on images of other ranges. An agile satellite turns while it scans, in any direction; the
 attitude of the small one ("cubesat") wanders by some 40 px. An airborne scanner shakes, a photo
 is a central projection with distortion, and a panoramic camera turns. The radar counts samples by
@@ -113,8 +114,8 @@ The embedded scenes, old maps and the measured or derived sets; {splits} splits 
 ## Photos by their equations
 
 Auto with `frame-camera` and `panoramic-camera` (termsel-cameras) next to auto without, on {photos}
-images of each kind, with {independent} independent points each. The column `sensor` says what the
-photo is; the airborne scanner is said to be a frame. Constants were chosen on images of other
+images of each kind, with {independent} independent check points each. The column `sensor` says what
+the photo is; the airborne scanner is said to be a frame. Constants were chosen on images of other
 ranges.
 
 {cameras}

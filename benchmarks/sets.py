@@ -61,7 +61,7 @@ def crs_of(name: str) -> str:
 
 
 def split(name: str, count: int, seed: int) -> tuple[Points, Points]:
-    """Return control and check points together, and independent points."""
+    """Return control and selection points together, and independent check points."""
     rng = np.random.default_rng([count, seed])
     if name in SCENES:
         points = simulate_scene(name, seed=seed, n_points=count + 150).points

@@ -226,7 +226,7 @@ def square_of(kind: str, count: int, seed: int) -> float:
 
 
 def square_of_block(count: int, seed: int) -> float:
-    """Return the same of the images of a block, at its independent points."""
+    """Return the same of the images of a block, at its independent check points."""
     squares = []
     with block_of(Kind("", 3, (count, count, 0), bend=4.0), seed) as (simulated, block, _, _):
         result = adjust(block)

@@ -13,7 +13,7 @@ PUBLISHED_RUNS = 5
 """Of each case and population."""
 
 POPULATIONS = (100, 200, 300, 400, 500)
-# RMSE of control, check and independent points [px], iterations, seconds.
+# RMSE of control, check and independent check points [px], iterations, seconds.
 PUBLISHED = {
     "Table 4: standard GA": (
         (0.90, 0.94, 1.08, 62.2, 1.63), (0.75, 0.68, 0.81, 80.0, 3.32),
@@ -42,7 +42,7 @@ CHANGES = (
     (5.95, 16.68, 38.10, 4.74, 15.35, 33.41, 46.20, 65.19, 43.19),
 )
 FAILED = 1.5
-"""RMSE of the check points from which a run counts as failed [px]."""
+"""RMSE of the selection points from which a run counts as failed [px]."""
 
 
 def page(runs: int) -> Iterator[str]:
@@ -122,7 +122,7 @@ HEAD = """# Akhoundi Khezrabad et al. 2020
 
 Made by `python -m benchmarks.paper_tables akhoundi --write`: {runs} runs of each case and
 population of `akhoundi-2020`, without local refinement; the paper has 5. **The data here are
-simulated**: 24 control, 24 check and 26 independent points as in the paper. RMSE [px]. A run
+simulated**: 24 control, 24 check and 26 independent check points as in the paper. RMSE [px]. A run
 with a check RMSE of {failed} px or more has "failed"; means are over the others. "Iterations" count
 until the last gain.
 """

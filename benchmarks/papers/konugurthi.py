@@ -50,7 +50,8 @@ def page(runs: int) -> Iterator[str]:
 
 
 def one_scene(share: float, seed: int) -> tuple[float, ...]:
-    """Return RMSE of independent points by five methods [px], blunders used, and CPU times."""
+    """Return RMSE of independent check points by five methods [px], blunders used, and CPU times.
+    """
     features = simulate_matches(share, seed)
     exact = simulate_matches(0.0, seed).points.image
     task = prepare("konugurthi-2016", features=features)
@@ -122,7 +123,8 @@ HEAD = """# Konugurthi et al. 2016
 Made by `python -m benchmarks.paper_tables konugurthi --write`, with the package termsel-rpc. **All
 data here are simulated**: a Cartosat-1 scene of 2.5 m with 100 matched points, of which a share is
 wrong by 5 to 40 px, and 100 independent ones. A rigorous model with errors of attitude is refined.
-Product error: the RMSE of independent points [m], median of {scenes} scenes, in brackets the worst.
+Product error: the RMSE of independent check points [m], median of {scenes} scenes, in brackets the
+worst.
 
 - **GA**: `konugurthi-2016`, 9 of 100 points, 10 chromosomes, 20 generations, fitness A/E50.
 - **RANSAC**: {draws} samples of two points; points within {threshold:g} px agree.

@@ -28,7 +28,7 @@ ORDER = ("1", "X", "Y", "XY", "X2", "Y2", "X2Y", "XY2", "X2Y2", "X3", "Y3", "X3Y
 """Monomials that the indices 0 to 15 of the paper stand for, if its eq. 6 goes on as it begins."""
 
 Figures = np.ndarray[tuple[int], np.dtype[np.float64]]
-"""sigma x, y, xy of control, check and independent points [px]."""
+"""sigma x, y, xy of control, selection and independent check points [px]."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Table:
     control, check, terms : int
         Numbers of points, and of terms of the global polynomial.
     published : tuple
-        For each method sigma x, y, xy of control and of check points [px].
+        For each method sigma x, y, xy of control and of selection points [px].
     chosen : tuple of str
         Published terms of x and of y.
     """
@@ -77,7 +77,7 @@ def page(runs: int) -> Iterator[str]:
     yield HEAD.format(scenes=runs, independent=INDEPENDENT)
     for table in TABLES:
         yield from section(table, runs)
-    yield ("## 24 to 80 control points, IKONOS\n\n31 check points. Each cell: check, then "
+    yield ("## 24 to 80 control points, IKONOS\n\n31 selection points. Each cell: check, then "
            f"independent [px], medians of {runs} scenes.\n\n| control | " + " | ".join(METHODS)
            + " |\n|---:|" + "---:|" * len(METHODS))
     for control in GCPS:
@@ -92,7 +92,7 @@ def section(table: Table, runs: int) -> Iterator[str]:
     """Yield one table, with the chosen terms."""
     found = [methods(table.scene, table.control, table.check, table.terms, seed)
              for seed in range(1, runs + 1)]
-    yield f"## {table.title}: {table.control} control, {table.check} check points\n"
+    yield f"## {table.title}: {table.control} control, {table.check} selection points\n"
     yield ("| method | published: control x | y | xy | check x | y | xy | here: control x | y | "
            "xy | check x | y | xy | independent xy |\n|---|" + "---:|" * 13)
     for name, row in zip(METHODS, table.published, strict=True):
@@ -132,7 +132,7 @@ def methods(scene: str, control: int, check: int, fixed: int, seed: int,
 
 
 def figures(task: Task, fitted: Fit) -> Figures:
-    """Return sigma x, y, xy of control, check and independent points [px]; x is the sample."""
+    """Return sigma x, y, xy of control, selection and independent points [px]; x is the sample."""
     return np.concatenate([_sigmas(fitted, points) for points in (
         task.observations.control.points, task.observations.check,
         task.observations.independent)])
@@ -163,8 +163,8 @@ Made by `python -m benchmarks.paper_tables valadan-zoej --write`, with the packa
 termsel-hybrids. **All data here are simulated**, with the paper's numbers of points and
 {independent} independent ones. RMSE [px], medians of {scenes} scenes; the paper has one image each.
 x is the sample, y the line. Terms of hybrid-2 are those of `valadan-zoej-2002`: from all X^i Y^j
-with i, j up to 3, the two best always crossed, without local refinement. As in the paper, the check
-points are its fitness. hybrid-3 has the terms of hybrid-2.
+with i, j up to 3, the two best always crossed, without local refinement. As in the paper, the
+selection points are its fitness. hybrid-3 has the terms of hybrid-2.
 """
 WORDS = """## What agrees, what does not, and why
 
@@ -185,7 +185,7 @@ WORDS = """## What agrees, what does not, and why
   residuals. The paper does not say where its gain comes from.
 - **Does not agree: hybrid-2 gains much more** than published for IKONOS. The simulated terrain has
   broad hills, which eight terms do not follow and powers up to 3 in both directions do.
-- The check points are the fitness of hybrid-2. Compare it with others by the independent RMSE.
+- The selection points are the fitness of hybrid-2. Compare it with others by the independent RMSE.
 - The paper's text has tables of 20, 40 and 63 control points; the rows of 24 to 80 have no
   published figures next to them.
 """

@@ -77,10 +77,10 @@ def shown(cells: list[Cell], wrong: int) -> str:
 HEAD = """# Yavari et al. 2018 (OWDIS)
 
 Made by `python -m benchmarks.paper_tables yavari --write`. **All data here are simulated**: 120
-control lines, 24 check points, which are the fitness, and 26 independent points, whose RMSE is
-shown. Scenes, of which medians are shown: {scenes}. There is no local refinement, and no repetition
-of a search without blunders. The paper's tables and numbers of features are on pages that could
-not be consulted.
+control lines, 24 selection points, which are the fitness, and 26 independent check points, whose
+RMSE is shown. Scenes, of which medians are shown: {scenes}. There is no local refinement, and no
+repetition of a search without blunders. The paper's tables and numbers of features are on pages
+that could not be consulted.
 
 **Published** (abstract): under an RFM with all terms, selected lines are five times as accurate as
 all lines, at the level of 1 px. Selected lines with selected terms reach better than 0.7 px.

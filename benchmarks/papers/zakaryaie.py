@@ -89,7 +89,7 @@ def rows(dataset: str, published: tuple[tuple[float, float], ...],
 
 
 def optimum(dataset: str, degree: int) -> float:
-    """Return the proven least RMSE of the check points [px]."""
+    """Return the proven least RMSE of the selection points [px]."""
     found = run("zakaryaie-2015", dataset=dataset, solver="exact", options={"degree": degree})
     return float(found.objectives["check-rmse"])
 
@@ -101,7 +101,7 @@ def hits(check: np.ndarray[tuple[int], np.dtype[np.float64]], best: float) -> st
 
 def rivals(runs: int) -> Iterator[str]:
     """Yield table 3."""
-    yield ("## Table 3: ICA against GA and PSO, IKONOS, 35 control and 39 check points\n\n"
+    yield ("## Table 3: ICA against GA and PSO, IKONOS, 35 control and 39 selection points\n\n"
            "| algorithm | population | published: RMSE | s | terms | here: mean RMSE | hits | "
            "evaluations | CPU s |\n|---|---:|---:|---:|---:|---:|---:|---:|---:|")
     for terms, degree in ((15, 4), (21, 5)):
@@ -146,7 +146,7 @@ HEAD = """# Zakaryaie Nejad et al. 2015
 
 Made by `python -m benchmarks.paper_tables zakaryaie --write`: {runs} runs of each setting of
 `zakaryaie-2015`, without local refinement; the paper has 10. **All data here are simulated**, with
-the paper's numbers of points. RMSE of the check points [m], which is the fitness. A search ends
+the paper's numbers of points. RMSE of the selection points [m], which is the fitness. A search ends
 with 50 generations without a gain; the paper ends with one empire, which hardly ever comes (see
 [searching](../explanation/searching.md)). "Hits" are runs that end at the proven optimum.
 "Independent" is the median RMSE of 100 further points.
@@ -163,8 +163,8 @@ AGREEMENT = """### What agrees, what does not, and why
 - **Does not agree: the level for IKONOS**, 2.9 m instead of 0.2 to 0.5 m. A 2-D polynomial does
   not follow the relief, and the simulated relief at 20° off nadir leaves that much. For SPOT,
   where relief matters in the same way in both, the levels are alike.
-- **The RMSE of these check points is not the accuracy.** With ten check points as fitness, 24 m
-  for SPOT become 79 m at independent points. The paper has no independent points.
+- **The RMSE of these selection points is not the accuracy.** With ten selection points as fitness,
+  24 m for SPOT become 79 m at independent check points. The paper has no independent check points.
 - Times are those of other machines and languages.
 """
 
