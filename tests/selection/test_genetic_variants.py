@@ -321,6 +321,45 @@ def test_few_evaluations_suffice_for_fast_mutation() -> None:
     assert reached(FastMutation(), 150) <= reached(RandomSearch(), 300)
 
 
+class Worsening(Problem):
+    """Whatever is evaluated is worse than all before it, so that no child takes its parent's place.
+    """
+
+    objectives = ("evaluations",)
+
+    def __init__(self, size: int) -> None:
+        self.genome = Genome([Bits("bits", tuple(f"g{i}" for i in range(size)))])
+        self.seen: list[BoolArray] = []
+
+    def evaluate(self, genes: BoolArray) -> Evaluation:
+        before = len(self.seen)
+        self.seen += list(genes)
+        return judged(np.arange(before, len(self.seen), dtype=float))
+
+    def decode(self, genes: BoolArray) -> termsel.Selection:
+        raise NotImplementedError
+
+
+def test_fast_mutation_changes_ever_fewer_genes_of_a_parent() -> None:
+    problem = Worsening(80)
+    search(problem, FastMutation(), seed=1, evaluations=1000)
+    parent, *children = problem.seen[:1] + problem.seen[10:]
+    changed = np.array([(child != parent).sum() for child in children])
+    # After t evaluations 80 x 1.54 ln(t) / t: 24 at the 11th, 5 at the 150th, 1 from the 960th.
+    assert 12 <= changed[:10].mean() <= 32
+    assert 3 <= changed[120:160].mean() <= 7
+    assert changed[-100:].mean() < 2.5
+    assert changed.min() == 1
+
+
+def test_fast_mutation_ends_where_a_parent_has_no_other_child() -> None:
+    genome = fixed(3, 2, on=("g1", "g2"))
+    problem = Worsening(3)
+    problem.genome = genome
+    found = search(problem, FastMutation(), seed=1, evaluations=30)
+    assert found.genes.tolist() == [True, True, False]
+
+
 # Who survives
 
 
