@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import termsel
+from termsel import FeatureSet, Points
 from termsel.data.arrays import BoolArray, FloatArray
 from termsel.data.locate import locate, visible_places
 
@@ -63,3 +65,36 @@ def test_views_from_above_and_blanks_stay_as_they_are() -> None:
     ground[3] = np.nan
     found = visible_places(from_above, image, ground, hill, 580.0, 30.0, UNIT)
     assert np.array_equal(found, ground, equal_nan=True)
+
+
+class Raster:
+    """The hill as a raster of heights gives it."""
+
+    def __call__(self, xy: FloatArray) -> FloatArray:
+        return hill(xy)
+
+    def highest(self, _: FloatArray) -> float:
+        return 560.0
+
+    def spacing(self) -> float:
+        return 5.0
+
+
+@pytest.mark.parametrize("is_raster", [False, True])
+def test_fits_and_results_give_the_visible_place_on_a_surface(is_raster: bool) -> None:
+    rng = np.random.default_rng(3)
+    plan = rng.uniform(-700.0, 700.0, (160, 2))
+    ground = np.column_stack([plan, hill(plan)])
+    hidden = is_hidden(ground)
+    control = ground[~hidden][:60]
+    points = Points(tuple(map(str, range(len(control)))), oblique(control), control)
+    result = termsel.run(features=FeatureSet(points, crs="local"), method="dlt")
+    surface = Raster() if is_raster else hill
+    behind = ground[hidden]
+    assert len(behind) > 5
+    for fit in (result, result.exported):
+        visible = fit.locate(oblique(behind), surface)
+        assert not is_hidden(visible).any()
+        assert hill(visible[:, :2]) == pytest.approx(visible[:, 2], abs=2e-3)
+        # Seen places stay where they are.
+        assert fit.locate(oblique(control), surface) == pytest.approx(control, abs=2e-2)

@@ -18,6 +18,8 @@ from rasterio.transform import Affine
 import termsel
 from termsel import TermselError
 from termsel_app.journal import JOURNAL_NAME, open_journal
+from termsel_app.places import Places
+from termsel_app.prediction import Prediction
 from termsel_app.quality import prediction_errors
 from termsel_app.session import Files, Session, open_session
 
@@ -258,6 +260,32 @@ def test_heights_come_from_the_dem(scan: Path, ortho: Path, tmp_path: Path) -> N
         assert session.control.records[typed]["ground"][2] == 321.5
         stated = session.put({"ground": [500030.0, 5199950.0, 12.0]})
         assert session.control.records[stated]["ground"][2] == 12.0
+
+
+def test_a_place_in_the_image_is_the_visible_one_on_the_dem(tmp_path: Path) -> None:
+    # A wall of 60 m across the view of a camera in the west, 20 degrees above the horizon.
+    heights = np.zeros((1, 100, 100), dtype=np.float32)
+    heights[:, :, 50:54] = 60.0
+    dem = write_raster(tmp_path / "dem.tif", heights, "EPSG:25832",
+                       Affine(10, 0, 500000, 0, -10, 5200000))
+    rng = np.random.default_rng(4)
+    ground = np.column_stack([rng.uniform(500050, 500950, 30), rng.uniform(5199050, 5199950, 30),
+                              rng.uniform(0, 60, 30)])
+
+    def seen(places: np.ndarray) -> np.ndarray:
+        east, north, up = (places - [498000.0, 5199500.0, 900.0]).T
+        depth = 0.94 * east - 0.342 * up
+        return np.column_stack([-0.342 * east - 0.94 * up, -north]) * 3000.0 / depth[:, None]
+
+    control = termsel.FeatureSet(
+        termsel.Points(tuple(map(str, range(30))), seen(ground), ground), crs="EPSG:25832")
+    places = Places("EPSG:25832", "EPSG:25832", dem)
+    prediction = Prediction(termsel.fit(control, "dlt3d"), places)
+    behind, before = prediction.to_map(seen(np.array([[500560.0, 5199500.0, 0.0],
+                                                      [500300.0, 5199500.0, 0.0]])))
+    places.close()
+    assert 500490.0 < behind[0] < 500510.0
+    assert before == pytest.approx([500300.0, 5199500.0], abs=0.1)
 
 
 def test_the_map_is_shown_in_a_plane_and_coordinates_are_those_of_the_control(

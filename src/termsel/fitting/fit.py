@@ -21,6 +21,7 @@ from termsel.data.extent import image_extent, reach
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Lines, Points
 from termsel.data.locate import Surface, locate
 from termsel.data.record.figures import Rmse, Settings
+from termsel.data.relief import visible_ground
 from termsel.data.scaling import Scaling, make_scaling
 from termsel.data.view import CentralView, view_of
 from termsel.fitting.extrapolation import variance_by_heights
@@ -581,13 +582,38 @@ class Fit(Glance):
         return image
 
     def locate(self, image: ArrayLike, heights: ArrayLike | Surface) -> FloatArray:
-        """Return the ground points seen at image points (see `termsel.data.locate.locate`)."""
+        """Return the ground points seen at image points.
+
+        Of several places at which a ray meets a surface it is the first, which hides the others.
+
+        Parameters
+        ----------
+        image : array_like, shape (n, 2)
+            Line and sample [px].
+        heights : array_like, shape (n,), a number, or callable
+            Heights, or what gives them for x and y, shape (n, 2), such as a DEM.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            In the CRS of the control; NaN where there is none.
+
+        Raises
+        ------
+        TermselError
+            If an array has another shape.
+        """
         centre, scale = self.ground_box()
         # At least as far as the image reaches, so that the search for a place begins with the right
         # size.
         scale = np.maximum(scale, reach(
             self.control, self.model.options, self.model.known_image()))
-        return locate(self.project, image, heights, centre=centre, scale=scale)
+        ground = locate(self.project, image, heights, centre=centre, scale=scale)
+        # A plane model sees all heights at one place, so that nothing hides anything.
+        if not callable(heights) or not self.model.uses_height:
+            return ground
+        return visible_ground(self.project, self.holds, np.asarray(image, dtype=np.float64),
+                              ground, heights, self.ground_box())
 
     def ground_box(self) -> tuple[FloatArray, FloatArray]:
         """Return middle and half-range of the control, shapes (3,), in its own CRS."""

@@ -25,7 +25,6 @@ from termsel.data.coordinates.earth import place_of
 from termsel.data.coordinates.longitudes import nearest_longitudes
 from termsel.data.coordinates.plausible import check_ground
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, select
-from termsel.data.locate import visible_places
 from termsel.data.tables.columns import COORDINATES, parse_columns
 from termsel.fitting.extrapolation import FAR_OUTSIDE, distance_outside_control
 from termsel.formats.base import error_in_file, read_once
@@ -94,8 +93,6 @@ def project_table(
         with surface_of(dem, crs, 0.0 if height is None else height) as surface:
             say_difference(result.features, result.project, surface)
             ground = result.locate(image, surface)
-            if isinstance(surface, Dem) and model.uses_height:
-                ground = _visible_ground(result, image, ground, surface)
             if isinstance(surface, Dem) and not np.isfinite(ground).any() \
                     and _is_elsewhere(surface, result.fit.control.ground_vertices()):
                 raise TermselError("this raster of heights does not cover the control, which is "
@@ -141,35 +138,6 @@ def project_table(
     return text, list(_projection_warnings(
         select(ids, missed & ~hidden & ~off_image), select(ids, hidden), select(ids, off_image),
         select(ids, ~missed & (distances > FAR_OUTSIDE)), encloses=encloses, inverse=inverse))
-
-
-def _visible_ground(result: Result, image: FloatArray, ground: FloatArray, surface: Dem,
-                    ) -> FloatArray:
-    """Return ground places (n, 3) that are hidden from the camera moved to what hides them."""
-    fit = result.exported
-    found = ground[np.isfinite(ground).all(axis=1), :2]
-    if not len(found):
-        return ground
-    # What hides a place is between it and the camera, which may be outside the control.
-    centre, scale = fit.ground_box()
-    extent = np.vstack([found, centre[:2] - scale[:2], centre[:2] + scale[:2]])
-    low, high = extent.min(axis=0), extent.max(axis=0)
-    corners = np.array([[x, y] for x in (2 * low[0] - high[0], 2 * high[0] - low[0])
-                        for y in (2 * low[1] - high[1], 2 * high[1] - low[1])])
-    highest = surface.highest(corners)
-    if not np.isfinite(highest):
-        return ground
-    visible = visible_places(fit.project, image, ground, surface, highest, surface.spacing(),
-                             scale)
-    # Behind the camera a model has mirrored places.
-    moved = np.flatnonzero((visible != ground).any(axis=1) & np.isfinite(ground[:, 0]))
-    moved = moved[fit.holds(visible[moved])]
-    ground = ground.copy()
-    ground[moved] = visible[moved]
-    if moved.size:
-        log.info("%s would be behind other ground: the visible place is given.",
-                 count_in_words(len(moved), "point"))
-    return ground
 
 
 def _is_elsewhere(surface: Dem, control: FloatArray) -> bool:

@@ -275,6 +275,8 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
     def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
         """Return the ground points seen at image points, by the exported fit.
 
+        Of several places at which a ray meets a surface it is the first, which hides the others.
+
         Parameters
         ----------
         image : array_like, shape (n, 2)

@@ -112,3 +112,13 @@ class Places:
             if self._surface is not None and finite.any():
                 heights[finite] = self._surface(xy[finite])
         return heights
+
+    def highest(self, corners: FloatArray) -> float:
+        """Return the greatest height of the DEM in the box around ground places (n, 2), or NaN."""
+        with self._lock:
+            return np.nan if self._surface is None else self._surface.highest(corners)
+
+    def spacing(self) -> float:
+        """Return the distance of neighbouring heights of the DEM, in ground units; NaN without."""
+        with self._lock:
+            return np.nan if self._surface is None else self._surface.spacing()

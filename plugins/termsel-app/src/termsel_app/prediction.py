@@ -23,6 +23,27 @@ _TURN = np.linspace(0.0, 2.0 * np.pi, 33)
 
 
 @dataclass(frozen=True)
+class _FilledHeights:
+    """Heights of the ground by a DEM, and one height where that has none."""
+
+    places: Places
+    height: float
+
+    def __call__(self, xy: FloatArray) -> FloatArray:
+        """Return heights (n,) of ground places (n, 2)."""
+        heights = self.places.heights(np.asarray(xy, dtype=np.float64))
+        return np.where(np.isfinite(heights), heights, self.height)
+
+    def highest(self, corners: FloatArray) -> float:
+        """Return the greatest height in the box around ground places (n, 2)."""
+        return float(np.fmax(self.places.highest(corners), self.height))
+
+    def spacing(self) -> float:
+        """Return the distance of neighbouring heights of the DEM."""
+        return self.places.spacing()
+
+
+@dataclass(frozen=True)
 class Prediction:
     """A fitted model between image and map.
 
@@ -77,7 +98,7 @@ class Prediction:
         """Return the places on the map (n, 2) of line and sample (n, 2); NaN where there are none.
         """
         image = np.asarray(image, dtype=np.float64).reshape(-1, 2)
-        surface = self._surface_heights \
+        surface = _FilledHeights(self.places, self.height()) \
             if self.places.has_heights and not self.in_map else self.height()
         ground = self.result.locate(image, surface)
         finite = np.isfinite(ground[:, :2]).all(axis=1)
@@ -86,11 +107,6 @@ class Prediction:
             xy[finite] = ground[finite, :2] if self.in_map \
                 else self.places.to_map(ground[finite])
         return xy
-
-    def _surface_heights(self, xy: FloatArray) -> FloatArray:
-        """Return heights of ground places (n, 2) by the DEM; by the control where that has none."""
-        heights = self.places.heights(np.asarray(xy, dtype=np.float64))
-        return np.where(np.isfinite(heights), heights, self.height())
 
     def sigma(self, xy: Any) -> FloatArray:
         """Return standard deviations of line and sample [px] (n, 2) of places on the map."""

@@ -1,0 +1,109 @@
+"""Ground that hides other ground: what an oblique view shows is what its rays meet first."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from termsel.core.errors import count_in_words
+from termsel.data.arrays import BoolArray, FloatArray
+from termsel.data.locate import Projection, Surface, visible_places
+
+log = logging.getLogger(__name__)
+
+_SAMPLED = 200
+"""Places along a side of an area at which a surface is asked that is a function alone."""
+
+
+@runtime_checkable
+class Relief(Protocol):
+    """A surface of heights that states how high it is and how close its heights are, as a DEM."""
+
+    def __call__(self, xy: FloatArray) -> FloatArray:
+        """Return heights (n,) of plane ground coordinates (n, 2); NaN where there are none."""
+
+    def highest(self, corners: FloatArray) -> float:
+        """Return the greatest height in the box around places (n, 2); NaN where there is none."""
+
+    def spacing(self) -> float:
+        """Return the distance of neighbouring heights, in the unit of the ground coordinates."""
+
+
+@dataclass(frozen=True)
+class _Sampled:
+    """A function of heights, asked at places that are spread over a box: corners (n, 2)."""
+
+    surface: Surface
+    corners: FloatArray
+
+    @cached_property
+    def _sides(self) -> tuple[FloatArray, FloatArray]:
+        """Places along both sides of the box."""
+        low = self.corners.min(axis=0)
+        high = self.corners.max(axis=0)
+        return (np.linspace(low[0], high[0], _SAMPLED), np.linspace(low[1], high[1], _SAMPLED))
+
+    def highest(self) -> float:
+        """Return the greatest height that is found; NaN where there is none."""
+        grid = np.stack(np.meshgrid(*self._sides), axis=-1).reshape(-1, 2)
+        heights = self.surface(grid)
+        return float(np.max(heights, initial=-np.inf, where=np.isfinite(heights)))
+
+    def spacing(self) -> float:
+        """Return the lesser distance of neighbouring places."""
+        return float(min(side[1] - side[0] for side in self._sides))
+
+
+def visible_ground(project: Projection, holds: Callable[[FloatArray], BoolArray],
+                   image: FloatArray, ground: FloatArray, surface: Surface,
+                   box: tuple[FloatArray, FloatArray]) -> FloatArray:
+    """Return ground places (n, 3) that are hidden from the camera moved to what hides them.
+
+    Parameters
+    ----------
+    project : callable
+    holds : callable
+        Whether the model holds at places (m, 3), (m,): behind the camera it has mirrored ones.
+    image : ndarray, shape (n, 2)
+        Line and sample [px].
+    ground : ndarray, shape (n, 3)
+        Where rays meet the surface, as `termsel.data.locate.locate` returns it; NaN stays.
+    surface : callable
+        One that is no `Relief` is asked at places all over the area.
+    box : tuple of 2 ndarrays
+        Middle and half-range of the control, (3,) each.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+    """
+    found = ground[np.isfinite(ground).all(axis=1), :2]
+    if not len(found):
+        return ground
+    # What hides a place is between it and the camera, which may be outside the control.
+    centre, scale = box
+    extent = np.vstack([found, centre[:2] - scale[:2], centre[:2] + scale[:2]])
+    low, high = extent.min(axis=0), extent.max(axis=0)
+    corners = np.array([[x, y] for x in (2 * low[0] - high[0], 2 * high[0] - low[0])
+                        for y in (2 * low[1] - high[1], 2 * high[1] - low[1])])
+    if isinstance(surface, Relief):
+        highest, spacing = surface.highest(corners), surface.spacing()
+    else:
+        sampled = _Sampled(surface, corners)
+        highest, spacing = sampled.highest(), sampled.spacing()
+    if not np.isfinite(highest):
+        return ground
+    visible = visible_places(project, image, ground, surface, highest, spacing, scale)
+    moved = np.flatnonzero((visible != ground).any(axis=1) & np.isfinite(ground[:, 0]))
+    moved = moved[holds(visible[moved])]
+    ground = ground.copy()
+    ground[moved] = visible[moved]
+    if moved.size:
+        log.info("%s would be behind other ground: the visible place is given.",
+                 count_in_words(len(moved), "point"))
+    return ground
