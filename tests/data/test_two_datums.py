@@ -53,6 +53,28 @@ def test_a_constant_shift_of_some_points_is_found(shift: tuple[float, float],
         assert found.shift == pytest.approx(shift, abs=3.0)
 
 
+@pytest.mark.parametrize(("crs", "lon", "lat", "words"), [
+    ("EPSG:3413", -45.0, 75.0, " lie 40 m east and 70 m south of the positions"),  # y is north
+    ("EPSG:3413", 45.0, 75.0, " lie 40 m along +x and 70 m along -y from the positions"),
+    ("EPSG:3031", 170.0, -80.0, " lie 40 m along +x and 70 m along -y from the positions"),
+    ("EPSG:32633", 15.5, 48.0, " lie 40 m east and 70 m south of the positions"),
+    ("EPSG:2193", 172.0, -41.0, " lie 40 m east and 70 m south of the positions"),
+    ("EPSG:31287", 15.0, 47.5, " lie 40 m east and 70 m south of the positions")])
+def test_directions_are_of_the_compass_only_where_the_axes_are(crs: str, lon: float, lat: float,
+                                                               words: str) -> None:
+    from pyproj import Transformer
+
+    east, north = np.random.default_rng(4).uniform(-5000, 5000, (2, 30))
+    middle = Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lon, lat)
+    image = np.column_stack([-north, east]) / 3 + 2000
+    ground = np.column_stack([middle[0] + east, middle[1] + north, np.full(30, np.nan)])
+    ground[:8, :2] += (40.0, -70.0)
+    features = FeatureSet(Points(tuple(f"q{i}" for i in range(30)), image, ground), crs=crs)
+    found = find_two_groups(features)
+    assert found is not None
+    assert words in found.sentence()
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_errors_and_relief_are_no_two_groups(seed: int) -> None:
     for features in (points(seed=seed), points(seed=seed, noise=20.0), points(12, seed=seed),

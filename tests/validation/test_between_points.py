@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -56,6 +58,40 @@ def test_evenly_spread_points_have_no_such_caution() -> None:
     plan = np.random.default_rng(3).uniform(0.0, 900.0, (30, 2))
     result = termsel.run(features=deformed_scan(plan, 0.2, 3))
     assert not any(note.startswith("Between ") for note in result.notes)
+
+
+def checked(where: str, seed: int, count: int) -> termsel.Result:
+    """Return a run with 30 control points and so many independent ones: "beside" control, or
+    "anywhere"."""
+    rng = np.random.default_rng(seed)
+    control = rng.uniform(0.0, 900.0, (30, 2))
+    check = control[:count] + rng.uniform(2.0, 6.0, (count, 2)) if where == "beside" \
+        else rng.uniform(100.0, 800.0, (count, 2))
+    features = deformed_scan(np.concatenate([control, check]), 0.2, seed)
+    roles = ("control",) * 30 + ("independent",) * count
+    return termsel.run(features=features.with_(points=replace(features.points, roles=roles)))
+
+
+@pytest.mark.parametrize(("seed", "count"), [(1, 3), (2, 8), (3, 20)])
+def test_check_points_beside_control_are_cautioned_of(seed: int, count: int) -> None:
+    result = checked("beside", seed, count)
+    [note] = [note for note in result.notes if " close beside control points" in note]
+    assert note.startswith(f"{count} of {count} independent check points lie ")
+    assert note in limits_of_accuracy(result.notes)
+    assert "close beside control" in accuracy_tags(result)["ACCURACY_CAUTION"]
+
+
+@pytest.mark.parametrize(("seed", "count"), [(1, 3), (2, 8), (3, 20), (4, 3), (5, 3), (6, 5)])
+def test_check_points_anywhere_have_no_such_caution(seed: int, count: int) -> None:
+    assert not any("beside" in note for note in checked("anywhere", seed, count).notes)
+
+
+def test_check_points_in_clusters_of_control_are_cautioned_of() -> None:
+    features = deformed_scan(clustered(5), 0.2, 5)
+    roles = tuple("independent" if i % 5 == 0 else "control" for i in range(30))
+    result = termsel.run(features=features.with_(points=replace(features.points, roles=roles)))
+    assert any(note.startswith("6 of 6 independent check points lie close beside control points: ")
+               for note in result.notes)
 
 
 @pytest.mark.parametrize("note", [

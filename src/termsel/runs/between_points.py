@@ -3,6 +3,9 @@
 Points held out show errors where points are. Where points lie in clusters, or in pairs, each that
 is held out has neighbours in the fit, and its error says little of the places between. What the
 model says of its own uncertainty there is then above the interval of the RMSE.
+
+Independent check points show errors where they are: next to control the model follows the control.
+Of check points anywhere in the area half are as far from control as half of the area is.
 """
 
 from __future__ import annotations
@@ -15,8 +18,8 @@ from termsel.core.errors import rounded_size_text
 from termsel.data.coordinates.clusters import cluster_labels
 from termsel.data.coordinates.metres import plan_of
 from termsel.data.coordinates.places import convex_hull, distance_beyond_hull
-from termsel.data.features import FloatArray
-from termsel.data.record.cautions import BETWEEN_POINTS
+from termsel.data.features import FeatureSet, FloatArray, Points
+from termsel.data.record.cautions import BESIDE_CONTROL, BETWEEN_POINTS
 from termsel.data.record.figures import Predicted
 from termsel.fitting.fit import Fit
 
@@ -25,6 +28,13 @@ CLEAR_GAP = 2.0
 
 PLACES_ALONG_A_SIDE = 8
 """Places along a side of the box of the control, of which those in its hull are looked at."""
+
+NEXT_TO_CONTROL = 0.25
+"""Distance from control, by that of half of the area, up to which a check point is next to it: so
+near are 4 % of places at random."""
+
+MIN_CHECK_POINTS = 3
+"""Independent check points below which chance may put most of them next to control."""
 
 MIN_POINTS = 5
 """Points below which the interval of the RMSE and the uncertainty are little more than beliefs."""
@@ -58,6 +68,33 @@ def uncertain_between_points(fitted: Fit, predicted: Predicted) -> Iterator[str]
     where = "the points" if clusters is None else f"the {clusters.max() + 1} clusters of points"
     yield (f"{BETWEEN_POINTS}{where} the map may be off by {rounded_size_text(uncertainty)} px: "
            "the RMSE holds near them only. Measure points between them, or see termsel sigma.")
+
+
+def checked_next_to_control(control: FeatureSet, independent: Points) -> Iterator[str]:
+    """Yield a sentence if most independent check points lie next to control points."""
+    count = len(independent)
+    if count < MIN_CHECK_POINTS or len(control.points) < MIN_POINTS or len(control.lines):
+        return
+    ground = control.points.ground
+    plan = plan_of(control.crs, np.vstack([ground, places_within_hull(ground), independent.ground]))
+    if plan is None or len(plan) == len(ground) + count:
+        return
+    of_control, of_area, of_check = np.split(plan, [len(ground), len(plan) - count])
+    usual = float(np.median(_distances_to_nearest(of_area, of_control)))
+    near = int((_distances_to_nearest(of_check, of_control) <= NEXT_TO_CONTROL * usual).sum())
+    if 2 * near <= count:
+        return
+    verb = "lie" if near > 1 else "lies"
+    yield (f"{near} of {count} independent check points {verb}{BESIDE_CONTROL}: their errors are "
+           "those next to control, and farther away errors may be several times as large. Check at "
+           "places away from control.")
+
+
+def _distances_to_nearest(places: FloatArray, control: FloatArray) -> FloatArray:
+    """Return the distance of each place (m, 2) from the nearest control (n, 2), (m,)."""
+    from scipy.spatial import cKDTree  # only now, as it takes long to import
+
+    return np.asarray(cKDTree(control).query(places)[0])
 
 
 def places_within_hull(ground: FloatArray) -> FloatArray:

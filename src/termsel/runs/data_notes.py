@@ -12,7 +12,13 @@ from termsel.core.errors import count_in_words, first_names_in_words, rounded_si
 from termsel.data.coordinates.crs import EARTH, body_of, geodetic_of
 from termsel.data.coordinates.earth import note_on_turned
 from termsel.data.coordinates.longitudes import has_longitude_jump
-from termsel.data.coordinates.metres import height_unit, is_in_degrees, offsets_in_metres, plan_of
+from termsel.data.coordinates.metres import (
+    has_compass_axes,
+    height_unit,
+    is_in_degrees,
+    offsets_in_metres,
+    plan_of,
+)
 from termsel.data.coordinates.places import distance_beyond_hull, feature_centres
 from termsel.data.coordinates.plausible import note_on_mixed
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
@@ -28,6 +34,7 @@ from termsel.data.roles import Observations, find_twins, twin_groups
 from termsel.fitting.extrapolation import corners_of
 from termsel.fitting.fit import Fit
 from termsel.formats.heights import pixels_of
+from termsel.runs.between_points import checked_next_to_control
 from termsel.runs.request import note_on_blank
 
 # Points of two surveys in different datums: two groups that a constant shift on the ground parts.
@@ -73,27 +80,31 @@ class TwoGroups:
     first, second : tuple of str
         Ids; the first is the larger group.
     shift : tuple of float
-        From the first to the second group, to the east and to the north [m].
+        From the first to the second group, along x and y [m], to the east and north of degrees.
+    heights : bool
+        Whether heights are known: unknown ones may part points of two levels.
+    is_compass : bool
+        Whether x points to the east and y to the north.
     """
 
     first: tuple[str, ...]
     second: tuple[str, ...]
     shift: tuple[float, float]
     heights: bool
-    """Whether heights are known: unknown ones may part points of two levels."""
+    is_compass: bool
 
     def sentence(self) -> str:
         """Return it as a sentence."""
-        east, north = self.shift
+        axes = (("east", "west"), ("north", "south")) if self.is_compass else \
+            (("along +x", "along -x"), ("along +y", "along -y"))
         # Less than a metre along an axis is not worth a word.
-        directions = []
-        if abs(east) >= 1:
-            directions.append(f"{abs(east):.0f} m {'east' if east > 0 else 'west'}")
-        if abs(north) >= 1:
-            directions.append(f"{abs(north):.0f} m {'north' if north > 0 else 'south'}")
+        directions = [f"{abs(size):.0f} m {ahead if size > 0 else back}"
+                      for size, (ahead, back) in zip(self.shift, axes, strict=True)
+                      if abs(size) >= 1]
+        of = "of" if self.is_compass else "from"
         levels = "" if self.heights else ", or on two levels whose heights are not known"
         return (f"{len(self.second)} of {len(self.first) + len(self.second)} points lie "
-                f"{' and '.join(directions)} of the positions that the others predict"
+                f"{' and '.join(directions)} {of} the positions that the others predict"
                 f"{TWO_DATUMS}{levels}")
 
 
@@ -173,7 +184,8 @@ def find_two_groups(features: FeatureSet) -> TwoGroups | None:
         shift = -shift
     names = np.array(points.ids, dtype=object)
     return TwoGroups(tuple(names[~second]), tuple(names[second]),
-                     (float(shift[0]), float(shift[1])), design.shape[1] > 3)
+                     (float(shift[0]), float(shift[1])), design.shape[1] > 3,
+                     has_compass_axes(features.crs, points.ground))
 
 
 def _fit_residuals(design: FloatArray, image: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -232,6 +244,7 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     # In the order in which a reader would act: datum, repeated points, geometry, heights.
     yield from _note_on_two_groups(features)
     yield from _note_on_twins(features.points, independent)
+    yield from checked_next_to_control(features, independent)
     # One blunder far away draws all others together.
     yield from _note_on_one_line((clean or observations).together)
     missing = features.without_height()

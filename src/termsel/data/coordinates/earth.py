@@ -24,7 +24,7 @@ from termsel.data.coordinates.crs import (
     transformation_between,
 )
 from termsel.data.coordinates.longitudes import unwrap_longitudes
-from termsel.data.coordinates.metres import metric_crs, offsets_in_metres
+from termsel.data.coordinates.metres import has_compass_axes, metric_crs, offsets_in_metres
 from termsel.data.coordinates.places import lattice_of
 from termsel.data.features import FeatureSet, FloatArray
 from termsel.data.record.chances import median_of
@@ -34,7 +34,6 @@ log = logging.getLogger(__name__)
 UNKNOWN_CRS = "the CRS of the ground coordinates is unknown"
 _TELLING = 4  # points from which on a mirror image shows, or half as many again lines
 MIRRORED = 3  # points from which on it shows next to other images
-_UPWARDS = "line numbers grow to the north"
 _UNLIKE = 0.2  # share of the image coordinates' variance that relief and distortion may leave
 _FLAT = 0.05  # ratio of the axes of what a matrix makes of a circle, below which nothing shows
 _NO_DEGREES = 360.0  # beyond which no longitude is
@@ -84,7 +83,11 @@ def note_on_turned(features: FeatureSet) -> str:
     # A mirror image: one coordinate is counted other than from the upper left.
     if turn is not None and np.linalg.det(turn) < 0:
         is_upwards = turn[0, 0] > turn[1, 1]
-        direction = _UPWARDS if is_upwards else "sample numbers grow to the west"
+        if has_compass_axes(features.crs, features.ground_vertices()):
+            direction = "line numbers grow to the north" if is_upwards else \
+                "sample numbers grow to the west"
+        else:
+            direction = "line numbers grow with y" if is_upwards else "sample numbers fall with x"
         upwards = (" If lines count from the lower edge of the image, give --set "
                    "image_origin=bottom-left and --image FILE." if is_upwards else "")
         return (f"{direction} here, as on maps whose y points up and in some radar images."

@@ -28,6 +28,10 @@ TRUE_SCALE = 0.01
 """How far the scale of a projection is from 1 at most where lengths are taken as they stand."""
 _LATTICE = 1e4  # metres
 
+COMPASS_TOLERANCE = 10.0
+"""How far axes may point off east and north to be called so [deg]; a wind rose has 22.5."""
+_STEP = 10.0  # metres
+
 
 def offsets_in_metres(crs: str, positions: FloatArray, offsets: FloatArray) -> FloatArray | None:
     """Return offsets (n, 2) to east and north of positions in metres; None if the unit is unknown.
@@ -92,6 +96,30 @@ def _scales_along_axes(crs: str, positions: FloatArray) -> FloatArray:
         # Two metres of the plane lie between the ends.
         scales.append(2.0 / np.linalg.norm(ends[1] - ends[0], axis=1))
     return np.stack(scales, axis=1)
+
+
+def has_compass_axes(crs: str, positions: FloatArray) -> bool:
+    """Return whether x points to the east and y to the north, nearly, at positions (n, 2 or more).
+
+    In the middle of a polar projection y is south along one meridian; the axes of coordinates
+    without a known CRS may point anywhere.
+    """
+    if not crs or not len(positions):
+        return False
+    if _kind_and_units(crs)[0] or UTM.fullmatch(crs):
+        return True
+    angles_of = longitudes_and_latitudes_of(crs)
+    unit = _kind_and_units(crs)[2]
+    middle = np.nanmedian(positions[:, :2], axis=0)
+    if angles_of is None or unit is None or not np.isfinite(middle).all():
+        return False
+    # Where a step along x and one along y lead, as steps to the east and to the north.
+    steps = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]) * _STEP / unit
+    lon, lat = (angles_of(middle + steps)).T
+    east = np.cos(lat[0]) * ((lon[1:] - lon[0] + np.pi) % (2.0 * np.pi) - np.pi)
+    north = lat[1:] - lat[0]
+    off = np.abs(np.arctan2([north[0], east[1]], [east[0], north[1]]))
+    return bool((off <= np.radians(COMPASS_TOLERANCE)).all())
 
 
 def _offsets_on_plane(crs: str, positions: FloatArray, offsets: FloatArray) -> FloatArray | None:

@@ -25,8 +25,11 @@ EXCHANGED = "no view of a plane reverses some triangles"
 UNLIKE_CONTROL = " control and check. Either "
 """What a note has in it on independent points that the model does not meet."""
 
+BESIDE_CONTROL = " close beside control points"
+"""What a note has in it on independent points that show errors next to control alone."""
+
 _OPENINGS = (EXTRAPOLATION, BETWEEN_POINTS)
-_WORDS = (ON_ONE_LINE, TWO_DATUMS, CONTRADICT, EXCHANGED, UNLIKE_CONTROL)
+_WORDS = (ON_ONE_LINE, TWO_DATUMS, CONTRADICT, EXCHANGED, UNLIKE_CONTROL, BESIDE_CONTROL)
 
 
 def limits_of_accuracy(notes: Iterable[str]) -> list[str]:

@@ -286,9 +286,9 @@ class OnGround(Errors, frozen=True, kw_only=True):
     """Errors of independent points on the ground, each at its height [m]."""
 
     x: Size
-    """RMSE to the east."""
+    """RMSE along x, which is to the east in most CRSs."""
     y: Size
-    """RMSE to the north."""
+    """RMSE along y, which is to the north in most CRSs."""
 
 
 class StandardFigure(RecordPart, frozen=True, omit_defaults=False):
