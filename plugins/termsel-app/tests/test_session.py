@@ -275,7 +275,8 @@ def test_a_place_in_the_image_is_the_visible_one_on_the_dem(tmp_path: Path) -> N
     def seen(places: np.ndarray) -> np.ndarray:
         east, north, up = (places - [498000.0, 5199500.0, 900.0]).T
         depth = 0.94 * east - 0.342 * up
-        return np.column_stack([-0.342 * east - 0.94 * up, -north]) * 3000.0 / depth[:, None]
+        down_and_right = np.column_stack([-0.342 * east - 0.94 * up, -north])
+        return np.asarray(3000.0 * down_and_right / depth[:, None])
 
     control = termsel.FeatureSet(
         termsel.Points(tuple(map(str, range(30))), seen(ground), ground), crs="EPSG:25832")
