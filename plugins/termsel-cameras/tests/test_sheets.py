@@ -158,6 +158,29 @@ def test_a_sheet_of_four_points_borrows_the_paper_of_its_neighbours() -> None:
     assert "6 other sheets of the series lend it" in SHEET_OF_SERIES.describe(borrowed)
 
 
+def test_sheets_of_unlike_scale_are_no_series(tmp_path: Path,
+                                              caplog: pytest.LogCaptureFixture) -> None:
+    features, ground, _ = paper_sheet(8, 20)
+    maps = []
+    for seed, scale in enumerate((0.5, 0.8, 1.3, 2.0)):
+        other = paper_sheet(15, seed)[0]
+        maps.append(other.with_(points=replace(other.points, image=scale * other.points.image)))
+    lent = with_series_columns(features, series_of(maps, ""))
+    reason = SHEET_OF_SERIES.declines(FitData.of(lent))
+    assert reason is not None
+    assert "differ by" in reason
+    # Auto then takes the sheet by itself.
+    places = [termsel.run(features=sheet).project(ground) for sheet in (features, lent)]
+    np.testing.assert_array_equal(*places)
+    file = tmp_path / "series.json"
+    file.write_text(series_of(maps, "").text(), encoding="utf-8")
+    termsel.write_points_csv(features.points, tmp_path / "sheet.csv")
+    termsel.read(tmp_path / "sheet.csv", crs="local", series=str(file))
+    assert "lends no paper" in caplog.text
+    like = series_of([paper_sheet(15, seed)[0] for seed in range(4)], "")
+    assert SHEET_OF_SERIES.declines(FitData.of(with_series_columns(features, like))) is None
+
+
 def test_independent_points_do_not_tell_the_paper() -> None:
     features = [paper_sheet(8, seed)[0] for seed in range(3)]
     with_wild = [paper_sheet(8, seed, wild=True)[0] for seed in range(3)]

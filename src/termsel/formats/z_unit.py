@@ -32,7 +32,7 @@ from termsel.data.coordinates.height_units import (
 )
 from termsel.data.features import FeatureSet, FloatArray
 from termsel.data.rpc import Rpc
-from termsel.data.tables.columns import GON, KILOMETRE, RADIAN, UNIT_WORDS
+from termsel.data.tables.unit_names import ANGLES, LENGTHS, UNIT_WORDS
 from termsel.formats.heights import open_dem
 
 if TYPE_CHECKING:
@@ -75,8 +75,9 @@ def with_z_unit(features: FeatureSet, stated: str | None, dem: Path | None = Non
     # z equal to 0 is the same in every unit.
     if not is_unit_open(features.crs) or not np.nan_to_num(heights).any():
         return features
-    if features.named_units.get("z") == KILOMETRE:
-        return _heights_in_unit(features, METRE, "as its column is in kilometres by its name")
+    if named in LENGTHS:
+        return _heights_in_unit(features, METRE,
+                                f"as its column is in {UNIT_WORDS[named]} by its name")
     in_feet = str(unit_of_plane(features.crs))
     units = (in_feet, METRE)
     if dem is not None and (unit := _unit_by_dem(features, units, dem)):
@@ -124,15 +125,15 @@ def refuse_other_units(units: Mapping[str, str], crs: str, *,
                      f"{_CRS_OF_UNIT.get(unit, 'feet')}.")
 
 
-_CRS_OF_UNIT = {KILOMETRE: "metres", GON: "degrees", RADIAN: "degrees"}
+_CRS_OF_UNIT = dict.fromkeys(LENGTHS, "metres") | dict.fromkeys(ANGLES, "degrees")
 """In what a CRS counts whose coordinates may be read in a unit, for messages."""
 
 
 def _agree(named: str, counted: str | None) -> bool:
     """Return whether coordinates named in a unit may be those of a CRS that counts in one."""
-    if named in (GON, RADIAN):
+    if named in ANGLES:
         return counted in ("degrees", named)
-    if named == KILOMETRE:
+    if named in LENGTHS:
         return counted in (METRE, named)
     # "ft" is written for either foot.
     return counted in (FOOT, US_FOOT, named)

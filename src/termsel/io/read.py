@@ -22,6 +22,7 @@ from termsel.core.isolation.faults import PluginFault, is_own, name_of
 from termsel.core.isolation.parts import missing_package_error, values_of_slot
 from termsel.core.options import Option
 from termsel.data.coordinates.crs import LOCAL, WGS84, normalise, short_crs_name
+from termsel.data.coordinates.crs_columns import note_on_other_crs
 from termsel.data.coordinates.earth import UNKNOWN_CRS, say_turned, unknown_crs_error
 from termsel.data.coordinates.plausible import check_ground, note_on_mixed
 from termsel.data.coordinates.true_lengths import note_on_scale, with_degrees
@@ -668,7 +669,10 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
 
 
 def _say_doubts(features: FeatureSet) -> None:
-    """Warn of axes that look swapped, and of coordinates that are not all of one kind."""
+    """Warn of axes that look swapped, of coordinates that are not all of one kind, or of another.
+    """
+    if other := note_on_other_crs(features):
+        log.warning("Warning: %s", other)
     # Of coordinates of two kinds it means nothing how they are turned.
     if mixed := note_on_mixed(features):
         log.warning("Warning: %s", mixed)

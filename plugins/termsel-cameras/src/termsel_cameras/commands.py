@@ -111,15 +111,10 @@ def _choose_projection(sheets: list[FeatureSet], candidates: Path | None,
     return best.crs
 
 
-_ONE_SERIES = 0.1
-"""Largest standard deviation of the scales of one series' sheets, scanned alike: paper shrinks by
-few per cent."""
-
-
 def _say_paper(series: Series) -> None:
     """Print what the paper of a series is like: scale, turn, stretch and shear, with their spreads.
     """
-    from termsel_cameras.sheets.paper import paper_of
+    from termsel_cameras.sheets.paper import paper_of, reason_against
 
     if not series.sheets:
         echo("No sheet has the 4 points that an estimate of its paper requires.")
@@ -132,7 +127,7 @@ def _say_paper(series: Series) -> None:
          f"{math.degrees(paper.means[1]):.3g} deg ({math.degrees(turn):.2g}), stretch "
          f"{100 * paper.means[2]:.2g} % ({100 * stretch:.2g}), shear {100 * paper.means[3]:.2g} % "
          f"({100 * shear:.2g}); an affine map leaves {paper.noise:.3g} px.")
-    if len(series.sheets) > 1 and scale > _ONE_SERIES:
+    if reason_against(paper):
         echo("Caution: the scales of these sheets differ more than those of one series do. Is one "
              "of them of another map, or scanned at another resolution? Then leave it out.")
 

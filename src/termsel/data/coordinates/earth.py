@@ -11,6 +11,7 @@ from termsel.core.errors import DOUBT, PENDING, TermselError
 from termsel.data.coordinates.crs import (
     EARTH,
     EXAMPLES,
+    UTM,
     area_of_use,
     body_of,
     geodetic_of,
@@ -23,6 +24,7 @@ from termsel.data.coordinates.crs import (
     short_crs_name,
     transformation_between,
 )
+from termsel.data.coordinates.crs_columns import crs_of_columns
 from termsel.data.coordinates.longitudes import unwrap_longitudes
 from termsel.data.coordinates.metres import has_compass_axes, metric_crs, offsets_in_metres
 from termsel.data.coordinates.places import lattice_of
@@ -104,6 +106,13 @@ def unknown_crs_error(features: FeatureSet, may_turn: bool) -> TermselError:
     error = TermselError(UNKNOWN_CRS, hint=f"State it with --crs: {EXAMPLES}.")
     ground = features.ground_vertices()
     plane = ground[:, :2]
+    column, said = crs_of_columns(features)
+    if said:
+        error.options["--crs"] = said
+        datum = " in WGS 84" if UTM.fullmatch(said) and not column.lower().startswith(
+            ("crs", "epsg", "sr")) else ""
+        error.hint = f"Its column {column!r} says {said}{datum}: --crs {said}."
+        return error
     if len(ground) and np.abs(plane).max() > _NO_DEGREES:
         error.hint = f"{error.hint} x and y are no degrees: name the CRS of the map they are from."
     # Degrees are below 180, and those of one scene close to each other.

@@ -82,6 +82,11 @@ def _check_distance(ground: FloatArray, features: FeatureSet, crs: str) -> None:
 
 def _hint_of_degrees(xy: FloatArray, features: FeatureSet) -> str:
     """Return a sentence on the likely reason why coordinates (n, 2) cannot be degrees."""
+    for joined, unit, form in ((100.0, "degrees and minutes", "DDMM.mm"),
+                               (10_000.0, "degrees, minutes and seconds", "DDMMSS.ss")):
+        if _are_joined(xy, joined):
+            return (f"These look like {unit} in one number, {form}: write them with their signs, "
+                    "or with spaces between.")
     are_metres = (np.abs(xy) > 360).any(axis=1)
     if are_metres.mean() > 0.5:
         return "These look like metres: state the projected CRS with --crs."
@@ -92,6 +97,18 @@ def _hint_of_degrees(xy: FloatArray, features: FeatureSet) -> str:
                 "as of "
                 "UTM: transform them to degrees.")
     return hint
+
+
+def _are_joined(xy: FloatArray, joined: float) -> bool:
+    """Return whether numbers (n, 2) may be degrees times 100 or 10,000, and minutes and seconds."""
+    size = np.abs(xy)
+    degrees = np.floor(size / joined)
+    rest = size - degrees * joined
+    minutes = rest if joined == 100.0 else np.floor(rest / 100.0)
+    seconds = np.zeros(1) if joined == 100.0 else rest % 100.0
+    # Latitudes have degrees, lest coordinates of any small plane do.
+    return bool((degrees <= (180, 90)).all() and (minutes < 60).all() and (seconds < 60).all()
+                and (degrees[:, 1] > 0).all())
 
 
 _FEW_OUTSIDE = 0.2

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel.core.errors import TermselError, unknown_name_error
-from termsel.data.coordinates.height_units import FOOT, US_FOOT, WORDS, unit_of_word
+from termsel.data.tables.unit_names import without_unit
 
 Aliases = Mapping[str, tuple[str, ...]]
 """Names that the column of each meaning may have."""
@@ -53,57 +53,40 @@ _FURTHER = {meaning: frozenset(names.split()) for meaning, names in {
     "id": "pt ptid ptno point points pointid pointname pointno pointnr pointnumber gcp gcpid gcpno "
           "gcpname gcplabel label nr no num number pkt pktnr punkt punktid punktnr punktnummer "
           "punktname passpunkt nummer numer numero nom nombre punto idpunto nome ponto punt "
-          "puntnummer nazwa naam 点 点号 点名 编号 序号 名称 id号",
-    "line": "lin lines rows ypix ypixel pixely py imgy imagey yimg yimage lineno zeile bildzeile "
-            "bildy ligne rangee fila linea riga linha wiersz rij regel 行 行号 行数 行坐标",
+          "puntnummer nazwa naam bod cislobodu pont pontszam nokta tunnus punctul točka točke "
+          "точка точки номер номерточки назва σημείο 点番号 점 점번호 点 点号 点名 编号 序号 "
+          "名称 id号",
+    "line": "lin lines rows pxy ypix ypixel pixely py imgy imagey yimg yimage lineno zeile "
+            "bildzeile bildy ligne rangee fila linea riga linha wiersz rij regel "
+            "riadok radek sor satır rivi rad rekke række rând redak vrstica "
+            "строка ряд рядок γραμμή 행 行 行号 行数 行坐标",
     "sample": "samples samp cols columns xpix xpixel pixelx pix px imgx imagex ximg ximage spalte "
               "bildspalte bildx colonne columna muestra colonna campione coluna kolumna kolom "
-              "列 列号 列数 列坐标",
+              "pxx sloupec stlpec oszlop sütun sarake kolumn kolonne coloană stupac stolpec "
+              "столбец колонка стовпець στήλη 열 列 列号 列数 列坐标",
     "x": "e east lng long easting pointx lange laenge langengrad laengengrad rechtswert ostwert "
          "ost longitud longitudine este est leste xl93 dlugosc wschod lengte "
-         "lengtegraad oost 经度 东经 东坐标",
+         "lengtegraad oost delka zemepisnadelka dlzka zemepisnadlzka hosszúság boylam itä "
+         "longitud öst øst lengdegrad længdegrad longitudine долгота довгота γεωγραφικόμήκος "
+         "経度 경도 经度 东经 东坐标",
     "y": "n north nord norte northing pointy breite breitengrad hochwert nordwert latitud "
-         "latitudine yl93 szerokosc polnoc breedte breedtegraad noord 纬度 北纬 北坐标",
+         "latitudine yl93 szerokosc polnoc breedte breedtegraad noord "
+         "sirka zemepisnasirka szélesség enlem pohjoinen norr nord breddegrad широта "
+         "γεωγραφικόπλάτος 緯度 위도 纬度 北纬 北坐标",
     "z": "hohe hoehe hoheunn hoheunhn hauteur altura altitud altitudine altezza cota quota "
          "elevazione elevacion elevacao wysokosc hoogte pointz ellipsoidalheight ellheight "
-         "高程 高度 高 大地高 海拔"}.items()}
-FOREIGN = frozenset(name for name in frozenset().union(*_FURTHER.values()) if not name.isascii())
+         "vyska magasság yükseklik korkeus höjd høyde højde visina высота висота υψόμετρο "
+         "標高 고도 표고 高程 高度 高 大地高 海拔"}.items()}
+CHINESE = tuple(sorted(
+    name for name in frozenset().union(*_FURTHER.values())
+    if any("\u4e00" <= letter <= "\u9fff" for letter in name)))
 """Names that only one encoding of Chinese text gives."""
+
+RUSSIAN = ("широта", "долгота", "строка", "столбец", "высота")
+"""Names that only one encoding of Russian text gives."""
 
 CENTRAL_EUROPEAN = ("wysokość", "długość", "szerokość", "północ")
 """Names, as they are written in Poland, that only one encoding of a text gives."""
-
-_UNIT = re.compile(
-    r"\s*[\[({<【].*$|[\s_.-]+(px|pix|pixels?|m|km|ft|feet|us[_-]?ft|gon|rad|deg|degrees?|dms|wgs84|utm)$")
-_UNIT_OF_NAME = re.compile(r"[\[({<【]\s*(.*?)\s*[\])}>】]|[\s_.-](km|ft|feet|us[_-]?ft|gon|rad)$",
-                           re.IGNORECASE)
-
-KILOMETRE, GON, RADIAN = "km", "gon", "rad"
-_BY_WORD = {"km": KILOMETRE, "kilometre": KILOMETRE, "kilometres": KILOMETRE,
-            "kilometer": KILOMETRE, "kilometers": KILOMETRE,
-            # Not "grad", which is a degree in German.
-            "gon": GON, "gons": GON, "grads": GON, "grades": GON,
-            "rad": RADIAN, "radian": RADIAN, "radians": RADIAN}
-FACTORS = {KILOMETRE: 1000.0, GON: 0.9, RADIAN: 180.0 / math.pi}
-"""By what numbers in a unit are multiplied: to metres, or to degrees."""
-
-UNIT_WORDS = {**WORDS, KILOMETRE: "kilometres", GON: "gons", RADIAN: "radians"}
-"""What messages call the units that names of columns state."""
-
-
-def unit_in_name(name: str) -> str:
-    """Return the unit that the name of a column states, as E [km], z_ft and lon (gon) do.
-
-    It is one of `FACTORS`, or a foot of `termsel.data.coordinates.height_units`. "" for metres,
-    degrees and any other.
-    """
-    match = _UNIT_OF_NAME.search(name.strip())
-    if match is None:
-        return ""
-    word = next(group for group in match.groups() if group is not None).lower()
-    foot = unit_of_word(word)
-    return _BY_WORD.get(word, foot if foot in (FOOT, US_FOOT) else "")
-
 
 def fold_name(name: str) -> str:
     """Return a name without accents, signs and capitals."""
@@ -117,7 +100,7 @@ def fold_name(name: str) -> str:
 def _folded_forms(name: str) -> tuple[str, str]:
     """Return a column's name folded with and without its unit: Line (px) is "linepx" and "line"."""
     normal = unicodedata.normalize("NFKC", name.strip().casefold())
-    return fold_name(normal), fold_name(_UNIT.sub("", normal))
+    return fold_name(normal), fold_name(without_unit(normal))
 
 
 @lru_cache(100)
@@ -129,7 +112,7 @@ def _names_by_meaning(aliases: tuple[tuple[str, tuple[str, ...]], ...],
         base, end = _meaning_and_line_end(meaning)
         # Readers of other programs' tables have meanings of these names, too, and no further names.
         is_own = plain_names == (POINTS | LINES).get(meaning)
-        further = frozenset(f"{name}{end}" for name in _FURTHER.get(base, ()) if is_own)
+        further = frozenset(f"{fold_name(name)}{end}" for name in _FURTHER.get(base, ()) if is_own)
         names[meaning] = (frozenset(map(fold_name, plain_names)), further)
     return names, frozenset().union(*chain.from_iterable(names.values()))
 

@@ -21,7 +21,8 @@ from termsel.core.files.names import is_there
 from termsel.data.coordinates.crs import begins_as_crs, normalise
 from termsel.data.tables.columns import (
     CENTRAL_EUROPEAN,
-    FOREIGN,
+    CHINESE,
+    RUSSIAN,
     USE,
     Aliases,
     columns_by_meaning,
@@ -39,7 +40,7 @@ _SEARCHED = 20  # rows in which a header may be found, below a title
 WIDEST = 1_000  # columns
 _SHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")  # zip of .xlsx and .ods; .xls
 
-_TOLD_BY_NAMES = {"gb18030": tuple(FOREIGN), "cp1250": CENTRAL_EUROPEAN,
+_TOLD_BY_NAMES = {"cp1251": RUSSIAN, "gb18030": CHINESE, "cp1250": CENTRAL_EUROPEAN,
                   "iso8859-2": CENTRAL_EUROPEAN}
 """Encodings that most bytes fit, by the names of columns of which they must give one."""
 

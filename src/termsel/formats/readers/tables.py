@@ -29,13 +29,10 @@ from termsel.data.coordinates.crs import normalise
 from termsel.data.features import ROLES, FeatureSet, FloatArray, Points
 from termsel.data.tables.columns import (
     COMMA,
-    FACTORS,
-    GON,
+    COORDINATES,
     OPTIONAL,
     POINT,
-    RADIAN,
     TAKEN,
-    UNIT_WORDS,
     USE,
     Aliases,
     BadCell,
@@ -44,7 +41,6 @@ from termsel.data.tables.columns import (
     find_declared_columns,
     parse_columns,
     read_numbers,
-    unit_in_name,
 )
 from termsel.data.tables.tabular import (
     Attributes,
@@ -53,8 +49,19 @@ from termsel.data.tables.tabular import (
     rows_at,
     text_array,
 )
+from termsel.data.tables.unit_names import (
+    ANGLES,
+    FACTORS,
+    UNIT_WORDS,
+    counts_against_axis,
+    unit_in_name,
+    unit_of_image_in_name,
+    unit_of_text,
+    unknown_remark,
+)
 from termsel.formats.base import Reader, error_in_file
 from termsel.formats.readers.advice import EXPECTED, with_advice, with_both_readings
+from termsel.formats.readers.angles import column_of_sides, joined_angles, with_side
 from termsel.formats.readers.cells import (
     Cells,
     count_meanings,
@@ -231,6 +238,7 @@ class Table:
         # A table without heights has none for any row.
         if meaning not in self.columns and meaning[0] == "z":
             return np.full(len(self.lines), np.nan)
+        self._require_pixels(meaning)
         sign = self.signs.get(meaning, POINT)
         try:
             # x and y may be degrees, minutes and seconds.
@@ -245,6 +253,8 @@ class Table:
             raise self.error(f"{numbers[voids[0]]:.0f} is no height, but what rasters have where "
                              f"there is none{further}", int(voids[0]), meaning,
                              "Leave these cells blank, or correct them.")
+        if meaning[0] in "xy" and counts_against_axis(self.names[meaning], meaning[0]):
+            return self._turned(numbers, meaning)
         factor = FACTORS.get(self.named_units().get(meaning[0], ""))
         if factor is None:
             return numbers
@@ -253,12 +263,42 @@ class Table:
                  f"{factor:,.6g}")
         return numbers * factor
 
+    def _require_pixels(self, meaning: str) -> None:
+        """Raise TermselError for a column of the image that is in another unit by its name."""
+        if not meaning.startswith(("line", "sample")):
+            return
+        name = self.names[meaning].strip()
+        if unit := unit_of_image_in_name(name):
+            raise self.error(f"{name} is in {unit} by its name, and image coordinates are pixels",
+                             0, meaning, "Divide by the size of a pixel, from the centre of the "
+                                         "upper-left pixel to the right and downwards. If they "
+                                         "are pixels, leave the unit out of the name.")
+
+    def _turned(self, numbers: FloatArray, meaning: str) -> FloatArray:
+        """Return angles that count west or south, by the name of their column, with a minus sign.
+
+        Those that are negative already stay; plane coordinates have axes of their CRS.
+        """
+        negative = np.flatnonzero(numbers < 0.0)
+        if len(negative) == len(numbers) or np.abs(numbers).max(initial=0.0) > 360.0:
+            return numbers
+        name = self.names[meaning].strip()
+        if len(negative):
+            raise self.error(f"a number is negative here, and not in other rows, and {name} counts "
+                             f"{'west' if meaning[0] == 'x' else 'south'} by its name",
+                             int(negative[0]), meaning,
+                             "Write all angles with their sign, and leave the direction out of "
+                             "the name.")
+        log.info("Note: %s counts %s by its name, so that its numbers are taken as negative.",
+                 name, "west" if meaning[0] == "x" else "south")
+        return -numbers
+
     def named_units(self) -> dict[str, str]:
         """Return the units of x, y and z that names of columns state; see `unit_in_name`."""
         units = {meaning[0]: unit_in_name(name) for meaning, name in self.names.items()
                  if meaning[0] in "xyz"}
         return {axis: unit for axis, unit in units.items()
-                if unit and (axis != "z" or unit not in (GON, RADIAN))}
+                if unit and (axis != "z" or unit not in ANGLES)}
 
 
 def points_of(table: Table, crs: str) -> FeatureSet:
@@ -553,6 +593,11 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
     if first:
         _require_rows_below(path, header, rows, line)
         log.info("Note: the header of %s is taken from line %s, below a title.", path, line)
+    # Who declares a column means it as it stands.
+    if not {"x", "y"} & stated.keys() and "x" in aliases:
+        header, rows, joined = joined_angles(header, rows)
+        for columns_in_words in joined:
+            log.info("Note: %s are read as one angle.", columns_in_words)
     given_columns = {**cells.fixed, **find_declared_columns(header, stated)}
     _require_stated(path, line, header, stated, aliases)
     column_of = _column_by_meaning(path, line, header, rows, aliases, given_columns,
@@ -571,6 +616,7 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
             and any(rows[0][i].strip() for i in numbers) and len(rows) > 1:
         log.info("Note: line %s of %s, below the header, holds no numbers and is left out: %s.",
                  lines[0], path or "the table", " ".join(filter(None, rows[0])))
+        header = _with_units_of_row(header, rows[0])
         rows = rows[1:]
         lines = lines[1:]
     if not rows:
@@ -581,6 +627,8 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
     columns = {}
     for meaning, i in column_of.items():
         columns[meaning] = [row[i] for row in rows]
+    _join_sides(columns, column_of, header, rows)
+    _say_remarks(column_names)
     table = Table(path, crs, column_names, columns, lines, row_name=cells.row_name,
                   image_size=_declared_size(cells.comments))
     signs = _decimal_signs(table, decimal, points_only=cells.delimiter == ",")
@@ -597,6 +645,38 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
                      for text in texts]
         attributes[name] = text_array(texts)
     return replace(table, signs=signs, attributes=attributes)
+
+
+def _with_units_of_row(header: Sequence[str], units: Sequence[str]) -> list[str]:
+    """Return the names of columns with the units that a row below them states."""
+    return [f"{name.strip()} [{unit.strip()}]" if unit_of_text(unit) else name
+            for name, unit in zip(header, units, strict=True)]
+
+
+def _join_sides(columns: dict[str, list[str]], column_of: Mapping[str, int],
+                header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Add the side of the equator, or of Greenwich, that a column of N and S or E and W says."""
+    others = {i: [row[i] for row in rows] for i in range(len(header))
+              if i not in column_of.values()}
+    for axis in ("x", "y"):
+        if axis not in columns:
+            continue
+        place = column_of_sides(axis, columns[axis], others, column_of[axis])
+        if place is None:
+            continue
+        columns[axis] = [with_side(cell, side)
+                         for cell, side in zip(columns[axis], others[place], strict=True)]
+        log.info("Note: %s says on which side the angles in %s are, and gives them their sign.",
+                 header[place].strip(), header[column_of[axis]].strip())
+
+
+def _say_remarks(names: Mapping[str, str]) -> None:
+    """Log what stands in brackets in names of coordinates and is not known, such as (x 1000)."""
+    for meaning, name in names.items():
+        remark = unknown_remark(name) if meaning in COORDINATES else ""
+        if remark:
+            log.info("Note: what %s says in the name %s is not known: its numbers are taken as "
+                     "they are.", repr(remark), name)
 
 
 def _require_rows_below(path: Path | None, header: Sequence[str], rows: Sequence[Sequence[str]],

@@ -20,8 +20,8 @@ from termsel import FeatureSet, FitData, Scaling, TermselError
 from termsel.toolkit import FloatArray
 
 PAPER_NAMES = ("scale", "turn", "stretch", "shear")
-TURN = 1
-"""Place of the turn among the four numbers: an angle."""
+SCALE, TURN = 0, 1
+"""Places of the scale and of the turn, an angle, among the four numbers."""
 
 MIN_POINTS_OF_PAPER = 4
 """Points from which on a sheet shows its paper, and what an affine map leaves."""
@@ -32,6 +32,10 @@ some parts in a thousand, sheets lie on a scanner to half a degree."""
 
 SPREADS_TRIED = np.geomspace(1e-5, 10.0, 61)
 """Standard deviations among sheets that are averaged over."""
+
+MOST_SCALES = 0.1
+"""Largest standard deviation of the logarithms of scales of one series' sheets, scanned alike:
+paper shrinks by few per cent."""
 
 LEAST_FREEDOM, MOST_FREEDOM = 2.0, 40.0
 """Bounds of the degrees of freedom that the usual noise of a series counts as."""
@@ -229,6 +233,16 @@ def _value_of_other_sheet(values: FloatArray, variances: FloatArray,
     squares = SPREADS_TRIED**2 + 1.0 / weights.sum(axis=1)
     usual_square = float(np.exp(posterior @ np.log(squares)))
     return mean, float(np.sqrt(usual_square + posterior @ (means - mean) ** 2))
+
+
+def reason_against(paper: Paper) -> str:
+    """Return why sheets are no series from which another one could borrow; "" if they may be one.
+    """
+    spread = paper.spreads[SCALE]
+    if paper.sheets < 2 or spread <= MOST_SCALES:
+        return ""
+    return (f"the scales of the {paper.sheets} other sheets differ by {100 * spread:.0f} %, and "
+            "those of one series, scanned alike, by a few per cent at most")
 
 
 def usual_noise(sheets: Sequence[Sheet]) -> tuple[float, float]:

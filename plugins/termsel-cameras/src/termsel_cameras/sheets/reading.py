@@ -101,6 +101,7 @@ def _sheet_of_series(features: FeatureSet, values: Mapping[str, Any]) -> Feature
 
     Raises TermselError if options state a projection, too.
     """
+    from termsel_cameras.sheets.paper import reason_against
     from termsel_cameras.sheets.series_file import (  # it fits models
         read_series,
         with_series_columns,
@@ -109,7 +110,10 @@ def _sheet_of_series(features: FeatureSet, values: Mapping[str, Any]) -> Feature
     if other := values.keys() & {"projection", "projection_candidates", "map_century"}:
         raise TermselError(f"the file of a series has its projection, so {min(other)} has no use",
                            hint="Leave one of them out.")
-    return with_series_columns(features, read_series(values["series"]))
+    series = read_series(values["series"])
+    if reason := reason_against(series.paper_for(features)):
+        log.warning("Note: %s lends no paper: %s.", values["series"], reason)
+    return with_series_columns(features, series)
 
 
 def from_greenwich(features: FeatureSet, meridian: float) -> FeatureSet:

@@ -32,6 +32,7 @@ from termsel_cameras.sheets.paper import (
     Paper,
     matrix_of,
     plan_of,
+    reason_against,
     rotation_by,
     to_upright,
     wrap_angle,
@@ -274,13 +275,17 @@ class SheetOfSeries(Method):
     """A sheet whose series shows what its paper is like."""
 
     def declines(self, control: FitData) -> str | None:
-        """Return why no series is known, or the sheet is not for one; None if it is."""
+        """Return why no series is known, or the sheet is not for one; None if it is.
+
+        Raises Undetermined if the points name several series, or none that can be read.
+        """
         features = control.features
         if COLUMN not in features.points.attributes:
             return "no series of sheets is stated"
         if len(features.lines) or not len(features.points):
             return "a sheet of a series takes points alone"
-        return None
+        # Sheets of unlike maps lend nothing but their noise, which is not this sheet's.
+        return reason_against(paper_of_text(stated_paper(features))) or None
 
     def fit(self, control: FitData) -> Fit:
         """Return the fit of the sheet to all points.

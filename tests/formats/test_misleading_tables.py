@@ -1,0 +1,175 @@
+"""Tables whose columns mislead: no wrong reading without a word.
+
+Units, directions and factors in names and below them, angles in several columns, zones and codes
+that contradict the CRS, and names in many languages.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import termsel
+from termsel import TermselError
+
+N = 8
+_rng = np.random.default_rng(60)
+SAMPLE = np.round(_rng.uniform(50, 5900, N), 1)
+LINE = np.round(_rng.uniform(50, 3900, N), 1)
+Z = np.round(_rng.uniform(300, 900, N), 1)
+EAST = np.round(412000 + 2.0 * SAMPLE, 2)
+NORTH = np.round(5312000 - 2.0 * LINE, 2)
+LON = np.round(13.85 + 2.7e-5 * SAMPLE, 7)
+LAT = np.round(47.96 - 1.8e-5 * LINE, 7)
+METRES, DEGREES = "EPSG:32633", "EPSG:4326"
+
+
+def write(folder: Path, header: str, *columns: object, encoding: str = "utf-8") -> Path:
+    """Write a table whose columns are arrays, lists or one cell for all rows; return its path."""
+    cells = [[str(column)] * N if isinstance(column, str) else list(map(str, column))
+             for column in columns]
+    rows = [";".join(row) for row in zip(*cells, strict=True)]
+    path = folder / "table.csv"
+    path.write_text("\n".join([header, *rows]), encoding=encoding)
+    return path
+
+
+def parts(angle: float) -> tuple[int, int, float]:
+    """Return degrees, minutes and seconds of an angle."""
+    degrees = int(angle)
+    minutes = int((angle - degrees) * 60)
+    return degrees, minutes, round((angle - degrees - minutes / 60) * 3600, 5)
+
+
+LAT_D, LAT_M, LAT_S = zip(*map(parts, LAT), strict=True)
+LON_D, LON_M, LON_S = zip(*map(parts, LON), strict=True)
+
+READ = {
+    "hemispheres in columns": ("row;col;lat;ns;lon;ew", (LINE, SAMPLE, LAT, "S", LON, "W"),
+                               DEGREES, -LON, -LAT, None),
+    "hemispheres beside signs": ("row;col;lat;lat_ref;lon;lon_ref",
+                                 (LINE, SAMPLE, -LAT, "S", LON, "E"), DEGREES, LON, -LAT, None),
+    "a direction in brackets": ("row;col;lat (S);Longitude [°W]", (LINE, SAMPLE, LAT, LON),
+                                DEGREES, -LON, -LAT, None),
+    "a direction as a suffix": ("row;col;lat N;lon W", (LINE, SAMPLE, LAT, LON),
+                                DEGREES, -LON, LAT, None),
+    "a direction beside signs": ("row;col;lat (N);lon (W)", (LINE, SAMPLE, LAT, -LON),
+                                 DEGREES, -LON, LAT, None),
+    "degrees, minutes, seconds": ("lat_d;lat_m;lat_s;lon_d;lon_m;lon_s;row;col",
+                                  (LAT_D, LAT_M, LAT_S, LON_D, LON_M, LON_S, LINE, SAMPLE),
+                                  DEGREES, LON, LAT, None),
+    "parts without names": ("lat;min;sec;lon;min;sec;row;col",
+                            (LAT_D, LAT_M, LAT_S, LON_D, LON_M, LON_S, LINE, SAMPLE),
+                            DEGREES, LON, LAT, None),
+    "parts and a side": ("lat deg;lat min;lat sec;lon deg;lon min;lon sec;side;row;col",
+                         (LAT_D, LAT_M, LAT_S, LON_D, LON_M, LON_S, "W", LINE, SAMPLE),
+                         DEGREES, -LON, LAT, None),
+    "seconds of arc": ("row;col;lat [arcsec];lon [arcsec]",
+                       (LINE, SAMPLE, np.round(LAT * 3600, 3), np.round(LON * 3600, 3)),
+                       DEGREES, LON, LAT, None),
+    "heights in centimetres": ("row;col;E;N;H [cm]",
+                               (LINE, SAMPLE, EAST, NORTH, np.round(Z * 100)), METRES, EAST, NORTH,
+                               Z),
+    "millimetres": ("row;col;E [mm];N [mm]",
+                    (LINE, SAMPLE, np.round(EAST * 1000), np.round(NORTH * 1000)), METRES, EAST,
+                    NORTH, None),
+}
+
+
+@pytest.mark.parametrize("kind", READ)
+def test_names_say_what_numbers_are(kind: str, tmp_path: Path,
+                                    caplog: pytest.LogCaptureFixture) -> None:
+    header, columns, crs, x, y, z = READ[kind]
+    with caplog.at_level(logging.INFO, logger="termsel"):
+        points = termsel.read(write(tmp_path, header, *columns), crs=crs).points
+    np.testing.assert_allclose(points.image, np.column_stack([LINE, SAMPLE]), atol=1e-9)
+    within = 2e-7 if crs == DEGREES else 1e-6
+    np.testing.assert_allclose(points.ground[:, :2], np.column_stack([x, y]), atol=within)
+    if z is not None:
+        np.testing.assert_allclose(points.ground[:, 2], z, atol=1e-6)
+    # What was changed is said, but for numbers that have their sign already.
+    if "beside signs" not in kind:
+        assert any(words in caplog.text for words in ("by its name", "on which side", "one angle"))
+
+
+def test_a_row_of_units_counts(tmp_path: Path) -> None:
+    path = write(tmp_path, "row;col;E;N;H\npx;px;km;km;m", LINE, SAMPLE,
+                 np.round(EAST / 1000, 5), np.round(NORTH / 1000, 5), Z)
+    ground = termsel.read(path, crs=METRES).points.ground
+    np.testing.assert_allclose(ground, np.column_stack([EAST, NORTH, Z]), atol=1e-6)
+
+
+@pytest.mark.parametrize(("header", "words"), [
+    ("row (1-based);col (1-based);E;N", "'1-based'"), ("row;col;E (+400000);N", r"'\+400000'"),
+    ("row;col;E (x 10);N", "'x 10'")])
+def test_what_brackets_say_and_nobody_knows_is_said(header: str, words: str, tmp_path: Path,
+                                                    caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO, logger="termsel"):
+        termsel.read(write(tmp_path, header, LINE, SAMPLE, EAST, NORTH), crs=METRES)
+    assert f"what {words}".replace("\\", "") in caplog.text
+
+
+@pytest.mark.parametrize("unit", ["mm", "µm", "%", "inch"])
+def test_image_coordinates_are_pixels(unit: str, tmp_path: Path) -> None:
+    path = write(tmp_path, f"row ({unit});col ({unit});E;N", LINE, SAMPLE, EAST, NORTH)
+    with pytest.raises(TermselError, match="image coordinates are pixels"):
+        termsel.read(path, crs=METRES)
+
+
+def test_angles_of_two_signs_have_no_direction_in_the_name(tmp_path: Path) -> None:
+    mixed = np.where(np.arange(N) == 3, -LON, LON)
+    with pytest.raises(TermselError, match="negative here, and not in other rows") as caught:
+        termsel.read(write(tmp_path, "row;col;lat;lon (W)", LINE, SAMPLE, LAT, mixed), crs=DEGREES)
+    assert caught.value.line == 5
+
+
+@pytest.mark.parametrize(("name", "cells", "words"), [
+    ("zone", "32N", "says 32N"), ("UTM zone", "32", "says 32,"), ("epsg", "32632", "says 32632"),
+    ("zone", ["32N", "33N"] * (N // 2), "32N and 33N"), ("zone", "33N", ""), ("zone", "east", ""),
+    ("crs", "EPSG:32633", "")])
+def test_a_column_of_another_crs_is_said(name: str, cells: str | list[str], words: str,
+                                         tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = write(tmp_path, f"{name};row;col;E;N", cells, LINE, SAMPLE, EAST, NORTH)
+    termsel.read(path, crs=METRES)
+    assert words in caplog.text
+    assert bool(words) == (f"Column {name!r}" in caplog.text)
+
+
+@pytest.mark.parametrize(("name", "cells"), [("zone", "33N"), ("srid", "32633")])
+def test_a_column_tells_the_crs_that_nobody_states(name: str, cells: str, tmp_path: Path) -> None:
+    path = write(tmp_path, f"{name};row;col;E;N", cells, LINE, SAMPLE, EAST, NORTH)
+    with pytest.raises(TermselError, match=f"column '{name}' says EPSG:32633") as caught:
+        termsel.read(path)
+    assert caught.value.options["--crs"] == METRES
+
+
+@pytest.mark.parametrize(("factor", "form"), [(100, "DDMM.mm"), (10_000, "DDMMSS.ss")])
+def test_minutes_in_one_number_with_degrees_are_no_metres(factor: int, form: str,
+                                                          tmp_path: Path) -> None:
+    joined = [[d * factor + (m + s / 60 if factor == 100 else m * 100 + s)
+               for d, m, s in map(parts, angles)] for angles in (LAT, LON)]
+    path = write(tmp_path, "row;col;lat;lon", LINE, SAMPLE, *joined)
+    with pytest.raises(TermselError, match=form):
+        termsel.read(path, crs=DEGREES)
+
+
+@pytest.mark.parametrize(("header", "encoding"), [
+    ("bod;řádek;sloupec;zeměpisná šířka;zeměpisná délka;výška", "utf-8"),
+    ("точка;строка;столбец;широта;долгота;высота", "utf-8"),
+    ("точка;строка;столбец;широта;долгота;высота", "cp1251"),
+    ("点番号;行;列;緯度;経度;標高", "utf-8"), ("점;행;열;위도;경도;고도", "utf-8"),
+    ("nokta;satır;sütun;enlem;boylam;yükseklik", "utf-8"),
+    ("pont;sor;oszlop;szélesség;hosszúság;magasság", "utf-8"),
+    ("punkt;rad;kolumn;latitud;longitud;höjd", "utf-8"),
+    ("σημείο;γραμμή;στήλη;γεωγραφικό πλάτος;γεωγραφικό μήκος;υψόμετρο", "utf-8"),
+    ("nazwa;wiersz;kolumna;szerokość;długość;wysokość", "cp1250")])
+def test_names_are_known_in_many_languages(header: str, encoding: str, tmp_path: Path) -> None:
+    ids = [f"K{i}" for i in range(N)]
+    path = write(tmp_path, header, ids, LINE, SAMPLE, LAT, LON, Z, encoding=encoding)
+    points = termsel.read(path, crs="EPSG:4979").points
+    assert points.ids == tuple(ids)
+    np.testing.assert_array_equal(points.image, np.column_stack([LINE, SAMPLE]))
+    np.testing.assert_array_equal(points.ground, np.column_stack([LON, LAT, Z]))
