@@ -8,28 +8,34 @@ import re
 import unicodedata
 
 KNOWN = {
-    "id": "id name pt ptid ptno point points pointid pointname pointno pointnr pointnumber gcp "
-          "gcpid gcpno gcpname gcplabel label nr no num number pkt pktnr punkt punktid punktnr "
-          "punktnummer punktname passpunkt nummer numer numero nom nombre punto idpunto nome "
-          "ponto punt puntnummer nazwa naam 点 点号 点名 编号 序号 名称 id号 fid",
+    "id": "id name pt ptid ptno point points pointid pointname pointno pointnr pointnumber "
+          "gcp gcpid gcpno gcpname gcplabel label nr no num number pkt pktnr punkt punktid "
+          "punktnr punktnummer punktname passpunkt nummer numer numero nom nombre punto "
+          "idpunto nome ponto punt puntnummer nazwa naam 点 点号 点名 编号 序号 名称 id号 bod "
+          "cislobodu pont pontszam nokta tunnus punctul tocka tocke точка точки номер "
+          "номерточки назва σημειο 点番号 점 점번호 fid",
     "role": "role use",
     "line": "line row ypx lin lines rows ypix ypixel pixely py imgy imagey yimg yimage lineno "
           "zeile bildzeile bildy ligne rangee fila linea riga linha wiersz rij regel 行 行号 行数 "
-          "行坐标 sourcey",
+          "行坐标 pxy riadok radek sor satir rivi rad rekke række rand redak vrstica "
+          "строка ряд рядок γραμμη 행 sourcey",
     "sample": "sample col column xpx pixel samples samp cols columns xpix xpixel pixelx pix px "
           "imgx imagex ximg ximage spalte bildspalte bildx colonne columna muestra colonna "
-          "campione coluna kolumna kolom 列 列号 列数 列坐标 sourcex",
+          "campione coluna kolumna kolom 列 列号 列数 列坐标 pxx sloupec stlpec oszlop sutun "
+          "sarake kolumn kolonne coloana stupac stolpec столбец колонка стовпець στηλη 열 sourcex",
     "z": "z h height elev elevation alt altitude hohe hoehe hoheunn hoheunhn hauteur altura "
-          "altitud altitudine altezza cota quota elevazione elevacion elevacao wysokosc hoogte "
-          "pointz ellipsoidalheight ellheight 高程 高度 高 大地高 海拔"}
+          "altitud altitudine altezza cota quota elevazione elevacion elevacao wysokosc "
+          "hoogte pointz ellipsoidalheight ellheight 高程 高度 高 大地高 海拔 vyska magassag "
+          "yukseklik korkeus hojd høyde højde visina высота висота υψομετρο 標高 고도 표고"}
 """Names of each meaning, without accents and signs, the usual ones first."""
 
-_UNIT = re.compile(r"\s*[\[({<【].*$|[\s_.-]+(px|pix|pixels?|m|deg|degrees?|dms|wgs84|utm)$")
+_UNIT = re.compile(r"\s*[\[({<【].*$|[\s_.-]+(px|pix|pixels?|m|km|ft|feet|us[_-]?ft|gon|rad|deg|"
+                   r"degrees?|dms|wgs84|utm)$", re.IGNORECASE)
 
 
 def fold_name(name):
     """Return a name in small letters, without accents, spaces and signs."""
-    letters = unicodedata.normalize("NFKD", name.casefold().replace("ł", "l"))
+    letters = unicodedata.normalize("NFKD", name.casefold().replace("ł", "l").replace("ı", "i"))
     without_accents = "".join(sign for sign in letters if not unicodedata.combining(sign))
     return re.sub(r"[\W_]", "", without_accents)
 
@@ -44,4 +50,14 @@ def field_of(meaning, fields):
         normal = unicodedata.normalize("NFKC", name.strip().casefold())
         forms.setdefault(fold_name(normal), name)
         forms.setdefault(fold_name(_UNIT.sub("", normal)), name)
-    return next((forms[known] for known in KNOWN[meaning].split() if known in forms), None)
+    known = map(fold_name, KNOWN[meaning].split())
+    return next((forms[name] for name in known if name in forms), None)
+
+
+def heading(meaning, field):
+    """Return the heading of the column of a field: its meaning, with the unit that its name states.
+
+    A height of "H [km]" or "z_ft" keeps its unit so, which the command line converts.
+    """
+    unit = _UNIT.search(field.strip()) if field else None
+    return meaning + unit.group() if unit else meaning

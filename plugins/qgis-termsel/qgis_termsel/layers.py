@@ -27,7 +27,7 @@ from qgis.core import (
 )
 from qgis.PyQt.QtGui import QColor
 
-from .field_names import KNOWN, field_of
+from .field_names import KNOWN, field_of, heading
 
 
 def points_csv(source, fields):
@@ -49,7 +49,9 @@ def points_csv(source, fields):
     path = QgsProcessingUtils.generateTempFilename("points.csv")
     rows = [_point_cells(feature, names, number)
             for number, feature in enumerate(source.getFeatures(), 1)]
-    write_table(path, [["id", "role", "line", "sample", "x", "y", "z"], *rows])
+    headings = {meaning: heading(meaning, field) for meaning, field in names.items()}
+    write_table(path, [["id", "role", headings["line"], headings["sample"], "x", "y",
+                        headings["z"]], *rows])
     return path, crs_text(source.sourceCrs())
 
 

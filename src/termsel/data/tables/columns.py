@@ -90,8 +90,8 @@ CENTRAL_EUROPEAN = ("wysokość", "długość", "szerokość", "północ")
 
 def fold_name(name: str) -> str:
     """Return a name without accents, signs and capitals."""
-    # The stroke of ł is no accent to Unicode.
-    letters = unicodedata.normalize("NFKD", name.casefold().replace("ł", "l"))
+    # The stroke of ł and the i without a dot are no accents to Unicode.
+    letters = unicodedata.normalize("NFKD", name.casefold().replace("ł", "l").replace("ı", "i"))
     without_accents = "".join(sign for sign in letters if not unicodedata.combining(sign))
     return re.sub(r"[\W_]", "", without_accents)
 
