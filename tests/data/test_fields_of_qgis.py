@@ -37,7 +37,8 @@ def test_units_accents_and_signs_count_for_nothing() -> None:
 
 
 @pytest.mark.parametrize(("field", "heading"), [
-    ("H [km]", "z [km]"), ("z_ft", "z_ft"), ("Höhe (cm)", "z (cm)"), ("altitude", "z"), (None, "z")])
+    ("H [km]", "z [km]"), ("z_ft", "z_ft"), ("Höhe (cm)", "z (cm)"), ("altitude", "z"),
+    (None, "z")])
 def test_units_in_names_of_fields_reach_the_command_line(field: str | None, heading: str) -> None:
     assert field_names.heading("z", field).replace(" ", "") == heading.replace(" ", "")
     assert field is None or field_of("z", ["name", field]) == field

@@ -434,6 +434,49 @@ def test_blunders_stay_out_and_are_named(name: str, checked: Result, tmp_path: P
         assert all(row.split()[0].isdecimal() for row in text.splitlines() if row[0] != "#")
 
 
+def parsed_as_bundle_adjust_does(text: str) -> dict[int, tuple[list[float], str, list[float]]]:
+    """Return ground numbers, image and image numbers of each id of a .gcp file.
+
+    As the manual of bundle_adjust has it: cells between blanks or commas; a whole number, latitude
+    and longitude [deg], height above the datum [m], three positive standard deviations [m]; then of
+    each image its name, column and row from 0 and their two positive standard deviations [px].
+    """
+    points = {}
+    for line in text.splitlines():
+        if line.startswith("#") or not line.strip():
+            continue
+        cells = line.replace(",", " ").split()
+        assert len(cells) == 12
+        ground, image = list(map(float, cells[1:7])), list(map(float, cells[8:]))
+        assert -90.0 <= ground[0] <= 90.0
+        assert min(ground[3:] + image[2:]) > 0.0
+        points[int(cells[0])] = (ground, cells[7], image)
+    return points
+
+
+@pytest.mark.parametrize("crs", ["EPSG:32631", "EPSG:2154"])
+def test_asp_finds_the_points_where_they_are(crs: str, tmp_path: Path) -> None:
+    pyproj = pytest.importorskip("pyproj")
+    result = fitted(crs)
+    termsel.export(result, "asp-gcp", tmp_path / "a.gcp", image="scene 1.tif", ground_sigma=0.5)
+    text = (tmp_path / "a.gcp").read_text()
+    parsed = parsed_as_bundle_adjust_does(text)
+    names = {int(line.split()[2]): line.split(" is ")[1] for line in text.splitlines()
+             if line.startswith("# id ") and " is " in line}
+    points = result.features.points
+    to_degrees = pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+    assert set(names.values()) == set(points.ids)
+    for number, (ground, image, pixel) in parsed.items():
+        i = points.ids.index(names[number])
+        x, y, z = points.ground[i]
+        lon, lat = to_degrees.transform(x, y)
+        np.testing.assert_allclose(ground[:2], [lat, lon], atol=1e-9)
+        assert ground[2:] == [pytest.approx(z, abs=1e-3), 0.5, 0.5, 0.5]
+        # Column before row, pixel centres at whole numbers as here.
+        np.testing.assert_allclose(pixel[:2], points.image[i, ::-1], atol=1e-12)
+        assert image == "scene_1.tif"
+
+
 @pytest.mark.skipif(shutil.which("gdal_translate") is None, reason="GDAL is not installed")
 def test_gdal_takes_a_projection_without_a_code_from_options(tmp_path: Path) -> None:
     pyproj = pytest.importorskip("pyproj")
