@@ -28,7 +28,7 @@ from termsel.core.errors import TermselError
 from termsel.core.threads import one_blas_thread
 from termsel.data.features import FeatureSet, Points
 from termsel.data.fit_data import FitData
-from termsel.fitting.accuracy import predict_rmse_of_fit
+from termsel.fitting.accuracy import Predicted, predict_rmse_of_fit
 from termsel_cameras.sheets.candidates import candidate_projections
 from termsel_cameras.sheets.choosing import first_of_the_best, rank_projections
 from termsel_cameras.sheets.paper import matrix_of
@@ -163,8 +163,8 @@ def figures_of_like_map(few: int, number: int) -> dict[str, float]:
     sheet = with_series_columns(control, series_of(like, REAL_CRS))
     alone = termsel.run(features=control)
     result = termsel.run(features=sheet)
-    predicted = result.predicted
-    assert predicted is not None
+    # Four points of a projective model leave nothing to predict by.
+    predicted = result.predicted or Predicted(np.nan, np.nan, np.nan)
     return {"alone": rmse(alone.project(rest.ground), rest.image),
             "series": of_series(sheet, rest.ground, rest.image)["series"],
             "auto": rmse(result.project(rest.ground), rest.image),
@@ -297,7 +297,8 @@ def like_row(name: str, cases: Sequence[dict[str, float]]) -> str:
     """Return a row of the table of real maps with maps like them."""
     alone, series, auto = (np.array([case[key] for case in cases])
                            for key in ("alone", "series", "auto"))
-    holds = np.mean([case["low"] <= case["auto"] <= case["high"] for case in cases])
+    holds = np.mean([case["low"] <= case["auto"] <= case["high"] for case in cases
+                     if np.isfinite(case["predicted"])])
     cells = [f"{np.median(column):.2f}" for column in (alone, series, auto)]
     cells += [f"{np.exp(np.log(column / alone).mean()):.2f}" for column in (series, auto)]
     cells += [f"{100 * np.mean(share):.0f}" for share in (

@@ -58,6 +58,7 @@ class Tally:
         self._states = Counter[str]()
         self._left = Counter(map(kind_of, cells.values()))
         self._times: dict[Any, tuple[int, float]] = {}
+        self._times_with_loading: dict[Any, tuple[int, float]] = {}
         self._worst = (0.0, "")
         # A cell is called by what distinguishes it from the others.
         self._telling = []
@@ -65,8 +66,11 @@ class Tally:
             if len({labels[name] for labels in cells.values()}) > 1:
                 self._telling.append(name)
         self._telling = self._telling or ["data"]
+        self._first_left = 0
         for record in finished.values():
             self.count(record)
+        # The first cell of each process also loads what it needs, which others find there.
+        self._first_left = workers
 
     def count(self, record: CellRecord) -> None:
         """Count the record of a cell of the study."""
@@ -76,8 +80,10 @@ class Tally:
         self._states[record.state] += 1
         self._left[kind] -= 1
         if "seconds" in figures:
-            count, total = self._times.get(kind, (0, 0.0))
-            self._times[kind] = (count + 1, total + figures["seconds"])
+            times = self._times_with_loading if self._first_left else self._times
+            count, total = times.get(kind, (0, 0.0))
+            times[kind] = (count + 1, total + figures["seconds"])
+            self._first_left = max(self._first_left - 1, 0)
         # The figure that says most about the accuracy of the result.
         value = next((figures[name] for name in ("predicted", "independent", "check")
                       if figures.get(name) is not None), None)
@@ -97,7 +103,8 @@ class Tally:
 
         None before any cell is finished.
         """
-        means = {kind: total / count for kind, (count, total) in self._times.items()}
+        times = {**self._times_with_loading, **self._times}
+        means = {kind: total / count for kind, (count, total) in times.items()}
         if not means:
             return None
         # Kinds without a finished cell are taken to be like the others.
