@@ -12,6 +12,9 @@ from termsel.studies.cells.journal import CellRecord
 from termsel.studies.cells.table import LABELS, WAITING
 from termsel.studies.execution.work import STATES
 
+LONG_BESIDE_LOADING = 20.0
+"""Seconds of a cell from which on what its process loads first counts little."""
+
 
 @dataclass(frozen=True)
 class StudyProgress:
@@ -19,7 +22,7 @@ class StudyProgress:
 
     total: int
     states: Mapping[str, int]  # number of cells by state; "waiting" are those not finished
-    seconds_left: float | None = None  # None before any cell is finished
+    seconds_left: float | None = None  # None before a cell tells it
     worst: str = ""  # the worst result so far, if any
 
     @property
@@ -58,7 +61,6 @@ class Tally:
         self._states = Counter[str]()
         self._left = Counter(map(kind_of, cells.values()))
         self._times: dict[Any, tuple[int, float]] = {}
-        self._times_with_loading: dict[Any, tuple[int, float]] = {}
         self._worst = (0.0, "")
         # A cell is called by what distinguishes it from the others.
         self._telling = []
@@ -80,9 +82,10 @@ class Tally:
         self._states[record.state] += 1
         self._left[kind] -= 1
         if "seconds" in figures:
-            times = self._times_with_loading if self._first_left else self._times
-            count, total = times.get(kind, (0, 0.0))
-            times[kind] = (count + 1, total + figures["seconds"])
+            # A cell that does little else than load says nothing of the others.
+            if not self._first_left or figures["seconds"] >= LONG_BESIDE_LOADING:
+                count, total = self._times.get(kind, (0, 0.0))
+                self._times[kind] = (count + 1, total + figures["seconds"])
             self._first_left = max(self._first_left - 1, 0)
         # The figure that says most about the accuracy of the result.
         value = next((figures[name] for name in ("predicted", "independent", "check")
@@ -101,10 +104,9 @@ class Tally:
     def _seconds_left(self) -> float | None:
         """Return the time of cells yet to run [s], of each kind by its own mean, or by that of all.
 
-        None before any cell is finished.
+        None before any cell tells it.
         """
-        times = {**self._times_with_loading, **self._times}
-        means = {kind: total / count for kind, (count, total) in times.items()}
+        means = {kind: total / count for kind, (count, total) in self._times.items()}
         if not means:
             return None
         # Kinds without a finished cell are taken to be like the others.
