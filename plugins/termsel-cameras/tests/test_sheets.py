@@ -170,8 +170,8 @@ def test_sheets_of_unlike_scale_are_no_series(tmp_path: Path,
     assert reason is not None
     assert "differ by" in reason
     # Auto then takes the sheet by itself.
-    places = [termsel.run(features=sheet).project(ground) for sheet in (features, lent)]
-    np.testing.assert_array_equal(*places)
+    alone, beside = (termsel.run(features=sheet).project(ground) for sheet in (features, lent))
+    np.testing.assert_array_equal(alone, beside)
     file = tmp_path / "series.json"
     file.write_text(series_of(maps, "").text(), encoding="utf-8")
     termsel.write_points_csv(features.points, tmp_path / "sheet.csv")
