@@ -272,8 +272,11 @@ class Auto(Method):
         fits: dict[str, Fit] = {}
         # What contains others comes first where these need not be fitted then.
         # In folds, where the whole comparison is not needed, the largest come first.
-        order = candidates if with_contained else sorted(candidates,
-                                                         key=lambda method: -len(method.contains))
+        order = (
+            candidates
+            if with_contained
+            else sorted(candidates, key=lambda method: -len(method.contains))
+        )
         for method in order:
             called_for = fits.keys() >= set(method.needs) and (
                 with_contained or not is_contained(method, fits.values()))

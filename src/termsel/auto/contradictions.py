@@ -297,15 +297,19 @@ def _prediction_of_points(division: Division, degree: int) -> _PointPrediction |
     weights = weights_of(points)
     # Those in use first, as the posterior counts them.
     order = np.argsort(~used, kind="stable")
-    posterior_of_points = solve_posterior(evaluate_monomials(scaled.ground[order],
-                                                             exponents), scaled.image[order],
-                                          powers,
-                                          (weights * np.where(used, 1.0, UNUSED_WEIGHT)[:, None])[
-                                              order],
-                                          scales_of(np.array(exponents)[powers > 1]),
-                                          int(used.sum()))
-    return None if posterior_of_points is None else _PointPrediction(posterior_of_points, order,
-                                                                     weights, scaling.image_scale)
+    posterior_of_points = solve_posterior(
+        evaluate_monomials(scaled.ground[order], exponents),
+        scaled.image[order],
+        powers,
+        (weights * np.where(used, 1.0, UNUSED_WEIGHT)[:, None])[order],
+        scales_of(np.array(exponents)[powers > 1]),
+        int(used.sum()),
+    )
+    return (
+        None
+        if posterior_of_points is None
+        else _PointPrediction(posterior_of_points, order, weights, scaling.image_scale)
+    )
 
 
 def _test_of_lines(division: Division, degree: int) -> Test | None:

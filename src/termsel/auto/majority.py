@@ -233,8 +233,9 @@ def _points_agreeing_with(design: FloatArray, image: FloatArray,
     return agreeing & (strains <= 1.0), strains
 
 
-def _noise_and_strains(design: FloatArray, image: FloatArray, used: BoolArray) -> tuple[float,
-                                                                                        FloatArray]:
+def _noise_and_strains(
+    design: FloatArray, image: FloatArray, used: BoolArray
+) -> tuple[float, FloatArray]:
     """Return the noise of the closest points, and errors (n,) by those of agreeing points.
 
     Of normal vectors of the plane, the part g that is shortest has 1 + (1 - g) ln(1 - g) / g of the

@@ -174,8 +174,9 @@ def _cached_evidence(measurements: Measurements, scaling: Scaling, crs: str,
     points = measurements.points
     variables = 3 if any(power[2] for power in exponents) else 2
     slopes = _slopes_on_ground(points, scaling, crs)
-    physical = None if slopes is None else _solutions_by_kind(points, scaling, crs, exponents,
-                                                              slopes)
+    physical = (
+        None if slopes is None else _solutions_by_kind(points, scaling, crs, exponents, slopes)
+    )
     if slopes is None or physical is None:
         return None
     weights = None if points.sigma is None else weights_of(points)

@@ -253,10 +253,12 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
         method_of(fitted).has_prior or is_contained(method_of(fitted), priors))]
     rivals = [
         base,
-        *(alternative
-          for alternative in alternatives if gain(alternative, base) > required_gain(alternative,
-                                                                                     base)
-          or is_supported_and_smaller(alternative, base))
+        *(
+            alternative
+            for alternative in alternatives
+            if gain(alternative, base) > required_gain(alternative, base)
+            or is_supported_and_smaller(alternative, base)
+        ),
     ]
     chosen = min(rivals, key=beyond_rounding)
     if not explained:

@@ -36,11 +36,14 @@ class Measurements:
     def points(self) -> Points:
         """The points, numbered and without roles; they were checked when they were made first."""
         image = _measured_rows(self.image, 2)
-        return replace_unchecked(empty_points(), ids=tuple(map(str, range(len(image)))),
-                                 image=image,
-                                 ground=_measured_rows(self.ground, 3), roles=("",) * len(image),
-                                 sigma=None if self.sigma is None else _measured_rows(self.sigma,
-                                                                                      2))
+        return replace_unchecked(
+            empty_points(),
+            ids=tuple(map(str, range(len(image)))),
+            image=image,
+            ground=_measured_rows(self.ground, 3),
+            roles=("",) * len(image),
+            sigma=None if self.sigma is None else _measured_rows(self.sigma, 2),
+        )
 
 
 def _measured_rows(numbers: bytes, columns: int) -> FloatArray:

@@ -119,9 +119,12 @@ class MapPositions:
         """Return positions between nodes, (lines, samples, 2), at the heights of the pixels."""
         nodes, size = _node_positions(shape, step)
         plan = self._ground_of_pixels(nodes, transform)
-        at_levels = np.stack([self._image_positions(np.column_stack([plan,
-                                                                     np.full(len(plan), level)]))
-                              for level in levels])
+        at_levels = np.stack(
+            [
+                self._image_positions(np.column_stack([plan, np.full(len(plan), level)]))
+                for level in levels
+            ]
+        )
         positions = np.empty((*shape, 2))
         _between(at_levels.reshape(len(levels), *size, 2), levels, heights, step, positions)
         return positions

@@ -439,10 +439,15 @@ def list_hook_values(value: Any) -> list[Any]:
     return items
 
 
-def _guard_implementation(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments,
-                          accept: Taken,
-                          answers: Answers, givers: _Givers, seconds: float | None) -> Callable[...,
-                                                                                                Any]:
+def _guard_implementation(
+    slot: Slot,
+    implementation: pluggy.HookImpl,
+    arguments: Arguments,
+    accept: Taken,
+    answers: Answers,
+    givers: _Givers,
+    seconds: float | None,
+) -> Callable[..., Any]:
     """Return an implementation that never raises; what it returns is a list of things."""
     @wraps(implementation.function)
     def answer(*_args: Any, **_keywords: Any) -> list[Any] | None:

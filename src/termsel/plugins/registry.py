@@ -345,8 +345,9 @@ def _warn(plugin: Plugin, text: str) -> None:
     print(make_printable(f"Warning: {plugin.remark(text)}"), file=sys.stderr)
 
 
-def _failsafe_observer(plugin: Plugin, observe: Callable[[Progress], None]) -> Callable[[Progress],
-                                                                                        None]:
+def _failsafe_observer(
+    plugin: Plugin, observe: Callable[[Progress], None]
+) -> Callable[[Progress], None]:
     """Return an observer of a plugin that ends with its first failure, and not the run."""
     failed = False
 

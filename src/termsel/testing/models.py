@@ -177,9 +177,11 @@ def picklable(model: SensorModel) -> None:
     coefficients = random_coefficients(model, seeded_generator())
     ground = random_ground(seeded_generator(), 9)
     copy = through_pickle(model)
-    require(copy.terms == model.terms and np.array_equal(copy.project(coefficients, ground),
-                                                         model.project(coefficients, ground)),
-            "the copy that another process gets projects otherwise")
+    require(
+        copy.terms == model.terms
+        and np.array_equal(copy.project(coefficients, ground), model.project(coefficients, ground)),
+        "the copy that another process gets projects otherwise",
+    )
 
 
 def masks_stay_finite(model: SensorModel) -> None:

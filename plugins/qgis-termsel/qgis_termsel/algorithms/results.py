@@ -222,8 +222,9 @@ class NextPlaces(Algorithm):
                                             QgsWkbTypes.Type.Point, _crs_of(folder))
         for row in rows:
             feature = QgsFeature(fields)
-            feature.setGeometry(QgsGeometry.fromPointXY(QgsPointXY(float(row["x"]),
-                                                                   float(row["y"]))))
+            feature.setGeometry(
+                QgsGeometry.fromPointXY(QgsPointXY(float(row["x"]), float(row["y"])))
+            )
             feature.setAttributes([row[name] if name == "id" else float(row[name] or "nan")
                                    for name in names])
             sink.addFeature(feature)

@@ -31,9 +31,9 @@ def graticule_lines(places: Places, box: Box) -> list[dict[str, Any]]:
     steps = np.linspace(0, 1, 9)
     mesh = np.stack(np.meshgrid(box[0] + steps * (box[2] - box[0]),
                                 box[1] + steps * (box[3] - box[1])), axis=-1).reshape(-1, 2)
-    west, south, east, north = box_of(transform_places(transformer_between(places.plane,
-                                                                           places.shown), mesh,
-                                                       inverse=True))
+    west, south, east, north = box_of(
+        transform_places(transformer_between(places.plane, places.shown), mesh, inverse=True)
+    )
     # Lines of constant x from south to north, then lines of constant y from west to east.
     lines = []
     for axis, (low, high, first, last) in enumerate(((west, east, south, north),

@@ -81,10 +81,17 @@ def drawn_graticule(session: Session, box: Box) -> dict[str, Any]:
     """
     lines = graticule_lines(session.places, box)
     prediction = session.prediction
-    return {"lines": [{"label": line["label"], "axis": line["axis"], "map": line["map"],
-                       "image": None if prediction is None else project_visible(prediction,
-                                                                                line["map"])}
-                      for line in lines]}
+    return {
+        "lines": [
+            {
+                "label": line["label"],
+                "axis": line["axis"],
+                "map": line["map"],
+                "image": None if prediction is None else project_visible(prediction, line["map"]),
+            }
+            for line in lines
+        ]
+    }
 
 
 def drawn_vectors(session: Session) -> dict[str, Any]:

@@ -169,8 +169,9 @@ def score_all(methods: Sequence[Method], sets: Iterable[str], real: Sequence[Pat
     """
     for method in methods:
         method.require()
-    works: list[tuple[str, Path | None]] = [(name, None) for name in sets] + [(folder.name, folder)
-                                                                              for folder in real]
+    works: list[tuple[str, Path | None]] = [(name, None) for name in sets] + [
+        (folder.name, folder) for folder in real
+    ]
     work = [Work(method, name, folder) for (name, folder), method in product(works, methods)]
     if scheduler:
         yield from _scores_on_cluster(work, scheduler)

@@ -212,8 +212,9 @@ def _without_worse(result: BlockResult, freed_blocks: dict[str, BlockResult],
         for sensor in stated_sensors(result.block):
             without = without_sensor(result.block, sensor)
             try:
-                freed = freed_blocks.get(sensor) or _adjust_as_stated(without, result.frame,
-                                                                      progress)
+                freed = freed_blocks.get(sensor) or _adjust_as_stated(
+                    without, result.frame, progress
+                )
             except TermselError:
                 # Without what is known of the sensor, too little holds the image.
                 continue

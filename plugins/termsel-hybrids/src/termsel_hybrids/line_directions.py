@@ -161,8 +161,9 @@ class LineConformal(LineDirections):
         # The affine model first, which is linear; its two rows need not be orthogonal.
         affine = np.linalg.lstsq(equations.A, equations.b, rcond=1e-9)[0].reshape(2, 4)
         line, sample = affine[:, 1:] / self._units
-        left_vectors, sizes, right_vectors = np.linalg.svd(np.stack([sample, -line]),
-                                                           full_matrices=False)
+        left_vectors, sizes, right_vectors = np.linalg.svd(
+            np.stack([sample, -line]), full_matrices=False
+        )
         # The nearest pair of orthogonal rows of one length: U V^T of the singular value
         # decomposition.
         a, b = left_vectors @ right_vectors

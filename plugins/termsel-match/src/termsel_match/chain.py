@@ -275,9 +275,14 @@ def _judge_candidates(image: Path | str, reference: Path | str | None, candidate
     return evidence, bounds
 
 
-def _ground_shown(files: list[Path], picture: GreyRaster, model: Start, dem: Path | str,
-                  masks: Sequence[Path | str], crs: str) -> tuple[Mask, Bounds,
-                                                                  tuple[float, float]]:
+def _ground_shown(
+    files: list[Path],
+    picture: GreyRaster,
+    model: Start,
+    dem: Path | str,
+    masks: Sequence[Path | str],
+    crs: str,
+) -> tuple[Mask, Bounds, tuple[float, float]]:
     """Return where an image and any reference show the ground, and the bounds of all of them.
 
     And at which distance the one that is most like itself is so, and how much (`repetition`).

@@ -370,8 +370,9 @@ def _axis_nodes(low: float, high: float, intervals: int) -> FloatArray:
     return np.asarray(low + step * np.arange(-_AROUND, intervals + _AROUND + 1))
 
 
-def _to_ground(crs: str, control_crs: str, control: FloatArray) -> Callable[[FloatArray],
-                                                                            FloatArray]:
+def _to_ground(
+    crs: str, control_crs: str, control: FloatArray
+) -> Callable[[FloatArray], FloatArray]:
     """Return the function from x and y on the map (n, 2) to the ground (n, 3), with heights of 0.
     """
     turn = plane_transformer(crs, horizontal_crs(control_crs))

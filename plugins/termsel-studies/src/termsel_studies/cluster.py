@@ -74,8 +74,9 @@ def run_on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], st
         running: dict[Future, Cell] = {}
         try:
             # Others would compute something else, or nothing.
-            for worker, versions_there in sorted(client.run(versions_here,
-                                                            tuple(required)).items()):
+            for worker, versions_there in sorted(
+                client.run(versions_here, tuple(required)).items()
+            ):
                 require_alike(required, versions_there, worker)
             yield from _submit_cells(client, waiting, running, features, stop, required)
         except OSError as error:

@@ -66,8 +66,9 @@ def non_dominated(points: FloatArray) -> FloatArray:
     """
     points = np.unique(points, axis=0)
     # Another point is at most as large in all objectives, and smaller in one.
-    better = (points[:, None] <= points[None]).all(axis=2) & (points[:, None] != points[None]
-                                                              ).any(axis=2)
+    better = (points[:, None] <= points[None]).all(axis=2) & (points[:, None] != points[None]).any(
+        axis=2
+    )
     return np.asarray(points[~better.any(axis=0)])
 
 

@@ -59,8 +59,9 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
     if run_settings.out is not None:
         require_replaceable([run_settings.out / STABILITY], reads=run_settings.reads,
                             overwrite=run_settings.overwrite, makes_folder=True)
-        click.get_current_context().with_resource(lock_output_folder(run_settings.out,
-                                                                     overwrite=run_settings.overwrite))
+        click.get_current_context().with_resource(
+            lock_output_folder(run_settings.out, overwrite=run_settings.overwrite)
+        )
     if run_settings.method is not None:
         raise TermselError("--method is for a model without a search, and this repeats a search",
                            hint="Leave --method out, or call termsel run.")

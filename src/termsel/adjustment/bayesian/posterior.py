@@ -135,9 +135,9 @@ def _axis_evidence(designs: Sequence[Design], targets: FloatArray) -> list[list[
     projections = np.array([design.basis.T @ targets for design in designs])          # (d, m, a)
     log_prior = log_prior_of_sizes()
     evidence = []
-    for design, projected, shared in zip(designs, projections,
-                                         _evidence_with_shared_scales(designs,
-                                                                      projections), strict=True):
+    for design, projected, shared in zip(
+        designs, projections, _evidence_with_shared_scales(designs, projections), strict=True
+    ):
         log_factor, squares = shared or evidence_of(design.forms, projected, PRIOR_SIZES)
         log_factor = (log_factor + log_prior).ravel()
         # What no column explains is in the sum of squares of every solution.

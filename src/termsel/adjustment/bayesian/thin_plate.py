@@ -108,8 +108,9 @@ class ThinPlates:
         for axis, (smoothing, spline, w) in enumerate(zip(
                 self.smoothing, self.splines, weights_of(self.points).T, strict=True)):
             field_variance = float(spline.weights @ (self.points.image[:, axis] * w)) / (n - f)
-            relative_variance = self.field_columns.variance(positions, columns, point_columns,
-                                                            self._positions, smoothing, w)
+            relative_variance = self.field_columns.variance(
+                positions, columns, point_columns, self._positions, smoothing, w
+            )
             variance[:, axis] = field_variance * relative_variance
             noise[axis] = field_variance * smoothing
         return np.maximum(variance, 0.0), noise

@@ -22,8 +22,12 @@ class Glance:
 
     def __repr__(self) -> str:
         title, rows = self._glance()
-        return "\n".join([f"<{_short_value(title)}>", *(f"  {name}: {_short_value(value)}"
-                                                        for name, value in rows.items())])
+        return "\n".join(
+            [
+                f"<{_short_value(title)}>",
+                *(f"  {name}: {_short_value(value)}" for name, value in rows.items()),
+            ]
+        )
 
     def _repr_html_(self) -> str:
         """Return the repr as a table of HTML, for notebooks."""

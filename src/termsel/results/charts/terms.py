@@ -132,13 +132,27 @@ def correlation_map(view: View) -> Any:
     width = min(max(13 * len(names), 200), WIDTH)
     labels = alt.Axis(labelFontSize=min(11, max(6, width / len(names) - 2)), ticks=False,
                       domain=False, grid=False, labelLimit=120)
-    return alt.Chart(chart_rows(rows)).mark_rect(stroke=GROUND, strokeWidth=0.4).encode(
-        x=alt.X("other:N", sort=names, title=None, axis=alt.Axis(
-            **{**labels.to_dict(), "labelAngle": -90})),
-        y=alt.Y("one:N", sort=names, title=None, axis=labels),
-        color=alt.Color("correlation:Q", scale=alt.Scale(scheme="purpleorange", domain=[-1, 1],
-                                                         domainMid=0),
-                        legend=alt.Legend(gradientLength=180, title="correlation")),
-        tooltip=[alt.Tooltip("one:N", title="term"), alt.Tooltip("other:N", title="and term"),
-                 alt.Tooltip("correlation:Q", format=".3f")],
-    ).properties(width=width, height=width)
+    return (
+        alt.Chart(chart_rows(rows))
+        .mark_rect(stroke=GROUND, strokeWidth=0.4)
+        .encode(
+            x=alt.X(
+                "other:N",
+                sort=names,
+                title=None,
+                axis=alt.Axis(**{**labels.to_dict(), "labelAngle": -90}),
+            ),
+            y=alt.Y("one:N", sort=names, title=None, axis=labels),
+            color=alt.Color(
+                "correlation:Q",
+                scale=alt.Scale(scheme="purpleorange", domain=[-1, 1], domainMid=0),
+                legend=alt.Legend(gradientLength=180, title="correlation"),
+            ),
+            tooltip=[
+                alt.Tooltip("one:N", title="term"),
+                alt.Tooltip("other:N", title="and term"),
+                alt.Tooltip("correlation:Q", format=".3f"),
+            ],
+        )
+        .properties(width=width, height=width)
+    )

@@ -234,9 +234,9 @@ def _take_improvement(incumbents: _Incumbents, node: SubtreeNode, result: NodeRe
     scores[0] = result.best[0]
     scores[:incumbents.closed_sizes] = np.inf
     improved = bool((scores < incumbents.best).any())
-    incumbents.best, incumbents.masks = better_of_each_size(incumbents.best, incumbents.masks,
-                                                            scores,
-                                                            result.masks)
+    incumbents.best, incumbents.masks = better_of_each_size(
+        incumbents.best, incumbents.masks, scores, result.masks
+    )
     incumbents.scored += node.count - result.pruned
     incumbents.pruned += result.pruned
     return improved

@@ -259,8 +259,9 @@ class SelectionProblem(Problem):
             if inputs.criterion.is_rmse or inputs.criterion.in_px:
                 # What is rounding of the data is ordered by the share of genes that are on.
                 share = self.genome.chosen(genes[feasible]).mean(axis=1)
-                score[feasible] = replace_rounding_by_size(score[feasible],
-                                                           ROUNDING * inputs.pixels, np.sqrt(share))
+                score[feasible] = replace_rounding_by_size(
+                    score[feasible], ROUNDING * inputs.pixels, np.sqrt(share)
+                )
         # Objectives are finite, always: what has no figure is infeasible, with the worst one.
         violation[~np.isfinite(score)] = 1.0
         score = np.minimum(np.nan_to_num(score, nan=WORST, posinf=WORST), WORST)

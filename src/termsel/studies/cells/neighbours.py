@@ -137,8 +137,9 @@ def _guess(setting: Mapping[str, Any], group: FloatArray, reach: float) -> str:
     return ELSEWHERE
 
 
-def _note_on_mirrored(settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str,
-                                                                               dict[str, str]]]:
+def _note_on_mirrored(
+    settings: Mapping[str, Mapping[str, Any]],
+) -> list[tuple[str, dict[str, str]]]:
     """Return a sentence on images that are mirrored where most are not, or the reverse.
 
     With it comes the doubt about each of them. Where no clear majority is one or the other the

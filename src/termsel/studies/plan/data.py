@@ -241,9 +241,9 @@ def _group_files(spec: Spec, source: Source,
         yield {kind: by_stem[kind][stem] for kind in kinds}
 
 
-def _options_by_part(source: Source, files: Mapping[str, str], folder: Path) -> dict[str,
-                                                                                     dict[str,
-                                                                                          Any]]:
+def _options_by_part(
+    source: Source, files: Mapping[str, str], folder: Path
+) -> dict[str, dict[str, Any]]:
     """Return the options of each part of a file that has several; {"": {}} of another file."""
     undivided: dict[str, dict[str, Any]] = {"": {}}
     if set(files) != {"points"}:

@@ -112,8 +112,9 @@ def deap_projection(features: FeatureSet, seed: int) -> Projection:
         box.register("chromosome", lambda: Chromosome(
             random.randint(0, 1) for _ in range(problem.size)))
         box.register("population", lambda n: [box.chromosome() for _ in range(n)])
-        box.register("evaluate", lambda chromosome: (problem.fitness(np.array(chromosome,
-                                                                              dtype=bool)),))
+        box.register(
+            "evaluate", lambda chromosome: (problem.fitness(np.array(chromosome, dtype=bool)),)
+        )
         box.register("mate", tools.cxUniform, indpb=0.5)
         box.register("mutate", tools.mutFlipBit, indpb=1 / problem.size)
         box.register("select", tools.selTournament, tournsize=3)

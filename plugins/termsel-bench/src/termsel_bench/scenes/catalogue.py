@@ -59,14 +59,22 @@ _ALL_SETS = (
     *_sets_of("frame", (10, 16, 28, 50)),
     *_sets_of("panoramic", (14, 22, 36, 60)),
     *_sets_of("radar", (10, 18, 32, 56)),
-    *_sets_of("old-map", (16, 24, 40, 60, 90), local=(5.0, 0.0, 15.0, 5.0, 0.0),
-              joints=(6.0, 10.0, 0.0, 6.0, 0.0), sheets=((2, 2), (2, 3), (1, 1), (2, 2),
-                                                         (1, 1))),
+    *_sets_of(
+        "old-map",
+        (16, 24, 40, 60, 90),
+        local=(5.0, 0.0, 15.0, 5.0, 0.0),
+        joints=(6.0, 10.0, 0.0, 6.0, 0.0),
+        sheets=((2, 2), (2, 3), (1, 1), (2, 2), (1, 1)),
+    ),
     *_sets_of("vendor-rpc", (2, 4, 8, 16), error=("shift", "drift", "affine", "shift")),
     *_sets_of("matches", (40, 60, 80, 100), wrong=(0.1, 0.2, 0.3, 0.4)),
-    *_sets_of("lines", (6, 6, 8, 8), scene=("ikonos-hamedan", "geoeye-tehran", "spot-isfahan",
-                                            "cartosat-hyderabad"),
-              n_lines=(24, 40, 60, 100), wrong_lines=(0, 3, 0, 10)),
+    *_sets_of(
+        "lines",
+        (6, 6, 8, 8),
+        scene=("ikonos-hamedan", "geoeye-tehran", "spot-isfahan", "cartosat-hyderabad"),
+        n_lines=(24, 40, 60, 100),
+        wrong_lines=(0, 3, 0, 10),
+    ),
 )
 SETS: Mapping[str, SetSettings] = {bench_set.name: bench_set for bench_set in _ALL_SETS}
 """Settings of all sets by name."""

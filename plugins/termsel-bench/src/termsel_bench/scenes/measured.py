@@ -148,9 +148,10 @@ def read_measured_set(name: str) -> MeasuredSet:
     if source.folder == "smapshot_nadir":
         photo = _photo_rows()[file.removesuffix(".csv")]
         size = (int(photo["height"]), int(photo["width"]))
-        points = replace(points,
-                         attributes={FOCAL_COLUMN: np.array([photo["focal_px"]] * len(points),
-                                                            dtype=object)})
+        points = replace(
+            points,
+            attributes={FOCAL_COLUMN: np.array([photo["focal_px"]] * len(points), dtype=object)},
+        )
     features = FeatureSet(points, crs=source.crs, image_size=size)
     return MeasuredSet(name, source.kind, features, folds, source.sees_one, meta["licence"],
                        f"https://{meta['source']} {meta['commit']}", checksum)

@@ -101,8 +101,11 @@ def _declaration_of(file: Path) -> dict[str, str]:
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise TermselError(f"{file} cannot be read: {error}", hint="It has to be JSON.") from error
     for name in NEEDED:
-        if not isinstance(declared, dict) or not isinstance(declared.get(name),
-                                                            str) or not declared[name]:
+        if (
+            not isinstance(declared, dict)
+            or not isinstance(declared.get(name), str)
+            or not declared[name]
+        ):
             raise TermselError(f"the set {file.parent.name} does not say its {name}",
                                file=str(file), hint=f"State all of {', '.join(NEEDED)}.")
     return declared  # type: ignore[no-any-return]

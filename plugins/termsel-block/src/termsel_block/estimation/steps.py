@@ -92,8 +92,9 @@ class Steps:
                                     camera.jacobian(parameters, local, self._fixed_at_ties(i)),
                                     self.slopes[i],
                                     residual, weight))
-            block, of_control = self._equations_of_control(i, camera, control, robust
-                                                           and wide == 1.0)
+            block, of_control = self._equations_of_control(
+                i, camera, control, robust and wide == 1.0
+            )
             precision = np.diag(1 / variances[i])
             # Priors of zero mean add V^-1 to the matrix and -V^-1 x to the right side.
             of_images.append(block + precision)

@@ -280,8 +280,11 @@ def mask_clouds_and_water(picture: GreyRaster) -> tuple[Excluded, ...]:
         # Otsu's threshold is the one between two classes; how well it divides says if they are two.
         limit, separation = otsu_threshold(index(values)[is_known])
         high = is_known & (index(values) > limit)
-        if separation < _MIN_SEPARATION or high.mean() < _MIN_PART or not likely(values, high,
-                                                                                 is_known & ~high):
+        if (
+            separation < _MIN_SEPARATION
+            or high.mean() < _MIN_PART
+            or not likely(values, high, is_known & ~high)
+        ):
             return
         log.info("Note: %.0f %% of the image is %s, where nothing is matched (--mask none).",
                  100 * _wide_areas(high).mean(), name)

@@ -217,9 +217,14 @@ class Reference:
         # Three neighbours of a mesh in the middle: two steps, down and to the right.
         at_reference = self.seen(middle + np.array([[0, 0], [_REFERENCE_MESH, 0],
                                                     [0, _REFERENCE_MESH]]))
-        return max(1,
-                   round(_REFERENCE_MESH / _mesh_spacing(at_reference[[0, 1, 0, 2]].T.reshape(2, 2,
-                                                                                  2)) / _SAME_SIZE))
+        return max(
+            1,
+            round(
+                _REFERENCE_MESH
+                / _mesh_spacing(at_reference[[0, 1, 0, 2]].T.reshape(2, 2, 2))
+                / _SAME_SIZE
+            ),
+        )
 
 
 def _mesh_spacing(mesh: FloatArray) -> float:

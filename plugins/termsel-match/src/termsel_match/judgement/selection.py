@@ -164,8 +164,9 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
             # The fit to all that agree comes next, and needs no better place to begin.
             "polish": False}, seed=seed, criterion="agreement"))
     # A spread that a fault of the reference has made is not the spread of matching.
-    max_limit = accept if points.sigma is None else max(accept,
-                                                        _SIGMAS * float(np.median(points.sigma)))
+    max_limit = (
+        accept if points.sigma is None else max(accept, _SIGMAS * float(np.median(points.sigma)))
+    )
     fit = fitted(correction, picked)
     # Each round fits to all that agree, then looks whether these support another correction.
     for choice in range(_CHOICES + 1):

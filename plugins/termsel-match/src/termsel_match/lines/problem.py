@@ -110,8 +110,9 @@ class MatchedLines(Problem):
         """
         coefficients = self.refined(self.fitted(np.asarray(genes, dtype=np.intp)))
         agreeing = self.agreeing(coefficients)
-        picked = np.sort(agreeing) if len(agreeing) >= len(self._columns[0,
-                                                                         0]) else np.unique(genes)
+        picked = (
+            np.sort(agreeing) if len(agreeing) >= len(self._columns[0, 0]) else np.unique(genes)
+        )
         return Selection(self.inputs.model.terms,
                          tuple(self.inputs.control.ids[int(i)] for i in picked))
 

@@ -174,10 +174,11 @@ def iterate_lines(
         rms = rms_distance(fitted, selected)
         vertices = selected.ground.reshape(-1, 3)
         position = fitted.project(vertices)
-        position_before = at.project(np.column_stack([transform_plane(vertices[:, :2],
-                                                                      candidates.crs,
-                                                                      at.crs),
-                                                      vertices[:, 2]]))
+        position_before = at.project(
+            np.column_stack(
+                [transform_plane(vertices[:, :2], candidates.crs, at.crs), vertices[:, 2]]
+            )
+        )
         moved = float(np.sqrt(((position - position_before) ** 2).sum(axis=1).mean()))
         rounds.append(Round(search, n_pieces, len(candidates.lines), len(selected), rms, moved))
         settled = moved < _SETTLED_MOVE
@@ -207,9 +208,15 @@ def iterate_lines(
                                   options={**options, "half_at": half_at}).problem
         assert isinstance(problem, MatchedLines)
         tracing = variance_of_tracing(problem, selected.ids, seed)
-    return Matched(candidates=candidates, lines=lines, result=result, rounds=tuple(rounds),
-                   settled=settled, decisive=most_decisive_vector(used, model,
-                                                                  options), tracing=tracing)
+    return Matched(
+        candidates=candidates,
+        lines=lines,
+        result=result,
+        rounds=tuple(rounds),
+        settled=settled,
+        decisive=most_decisive_vector(used, model, options),
+        tracing=tracing,
+    )
 
 
 def are_bands_in_place(image: Path | str, vectors: Path | str, at: Start, *, dem: Path | str | None,

@@ -178,8 +178,9 @@ class World:
     @cached_property
     def ground(self) -> Scenery:
         """What is on the ground."""
-        return simulate_scenery(self._rng(3), self.side, self.cell, (np.array([-0.9, -0.5]),
-                                                                     np.array([0.6, -0.9])))
+        return simulate_scenery(
+            self._rng(3), self.side, self.cell, (np.array([-0.9, -0.5]), np.array([0.6, -0.9]))
+        )
 
     def image(self) -> NDArray[np.uint16]:
         """Return the image: 11 bits, by rays that meet houses and terrain."""

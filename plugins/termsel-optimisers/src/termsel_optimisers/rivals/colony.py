@@ -124,9 +124,9 @@ class AntColony(Solver):
                 champion, champion_evaluation = _best_ants(
                     1, champion, champion_evaluation, best, best_evaluation)
                 grafted = graft_segments(champion[0], best[0], problem.genome)
-                champion, champion_evaluation = _best_ants(1, champion, champion_evaluation,
-                                                           grafted,
-                                                           problem.evaluate(grafted))
+                champion, champion_evaluation = _best_ants(
+                    1, champion, champion_evaluation, grafted, problem.evaluate(grafted)
+                )
                 # The next start knows nothing of this one; the champion is not lost to it.
                 best = best[:0]
                 best_evaluation = best_evaluation.take(np.arange(0))

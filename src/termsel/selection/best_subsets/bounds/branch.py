@@ -90,17 +90,31 @@ def decide_branch(kind: int, vectors: Vectors, limits: Limits, records: Records,
                     end = held_out.first_prunable_column(
                         vectors.top[depth, 0], vectors.leverage[depth], first, n, worst, work)
                 if check is not None and open_subsets > check_errors.BLOCK:
-                    end = check_errors.first_closed_column(kind, vectors, limits, depth=depth,
-                                                           first=first,
-                                                           worst=worst, upper=check.upper[depth],
-                                                           space=check.bound)
+                    end = check_errors.first_closed_column(
+                        kind,
+                        vectors,
+                        limits,
+                        depth=depth,
+                        first=first,
+                        worst=worst,
+                        upper=check.upper[depth],
+                        space=check.bound,
+                    )
                 # All subsets of closed columns alone, but for the node itself, without any of them.
                 pruned += counts[n - end, room_below] - 1
                 if check is not None and room_below > 1 and open_subsets <= check_errors.BLOCK:
-                    decided = check_errors.decide_block(kind, vectors, limits, records=records,
-                                                        depth=depth, first=first, cursor=cursor,
-                                                        mask=mask[depth], upper=check.upper[depth],
-                                                        b=check.block)
+                    decided = check_errors.decide_block(
+                        kind,
+                        vectors,
+                        limits,
+                        records=records,
+                        depth=depth,
+                        first=first,
+                        cursor=cursor,
+                        mask=mask[depth],
+                        upper=check.upper[depth],
+                        b=check.block,
+                    )
                     end = first if decided else end
                 ends[depth] = end
                 cursor[depth] = first

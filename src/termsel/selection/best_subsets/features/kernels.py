@@ -93,10 +93,15 @@ def enumerate_selections(rows: FeatureRows, state: WalkState, space: EntrySpace,
             if current_size + 2 == max_size or i + 2 == n:  # nothing is below those with two more
                 if current_size + 2 >= min_size:
                     _score_extensions(rows, state, space, depth, i, i + 1)
-                    count = _keep_extensions(rows, space, i + 1, mask=mask[depth + 1],
-                                             limit=square_limits[current_size
-                                                                 + 2], remaining=remaining,
-                                             count=count)
+                    count = _keep_extensions(
+                        rows,
+                        space,
+                        i + 1,
+                        mask=mask[depth + 1],
+                        limit=square_limits[current_size + 2],
+                        remaining=remaining,
+                        count=count,
+                    )
                 continue
             _carry_to_next_depth(rows, state, space, depth, i)
             status[depth + 1] = CARRIED

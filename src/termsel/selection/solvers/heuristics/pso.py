@@ -132,9 +132,9 @@ class BinarySwarm(Solver):
                 position = np.clip(position + velocity, 0.0, 1.0)
                 genes = genome.repair(from_keys(position, genome), rng)
             evaluation = problem.evaluate(genes)
-            best_position, best_evaluation = _personal_best(best_position, best_evaluation,
-                                                            position,
-                                                            evaluation)
+            best_position, best_evaluation = _personal_best(
+                best_position, best_evaluation, position, evaluation
+            )
             yield Generation(index, genes, evaluation, {"velocity": velocity})
 
 

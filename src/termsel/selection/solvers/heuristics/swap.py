@@ -120,8 +120,9 @@ def descend(problem: Problem, genes: Genes, evaluation: Evaluation, index: int =
             # The first batch with a better one is enough: further ones may be very many.
             best_neighbour = neighbour_evaluation.take(neighbour_evaluation.order()[:1])
             if _comparison_key(best_neighbour) < _comparison_key(evaluation):
-                genes, evaluation = _combine_best_changes(problem, genes, evaluation, around,
-                                                          neighbour_evaluation)
+                genes, evaluation = _combine_best_changes(
+                    problem, genes, evaluation, around, neighbour_evaluation
+                )
                 better = True
                 break
 
@@ -155,9 +156,9 @@ def climb(problem: Problem, genes: Genes, evaluation: Evaluation,
         for i, columns in enumerate(genome.slices().values()):
             candidates[i, columns] = reached.genes[0, columns]
         candidates[-1] = reached.genes[0]
-        combined, combined_evaluation = _combine_best_changes(problem, best.genes, best.evaluation,
-                                                              candidates,
-                                                              problem.evaluate(candidates))
+        combined, combined_evaluation = _combine_best_changes(
+            problem, best.genes, best.evaluation, candidates, problem.evaluate(candidates)
+        )
         climbed += descend(problem, combined, combined_evaluation, reached.index + 1)
 
 

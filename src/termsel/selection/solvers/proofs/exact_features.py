@@ -113,8 +113,9 @@ def prove_features(problem: Problem, selections: Selections,
                 if size > selections.largest:
                     open_branches += selections.halves(branch)
                 elif size:
-                    in_progress.append((branch, pool.submit(selections.walk, branch,
-                                                            records.limits())))
+                    in_progress.append(
+                        (branch, pool.submit(selections.walk, branch, records.limits()))
+                    )
             else:
                 branch, future = in_progress.popleft()
                 records.decide(*future.result())
