@@ -72,9 +72,11 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
     # factors of a place (2, d), and R (d, d) what measurements leave of the directions, at first I.
     candidate_factors = spread.factors[:len(candidates)]
     scene_factors = spread.factors[-len(scene):]
-    remaining = np.eye(candidate_factors.shape[2])
+    n_directions = candidate_factors.shape[2]
+    remaining = np.eye(n_directions)
     # The mean variance over the scene is tr(R G), G the mean of F'F.
-    scene_products = np.einsum("mad,mae->de", scene_factors, scene_factors) / len(scene_factors)
+    scene_rows = scene_factors.reshape(-1, n_directions)
+    scene_products = scene_rows.T @ scene_rows / len(scene_factors)
     image = fitted.project(candidates)
     box = np.array(fitted.image_box())
     distance = min_distance * float(np.ptp(box, axis=0).max())
@@ -198,10 +200,13 @@ def _variance_gains(factors: FloatArray, remaining: FloatArray, scene_products: 
                     noise: FloatArray) -> FloatArray:
     """Return by how much a measurement at each candidate lessens the mean variance, shape (c,)."""
     # With the covariance M = F R F' + s of a measurement, the mean variance falls by
-    # tr(M^-1 F R G R F').
-    toward = factors @ remaining                                                      # (c, 2, d)
+    # tr(M^-1 F R G R F'). Both axes of all candidates are rows of one product, which BLAS takes
+    # at once; as c products of two rows it takes ten times as long.
+    toward_rows = factors.reshape(-1, factors.shape[2]) @ remaining                   # (2 c, d)
+    toward = toward_rows.reshape(factors.shape)
+    through_scene = (toward_rows @ scene_products).reshape(factors.shape)
     measurement = np.einsum("cad,cbd->cab", toward, factors) + np.diag(noise)
-    lessened = np.einsum("cae,cbe->cab", toward @ scene_products, toward)
+    lessened = np.einsum("cae,cbe->cab", through_scene, toward)
     return np.asarray(np.einsum("cab,cba->c", np.linalg.inv(measurement), lessened))
 
 
