@@ -310,4 +310,4 @@ def test_an_error_says_nothing_where_its_prediction_is_as_uncertain() -> None:
     none = np.zeros(3)
     found = Contradictions(none, none, np.array([0.9, 4.5, 5.5]), np.array([1.0, 5.0, 5.0]), 0.3,
                            20, none)
-    assert found.decided().tolist() == [False, False, True]
+    assert found.beyond_form().tolist() == [False, False, True]

@@ -95,7 +95,7 @@ def test_a_climb_from_a_spoilt_set_ends_at_the_right_points() -> None:
 def test_samples_without_wrong_points_are_among_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(likeliest_majority, "SAMPLES", 1000)
     points = bent(40, 17)
-    sets = points.sampled(np.random.default_rng(0))
+    sets = points.best_samples(np.random.default_rng(0))
     assert sets.shape == (36, 40)
     assert (sets.sum(axis=1) >= 20).all()
     assert sets[:, :17].sum(axis=1).min() <= 1

@@ -12,7 +12,7 @@ import termsel
 from termsel import FeatureSet, Points
 from termsel.auto.auto import Auto
 from termsel.auto.blunders import agreement, find_blunders
-from termsel.auto.majority import _are_interleaved, closest_halves, majority
+from termsel.auto.majority import _are_interleaved, closest_halves, find_majority
 from termsel.data.features import empty_lines
 from termsel.data.fit_data import FitData
 from termsel.data.roles import observations_by_role
@@ -66,7 +66,7 @@ def test_a_model_costs_what_the_right_points_alone_do() -> None:
 def test_sound_points_have_no_minority() -> None:
     for n, seed in ((20, 1), (40, 2), (100, 3)):
         data = FitData.of(scene(n, seed), True)
-        assert majority(data) is None
+        assert find_majority(data) is None
         assert agreement(data) is None
 
 
@@ -83,7 +83,7 @@ def panoramic(n: int, seed: int) -> FeatureSet:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_majority_decides_where_no_quadratic_polynomial_fits(seed: int) -> None:
     sound = panoramic(40, seed)
-    assert majority(FitData.of(sound, True)) is None
+    assert find_majority(FitData.of(sound, True)) is None
     features, wrong = spoilt(sound, 0.45, times=4.0)
     suspects = find_blunders(FitData.of(features, True))
     assert suspects is not None
@@ -128,13 +128,14 @@ def test_a_cluster_of_blunders_is_no_bend() -> None:
     wrong = np.argsort(ground[:, 0])[:24]
     image = sound.points.image.copy()
     image[wrong] += np.random.default_rng(1).uniform(-200, 200, (24, 2))
-    agreeing = majority(FitData.of(sound.with_(points=replace(sound.points, image=image)), True))
+    points = replace(sound.points, image=image)
+    agreeing = find_majority(FitData.of(sound.with_(points=points), True))
     assert agreeing is not None
     # A polynomial leaves places beyond the agreeing points so free that a few fit by chance.
     assert agreeing[wrong].sum() <= 3
     # A part that is bent has errors that are alike, and stays.
     bent = sound.points.image + np.maximum(5.001e5 - ground[:, :1], 0) * [0.02, 0.03]
-    assert majority(FitData.of(sound.with_(points=replace(sound.points, image=bent)),
+    assert find_majority(FitData.of(sound.with_(points=replace(sound.points, image=bent)),
                                True)) is None
 
 

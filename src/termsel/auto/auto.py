@@ -550,6 +550,7 @@ def minimal_fit(data: FitData) -> Choice:
 
     Raises Undetermined if three points lie on a line, or lines are parallel.
     """
+    # Two points have the four equations of a similarity, three the six of an affine polynomial.
     plane = replace(data, heights=False)
     count = len(data)
     method = named("similarity" if count == 2 else "affine")

@@ -42,8 +42,8 @@ from termsel.auto.majority import (
     MAX_BLUNDER_SHARE,
     MIN_POINTS,
     NOISE_JUMP,
+    find_majority,
     is_outvoted,
-    majority,
 )
 from termsel.auto.memory import Memory
 from termsel.auto.robust import reweighted
@@ -82,9 +82,14 @@ coefficients of a cubic polynomial, and a right point that shows a bend may look
 def find_blunders(control: FitData, auto: Auto | None = None) -> Suspects | None:
     """Return which control features are blunders; None where they are too few for a test.
 
-    What the regularised polynomial suspects is left out of the choice among all candidates, by
-    default those that are built in. Features that the chosen one predicts within STRAIN are no
-    blunders: their errors were the polynomial's.
+    Parameters
+    ----------
+    control : FitData
+        Points, or points and lines.
+    auto : Auto, optional
+        The choice among methods, by default the built-in ones. What it chooses without the
+        suspected features, and predicts as well as all others, is no blunder: the error was that
+        of the polynomial that the test rests on.
     """
     choice = auto or Auto()
     suspects: Suspects | None = choice.recall("blunders", control,
@@ -93,7 +98,11 @@ def find_blunders(control: FitData, auto: Auto | None = None) -> Suspects | None
 
 
 def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
-    """Return blunders, probable ones and open cases among features; None if they are too few."""
+    """Return blunders, probable ones and open cases among features; None if they are too few.
+
+    In four steps: a core without blunders, and all that it predicts; what another model predicts
+    as well; features that are likelier blunders than right; suspects that a camera model clears.
+    """
     everything = np.ones(len(control), dtype=bool)
     # Asked for at several places, if at all.
     test_of_all = cache(Division(control, everything).shrunken_test)
@@ -136,8 +145,8 @@ def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
     by_projection = None if by_majority else _judge_by_projection(control, auto, retained)
     if by_projection is not None:
         retained, test = by_projection
-    far = test.far(len(control))
-    decided = test.decided()
+    far = test.beyond_chance(len(control))
+    decided = test.beyond_form()
     blunders = ~retained
     # Beyond chance, but where the prediction is too weak to accuse it.
     undecided = retained & far & ~decided
@@ -157,15 +166,17 @@ def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
 def _majority_and_test(control: FitData) -> tuple[BoolArray, Test] | None:
     """Return the points that agree, (n,), and their test, where more than a third are blunders.
 
-    None where the usual search will do: the points that agree with a majority may predict others as
-    well, by more than the polynomial that found it.
+    None where no majority is clear, so that the usual search from a core will do.
     """
     return likeliest_majority(control, _majority_of_polynomials(control))
 
 
 def _majority_of_polynomials(control: FitData) -> tuple[BoolArray, Test] | None:
-    """Return the points that agree with a polynomial, (n,), and all that these predict; or None."""
-    agreeing = majority(control)
+    """Return the points that agree with a polynomial, with all that they predict, and their test.
+
+    None where they are no clear majority: too few, or the others are no gross blunders.
+    """
+    agreeing = find_majority(control)
     if agreeing is None:
         return None
     settled = _grow_majority(control, agreeing)
@@ -173,10 +184,12 @@ def _majority_of_polynomials(control: FitData) -> tuple[BoolArray, Test] | None:
         return None
     used, test = settled
     # A field that few points leave free may follow blunders: then the polynomial has decided.
-    for judged, its_test in (_judge_by_field(control, used, test, MAX_MINORITY), (used, test)):
-        if MIN_MINORITY < (~judged).mean() <= MAX_MINORITY \
-                and is_outvoted(control, ~judged, its_test):
-            return judged, its_test
+    by_field = _judge_by_field(control, used, test, MAX_MINORITY)
+    for agreeing, test_of_agreeing in (by_field, settled):
+        minority = ~agreeing
+        if MIN_MINORITY < minority.mean() <= MAX_MINORITY \
+                and is_outvoted(control, minority, test_of_agreeing):
+            return agreeing, test_of_agreeing
     return None
 
 
@@ -199,7 +212,7 @@ def _grow_majority(control: FitData, agreeing: BoolArray) -> tuple[BoolArray, Te
             break
         settled = used, test
         least_noise = min(least_noise, test.noise)
-        far = test.far(n)
+        far = test.beyond_chance(n)
         if (~far).sum() < n // 2:
             break
         closest = np.argsort(np.where(used | far, np.inf, test.strain), kind="stable")
@@ -211,10 +224,12 @@ def _grow_majority(control: FitData, agreeing: BoolArray) -> tuple[BoolArray, Te
 
 
 def agreement(control: FitData) -> BoolArray | None:
-    """Return which of few points agree, (n,), where more than a third contradict these.
+    """Return which of few points agree, (n,), where more than a third contradict the others.
 
-    None for many points, whose majority decides, and where no more than a third do.
+    None for MIN_POINTS points or more, which `find_blunders` decides about, and where no more than
+    a third contradict.
     """
+    # So few points may agree by chance: this warns, and nothing is left out for it.
     if len(control) >= MIN_POINTS:
         return None
     by_majority = _majority_and_test(control)
@@ -223,10 +238,10 @@ def agreement(control: FitData) -> BoolArray | None:
 
 def _judge_by_projection(control: FitData, auto: Auto,
                          used: BoolArray) -> tuple[BoolArray, Test] | None:
-    """Judge all points by a central projection or a known camera, if the choice is one; else None.
+    """Return the points in use and their test by a central projection or a known camera.
 
-    Polynomials follow an oblique view so badly that what they leave hides blunders, and makes sound
-    points look like some.
+    Polynomials follow an oblique view so badly that their residuals hide blunders, and make sound
+    points look like some. None where the method that is chosen for the points in use is neither.
     """
     if len(control.features.lines):
         return None
@@ -252,7 +267,7 @@ def _judge_by_projection(control: FitData, auto: Auto,
 
 
 def _stands_out(errors: FloatArray) -> bool:
-    """Return whether some error is far beyond the median, as that of no blunder is."""
+    """Return whether the largest error is so far beyond the median that it may be a blunder."""
     # The median of the larger of two normal errors is 1.05 standard deviations.
     return bool(errors.max() > MIN_STRAIN * median_of(errors) / 1.05)
 
@@ -285,13 +300,13 @@ def _is_parametric(fitted: Fit) -> bool:
 def _features_predicted_by(chosen: Fit, features: FeatureSet) -> BoolArray:
     """Return which features, (n,), a fit predicts as well as those that it was made with.
 
-    None of them where there are lines and the fit is an average: the test was by the same
-    polynomial.
+    None of them with lines under an average of polynomials, as the test was by the same one.
     """
     averaged = isinstance(chosen.estimator, Averaging)
     if len(features.lines) and averaged:  # the test was by the same polynomial
         return np.zeros(len(features), dtype=bool)
-    # The median of the sum of two squared normal variables is 2 ln 2.
+    # The sum of two squared normal variables of unit variance has the median 2 ln 2, so that the
+    # standard deviation of the held-out errors is sqrt(median / (2 ln 2)).
     squares = chosen.held_out().squares
     bound = MIN_STRAIN * np.sqrt(median_of(squares) / (2 * np.log(2)))
     if _is_parametric(chosen):
@@ -310,10 +325,23 @@ def _features_predicted_by(chosen: Fit, features: FeatureSet) -> BoolArray:
 
 def judge_others(chosen: Fit, heights: bool, other_points: Points,
                  memory: Memory) -> Suspects | None:
-    """Return which of other points, that took no part, contradict all others, control or not.
+    """Return which points that took no part in a fit contradict its control and each other.
 
-    The choice is that for control without blunders, with heights or not. None as for
-    `find_blunders`, or without other points.
+    Parameters
+    ----------
+    chosen : Fit
+        The method that is chosen for control without blunders.
+    heights : bool
+        Whether heights of the control differ.
+    other_points : Points
+        Check and independent points.
+    memory : Memory
+        What was found before.
+
+    Returns
+    -------
+    Suspects or None
+        Of the other points alone; None without any, and if all are too few for a test.
     """
     control = chosen.control
     count = len(chosen.control.points)
@@ -344,7 +372,7 @@ def _contradicting_features(all_features: FitData, is_other: BoolArray,
     used, test = _judge_by_field(all_features,
                                  *_readmit_predicted(all_features, *core, test_of_all))
     blunders = is_other & ~used
-    decided = test.decided()
+    decided = test.beyond_form()
     return test.suspects(blunders & decided, np.zeros_like(is_other), blunders & ~decided, is_other)
 
 
@@ -387,7 +415,7 @@ def _features_with_weight(control: FitData, test_of_all: TestOfAll) -> BoolArray
 
     If those without weight exceed MAX_BLUNDER_SHARE, that share with the largest strain has none.
     """
-    # A robust fit that throws out more than blunders may be has failed.
+    # A robust fit fails if it finds more blunders than there may be: then the worst are taken.
     weightless = _weightless(control)
     max_blunders = int(MAX_BLUNDER_SHARE * len(control))
     if weightless is not None and weightless.sum() <= max_blunders:
@@ -425,11 +453,11 @@ def _readmit_predicted(control: FitData, used: BoolArray, test: Test, test_of_al
     # A set of features that comes back would come back for ever.
     while used.tobytes() not in earlier_sets:
         earlier_sets.add(used.tobytes())
-        still_out = ~used & test.far(n) & test.decided()
+        still_out = ~used & test.beyond_chance(n) & test.beyond_form()
         if not used.all():
-            # The closest features, a share p of all, understate the noise. Their errors r have
-            # r^2 below b: X = r^2 / 2 s^2 is exponential, so that E[X given X < b] = 1 - b (1 - p)
-            # / p with b = -log(1 - p).
+            # The closest features, a share p of all, understate the noise s. The squares
+            # X = r^2 / 2 s^2 of their errors are exponential, and cut off at b = -log(1 - p), so
+            # that their mean is E[X given X < b] = 1 - b (1 - p) / p instead of 1.
             p = used.sum() / n
             bound = -np.log1p(-p)
             strain = test.strain * np.sqrt(1.0 - bound * (1.0 - p) / p)
@@ -443,7 +471,7 @@ def _readmit_predicted(control: FitData, used: BoolArray, test: Test, test_of_al
             next_used[likeliest[:max(1, admissible.size // 2, int(MIN_STEP_SHARE * n))]] = True
         else:
             # One at a time, the worst: it may be what makes the others look bad.
-            blunders_in_use = np.flatnonzero(used & test.far(n) & test.decided())
+            blunders_in_use = np.flatnonzero(used & test.beyond_chance(n) & test.beyond_form())
             if blunders_in_use.size and (~used).sum() < int(MAX_BLUNDER_SHARE * n):
                 next_used[blunders_in_use[np.argmax(test.strain[blunders_in_use])]] = False
         if (next_used == used).all():
@@ -458,10 +486,10 @@ def _readmit_predicted(control: FitData, used: BoolArray, test: Test, test_of_al
 
 def _judge_by_field(control: FitData, used: BoolArray, test: Test,
                     max_share: float = MAX_BLUNDER_SHARE) -> tuple[BoolArray, Test]:
-    """Return the features in use, (n,), and the test, judged again by a random field of the points.
+    """Return the features in use, (n,), and their test, judged again by a random field.
 
-    Local deformation is no blunder, and what is small next to the error of a polynomial may be one.
-    Both are returned as they were where the points in use support no field.
+    Under a field local deformation is no blunder, and an error may be one though a polynomial
+    leaves as much elsewhere. Where the points support no field, both are returned as they were.
     """
     n = len(control)
     earlier_sets = set[bytes]()
@@ -471,7 +499,7 @@ def _judge_by_field(control: FitData, used: BoolArray, test: Test,
         if field_test is None:
             break
         test = field_test
-        far = test.far(n) & test.decided()
+        far = test.beyond_chance(n) & test.beyond_form()
         # The worst ones together, down to half of the largest strain.
         excluded = used & far & (test.strain
                                  >= np.max(test.strain, where=used & far, initial=0.0) / 2)

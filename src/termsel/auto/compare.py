@@ -64,14 +64,24 @@ class Comparison:
 
 
 def compare(observations: Observations, auto: Auto, choice: Choice | None = None) -> Comparison:
-    """Return the methods of a choice, fitted to control and check together.
+    """Return the methods of a choice, each fitted to control and check points together.
 
-    No search is made with the check points there, so they are free to serve as control. A
-    rational model that was refused, as it has a pole, is shown too, with the reason.
+    Methods without a search need no check points, so that these serve as control.
 
-    `choice` is that of `Auto.choose` for control and check, twins merged, or of
-    `Auto.choose_features`: all are then fitted to the features that it chooses. By default it is
-    that of `Auto.choose`.
+    Parameters
+    ----------
+    observations : Observations
+        The features by role.
+    auto : Auto
+        The methods.
+    choice : Choice, optional
+        That of `auto` for control and check; all methods are fitted to the features that it is
+        for, such as the points alone. It is made here by default.
+
+    Returns
+    -------
+    Comparison
+        With rational models that were refused for a pole, and the reason.
     """
     data = observations.pool
     choice = choice or auto.choose(data)

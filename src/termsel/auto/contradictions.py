@@ -54,7 +54,10 @@ UNUSED_WEIGHT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Test:
-    """What features in use predict for all features."""
+    """Errors of all features against what the features in use predict for each.
+
+    A feature in use is predicted by the others, as its own measurement would hide its error.
+    """
 
     errors: FloatArray  # (n,): largest in line or sample, or of a vertex off its line [px]
     probability: FloatArray  # (n,): of an error as large
@@ -65,23 +68,27 @@ class Test:
     squares: FloatArray  # of the errors of features in use
     by_field: bool = False  # whether a random field predicts
 
-    def far(self, n: int) -> BoolArray:
-        """Return which of n features have an error beyond chance, (n,)."""
-        return (self.probability
-                < FALSE_ALARM / n) & (self.strain > MIN_STRAIN) & (self.errors > NEGLIGIBLE_ERROR)
+    def beyond_chance(self, n: int) -> BoolArray:
+        """Return which of n features have an error that chance does not explain, (n,)."""
+        # Of n features one is named by chance with FALSE_ALARM in all (Bonferroni).
+        is_improbable = self.probability < FALSE_ALARM / n
+        return is_improbable & (self.strain > MIN_STRAIN) & (self.errors > NEGLIGIBLE_ERROR)
 
-    def decided(self) -> BoolArray:
-        """Return which features have an error larger than their place alone explains, (n,).
+    def beyond_form(self) -> BoolArray:
+        """Return which errors are larger than a wrong form of the model explains, (n,).
 
-        Where a feature is predicted from afar, its `spread` is large, and so must its strain be.
+        Far from the other features a prediction rests on that form: its `spread` is large there,
+        and so must the strain be.
         """
         return self.strain > STRAIN_PER_SPREAD * self.spread
 
     def suspects(self, blunders: BoolArray, probable: BoolArray, undecided: BoolArray,
                  judged: BoolArray) -> Suspects:
-        """Return the findings on the `judged` features, in their order; all masks are (n,)."""
-        # Where `chance_of` is that: of normal errors one is as large at any of these features.
-        # The inverse of (1 + 2 s^2 / f)^(-f/2): the strain whose chance is FALSE_ALARM / n.
+        """Return the findings on the `judged` features, in their order; all masks are (n,).
+
+        Its limits are the least errors that the test would have named, at each feature [px].
+        """
+        # The strain s whose chance (1 + 2 s^2 / f)^(-f/2), that of `chance_of`, is FALSE_ALARM / n.
         threshold = np.sqrt(self.freedom / 2
                             * ((FALSE_ALARM / judged.sum()) ** (-2 / self.freedom) - 1))
         strain = np.maximum(max(MIN_STRAIN, float(threshold)), STRAIN_PER_SPREAD * self.spread)
@@ -91,7 +98,7 @@ class Test:
 
 @dataclass(frozen=True, eq=False)
 class Division:
-    """Features, of which those `used` (n,) predict all."""
+    """Features of which those in use, the mask `used` (n,), predict all."""
 
     all_features: FitData
     used: BoolArray
@@ -120,6 +127,7 @@ class Division:
 
     @property
     def _gaussian_process(self) -> GaussianProcess | None:
+        """The random field of the points in use, with heights or in the plane; None if too few."""
         return fit_gaussian_process(self.in_use.scaled.points,
                                     3 if self.all_features.heights else 2)
 
@@ -234,9 +242,9 @@ _Squares = TypeVar("_Squares", Test, "_PointPrediction")
 
 
 def _clearly_better_of(quadratic: _Squares | None, cubic: _Squares | None) -> _Squares | None:
-    """Return the cubic if its squared errors are clearly smaller, else the quadratic.
+    """Return the cubic polynomial's test, if its squared errors are clearly smaller.
 
-    If one of them is None, the other is returned; None if both are.
+    Else that of the quadratic. Where the points are too few for one, the other; None for neither.
     """
     if quadratic is None or cubic is None:
         return cubic or quadratic
@@ -246,6 +254,7 @@ def _clearly_better_of(quadratic: _Squares | None, cubic: _Squares | None) -> _S
 
 
 def polynomial_of(heights: bool, degree: int) -> Polynomial:
+    """Return the polynomial of a degree in X, Y and Z, or in X and Y alone without heights."""
     return (Polynomial3D if heights else Polynomial2D)(degree=degree)
 
 
@@ -263,8 +272,11 @@ class _PointPrediction:
 
     @cached_property
     def squares(self) -> FloatArray:
-        """Squared errors of the points in use, of many some, each by the others, shape (m,)."""
-        # Every so many of many points: leaving one out costs the same for each.
+        """Squared error of each point in use as the others predict it [px^2], shape (m,).
+
+        Of more than MAX_COMPARED_POINTS points only a part, evenly spread over the table.
+        """
+        # Each point left out costs as much, so that of many some have to do.
         sample = slice(0, self.posterior.in_use, -(-self.posterior.in_use // MAX_COMPARED_POINTS))
         errors = (self.posterior.held_out
                   if sample.step == 1 else self.posterior.held_out_of(sample)).errors
@@ -272,14 +284,15 @@ class _PointPrediction:
                             * self.image_scale) ** 2).sum(axis=1))
 
     def test(self) -> Test:
-        """Return the test: points that are not in use are looked at here alone."""
+        """Return the test of all points, with those that are not in use."""
         posterior = self.posterior
-        # In the order of the features, not in that of the posterior, which has those in use first.
+        # The posterior counts points in use first: rows go back to the order of the features.
         rows = np.empty((len(self.order), 5))
         rows[self.order] = np.concatenate(
             [_point_figures(posterior.held_out),
              _point_figures(posterior.predict_unused(UNUSED_WEIGHT))])
         pixels = rows[:, :2] / self.weights * self.image_scale
+        # The noise is averaged over the solutions by their probabilities.
         noise = float(np.sqrt(posterior.cells.share @ posterior.square / posterior.freedom))
         return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
                     noise * self.image_scale, posterior.freedom,
@@ -287,7 +300,10 @@ class _PointPrediction:
 
 
 def _prediction_of_points(division: Division, degree: int) -> _PointPrediction | None:
-    """Return the predictions of a regularised polynomial of the points in use; None if too few."""
+    """Return what a regularised polynomial of the points in use predicts; None if too few.
+
+    The other points take part with a tiny weight, which predicts them with the same factors.
+    """
     points = division.all_features.features.points
     used = division.used
     scaling = division.in_use.scaling
@@ -297,19 +313,13 @@ def _prediction_of_points(division: Division, degree: int) -> _PointPrediction |
     weights = weights_of(points)
     # Those in use first, as the posterior counts them.
     order = np.argsort(~used, kind="stable")
-    posterior_of_points = solve_posterior(
-        evaluate_monomials(scaled.ground[order], exponents),
-        scaled.image[order],
-        powers,
-        (weights * np.where(used, 1.0, UNUSED_WEIGHT)[:, None])[order],
-        scales_of(np.array(exponents)[powers > 1]),
-        int(used.sum()),
-    )
-    return (
-        None
-        if posterior_of_points is None
-        else _PointPrediction(posterior_of_points, order, weights, scaling.image_scale)
-    )
+    weights_in_use = weights * np.where(used, 1.0, UNUSED_WEIGHT)[:, None]
+    posterior = solve_posterior(
+        evaluate_monomials(scaled.ground[order], exponents), scaled.image[order], powers,
+        weights_in_use[order], scales_of(np.array(exponents)[powers > 1]), int(used.sum()))
+    if posterior is None:
+        return None
+    return _PointPrediction(posterior, order, weights, scaling.image_scale)
 
 
 def _test_of_lines(division: Division, degree: int) -> Test | None:
@@ -342,6 +352,10 @@ def _test_of_lines(division: Division, degree: int) -> Test | None:
 
 
 def _point_figures(predictions: HeldOutPredictions) -> FloatArray:
-    """Return errors of points in line and sample, chance, strain and spread, shape (m, 5)."""
+    """Return a row for each point, (m, 5): errors in line and sample, chance, strain and spread.
+
+    The statistic is the mean square of both coordinates' errors by their variances, so that its
+    root is a strain in standard deviations.
+    """
     return np.stack([*predictions.errors.T, predictions.probability, np.sqrt(predictions.statistic),
                      np.sqrt(predictions.spread.max(axis=1))], axis=1)

@@ -30,9 +30,9 @@ from termsel.auto.majority import (
     MAX_SAMPLED_POINTS,
     MIN_POINTS,
     closest_halves,
-    designs_of,
     distances_from_fit,
     may_be_bend,
+    polynomial_designs,
 )
 from termsel.data.features import BoolArray, FloatArray
 from termsel.data.fit_data import FitData
@@ -119,7 +119,11 @@ class SetsJudged:
 
 @dataclass(frozen=True, eq=False)
 class Likelihoods:
-    """All that the likelihood of points needs of them."""
+    """Control points as the likelihood needs them: right ones follow a cubic, blunders do not.
+
+    The likelihood of a point with the error e is the mean of two normal densities: of a right
+    point with the variance of its prediction, of a blunder with that of all distances.
+    """
 
     design: FloatArray  # (n, k)
     powers: FloatArray  # (k,): total powers of the terms
@@ -128,38 +132,38 @@ class Likelihoods:
 
     @cached_property
     def scales(self) -> FloatArray:
-        """Standard deviations of the coefficients, (s, k)."""
+        """Standard deviations of the k coefficients under each of the s priors, (s, k)."""
         return np.array([np.where(self.powers <= 1, AFFINE_SCALE,
                                   np.where(self.powers == 2, quadratic, cubic))
                          for quadratic, cubic in TERM_SCALES])
 
     @cached_property
     def mean_square(self) -> float:
-        """Of the distances, for each coordinate."""
+        """Mean square of the distances for each of both coordinates, the variance of blunders."""
         return float((self.distances**2).mean()) / 2
 
     @cached_property
     def noises(self) -> FloatArray:
-        """Noise of right points, (q,)."""
+        """Standard deviations that right points may have, (q,)."""
         return np.asarray(np.sqrt(self.mean_square) * NOISES)
 
     @cached_property
     def log_wrong(self) -> FloatArray:
-        """Density of the error of a blunder, (n,)."""
+        """Log density of each point's error if it is a blunder, (n,): normal in the plane."""
         return np.asarray(-np.log(2 * np.pi * self.mean_square)
                           - self.distances**2 / (2 * self.mean_square))
 
     def judge(self, sets: BoolArray) -> SetsJudged:
-        """Return what sets (m, n) make of all points.
+        """Fit the polynomial to each of m sets of points (m, n), and judge all points by it.
 
-        With the scales S of the coefficients, the design A of the set and its image b, the columns
-        of V and the values w are those of S A'A S; z = V' S A'b. A noise s^2 then has the
-        coefficients S V z / (w + s^2), and the evidence is that of b as normal with the variance
-        A S^2 A' + s^2.
+        Each set has the prior of the coefficients and the noise under which it is likeliest.
         """
         count, n = sets.shape
         k = self.design.shape[1]
         used = sets.astype(float)
+        # With the deviations S of the coefficients, the design A of a set and its image b, the
+        # decomposition V w V' is that of S A'A S, and z = V' S A'b. A noise s^2 then has the
+        # coefficients S V z / (w + s^2).
         products = (self.design[:, :, None] * self.design[:, None, :]).reshape(n, k * k)
         gram = (used @ products).reshape(count, 1, k, k)
         values, vectors = np.linalg.eigh(
@@ -170,12 +174,14 @@ class Likelihoods:
         squares = used @ (self.image**2).sum(axis=1)
         scale, noise = self._likeliest(values, z, squares, used.sum(axis=1))
 
+        # The solution of each set: its coefficients, and what it predicts for all points.
         rows = np.arange(count)
         vectors = self.scales[scale][:, :, None] * vectors[rows, scale]       # S V
         variance = self.noises[noise]**2
         inverse = 1.0 / (values[rows, scale] + variance[:, None])             # (m, k)
         coefficients = vectors @ (z[rows, scale] * inverse[:, :, None])
         errors = self.image - self.design @ coefficients
+        # h = a' S V (w + s^2)^-1 V' S a, the variance of the prediction by that of the noise.
         leverage = ((self.design @ vectors)**2 * inverse[:, None, :]).sum(axis=2)
         # A point of the set is predicted by the others of it: r / (1 - h), with s^2 / (1 - h).
         redundancy = np.maximum(1.0 - leverage, 1e-6)
@@ -188,7 +194,11 @@ class Likelihoods:
     def _likeliest(self, values: FloatArray, z: FloatArray, squares: FloatArray,
                    points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the numbers of the scales and of the noise with the largest evidence, (m,) each.
+
+        The arguments are the w and z of `judge`, the squares b'b and the numbers of points.
         """
+        # The evidence is the density of b as normal with the covariance C = A S^2 A' + s^2:
+        # log |C| = sum log(1 + w / s^2) + n log s^2, b' C^-1 b = (b'b - sum z^2 / (w + s^2)) / s^2.
         variance = self.noises**2
         sums = values[..., None] + variance                                   # (m, s, k, q)
         points = points[:, None, None]
@@ -202,9 +212,14 @@ class Likelihoods:
         return np.divmod(best, len(variance))
 
     def climb(self, sets: BoolArray) -> list[tuple[float, BoolArray]]:
-        """Return log-likelihoods and sets (n,) that these (m, n) lead to, the likeliest first."""
+        """Return the sets (n,) that climbing from m sets leads to, likeliest first.
+
+        Each with its log-likelihood. A step takes the points that a set makes likelier right than
+        wrong as the next set, which is at least as likely (classification EM).
+        """
         reached: dict[bytes, tuple[float, BoolArray]] = {}
         for _ in range(CLIMBED_STEPS):
+            # Sets often meet: each is judged once.
             new = {each.tobytes(): each for each in sets if each.tobytes() not in reached}
             if not new:
                 break
@@ -215,7 +230,7 @@ class Likelihoods:
             sets = likelier_right(judged.log_odds)
         return sorted(reached.values(), key=lambda found: -found[0])
 
-    def sampled(self, rng: np.random.Generator) -> BoolArray:
+    def best_samples(self, rng: np.random.Generator) -> BoolArray:
         """Return sets (m, n) of the points that the best random samples make likelier right.
 
         A sample predicts all others as a random field of these terms does, so that it says little
@@ -226,6 +241,7 @@ class Likelihoods:
         variance = self.noises[SAMPLED_NOISE]**2
         sets = []
         for scales in self.scales[list(SAMPLED_SCALES)]:
+            # Kriging from the sample: the covariance of two places is a' S^2 b.
             covariance = (self.design * scales**2) @ self.design.T
             within = covariance[samples[:, :, None], samples[:, None, :]]
             to_all = covariance[samples]                                      # (m, size, n)
@@ -246,7 +262,9 @@ class Likelihoods:
         return np.concatenate(sets)
 
     def is_contradicted(self, used: BoolArray) -> bool:
-        """Return whether more than a third of the points are gross next to a set (n,), and no bend.
+        """Return whether a set (n,) shows more than a third of all points to be gross blunders.
+
+        They are none where their errors may be relief, or a bend of the image.
         """
         if (~used).mean() <= MAX_BLUNDER_SHARE:
             return False
@@ -271,8 +289,9 @@ def _may_be_relief(image: FloatArray, errors: FloatArray) -> bool:
     Relief moves points along one direction in the image of a scanner, and along lines through the
     nadir point c in that of a camera: e x (p - c) is 0 for the direction e of each error. In
     homogeneous coordinates, (w p - c) with w = 0 for one direction, that is the least singular
-    value of the rows (e x p, e_sample, -e_line). Errors that are one are a shift, and no relief.
+    value of the rows (e x p, e_sample, -e_line).
     """
+    # Errors that are all the same are a shift, and no relief.
     shift = errors.mean(axis=0)
     if np.linalg.norm(errors - shift) < MAX_DEVIATION * np.linalg.norm(shift) * len(errors)**0.5:
         return False
@@ -287,7 +306,10 @@ def _may_be_relief(image: FloatArray, errors: FloatArray) -> bool:
 
 
 def likelier_right(log_odds: FloatArray) -> BoolArray:
-    """Return the points (m, n) that are likelier right than wrong; at least half of the n are."""
+    """Return the points (m, n) that are likelier right than wrong; at least half of the n are.
+
+    Where fewer are, the half with the largest odds is returned: a smaller set would fit ever fewer.
+    """
     rank = np.argsort(np.argsort(-log_odds, axis=1, kind="stable"), axis=1)
     return np.asarray((log_odds > 0) | (rank < log_odds.shape[1] // 2))
 
@@ -295,8 +317,18 @@ def likelier_right(log_odds: FloatArray) -> BoolArray:
 def likeliest_majority(control: FitData, of_polynomials: Majority | None) -> Majority | None:
     """Return the points (n,) under which all are likeliest, and their test of all points.
 
-    That of polynomials, if there is one, where none is likelier. None where a third or fewer
-    disagree, or not grossly, or all agree about as well; for fewer than MIN_POINTS; and for lines.
+    Parameters
+    ----------
+    control : FitData
+        Control points; with lines, or fewer than MIN_POINTS, nothing is sought.
+    of_polynomials : tuple or None
+        The majority that `termsel.auto.majority` found, which is returned where none is likelier.
+
+    Returns
+    -------
+    tuple of ndarray and Test, or None
+        None if neither is clear: a third of the points or fewer disagree, or not grossly, or one
+        polynomial makes all about as likely.
     """
     n = len(control)
     if n < MIN_POINTS or len(control.features.lines):
@@ -305,6 +337,7 @@ def likeliest_majority(control: FitData, of_polynomials: Majority | None) -> Maj
         return _likeliest_of(control, of_polynomials)
     if of_polynomials is not None:
         return of_polynomials
+    # Of many points a sample shows the majority; its prediction then decides about all.
     is_sampled = np.zeros(n, dtype=bool)
     is_sampled[np.random.default_rng(0).permutation(n)[:MAX_SAMPLED_POINTS]] = True
     of_sample = _likeliest_of(control.take(is_sampled), None)
@@ -320,11 +353,16 @@ def likeliest_majority(control: FitData, of_polynomials: Majority | None) -> Maj
 
 
 def _likeliest_of(data: FitData, of_polynomials: Majority | None) -> Majority | None:
-    """Return the likeliest majority of not too many points; that of polynomials if none is."""
+    """Return the majority of at most MAX_SAMPLED_POINTS points that makes all likeliest.
+
+    The climb starts from the best halves of polynomials; further random samples follow only where
+    these find something, but nothing clear. Where none is found, the majority of polynomials is
+    returned.
+    """
     n = len(data)
     points = data.scaled.points
     everything = np.ones(n, dtype=bool)
-    designs, is_affine = designs_of(points.ground, heights=data.heights)
+    designs, is_affine = polynomial_designs(points.ground, heights=data.heights)
     distances = distances_from_fit(designs[0], points.image, everything)
     if distances.max() < LEAST_DISTANCE:
         return of_polynomials
@@ -333,28 +371,29 @@ def _likeliest_of(data: FitData, of_polynomials: Majority | None) -> Majority | 
                               np.array(exponents).sum(axis=1), points.image, distances)
     rng = np.random.default_rng(0)  # the same points have the same majority
     halves = closest_halves(designs, points.image, is_affine, rng)
-    of_all = float(likelihoods.judge(everything[None]).log_likelihood[0])
-    least = of_all + MIN_SEEN_GAIN * n
+    # A majority must make the points likelier than one polynomial of all of them does.
+    likelihood_of_all = float(likelihoods.judge(everything[None]).log_likelihood[0])
+    min_likelihood = likelihood_of_all + MIN_SEEN_GAIN * n
     reached = likelihoods.climb(np.array([half for of_design in halves
                                           for half in of_design[:FIRST_STARTS]]))
     # Most points without blunders end here.
-    if not any(likelihood > least and not likelihoods.may_be_bend(used, UNLIKE_AT_FIRST)
+    if not any(likelihood > min_likelihood and not likelihoods.may_be_bend(used, UNLIKE_AT_FIRST)
                for likelihood, used in reached[:REFINED]):
         return of_polynomials
     likelihood, used = reached[0]
-    if likelihood - of_all < CLEAR_GAIN * n or not likelihoods.is_contradicted(used):
+    if likelihood - likelihood_of_all < CLEAR_GAIN * n or not likelihoods.is_contradicted(used):
         starts = [half for of_design in halves for half in of_design]
-        reached = likelihoods.climb(np.concatenate([starts, likelihoods.sampled(rng)]))
-    return _likeliest_fit(data, likelihoods, [used for likelihood, used in reached[:REFINED]
-                                              if likelihood > least], of_polynomials)
+        reached = likelihoods.climb(np.concatenate([starts, likelihoods.best_samples(rng)]))
+    likely_sets = [used for likelihood, used in reached[:REFINED] if likelihood > min_likelihood]
+    return _likeliest_fit(data, likelihoods, likely_sets, of_polynomials)
 
 
 def _likeliest_fit(data: FitData, likelihoods: Likelihoods, sets: Sequence[BoolArray],
                    of_polynomials: Majority | None) -> Majority | None:
-    """Return the likeliest points (n,) under the regularised polynomial, from some sets on.
+    """Return the likeliest points (n,) under the regularised polynomial, and their test.
 
-    With their test. Where all points are about as likely under one polynomial, and where none is
-    likelier, the majority of polynomials.
+    It is fitted from each of the sets on. Where one polynomial makes all points about as likely,
+    or where nothing is likelier than the majority of polynomials, that is returned.
     """
     distances = likelihoods.distances * data.scaling.image_scale
     weights = weights_of(data.features.points)
@@ -381,10 +420,14 @@ def _likeliest_fit(data: FitData, likelihoods: Likelihoods, sets: Sequence[BoolA
 
 
 def _regularised_fits(data: FitData, start: BoolArray) -> list[Majority]:
-    """Return the points of each regularised polynomial, (n,), from some on, and its test of all.
+    """Return the points in use (n,) and the test of each step of refitting from a start on.
+
+    A step fits the regularised polynomial to the points in use; in use are next those that it
+    predicts within PREDICTED_STRAIN, or the closer half of all where these are fewer.
     """
     fits: dict[bytes, Majority] = {}
     used = start
+    # A set that comes back would come back for ever.
     while used.tobytes() not in fits and len(fits) < REGULARISED_STEPS:
         test = Division(data, used).shrunken_test()
         if test is None:
@@ -400,10 +443,12 @@ def _regularised_fits(data: FitData, start: BoolArray) -> list[Majority]:
 def _log_likelihood(test: Test, distances: FloatArray, weights: FloatArray) -> float:
     """Return the log-likelihood of all points, each as likely right as wrong.
 
-    A right one is predicted by the others, with the strain s and the variances u and v of both
-    coordinates: exp(-s^2) / (2 pi sqrt(u v)). The error of a wrong one is normal, with the mean
-    square of the distances (n,) that all points have from their polynomial.
+    The distances (n,) are those of all points from one polynomial, the weights (n, 2) those of
+    their coordinates.
     """
+    # A right point is predicted by the others with the strain s and the variances u and v of both
+    # coordinates: exp(-s^2) / (2 pi sqrt(u v)). The error of a wrong one is normal with the mean
+    # square of the distances. The factor 2 pi that both have is left out.
     deviations = (test.noise * test.spread)[:, None] / weights
     mean_square = (distances**2).mean() / 2
     right = -np.log(deviations).sum(axis=1) - test.strain**2

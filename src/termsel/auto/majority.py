@@ -80,17 +80,19 @@ GROSS_STRAIN = 6.0
 """Standard deviations that the others disagree by, in the median."""
 
 
-def majority(control: FitData) -> BoolArray | None:
-    """Return which points (n,) agree; None where a third or fewer disagree, or not grossly.
+def find_majority(control: FitData) -> BoolArray | None:
+    """Return which points (n,) agree with one polynomial; None where no majority is clear.
 
-    None, too, for fewer than MIN_SEEN_POINTS, and for lines.
+    It is clear if more than a third of the points disagree with the others, and grossly. There is
+    none for fewer than MIN_SEEN_POINTS points, and none for lines.
     """
     n = len(control)
     if n < MIN_SEEN_POINTS or len(control.features.lines):
         return None
     scaled = control.scaled.points
-    designs, is_affine = designs_of(scaled.ground, heights=control.heights)
+    designs, is_affine = polynomial_designs(scaled.ground, heights=control.heights)
     rng = np.random.default_rng(0)  # the same points have the same blunders
+    # Squares of a sample of the points rank halves as well as those of all do, and cost less.
     sampled = rng.permutation(n)[:MAX_SAMPLED_POINTS]
     halves = closest_halves([columns[sampled] for columns in designs], scaled.image[sampled],
                              is_affine, rng)
@@ -104,8 +106,12 @@ def majority(control: FitData) -> BoolArray | None:
     return None
 
 
-def designs_of(ground: FloatArray, *, heights: bool) -> tuple[list[FloatArray], BoolArray]:
-    """Return the terms (n, k) of each polynomial, and which of the first (k,) are affine ones."""
+def polynomial_designs(ground: FloatArray, *, heights: bool) -> tuple[list[FloatArray], BoolArray]:
+    """Return the design matrices (n, k) of the polynomials that points are enough for.
+
+    The first is quadratic, or affine for few points; of many points a second adds the cubic terms
+    of the plane. The mask (k,) says which columns of the first are affine.
+    """
     n = len(ground)
     exponents = polynomial_of(heights, 2).exponents
     design = evaluate_monomials(ground, exponents)
@@ -129,6 +135,7 @@ def _majority_over_blunders(design: FloatArray, scaled: Points,
         return None
     if np.median(strains[minority]) < GROSS_STRAIN / AGREEING_STRAIN:
         return None
+    # Gross they are: but are they blunders, or a part of the image that bends away?
     errors = _residuals(design, scaled.image, agreeing)[minority]
     return None if may_be_bend(scaled.ground, agreeing, errors) else agreeing
 
@@ -171,7 +178,11 @@ def closest_halves(designs: Sequence[FloatArray], image: FloatArray, is_affine: 
 
 def _best_random_halves(design: FloatArray, image: FloatArray,
                         rng: np.random.Generator) -> IntArray:
-    """Return the closest halves (CONCENTRATED, n // 2) of the best random samples."""
+    """Return the closest halves (CONCENTRATED, n // 2) of the best random samples.
+
+    A sample of k points determines the k coefficients; its half are the n // 2 points next to that
+    polynomial. The best samples have the least trimmed squares: the sum of those of their half.
+    """
     n, k = design.shape
     # The k lowest of n random numbers are a sample without repetition.
     samples = np.argpartition(rng.random((SAMPLES, n)), k, axis=1)[:, :k]
@@ -190,10 +201,13 @@ def _best_random_halves(design: FloatArray, image: FloatArray,
 def _concentrate_half(design: FloatArray, image: FloatArray,
                       half: BoolArray) -> tuple[float, BoolArray]:
     """Return the least sum of trimmed squares that refitting a half leads to, and its half, (n,).
+
+    A step fits the half, and takes the points closest to that fit as the next half.
     """
     n = len(design)
     least = np.inf
     for _ in range(STEPS):
+        # No step raises the sum: the fit is the best for the half, the next half the best for it.
         squares = distances_from_fit(design, image, half) ** 2
         closest = np.argsort(squares, kind="stable")[:(n + 1) // 2]
         trimmed = float(squares[closest].sum())
@@ -236,18 +250,21 @@ def _points_agreeing_with(design: FloatArray, image: FloatArray,
 def _noise_and_strains(
     design: FloatArray, image: FloatArray, used: BoolArray
 ) -> tuple[float, FloatArray]:
-    """Return the noise of the closest points, and errors (n,) by those of agreeing points.
+    """Return the noise of the points in use, and the strain of each point (n,).
 
-    Of normal vectors of the plane, the part g that is shortest has 1 + (1 - g) ln(1 - g) / g of the
-    mean square. A point that is not used has the variance of its prediction, too, and few points
-    have a noise that is uncertain: the limit is Student's, as improbable as AGREEING_STRAIN of
-    normal errors.
+    A strain is a point's distance from the fit by the largest that an agreeing point may have.
+    Few points leave the noise uncertain, so that this limit is a quantile of Student's
+    distribution: as improbable as AGREEING_STRAIN standard deviations of a normal error.
     """
     errors = distances_from_fit(design, image, used)
     freedom = 2 * max(int(used.sum()) - design.shape[1], 1)
+    # The closest points understate the noise: of normal vectors of the plane the shortest share g
+    # has the part 1 + (1 - g) ln(1 - g) / g of the mean square.
     part = float(used.mean())
     share = 1.0 if part == 1.0 else 1.0 + (1.0 - part) * np.log(1.0 - part) / part
     noise = float(np.sqrt((errors[used] ** 2).sum() / freedom / share))
+    # A point in use has the residual variance 1 - h, another the variance of prediction 1 + h, with
+    # the leverage h = a' (A'A)^-1 a = |R'^-1 a|^2.
     triangle = np.linalg.qr(design[used])[1]
     leverage = (np.linalg.solve(triangle.T, design.T) ** 2).sum(axis=0)
     variance = np.where(used, 1.0 - leverage, 1.0 + leverage).clip(1e-6)
@@ -256,12 +273,12 @@ def _noise_and_strains(
 
 
 def distances_from_fit(design: FloatArray, image: FloatArray, used: BoolArray) -> FloatArray:
-    """Return the distance of each point (n,) from the polynomial of some."""
+    """Return the distances (n,) of all points from the polynomial fitted to those `used`."""
     return np.asarray(np.linalg.norm(_residuals(design, image, used), axis=1))
 
 
 def _residuals(design: FloatArray, image: FloatArray, used: BoolArray) -> FloatArray:
-    """Return the vector of each point (n, 2) from the polynomial of some."""
+    """Return the residuals (n, 2) of all points, y - A x, with x fitted to those `used`."""
     coefficients = np.linalg.lstsq(design[used], image[used])[0]
     return np.asarray(image - design @ coefficients)
 
@@ -270,8 +287,9 @@ def may_be_bend(ground: FloatArray, agreeing: BoolArray, errors: FloatArray,
                 unlike: float = UNLIKE) -> bool:
     """Return whether the errors (m, 2) of points that disagree may be a bend of the image.
 
-    Those of a bend vary, and are alike in neighbours. Blunders differ, or have one error among
-    points that have none.
+    The errors of a bend are alike in neighbours, and vary over the image. Those of blunders differ
+    from neighbour to neighbour, or are one and the same among points that have none, as of points
+    copied from another map.
     """
     if _unlikeness(ground[~agreeing], errors) > unlike:
         return False
@@ -282,7 +300,10 @@ def may_be_bend(ground: FloatArray, agreeing: BoolArray, errors: FloatArray,
 
 
 def _are_interleaved(ground: FloatArray, agreeing: BoolArray) -> bool:
-    """Return whether most points that disagree have some that agree in three quadrants."""
+    """Return whether points that disagree lie among those that agree, and not beside them.
+
+    Most of them must have agreeing points in at least three of the four quadrants about them.
+    """
     others = _rows_spread_over_table(ground[~agreeing, None, :2])
     is_right, is_above = np.moveaxis(_rows_spread_over_table(ground[agreeing, :2]) > others, 2, 0)
     quadrants = np.stack([(is_right == right) & (is_above == above)
@@ -291,15 +312,16 @@ def _are_interleaved(ground: FloatArray, agreeing: BoolArray) -> bool:
 
 
 def _rows_spread_over_table(rows: FloatArray) -> FloatArray:
-    """Return MAX_SAMPLED_POINTS of the n rows, spread over the order of the table; all of fewer."""
+    """Return at most MAX_SAMPLED_POINTS of n rows, at equal steps from the first to the last."""
     return rows[np.linspace(0, len(rows) - 1, min(len(rows), MAX_SAMPLED_POINTS)).astype(np.intp)]
 
 
 def _unlikeness(ground: FloatArray, errors: FloatArray) -> float:
     """Return how much errors (n, 2) of points differ from those of their nearest neighbours.
 
-    Of independent errors the squared difference is twice the square in the mean; gross ones must
-    not decide alone, so that each error counts by its direction and the root of its size.
+    It is sum |e_i - e_j|^2 / (2 sum |e_i|^2), j being the nearest point to i: 1 for independent
+    errors, and 0 if neighbours have the same. Gross errors must not decide alone, so that each
+    counts by its direction and the root of its size: e / sqrt(|e|).
     """
     ground = _rows_spread_over_table(ground[:, :2])
     errors = _rows_spread_over_table(errors)

@@ -157,7 +157,7 @@ class _Selected(Structure):
     """A structure whose terms are selected."""
 
     def refit(self, fitted: Fit, data: FitData) -> Fit:
-        """Return the least-squares fit of the terms that were selected."""
+        """Return the least-squares fit to other features of the terms that were selected."""
         # Selecting again among all points would be another model.
         return LEAST_SQUARES.fit(fitted.model, data.features, data.scaling, fitted.terms,
                                  np.ones(len(data), dtype=bool))
@@ -174,7 +174,7 @@ class _WithField(Structure):
         return isinstance(process, GaussianProcess) and process.probability > FIELD_EXCLUDED
 
     def describe(self, fitted: Fit) -> str:
-        """Return the probability of the field."""
+        """Return a sentence on the field's probability, and on the least that it must have."""
         process = fitted.interpolation
         assert isinstance(process, GaussianProcess)
         if process.spline_weight > 0.0 and process.probability <= FIELD_CALLED_FOR:
@@ -201,7 +201,8 @@ class _WithPhysics(Structure):
             return named("regularised-cubic").fit(data)
 
     def describe(self, fitted: Fit) -> str:
-        """Return what supported the prior."""
+        """Return a sentence on the kind of camera that is likeliest, and on the odds for it."""
+        # So many points must show it by odds of three, more points by twenty (`is_unlikely`).
         odds = "three" if fitted.used.sum() <= PHYSICAL_MIN_POINTS else "twenty"
         return (
             f"{self.label} is used: a known kind of camera, most likely "
@@ -210,6 +211,7 @@ class _WithPhysics(Structure):
 
 
 def _polynomials(degree: int) -> tuple[SensorModel, SensorModel]:
+    """Return the polynomials of a degree with heights and without, as `Structure` takes them."""
     return Polynomial3D(degree=degree), Polynomial2D(degree=degree)
 
 

@@ -100,7 +100,7 @@ class CameraAverage(Average):
 
     @property
     def kind(self) -> str:
-        """The kind of cameras that is likeliest."""
+        """The kind of cameras that is likeliest: that whose views have the largest probability."""
         likely: defaultdict[str, float] = defaultdict(float)
         priors = self.physical.priors
         for view, share in zip(priors.view, self.shares, strict=False):
@@ -140,7 +140,11 @@ class PriorEvidence:
 
 
 def is_unlikely(probability: float, points: int, local: GaussianProcess | None) -> bool:
-    """Return whether a physical prior of some probability has too little evidence by the points."""
+    """Return whether the evidence of so many points for a physical prior is too weak to use it.
+
+    `probability` is its part next to the regularised polynomials. `local` is the random field of
+    the points, if they support one.
+    """
     # A field takes its share first; prior and polynomials divide the rest.
     field_probability = local.probability if local and local.probability > required_probability(
         local) else 0.0
@@ -151,10 +155,10 @@ def is_unlikely(probability: float, points: int, local: GaussianProcess | None) 
 
 def prior_evidence(points: Points, scaling: Scaling, crs: str,
                    exponents: Exponents) -> PriorEvidence | None:
-    """Return how likely the priors are for scaled control points.
+    """Return how likely scaled control points are under each kind of prior.
 
-    None where none of the kinds can be meant. The exponents are those of a cubic polynomial of X
-    and Y, or of X, Y and Z.
+    None where no kind of camera can have made the image. The exponents are those of a cubic
+    polynomial of X and Y, or of X, Y and Z.
     """
     return _cached_evidence(Measurements.of(points), scaling, crs, exponents)
 
@@ -389,7 +393,7 @@ class PinholeCamera(Estimator):
                                    scaling, used)
 
     def refit(self, fitted: Fit, control: FeatureSet) -> Fit:
-        """Return the camera of other control points that is next to that of a fit."""
+        """Return the camera of other control points, sought from the camera of a fit on."""
         assert isinstance(fitted.model, Projective)
         camera = pinhole_near(_camera_of(fitted), fitted.scaling.features(control), fitted.scaling)
         return self._fit_of_camera(camera, fitted.model, control, fitted.scaling,
@@ -404,7 +408,7 @@ class PinholeCamera(Estimator):
         if camera is None:
             raise Undetermined("no camera in front of all control points was found",
                                hint="Choose another model, such as dlt or projective.")
-        coefficients = _coefficients(camera, model)
+        coefficients = _projection_coefficients(camera, model)
         count = round(camera.effective)
         in_use = control.take(used)
         equations = 2 * len(in_use)
@@ -419,11 +423,12 @@ class PinholeCamera(Estimator):
         """Return the mean square errors of a fit at scaled places (see `Estimator.spread`)."""
         assert isinstance(fitted.model, Projective)
         camera = _camera_of(fitted)
+        # With factors F of the unknowns' covariance, that of a place is F F'.
         factors = camera.factors(_with_heights(camera, fitted.model, ground))
         return Spread((factors**2).sum(axis=2), np.full(2, camera.sigma**2), factors)
 
     def view(self, features: FeatureSet, scaling: Scaling) -> CentralView | None:
-        """Return the camera as the view of scaled features."""
+        """Return the view of scaled features by the camera, or the usual one without a camera."""
         camera = pinhole_of(features, scaling)
         return super().view(features, scaling) if camera is None else camera.view
 
@@ -441,7 +446,10 @@ def may_be_oblique(features: FeatureSet) -> bool:
 
 
 def call_for_camera(features: FeatureSet, scaling: Scaling) -> bool:
-    """Return whether scaled points support an oblique view by a camera without distortion."""
+    """Return whether scaled points support an oblique view by a camera without distortion.
+
+    They do where the camera leaves far less of them than an affine polynomial does.
+    """
     if not may_be_oblique(features):
         return False
     if len(features.points) == EXACT_AFFINE_POINTS and not is_off_plane(features.points):
@@ -473,14 +481,15 @@ def _camera_of(fitted: Fit) -> Pinhole:
     return camera
 
 
-def _coefficients(camera: Pinhole, model: Projective) -> FloatArray:
+def _projection_coefficients(camera: Pinhole, model: Projective) -> FloatArray:
     """Return the coefficients of a projection that sees as a camera does, (k,).
 
-    Of a plane model the height is that of the plane through the points: Z = z0 + a X + b Y.
+    They are those of line, sample and denominator by 1, X, Y and Z: the rows of the camera's matrix
+    P. Without heights Z is that of the plane through the points, Z = z0 + a X + b Y.
     """
     matrix = camera.matrix
     if not model.uses_height:
-        plane = np.concatenate([np.eye(3), _plane(camera)[None]])
+        plane = np.concatenate([np.eye(3), _plane_through_control(camera)[None]])
         matrix = matrix @ plane
     # The denominator is in units of its value in the middle of the points' box.
     scaled = matrix / matrix[2, 0]
@@ -490,7 +499,7 @@ def _coefficients(camera: Pinhole, model: Projective) -> FloatArray:
     return np.concatenate([scaled[0], scaled[1], scaled[2, 1:]])
 
 
-def _plane(camera: Pinhole) -> FloatArray:
+def _plane_through_control(camera: Pinhole) -> FloatArray:
     """Return the plane through the control: its scaled height by 1, X and Y, (3,)."""
     ground = camera.view.ground
     return np.asarray(np.linalg.lstsq(evaluate_monomials(ground, ((0, 0, 0), (1, 0, 0), (0, 1, 0))),
@@ -498,8 +507,8 @@ def _plane(camera: Pinhole) -> FloatArray:
 
 
 def _with_heights(camera: Pinhole, model: Projective, ground: FloatArray) -> FloatArray:
-    """Return scaled places with the heights that a projection gives them, (m, 3)."""
+    """Return scaled places, (m, 3): those of a plane model on the plane through the control."""
     if model.uses_height:
         return ground
     plane = np.column_stack([np.ones(len(ground)), ground[:, :2]])
-    return np.column_stack([ground[:, :2], plane @ _plane(camera)])
+    return np.column_stack([ground[:, :2], plane @ _plane_through_control(camera)])

@@ -60,6 +60,8 @@ def reweighted(equations: Equations, biweight: bool) -> tuple[FloatArray, FloatA
     The scale is the median absolute residual of each iteration. With `biweight` the estimator is
     Tukey's, after Huber's.
     """
+    # Each step solves min sum w_i (b_i - a_i x)^2, with the weights w = psi(u) / u of the residuals
+    # u by their scale: min(1, c / |u|) of Huber, the biweight of Tukey.
     A = equations.A
     b = equations.b
     x = np.linalg.lstsq(A, b)[0]
@@ -81,4 +83,5 @@ def reweighted(equations: Equations, biweight: bool) -> tuple[FloatArray, FloatA
 
 
 def _biweight(u: FloatArray) -> FloatArray:
+    """Return Tukey's weights of residuals in standard deviations: (1 - (u / c)^2)^2, 0 beyond c."""
     return np.asarray(np.where(u < TUKEY, (1.0 - (u / TUKEY) ** 2) ** 2, 0.0))

@@ -38,6 +38,7 @@ def validated(method: Method, data: FitData) -> Fit | None:
     """
     if not method.tried(data):
         return None
+    # Without redundancy each feature is fitted exactly, and at a pole an error may be anything.
     try:
         fitted = replace(method.fit(data), method=method)
         if fitted.stored_held_out is None and (
@@ -110,7 +111,11 @@ FOLDS_OF_LATTICE = 8
 
 
 def folds_of(features: FeatureSet) -> int:
-    """Return in how many folds the whole choice is repeated."""
+    """Return in how many folds the whole choice is repeated.
+
+    A fold is a feature where features are few, a part of them spread over the scene where they are
+    many, a cluster where points come in clusters, and some lines or columns of a lattice.
+    """
     if len(features.lines):
         return min(FOLDS_WITH_LINES, len(features))
     lattice = lattice_of(features.points)
@@ -228,7 +233,10 @@ def method_of(fitted: Fit) -> Method:
 
 
 def is_contained(method: Method, fits: Iterable[Fit]) -> bool:
-    """Return whether the method of some fit has a prior, and this method as a limit."""
+    """Return whether a method is a limiting case of some fitted method with a prior.
+
+    Such as the affine polynomial of the regularised ones, which find it if the points support it.
+    """
     return any(method_of(fitted).has_prior and method.name in method_of(fitted).contains
                for fitted in fits)
 
@@ -251,15 +259,11 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
     base, reasons = fit_to_beat(priors)
     alternatives = [fitted for fitted in compared if not (
         method_of(fitted).has_prior or is_contained(method_of(fitted), priors))]
-    rivals = [
-        base,
-        *(
-            alternative
-            for alternative in alternatives
-            if gain(alternative, base) > required_gain(alternative, base)
-            or is_supported_and_smaller(alternative, base)
-        ),
-    ]
+    rivals = [base]
+    for alternative in alternatives:
+        is_clearly_better = gain(alternative, base) > required_gain(alternative, base)
+        if is_clearly_better or is_supported_and_smaller(alternative, base):
+            rivals.append(alternative)
     chosen = min(rivals, key=beyond_rounding)
     if not explained:
         return Choice(chosen, compared, "")
@@ -271,9 +275,10 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
 
 
 def fit_to_beat(priors: Sequence[Fit]) -> tuple[Fit, list[str]]:
-    """Return the fit with a prior that others must beat, and sentences on why it is that one.
+    """Return the fit with a prior that all others must beat, and sentences on why it is that one.
 
-    There are none where it is the only one, or a limit of each other.
+    Of two methods the wider takes the place of its own limiting case without a comparison, which
+    is not worth a sentence; any other must be better by a margin to take the place of the first.
     """
     base = priors[0]
     reasons: list[str] = []
@@ -295,12 +300,15 @@ def fit_to_beat(priors: Sequence[Fit]) -> tuple[Fit, list[str]]:
 
 
 def base_is_limit(method: Method, wider_method: Method) -> bool:
-    """Return whether another method has a method as one of its limits."""
+    """Return whether `wider_method` becomes `method` in the limit of its prior."""
     return method.name in wider_method.contains
 
 
 def required_gain(fitted: Fit, base: Fit) -> float:
-    """Return by how many standard errors a method that no prior contains must be better."""
+    """Return by how many standard errors a method that no prior contains must be better.
+
+    Infinite where it cannot be chosen; less for a camera that the points support than for others.
+    """
     if method_of(base).from_one > method_of(fitted).from_one:
         # Four points leave one equation of a camera of which nothing is known: its errors without
         # each of them may be small by chance.
@@ -318,7 +326,11 @@ def required_gain(fitted: Fit, base: Fit) -> float:
 
 
 def is_supported_and_smaller(fitted: Fit, base: Fit) -> bool:
-    """Return whether a central projection that the points support has errors far smaller."""
+    """Return whether a central projection that the points support has errors far smaller.
+
+    In the root mean square, in which a few large errors at the edge count; logarithms, by which
+    methods are compared otherwise, hardly show them.
+    """
     return (method_of(fitted).central and fitted.view is not None
             and len(fitted.held_out().squares) >= SUPPORTED_MIN_FEATURES
             and gain(fitted, base) > 0.0
@@ -332,14 +344,18 @@ def _equally_sure_margin(base: Fit) -> float:
     more of it is as sure (Student 1908). Two say nothing of it.
     """
     freedom = len(base.held_out().squares) - 1
-    # The probability that a normal number stays within CLEAR_MARGIN standard errors.
+    # Phi(CLEAR_MARGIN), the probability that a normal number stays below as many standard errors.
     probability = (1.0 + erf(CLEAR_MARGIN / sqrt(2.0))) / 2.0
     return t_quantile(probability, freedom) if freedom > 1 else np.inf
 
 
 def _reason_for_choice(chosen: Fit, base: Fit, reasons: Sequence[str], alternatives: Sequence[Fit],
                        compared: Iterable[Fit]) -> str:
-    """Return sentences on why a method is chosen, beginning with those on methods with a prior."""
+    """Return sentences on why a method is chosen, beginning with those on methods with a prior.
+
+    Then follows the alternative that came nearest to being chosen, or is, what it had to show, and
+    the method with the smallest RMSE where another one contains it.
+    """
     sentences = list(reasons)
     if alternatives:
         nearest = chosen if chosen is not base else max(
@@ -381,13 +397,13 @@ def standard_errors(gain_in_errors: float) -> str:
 
 
 def beyond_rounding(fitted: Fit) -> float:
-    """Return the RMSE of held-out features [px]; all that are rounding are equal.
+    """Return the RMSE of held-out features [px], at least that of rounding.
 
-    Then the first is taken.
+    So fits that are exact but for rounding are equal, and the first of them is taken.
     """
     return max(fitted.held_out_rmse, fitted.rounding)
 
 
 def gain(fitted: Fit, reference: Fit) -> float:
-    """Return by how many standard errors the squared errors of a fit are smaller."""
+    """Return by how many standard errors a fit predicts held-out features better than another."""
     return gain_of(fitted.held_out().squares, reference.held_out().squares, fitted.rounding)

@@ -72,10 +72,22 @@ class ForwardSelection(Estimator):
 
 def select_forward(columns: FloatArray, target: FloatArray,
                    forced: BoolArray) -> list[AxisTerms] | None:
-    """Select terms for each of the a axes by itself, from columns (a, n, k) for targets (a, n).
+    """Select terms for each axis by itself, with all points and without each fold of them.
 
-    Forced terms (k,) are always in. None if the points without one leave no redundancy of a third
-    of the equations with the forced terms alone.
+    Parameters
+    ----------
+    columns : ndarray, shape (a, n, k)
+        The terms of each of the a axes, multiplied by the weights of the points.
+    target : ndarray, shape (a, n)
+        The measured image, likewise.
+    forced : ndarray, shape (k,)
+        Terms that are always in.
+
+    Returns
+    -------
+    list of AxisTerms or None
+        One for each axis; None if the forced terms alone leave less redundancy than a third of the
+        equations, once a point is left out.
     """
     axes, n, k = columns.shape
     max_selected = (2 * (n - 1)) // 3 - int(forced.sum())
@@ -83,6 +95,7 @@ def select_forward(columns: FloatArray, target: FloatArray,
         return None
     folds = min(n, MAX_FOLDS)
     fold = np.arange(n) % folds
+    # Forced terms first, as the triangular factors need them.
     order = np.argsort(~forced, kind="stable")
     columns = columns[:, :, order]
     # Line and sample have the same columns unless their weights differ.
@@ -96,6 +109,7 @@ def select_forward(columns: FloatArray, target: FloatArray,
                      for rows_of_axis, axis_target in zip(columns, target, strict=True)]
         factors = [_factors_without_folds(rows, fold) for rows in augmented]
         target_columns = range(k, k + 1)
+    # A system is a triangle of all terms and one axis as its target, the last column.
     system_columns = [
         np.append(np.arange(k), target_columns[axis % len(target_columns)]) for axis in range(axes)
     ]
@@ -120,9 +134,10 @@ def select_forward(columns: FloatArray, target: FloatArray,
 def _factors_without_folds(rows: FloatArray, fold: IntArray) -> FloatArray:
     """Return the triangular factors of all rows but those of each fold, (folds + 1, r, k + 1).
 
-    The last one is of all rows. Of many rows, folds are taken in groups, each of which is factored
-    once.
+    The last one is of all rows.
     """
+    # R of stacked triangles is R of all their rows: R'R = sum of R_g'R_g. So of many rows, groups
+    # of about sqrt(folds) folds are factored once, and a fold needs its group and the other R_g.
     folds = int(fold.max()) + 1
     if len(rows) == folds:  # few: one call is faster
         return _triangle(rows * (fold != np.arange(folds + 1)[:, None])[:, :, None])
@@ -145,6 +160,7 @@ def _factors_without_folds(rows: FloatArray, fold: IntArray) -> FloatArray:
 
 
 def _triangle(rows: FloatArray) -> FloatArray:
+    """Return R of the decomposition QR of rows, or of each of several systems of rows."""
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
@@ -185,12 +201,13 @@ def _select_terms(rows: FloatArray, lengths: FloatArray, equations: FloatArray,
                   best_value: FloatArray) -> None:
     """Mark in `best` (s, k) the terms of the least criterion on the way of forward selection.
 
-    `rows` (s, r, k + 1) are columns and targets without what forced terms explain; what terms
-    that enter explain is taken from them. `lengths` (s, k) were those of the columns before.
-    The criterion of n `equations` (s,) is n log(sum of squares / n) and the `penalties`
-    (counts, s), `bounds` (counts, s) are its values if all terms were in; sums of squares are at
-    least the `smallest` (s,). `chosen` (s, k), `work` (2, k) and `best_value` (s,) are scratch.
+    `rows` (s, r, k + 1) are columns and targets without what the forced terms explain; what
+    further terms explain is taken from them as these enter. `lengths` (s, k) are those of the
+    columns before that. `penalties` and `bounds` (counts, s) are by the number of terms added:
+    what the criterion adds, and its value if all terms were in. Sums of squares are at least the
+    `smallest` (s,). `chosen` (s, k), `work` (2, k) and `best_value` (s,) are scratch.
     """
+    # The criterion of n equations with the sum of squares S is n log(S / n) + penalty.
     count, m, width = rows.shape
     k = width - 1
     squares, products = work
@@ -198,11 +215,11 @@ def _select_terms(rows: FloatArray, lengths: FloatArray, equations: FloatArray,
         settled = True  # whether no more terms can lower any criterion
         exhausted = False  # whether some system has no more terms
         for s in range(count):
-            rest = 0.0
+            unexplained = 0.0
             for i in range(m):
-                rest += rows[s, i, k] * rows[s, i, k]
-            rest = rest if rest > smallest[s] else smallest[s]
-            value = equations[s] * np.log(rest / equations[s]) + penalties[added, s]
+                unexplained += rows[s, i, k] * rows[s, i, k]
+            unexplained = unexplained if unexplained > smallest[s] else smallest[s]
+            value = equations[s] * np.log(unexplained / equations[s]) + penalties[added, s]
             if value < best_value[s]:
                 best_value[s] = value
                 for j in range(k):
@@ -238,6 +255,8 @@ def _entering_term(rows: FloatArray, lengths: FloatArray, chosen: BoolArray, squ
         for j in range(k):
             squares[j] += rows[i, j] * rows[i, j]
             gains[j] += rows[i, j] * rows[i, k]
+    # A column c lessens the squares of the target y by (c'y)^2 / c'c. One of which rounding alone
+    # is left depends on the terms that are in.
     most = -1.0
     for j in range(k):
         smallest = TOLERANCE * lengths[j]
@@ -256,6 +275,7 @@ def _take_out(rows: FloatArray, column: int, square: float, products: FloatArray
 
     `square` is its sum of squares; `products` (k,) is scratch.
     """
+    # Gram-Schmidt: each column a becomes a - c (c'a) / (c'c), with the column c that enters.
     m, width = rows.shape
     k = width - 1
     products[:] = 0.0
@@ -274,6 +294,8 @@ def _take_out(rows: FloatArray, column: int, square: float, products: FloatArray
 def _errors_of_folds(rows: FloatArray, fold: IntArray, systems: FloatArray,
                      best: BoolArray) -> FloatArray:
     """Return the error of each row (n, k + 1), shape (n,), by the terms selected without its fold.
+
+    Fold f selected the terms `best[f]` from the triangular factors `systems[f]` of all other rows.
     """
     errors = np.empty(len(rows))
     work = np.empty((systems.shape[2], systems.shape[1]))
@@ -284,7 +306,10 @@ def _errors_of_folds(rows: FloatArray, fold: IntArray, systems: FloatArray,
 @_compiled
 def _fill_errors_of_folds(rows: FloatArray, fold: IntArray, systems: FloatArray, best: BoolArray,
                           work: FloatArray, solution: FloatArray, errors: FloatArray) -> None:
-    """Fill in the errors (n,) of `_errors_of_folds`; `work` (k + 1, r), `solution` are scratch."""
+    """Fill in the errors (n,) of `_errors_of_folds`; `work` (k + 1, r), `solution` are scratch.
+
+    The least-squares solution of a fold is that of R x = Q'y, with the columns that it selected.
+    """
     m = systems.shape[1]
     k = systems.shape[2] - 1
     for f in range(len(best)):
@@ -296,8 +321,10 @@ def _fill_errors_of_folds(rows: FloatArray, fold: IntArray, systems: FloatArray,
                     work[count, i] = systems[f, i, j]
                 count += 1
         count -= 1
+        # Reflections make R of them again, as columns between them are missing.
         for j in range(count):
             _reflect_rows(work, j, count + 1)
+        # Back substitution.
         for j in range(count - 1, -1, -1):
             solution[j] = work[count, j]
             for later in range(j + 1, count):
@@ -316,11 +343,13 @@ def _fill_errors_of_folds(rows: FloatArray, fold: IntArray, systems: FloatArray,
 
 @_compiled
 def _reflect_rows(vectors: FloatArray, column: int, count: int) -> None:
-    """Bring one of the first `count` vectors (., r) to its first entries by a reflection of all.
+    """Reflect vectors so that one of them ends at its diagonal entry: a Householder step.
 
-    The vector of the number `column` keeps as many entries; one more is its length, and those after
-    it have no meaning.
+    The vector of the number `column` keeps the entries before the diagonal; the diagonal becomes
+    its remaining length, and what is after it has no meaning. Those after it, up to `count`, are
+    reflected with it.
     """
+    # w becomes w - f (v'w) v, with f = 2 / v'v for the vector v to be mirrored at.
     v = vectors[column, column:]
     square = 0.0
     for i in range(len(v)):

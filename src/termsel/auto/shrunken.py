@@ -87,7 +87,11 @@ class Averaging(Estimator):
 
 def fit_of(estimator: Estimator, model: Polynomial, control: FeatureSet, scaling: Scaling,
            used: BoolArray, average_of_all: Average) -> Fit:
-    """Return the fit that an average of solutions for the features in use is."""
+    """Return the average of a polynomial's solutions as a fit, with its errors held out.
+
+    Its sigma0^2 is v'v / (n - p), with the weighted residuals v of the n equations in use and the
+    effective number p of parameters.
+    """
     coefficients = average_of_all.coefficients.T.ravel()
     scaled = scaling.features(control)
     if len(scaled.lines):
@@ -109,11 +113,21 @@ def fit_of(estimator: Estimator, model: Polynomial, control: FeatureSet, scaling
 
 def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
             weights: FloatArray | None = None) -> Average | None:
-    """Fit an averaged polynomial; None if all points but any one do not determine the affine terms.
+    """Fit an averaged polynomial to points.
 
-    The ground (n, 3) is scaled to [-1, 1], the image is (n, 2), of the k exponents affine ones come
-    first. Equations are multiplied by weights (n, 2): reciprocals of standard deviations, up to a
-    factor.
+    Parameters
+    ----------
+    ground, image : ndarray, shape (n, 3) and (n, 2)
+        Scaled to [-1, 1].
+    exponents : tuple
+        Of k terms, the affine ones first.
+    weights : ndarray, shape (n, 2), optional
+        Reciprocals of standard deviations, up to a factor: what equations are multiplied by.
+
+    Returns
+    -------
+    Average or None
+        None if the points without any one of them do not determine the affine terms.
     """
     posterior = polynomial_posterior(ground, image, exponents, weights)
     if posterior is None:
@@ -126,7 +140,8 @@ def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
 def mean_coefficients(posterior: Posterior, exponents: Exponents) -> tuple[FloatArray, float]:
     """Return the averaged coefficients of a posterior, (k, 2), and its effective parameters.
 
-    The exponents are as for `average`.
+    Coefficients of shrunken terms are averaged over the grid; the affine ones, which are free,
+    follow from them by least squares. The exponents are as for `average`.
     """
     free = np.array(exponents).sum(axis=1) < 2
     coefficients = np.empty((len(exponents), 2))
@@ -210,6 +225,9 @@ def _ridge(columns: FloatArray, target: FloatArray,
 
     Coefficients of weight 0, (k,), are not penalised.
     """
+    # With A = [F, P W], F the free columns, the substitution z = W x makes the penalty a plain
+    # |z|^2. Orthogonal to F, that is (I - Q Q') P z = (I - Q Q') y, and the singular values s of
+    # its columns give z = V s / (s^2 + penalty^2) U'y; it counts sum s^2 / (s^2 + penalty^2).
     free = weights == 0
     x = np.zeros(columns.shape[1])
     free_columns = columns[:, free]
@@ -231,6 +249,7 @@ def _ridge(columns: FloatArray, target: FloatArray,
                 Spectrum(s, np.abs(inner), outside, len(y) - q.shape[1]), "gcv")
             x[~free] = vt.T @ (s / (s**2 + penalty**2) * inner) / weights[~free]
             effective += float((s**2 / (s**2 + penalty**2)).sum())
+    # The free ones fit what the penalised ones leave.
     if free_columns.size:
         x[free] = np.linalg.lstsq(free_columns, target - columns @ x)[0]
     return x, effective

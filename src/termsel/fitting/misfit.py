@@ -400,7 +400,12 @@ def mixed_misfit(misfits: Sequence[tuple[float, Misfit]]) -> Misfit | None:
 
 def restricted_likelihood(covariance: FloatArray, trend: FloatArray, residuals: FloatArray,
                           noises: FloatArray) -> FloatArray:
-    """Return the restricted log likelihood of line and sample for each noise, (2, s)."""
+    """Return the restricted log likelihood of line and sample for each noise, (2, s).
+
+    Restricted, or REML: that of the residuals without their part along the f columns of the trend.
+    """
+    # With the covariance s^2 C, C = L L', and Q R = L^-1 F of the trend F, it is
+    # -(n - f) log s - |(I - Q Q') L^-1 r|^2 / 2 s^2 - log |L| - log |R|.
     lower = np.linalg.cholesky(covariance)
     whitened = np.linalg.solve(lower, np.column_stack([trend, residuals]))
     f = trend.shape[1]
@@ -425,7 +430,9 @@ def matern_correlations(a: FloatArray, b: FloatArray, lengths: tuple[float, floa
                         smoothness: float = 1.5) -> FloatArray:
     """Return the correlations between places, shape (len(a), len(b)).
 
-    The smoothness is 1/2, 3/2 or infinite.
+    Those of Matern's family at the distance d, by its smoothness: exp(-d) for 1/2,
+    (1 + sqrt(3) d) exp(-sqrt(3) d) for 3/2, and exp(-d^2 / 2) for infinity. Distances are in units
+    of the lengths of line and sample.
     """
     line, sample = (np.subtract.outer(a[:, axis] / length, b[:, axis] / length)
                     for axis, length in enumerate(lengths))

@@ -119,6 +119,7 @@ def spread_of(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustm
     with_heights = sees_heights(lambda positions: model.project(adjustment.coefficients, positions),
                                 ground)
     believed = _Belief.of(model, control, heights=with_heights)
+    # Too few points for a belief about the form: the noise alone, by the law of propagation.
     if believed is None and least_squares:
         return _propagated_noise(model, control, terms, adjustment, ground)[0]
     if believed is None:
@@ -126,6 +127,7 @@ def spread_of(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustm
         return _unknown_spread(len(ground)) if believed is None else believed.spread(ground, image)
     if not least_squares or model.polynomial_degree is not None:
         return believed.spread(ground, image)
+    # Either the model has the form of the image, and noise is all, or the belief holds.
     propagated, squares = _propagated_noise(model, control, terms, adjustment, ground)
     chance = _chance_of_model(adjustment.n_terms, squares, believed)
     return _mixed_squares(chance, propagated, believed.spread(ground, image))
@@ -213,6 +215,7 @@ def _chance_of_being_less(squares: FloatArray, others: FloatArray) -> float:
     The mean difference of their logarithms, by its standard error, is normally distributed: of the
     squares themselves a few great ones would make everything uncertain.
     """
+    # P(mean <= 0) = Phi(-mean / s) = erfc(mean / s / sqrt(2)) / 2, s being the standard error.
     least = np.finfo(float).tiny
     excess = np.log(np.maximum(squares, least)) - np.log(np.maximum(others, least))
     if not np.isfinite(excess).all():

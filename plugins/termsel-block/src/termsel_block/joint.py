@@ -194,7 +194,7 @@ def _result_or_photos(result: BlockResult, progress: Callable[[float], None] | N
 
 
 def _block_misfit(adjusted: Adjusted) -> float:
-    """Return how far control and ties are off a block [px]: the larger standard deviation."""
+    """Return the standard deviation of control or of ties in a block [px], whichever is larger."""
     return max(adjusted.state.sigma_control, adjusted.state.sigma_ties)
 
 
@@ -202,9 +202,9 @@ def _without_worse(result: BlockResult, freed_blocks: dict[str, BlockResult],
                    progress: Callable[[float], None] | None) -> BlockResult:
     """Return the result, or that without sensors which bend the ground or contradict control.
 
-    Terms of a sensor that is nearly right agree with what is known of it, as the ground bends
-    instead. So each sensor is compared with an unknown one. Of several the one goes first without
-    which control is predicted best. Blocks without one of them may have been tried before.
+    A sensor that is nearly right may fit its own images well while the ground bends instead. So
+    the block is adjusted without each stated sensor, and that is left out first without which
+    control is predicted best, until none is better left out. `freed_blocks` are those tried before.
     """
     while True:
         best: BlockResult | None = None
@@ -231,10 +231,10 @@ def _without_worse(result: BlockResult, freed_blocks: dict[str, BlockResult],
 
 
 def _with_note_on_dem(result: BlockResult) -> BlockResult:
-    """Return the result, or that of a DEM which may be far off, with a note, where RPCs say so.
+    """Return the result, adjusted again under a doubtful DEM where the RPCs contradict it.
 
-    Without control RPCs follow the DEM, so that only a block without it can show. The block is then
-    adjusted with as much uncertainty of the DEM's heights as there is between both.
+    Without control the RPCs follow the DEM, so that only a block without the DEM shows whether they
+    agree. If not, its heights are as uncertain as both differ, and a note says so.
     """
     block = result.block
     path = block.dem

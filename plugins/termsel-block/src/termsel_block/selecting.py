@@ -277,7 +277,11 @@ def _count_parameters(result: BlockResult) -> int:
 
 
 def _check_rows(block: Block, result: BlockResult) -> tuple[FloatArray, FloatArray]:
-    """Return the rows of the check points of all images, and what they are off by [px]."""
+    """Return the rows of the check points of all images, and their errors in the full block [px].
+
+    A row has the derivatives of line or sample by the parameters of all images.
+    """
+    # Linearised about the block of all candidates: a selection's error is target - design x.
     design = []
     target = []
     for i, image in enumerate(block.images):

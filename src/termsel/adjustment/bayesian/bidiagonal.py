@@ -163,6 +163,7 @@ def _reflect(vectors: FloatArray, first: int, step: int, factor: FloatArray, row
     reflected every `row_step`-th of `rows` from `first_row` on. `factor` (g,); `total` (g,) is
     scratch.
     """
+    # x becomes x - factor (v'x) v: first v'x of all matrices, then what it takes from each entry.
     total[:] = 0.0
     for i in range(count):
         v = vectors[first + i * step]
@@ -303,6 +304,7 @@ def _add_shrunken_residuals(root: FloatArray, upper: FloatArray, along: FloatArr
     `rotation` (g, m, m) is U', and `form` (u,) the number of each solution's form in it.
     """
     m, count = root.shape
+    # Down R', which has one diagonal below its own, and up R.
     for i in range(m):
         for u in range(count):
             solved = upper[i - 1, u] * along[i - 1, u] if i > 0 else 0.0
@@ -326,6 +328,7 @@ def _add_redundancies(root: FloatArray, upper: FloatArray, along: FloatArray, fo
     (u,) the number of each solution's form in it; `z` (n,) is scratch.
     """
     m = len(root)
+    # Forward substitution: z_i = (y_i - upper_(i-1) z_(i-1)) / root_i, of which one is kept.
     for u in range(len(form)):
         total = redundancies[u]
         z[:] = 0.0

@@ -309,8 +309,9 @@ def _add_rotation(x: FloatArray, y: FloatArray, z: FloatArray, axis: FloatArray,
 
     Their components x, y and z (c, m) are changed in place. `axis` (c, 3) is the unit vector a of
     each camera; `sine` and `one_less_cosine` (c, m) are of its angles.
-    The rate of a range is a difference of two, in which rounding shows: it is the same everywhere.
     """
+    # Fused operations round alike on every machine: the rate of a range is a difference of two
+    # nearly equal ones, in which rounding shows.
     for c in range(len(axis)):
         a = axis[c, 0]
         b = axis[c, 1]

@@ -90,6 +90,8 @@ def blunder_odds(solutions: Iterable[tuple[float, Posterior, bool]],
     for all points, with their probability, and whether a random field is part of them; points (m,)
     are the numbers of those to judge.
     """
+    # Densities add up over the solutions by their probabilities, p(e) = sum of p(cell) p(e | cell),
+    # here in logarithms.
     wrong = []
     right = []
     for probability, solution, has_field in solutions:

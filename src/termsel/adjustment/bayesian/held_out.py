@@ -146,8 +146,9 @@ def mean_probability(strain: tuple[FloatArray, FloatArray],
 def _multiply_by_power(power: FloatArray, exponent: int, count: int, share: FloatArray) -> None:
     """Multiply the first `count` of `share` by those of `power` to an exponent, in place.
 
-    Two binary digits of the exponent at a time; `power` is overwritten.
+    `power` is overwritten.
     """
+    # Two binary digits of the exponent at a time: x^e = x^(e mod 4) (x^4)^(e div 4).
     while True:
         if exponent & 3 == 3:
             for i in range(count):

@@ -101,6 +101,8 @@ class SplineColumns:
         Around knots they are first turned into coefficients of the kernels and of the affine
         functions that the columns lack: fewer operations than the columns of many places.
         """
+        # The columns are K R - P F, with the kernels K around knots and the affine functions P, so
+        # that times c they are K (R c) - P (F c).
         kernel_coefficients = coefficients
         affine_coefficients = np.zeros((N_AFFINE, coefficients.shape[1]))
         if self.root is not None:

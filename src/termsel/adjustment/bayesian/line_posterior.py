@@ -152,6 +152,7 @@ class LinePosterior:
 # Nearly all features have two rows, and of these there are hundreds of thousands.
 def _solve_by_cholesky(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return a^-1 b (c, r, f) and the determinants (c, f) of symmetric matrices (c, r, r, f)."""
+    # Mostly two rows, those of a point or of a line: then by Cramer's rule.
     if b.shape[1] != 2:
         matrices = np.moveaxis(a, 3, 1)
         x = np.asarray(np.linalg.solve(matrices, np.moveaxis(b, 2, 1)[..., None]), dtype=np.float64)

@@ -103,6 +103,7 @@ def _scales_of(exponents_of_terms: Exponents, draws: int) -> FloatArray:
     exponents = np.array(exponents_of_terms)
     order = exponents.sum(axis=1)
     height = exponents[:, 2]
+    # Of terms without heights, or of one order, a further fall would say the same again.
     reliefs = RELIEFS if height.any() else (1.0,)
     falls = FALLS if order.max() > 2 else (1.0,)
     rules = []
@@ -110,6 +111,7 @@ def _scales_of(exponents_of_terms: Exponents, draws: int) -> FloatArray:
         for relief in reliefs:
             rules.append(fall ** (order - 2.0) * relief ** height)
     rule = np.array(rules)
+    # Single terms may stand out from a rule: each draw has a factor for each term.
     rng = np.random.default_rng(0)
     factors = np.exp(DRAW_DEVIATION * rng.standard_normal((draws // len(rule), *rule.shape)))
     scales = np.concatenate([rule, (rule * factors).reshape(-1, rule.shape[1])])
@@ -204,9 +206,14 @@ class _SharedScales:
 
 @lru_cache(maxsize=16)  # a prior is the same for all data
 def _shared_scales(scales: bytes, sizes: bytes, n_own: int, targets: int) -> _SharedScales:
-    """Return scales by size, of groups with scales of the own columns and one of all others."""
+    """Return the scales of all solutions, with what they have in common for a fast solution.
+
+    A solution has a size and a group: `scales` are of n_own columns in each group, and of all
+    others together. Bytes, as they are the key of what is cached.
+    """
     scales_of_groups = np.frombuffer(scales).reshape(-1, n_own + 1)
     by_size = (np.frombuffer(sizes)[:, None] * scales_of_groups[:, None]).reshape(-1, n_own + 1)
+    # Many solutions shrink the other columns alike; these then need one factorisation.
     shared, number = np.unique(by_size[:, n_own], return_inverse=True)
     columns = np.concatenate([by_size[:, :n_own], np.ones((len(by_size), targets))], axis=1).T
     rows_of_pairs, columns_of_pairs = np.tril_indices(n_own + targets)
@@ -265,6 +272,8 @@ def _fill_likely_cells(logs_of_squares: FloatArray, line_log: FloatArray, sample
     All cells without terms are one, of `log_affine`. What is filled in has room for all cells.
     """
     groups, count, _ = logs_of_squares.shape
+    # The log evidence of a cell is the sum of what line and sample add, less half log(squares),
+    # half being half of the degrees of freedom. A size of 0 is the affine cell, which comes once.
     highest = log_affine
     for g in range(groups):
         for i in range(count):
@@ -274,6 +283,7 @@ def _fill_likely_cells(logs_of_squares: FloatArray, line_log: FloatArray, sample
             for j in range(count):
                 if sizes[i] > 0.0 and sizes[j] > 0.0 and row[j] > highest:
                     highest = row[j]
+    # Cells that much less likely than the best have no part in any mean.
     lowest = highest - MAX_LOG_RATIO
     n_cells = 0
     if log_affine > lowest:

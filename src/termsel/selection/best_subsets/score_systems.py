@@ -392,10 +392,10 @@ def _counts_of_subsets(columns: int, room: int) -> IntArray:
 
 def score_systems(system: SubsetSystem, score: str, folds: Sequence[IntArray],
                   max_terms: int | None) -> ScoreSystems:
-    """Return the systems of a score, such as "press".
+    """Return the rows that a walk scores subsets by, for a score such as "press".
 
-    Raises TermselError for an unknown score, and for forced, forbidden and most terms that
-    contradict each other.
+    Raises TermselError for an unknown score, and where forced terms are forbidden as well or more
+    than `max_terms`.
     """
     if score not in SCORES:
         raise unknown_name_error("score", score, SCORES)
@@ -413,6 +413,7 @@ def score_systems(system: SubsetSystem, score: str, folds: Sequence[IntArray],
     rational = (system.check_denominator if score == "check" else system.denominator) is not None
     kind = {"rss": RSS, "press": PRESS}.get(score, RATIONAL if rational else LINEAR)
     systems, times_held_out = _rows_of_systems(system, score, kind, folds)
+    # Bounds close a branch at its first column, so that the order decides how soon.
     if score != "check":
         control = np.column_stack([system.design, system.target])
         candidates = order_by_gain(control, used, candidates, k)

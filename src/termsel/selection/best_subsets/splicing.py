@@ -42,6 +42,8 @@ def find_best_by_splicing(systems: ScoreSystems, mask: int, best: FloatArray, ma
         scores[0, 1:] = np.inf
     row, column = np.indices(scores.shape)
     sizes = len(used) + len(members) + (column > 0) - (row > 0)
+    # Of each size the change with the least score first; the walk then tells whether it is
+    # feasible, which the scores do not.
     for size in np.unique(sizes):
         improving = np.flatnonzero((sizes == size) & (scores < (1.0 - ROUNDING) * best[size]))
         tried = 0

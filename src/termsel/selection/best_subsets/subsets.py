@@ -159,6 +159,7 @@ class _Incumbents:
     def result(self, open_nodes: Sequence[SubtreeNode],
                limits: FloatArray | float = np.inf) -> SubsetResult:
         """Return the state with these nodes still to be decided."""
+        # What is decided was either scored or ruled out by a bound.
         lower_bounds = _lower_bounds(self.best, open_nodes, self.closed_sizes, limits)
         return SubsetResult(self.best, self.masks, self.scored + self.pruned,
                             self.systems.everything.count, self.pruned, lower_bounds)

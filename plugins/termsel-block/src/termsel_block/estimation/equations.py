@@ -134,15 +134,13 @@ class Reduced:
                               options={"SymmetricMode": True}).solve
 
     def whole(self) -> FloatArray:
-        """Return the reduced matrix itself, dense, (size, size)."""
+        """Return the reduced matrix as a dense one, (size, size)."""
         matrix = self._matrix
         return np.asarray(matrix if isinstance(matrix, np.ndarray) else matrix.toarray())
 
     def with_inverse(self, covariance: FloatArray) -> Reduced:
-        """Return a copy with another covariance (size, size) in place of the inverse.
-
-        It is a posterior's, such as that over all variances.
-        """
+        """Return a copy with the covariance (size, size) of a posterior in place of the inverse."""
+        # Such as that over all variances, which is wider than that by the estimated ones.
         copied = copy(self)
         copied.inverse = covariance
         return copied

@@ -1,4 +1,4 @@
-"""The steps of Gauss and Newton of a block, and what they make less."""
+"""The steps of Gauss and Newton of a block, and the cost that they lessen."""
 
 from __future__ import annotations
 
@@ -16,16 +16,21 @@ from termsel_block.geometry.control import OwnControl
 from termsel_block.geometry.frame import FloatArray
 from termsel_block.geometry.heights import Heights
 
-# In px.
 CONVERGED = 1e-3
-# Of a step at most, less one.
+"""Largest move of a tie in an image [px], below which the steps end."""
+
 _HALVINGS = 6
-# Standard deviations at which a weight is a half.
+"""Most lengths of a step that are tried, each half of the one before."""
+
 _ROBUST = 2.5
-# Share of blunders, and px over which they are anywhere.
+"""Standard deviations at which a weight is a half."""
+
 _BLUNDERS, _AWAY = 0.05, 100.0
-# Share of an error that a residual of control shows, at least.
+"""Share of features that are blunders, and the range of their errors [px]."""
+
 _LEAST_LEFT = 0.1
+"""Share of an error that a residual of control shows, at least."""
+
 _MOST_OWN = 0.99
 """Share of a feature's error that its own image follows, beyond which the others do not judge it.
 """
@@ -35,11 +40,11 @@ _UNSEEN_MOVE = 1e4
 
 
 class Steps:
-    """The measurements of a block, and the last step."""
+    """A block that is being adjusted: its unknowns, its measurements and the last step."""
 
     solved: Solved
     share = 1.0
-    """Of the last step, that was taken."""
+    """How much of the last step was taken."""
 
     def __init__(self, state: BlockUnknowns, measured: Sequence[Measured],
                  control: Sequence[OwnControl],
@@ -60,16 +65,20 @@ class Steps:
         """And their standard deviations [px], which each step then estimates again."""
 
     def step(self, robust: bool, wide: float = 1.0) -> None:
-        """Make a step of Gauss and Newton, by weights that fall `wide` times as slowly as told.
+        """Make a step of Gauss and Newton.
 
-        Where that is more than 1, control keeps its weight.
+        If `robust`, ties and control that are far off have less weight. With `wide` above 1 the
+        weights of ties fall as many times more slowly, and control keeps its weight.
         """
         self.solved = self.linearised(self.state.variances, robust, wide)
         self._take_step(robust, wide)
 
     def linearised(self, variances: Sequence[FloatArray], robust: bool = False,
                    wide: float = 1.0) -> Solved:
-        """Return the normal equations of a step, by variances of the parameters, and its solution.
+        """Return the solution of a step's normal equations, by variances of the parameters.
+
+        Of each image they are (A'PA + V^-1) dx = A'Pr - V^-1 x, with the derivatives A of its
+        measurements, their weights P and residuals r, and the prior variances V of its parameters.
         """
         state = self.state
         tie_rows = []
@@ -269,9 +278,9 @@ class Steps:
         return np.asarray(control.value - (control.normal * computed).sum(axis=1))
 
     def moved(self) -> FloatArray:
-        """Return how far the last step moved any tie in each image, at most (images,) [px].
+        """Return the largest move of a tie in each image by the last step, (images,) [px].
 
-        Of an image without ties it is the largest step of a parameter.
+        Of an image without ties it is the largest step of a parameter, which is in px, too.
         """
         return np.array([
             # Without ties, the step of the parameters says how far an image moved.
@@ -282,12 +291,16 @@ class Steps:
     def _tie_moves(self) -> list[FloatArray]:
         """Return for each image how far the last step moves its ties, to first order, (n, 2) [px].
         """
+        # dx of the parameters and dX of the ties move a position by A dx + B dX.
         return [rows.rows @ step + np.einsum("nai,ni->na", rows.slopes, self.solved.ties[rows.tie])
                 for rows, step in zip(self.solved.tie_rows[:-1], self.solved.steps[:-1],
                                       strict=True)]
 
     def residuals(self) -> tuple[list[FloatArray], list[FloatArray]]:
-        """Return the residuals of each image's ties (n, 2) and of its rows of control (k,) [px]."""
+        """Return the residuals of each image's ties (n, 2) and of its rows of control (k,) [px].
+
+        They are measured minus computed, by the parameters and ties as they are now.
+        """
         state = self.state
         of_ties = []
         of_control = []

@@ -18,7 +18,7 @@ MAX_INTEGRATED = 200
 show them, and the time grows with the cube."""
 
 _FIRST, _KEPT = 100, 400
-"""Draws until the chain has forgotten its start, and those after it."""
+"""Draws until the chain has forgotten its start, and draws after that, which count."""
 
 _SIGMA_GRID = np.geomspace(1e-3, 30.0, 101)
 """Standard deviations over the first guess."""
@@ -244,8 +244,9 @@ def _draw_scales(x: FloatArray, equations: tuple[FloatArray, FloatArray], group:
     squares = np.array([float(x[columns] @ x[columns]) for columns in group.images])
     count = np.array([len(columns) for columns in group.images])
 
-    def drawn(over: FloatArray, number: IntArray) -> FloatArray:
-        square = (over + OWN) / rng.chisquare(OWN + number)
+    def drawn(squares_by_shared: FloatArray, number: IntArray) -> FloatArray:
+        """Return draws of ratios: their squares are scaled inverse chi-squared."""
+        square = (squares_by_shared + OWN) / rng.chisquare(OWN + number)
         return np.clip(np.sqrt(square), _MIN_IMAGE_RATIO, _MAX_IMAGE_RATIO)
 
     if np.isnan(group.min_ratio):

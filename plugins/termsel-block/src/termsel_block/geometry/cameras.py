@@ -225,9 +225,9 @@ class RpcCamera(LinearCamera):
         self.min_sigma = (1e-4,) * len(self.groups)
 
     def only(self, keep: BoolArray) -> RpcCamera:
-        """Return the camera with the columns that `keep` (2m,) has.
+        """Return the camera with some of its columns: those that are true in `keep` (2m,).
 
-        It is alike for line and sample.
+        The mask has the same columns for the line as for the sample.
         """
         return RpcCamera(self.rpc, self.frame, [name for name, is_kept in zip(
             self.columns, keep[:len(self.columns)], strict=True) if is_kept])
@@ -323,9 +323,9 @@ class PolynomialCamera(LinearCamera):
                                for name in self.groups)
 
     def only(self, keep: BoolArray) -> PolynomialCamera:
-        """Return the camera with the columns that `keep` (2m,) has.
+        """Return the camera with some of its monomials: those that are true in `keep` (2m,).
 
-        It is alike for line and sample.
+        The mask has the same monomials for the line as for the sample.
         """
         powers = [power for power, is_kept in zip(
             self.powers, keep[:len(self.powers)], strict=True) if is_kept]
@@ -368,10 +368,10 @@ class PolynomialCamera(LinearCamera):
         line, sample = slopes.T
         # Where neither line nor sample changes: across the gradients of both.
         ray = np.cross(line, sample)
-        # Of no image from above.
+        # No image from above has a ray that is nearly level: it gets no perspective.
         if abs(ray[2]) <= 1e-3 * np.linalg.norm(ray):
             return np.zeros((2, 3, 3))
-        # Downwards.
+        # Of length 1, and downwards.
         ray *= -np.sign(ray[2]) / np.linalg.norm(ray)
         # Where the ground that one sample sees is a line later.
         way = np.array([sample[1], -sample[0]]) / (line[0] * sample[1] - line[1] * sample[0])

@@ -254,6 +254,7 @@ class PhysicalModel:
         except TermselError as error:
             raise TermselError(f"image {of!r}: {error.what}",
                                hint=hint_for_block(error.hint)) from error
+        # Up to half of the points may be blunders; a model that misses more is not theirs.
         missed = float(np.median(np.hypot(*(image - camera.project(camera.start, local)).T)))
         if not missed <= ABSURD * float(np.ptp(image, axis=0).max()):
             raise TermselError(f"image {of!r}: model {self.name!r} misses half of its points by "

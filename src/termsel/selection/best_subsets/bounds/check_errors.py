@@ -42,7 +42,7 @@ BLOCK = 1 << 7  # subsets up to which inner products alone cost less than a boun
 
 @_compiled
 def score_with_column(kind: int, vectors: Vectors, depth: int, c: int, limits: Limits) -> float:
-    """Return the score with column c."""
+    """Return the score of the subset in use at a depth with column c in addition."""
     return score_of(kind, arrays_at_depth(vectors, depth), c, 1, 1, limits)
 
 
@@ -50,7 +50,10 @@ def score_with_column(kind: int, vectors: Vectors, depth: int, c: int, limits: L
 def first_closed_column(kind: int, vectors: Vectors, limits: Limits, depth: int, first: int,
                         worst: float,
                         upper: FloatArray, space: BoundSpace) -> int:
-    """Return a column from which on no subset scores less than the worst of the best scores."""
+    """Return the first column from which on no subset can improve any size that is still possible.
+
+    `worst` is the largest of the best scores of these sizes.
+    """
     n = vectors.top.shape[2] - 1
     limit = _allowed_residuals(worst, limits)
     if not limit < np.inf:
@@ -73,7 +76,8 @@ def descend(vectors: Vectors, depth: int, i: int, upper: FloatArray) -> None:
 
 @_compiled
 def _remove_column(vectors: Vectors, depth: int, i: int, c: int) -> None:
-    """Take column c out of the control rows of a depth, and keep what is left in the next."""
+    """Remove column i from column c, or from the target, and keep what is left in the next depth.
+    """
     remove(vectors, depth, 0, i=i, c=c, n=vectors.top.shape[2] - 1, r=1)
 
 

@@ -159,10 +159,11 @@ def _solve_coefficients(tree: Tree, d: int, n: int) -> None:
 
 @_compiled
 def _residuals_if_dependent(tree: Tree, d: int) -> float:
-    """Return the residuals of dependent columns; infinity if those in use are dependent.
+    """Return the residual sum of squares of columns that depend on each other.
 
-    Modified Gram-Schmidt; no other column is too small to count.
+    Infinity if those in use depend on each other, so that no subset of the node has a score.
     """
+    # Modified Gram-Schmidt: a column that depends on those before it takes nothing off the target.
     n = tree.count[d]
     r = tree.target.shape[1]
     work = tree.work

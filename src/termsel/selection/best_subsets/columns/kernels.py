@@ -131,7 +131,11 @@ def arrays_at_depth(vectors: Vectors, depth: int) -> Depth:
 
 @_compiled
 def score_of(kind: int, level: Depth, c: int, systems: int, r: int, limits: Limits) -> float:
-    """Return the score of one depth's column c, by any kind but PRESS."""
+    """Return the score of one depth's column c, by any kind but PRESS.
+
+    It is the sum over all systems, which are folds, and over the r targets of each.
+    """
+    # The column takes its share s of the target: what is left of the target is t - s v.
     n = level.top.shape[1] - r
     half = level.extra.shape[2] // 2
     total = limits.offset
@@ -214,6 +218,7 @@ def record(score: float, size: int, mask: Any, vectors: Vectors, depth: int, cur
 @_compiled
 def remove(vectors: Vectors, depth: int, f: int, i: int, c: int, n: int, r: int) -> None:
     """Remove column i from vector c of system f, from one depth to the next; the target n first."""
+    # v_c - (v_i'v_c / v_i'v_i) v_i; of a target that ratio is the share, which is known already.
     top = vectors.top
     extra = vectors.extra
     if c >= n:
@@ -234,6 +239,8 @@ def remove(vectors: Vectors, depth: int, f: int, i: int, c: int, n: int, r: int)
 @_compiled
 def _open_leverage(vectors: Vectors, depth: int, i: int) -> None:
     """Add the part of column i to the leverages, from one depth to the next."""
+    # Orthogonal columns add up: h = sum v^2 / v'v, and with the denominator's rows w, g = sum v w /
+    # v'v.
     v = vectors.top[depth, 0, i]
     w = vectors.extra[depth, 0, i]
     square = vectors.square[depth, 0, i]

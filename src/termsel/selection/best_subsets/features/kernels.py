@@ -127,6 +127,7 @@ def _keep_selection(state: WalkState, depth: int, size: int, limits: SelectionLi
     status = state.status[depth]
     if status == OPEN or size < limits.min_size:
         return count
+    # What has no trusted score may be the best: minus infinity keeps it, to be solved with care.
     score = -np.inf
     if status != UNKNOWN:
         score = 0.0
@@ -166,6 +167,7 @@ def _add_feature_rows(rows: FeatureRows, state: WalkState, depth: int, i: int) -
         k = rows.columns[p]
         normal = state.normal[depth + 1, p]
         right = state.right[depth + 1, p]
+        # A copy of this depth's equations, to which each row a adds a'a and a'b.
         for x in range(k):
             right[x] = state.right[depth, p, x]
             for z in range(x + 1):

@@ -104,7 +104,7 @@ class Selections:
 
     @property
     def root(self) -> Branch:
-        """Everything."""
+        """The branch with all selections."""
         return Branch((), 0)
 
     @property
@@ -177,6 +177,7 @@ class Selections:
 
     def _list_all_selections(self, branch: Branch) -> BoolArray:
         """Return all selections of a branch, (s, n), one by one, where none is scored."""
+        # Features that are fixed or in use count towards the sizes that are allowed.
         fixed = int(self.on.sum())
         used = len(branch.used)
         candidates = range(branch.first, len(self.free))
@@ -192,6 +193,7 @@ class Selections:
 
     @cached_property
     def _row_systems(self) -> tuple[_InErrorUnits, ...]:
+        """The systems in the unknowns whose square is the check points' error."""
         return tuple(_InErrorUnits.of(system, self.free, self.on) for system in self.systems)
 
     @cached_property
