@@ -23,7 +23,7 @@ import termsel
 CACHES = {
     "data.scaling": ("Scaling.features",), "data.view": ("_view_of",),
     "data.roles": ("_order_and_labels",),
-    "data.coordinates.places": ("lattice_of",), "data.monomials": ("_kept_monomials",),
+    "data.coordinates.places": ("lattice_of",), "data.monomials": ("_cached_monomials",),
     "models.quotient": ("guard_points",), "fitting.pinhole": ("camera_of",),
     "adjustment.bayesian.field": ("_cached_gaussian_process",),
     "adjustment.bayesian.kernels": ("_cached_spline_field",),
@@ -33,7 +33,7 @@ CACHES = {
                                       "_scales_of", "_shared_scales"),
     "adjustment.bayesian.thin_plate": ("_cached_splines",),
     "auto.physical": ("_cached_evidence", "_cached_camera_average"),
-    "selection.criteria.cross_validation": ("_groups",)}
+    "selection.criteria.cross_validation": ("_groups_of_twins",)}
 """Functions that keep what they computed of data, by module."""
 
 RUNS = 3

@@ -56,6 +56,12 @@ FILES = {
 @pytest.mark.parametrize(("changes", "violation"), [
     ({}, ""),
     ({"README.md": "A\nmend\n"}, "README.md:2: 'mend': write correct, fix"),
+    ({"src/termsel/lower/one.py": "from functools import cache\n\n\n@cache\ndef one():\n"
+      "    return 1\n"},
+     "src/termsel/lower/one.py:4: a cache without a reason: say in a comment on this line why, or "
+     "hold it by an object"),
+    ({"src/termsel/lower/one.py": "from functools import cache\n\n\n@cache  # asked for often\n"
+      "def one():\n    return 1\n"}, ""),
     ({"src/termsel/lower/one.py": "\ndef one():\n    import termsel.upper\n    return 1\n"},
      "src/termsel/lower/one.py:3: imports from a room above it: termsel.upper"),
     ({"src/termsel/lower/one.py": "ONE = 1\nimport termsel\n"},

@@ -164,7 +164,7 @@ def has_code(dispatcher: Any) -> bool:
     return bool(dispatcher.signatures) or (isinstance(code_cache, _Cache) and code_cache.has_code())
 
 
-@cache
+@cache  # said once for each process
 def _say_that_nothing_is_kept() -> None:
     """Tell the user, once."""
     log.warning("Note: compiled code cannot be kept here. Every run takes some 5 s longer. "

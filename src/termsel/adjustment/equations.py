@@ -126,8 +126,9 @@ def has_unlike_weights(points: Points) -> bool:
 
 # Points and lines in an adjustment: their rows, positions of vertices, and weights.
 
-# Each step of each fit to some features asks for the same; by whether heights are used.
 _APPROXIMATE: WeakKeyDictionary[FeatureSet, dict[bool, FloatArray]] = WeakKeyDictionary()
+"""Held by the features, for each step of each fit to them, and gone with them; by whether heights
+are used."""
 
 
 def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArray:

@@ -300,6 +300,8 @@ class _Prepared:
 
 
 _PREPARED: WeakKeyDictionary[Equations, _Prepared] = WeakKeyDictionary()
+"""Held by the equations of a problem, which each generation of a search solves, and gone with them.
+"""
 
 
 def _kept_data_of(equations: Equations) -> _Prepared:

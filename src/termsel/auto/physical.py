@@ -169,7 +169,7 @@ def camera_average(points: Points, scaling: Scaling, crs: str,
     return _cached_camera_average(Measurements.of(points), scaling, crs, exponents)
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=2)  # the average asks again
 def _cached_evidence(measurements: Measurements, scaling: Scaling, crs: str,
                      exponents: Exponents) -> PriorEvidence | None:
     """Return what `prior_evidence` does, None as there; cached for the average, which asks again.
@@ -202,7 +202,7 @@ def _cached_evidence(measurements: Measurements, scaling: Scaling, crs: str,
     return PriorEvidence(physical, tuple(shrunken), np.array(logs))
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=2)  # a fit, its description and its spread need it
 def _cached_camera_average(measurements: Measurements, scaling: Scaling, crs: str,
                            exponents: Exponents) -> CameraAverage | None:
     """Return what `camera_average` does; cached, as a fit, its description and its spread need it.

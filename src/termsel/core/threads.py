@@ -47,7 +47,7 @@ _memory_is_kept: list[bool] = []
 """Whether this process has freed such an array."""
 
 
-@lru_cache(1)
+@lru_cache(1)  # searched again only when modules were imported
 def _find_libraries(_modules: int) -> ThreadpoolController:
     """Return the libraries of this process, found again once modules were imported."""
     return ThreadpoolController()

@@ -138,7 +138,7 @@ def _request_settings() -> dict[str, Any]:
             if isinstance(value, str | int | float | bool)}
 
 
-@cache
+@cache  # one process for each set of drivers, ended with this one
 def _raster_helper(drivers: tuple[str, ...], remote: bool) -> Helper:
     """Return the process that reads rasters with such drivers, started once."""
     with ExitStack() as stack:

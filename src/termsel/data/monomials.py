@@ -74,7 +74,7 @@ def evaluate_monomials(ground: FloatArray, exponents: Exponents) -> FloatArray:
     return _cached_monomials(np.asarray(ground, dtype=np.float64).tobytes(), exponents)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=64)  # each method asks for the terms of the same points
 def _cached_monomials(ground: bytes, exponents: Exponents) -> FloatArray:
     """Return monomials of ground coordinates given as bytes, read-only as they are cached."""
     columns = _monomials(np.frombuffer(ground).reshape(-1, 3), exponents)

@@ -426,7 +426,7 @@ def observe(
         lines=empty_lines() if control == "points" else features.lines))
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=2)  # roles and folds ask about the same features
 def _order_and_labels(features: FeatureSet) -> tuple[FeatureSet, IntArray]:
     """Return features in order, without jumps, and a label of each point, (n,).
 

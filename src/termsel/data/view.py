@@ -177,7 +177,7 @@ def view_of(points: Points) -> CentralView | None:
     return _view_of(Measurements.of(points))
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=16)  # each method asks about the same points
 def _view_of(measurements: Measurements) -> CentralView | None:
     """Return the view of points, None without one; cached, as equal points ask many times."""
     points = measurements.points

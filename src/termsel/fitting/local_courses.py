@@ -309,7 +309,7 @@ class LocalCourses:
         return total
 
 
-@lru_cache(maxsize=KEPT_CELLS)
+@lru_cache(maxsize=KEPT_CELLS)  # places are asked for one by one, as by clicks on a map
 def _kept_cell(courses: LocalCourses, number: int) -> CourseCell:
     """Return a cell, kept for places that are asked for one by one, as by clicks on a map."""
     return courses.cell_of(number)

@@ -389,7 +389,7 @@ def pinhole_near(camera: Pinhole, scaled: FeatureSet, scaling: Scaling) -> Pinho
     return None if measured is None else camera_next_to(measured, camera.camera)
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=32)  # a fit, its errors and its spread need it
 def camera_of(measured: Measured) -> Pinhole | None:
     """Return the camera of control points, None if no camera has all of them in front.
 
@@ -506,7 +506,7 @@ def _is_mirrored(measured: Measured) -> bool:
     return bool(np.linalg.det(slopes) < 0.0)
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=2)  # a table without data
 def _grid_of_rotations(*, mirrored: bool) -> FloatArray:
     """Return rotations of cameras that look down by some angle in all directions, (s, 3, 3)."""
     rotations = []

@@ -396,7 +396,7 @@ def pole_margin(control: Points) -> float:
     return POLE_MARGIN if view is None else min(POLE_MARGIN, SHORTER * view.depth)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=8)  # each model of a comparison asks for those of the same features
 def guard_points(control: FeatureSet, check: Points, wider: float = 1.0) -> FloatArray:
     """Return scaled ground points, (g, 3), at which denominators must stay positive.
 

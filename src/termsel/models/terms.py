@@ -121,7 +121,7 @@ class Term:
         return tuple(replace(self, exponents=exponent) for exponent in lower if min(exponent) >= 0)
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=1024)  # a text is parsed each time that a model is made
 def _parse_term(text: str) -> Term:
     """Return the term of a name such as "line.num:X2Y"; other text is a label for both axes."""
     match = _TERM_NAME.fullmatch(text)

@@ -348,7 +348,7 @@ def _plugin_of(point: EntryPoint) -> Plugin:
     return Plugin(point.name, name, version, requires=requires)
 
 
-@cache
+@cache  # metadata are parsed whenever they are asked for
 def _distribution_names(distribution: Distribution) -> tuple[str, str, str]:
     """Return name, version and required termsel: metadata are parsed whenever they are asked for.
     """

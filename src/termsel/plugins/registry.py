@@ -324,13 +324,13 @@ Offered = tuple[list[tuple[Plugin, Entry]], list[tuple[Plugin, str]]]
 """Entries with their plugins, and plugins with their faults."""
 
 
-@cache
+@cache  # the plugins of this process: who needs others makes a Registry
 def registry() -> Registry:
     """Return the registry of this process, with all installed plugins."""
     return Registry()
 
 
-@cache
+@cache  # termsel's own things, which are the same in every process
 def built_in() -> Registry:
     """Return the registry of termsel's own things, which needs no plugin."""
     return Registry([])

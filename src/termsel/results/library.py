@@ -20,7 +20,7 @@ EMBED = "termselEmbed"
 _CACHE_FOLDER = Path(__file__).parent / "__pycache__"
 
 
-@cache
+@cache  # half a megabyte of the package, for each page
 def read_library() -> str:
     """Return Vega, Vega-Lite and Vega-Embed with the interpreter of expressions.
 

@@ -35,7 +35,7 @@ def offline_chart(chart: Any) -> Any:
     return copied
 
 
-@cache
+@cache  # a class is made once for each kind of chart
 def _offline_class(kind: Any) -> type:
     """Return the class of a chart that notebooks show without a connection."""
     def bundle(self: Any, *args: Any, **kwds: Any) -> Any:

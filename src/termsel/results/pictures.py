@@ -124,7 +124,7 @@ def _undrawn_error(why: str) -> TermselError:
                              "`termsel report` draws it in a browser.")
 
 
-@cache
+@cache  # one process, held by who asks until this one ends
 def _drawing_helper() -> Helper:
     """Return the process that draws charts, which ends with this one."""
     helper = Helper(_DRAWING)

@@ -97,7 +97,7 @@ def chart_rows(rows: list[dict[str, Any]]) -> Any:
     return _shared_data_class()(values=values)
 
 
-@cache
+@cache  # a class is made once, when Altair is imported
 def _shared_data_class() -> Any:
     """Return the class of data that copies of a chart share: copies of all rows take seconds."""
 

@@ -103,7 +103,7 @@ def package_versions() -> dict[str, str]:
     return {"python": platform.python_version(), **_computing_packages()}
 
 
-@cache
+@cache  # read from files of the installation, a fiftieth of a short run
 def _computing_packages() -> dict[str, str]:
     # Each is read from a file: a fiftieth of a run of few points.
     return {name: version(name) for name in ("termsel", "numpy", "scipy", "numba", "deap", "pymoo")}

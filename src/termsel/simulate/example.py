@@ -30,7 +30,7 @@ SENSOR = pushbroom_at(LON, LAT, height=(LOW + HIGH) / 2, off_nadir=25.0, gsd=GSD
 BOARD = checkerboard_pattern((LON, LAT), SIDE)
 
 
-@cache
+@cache  # one terrain, asked for by image, heights and map
 def example_terrain() -> Terrain:
     """Return hills between `LOW` and `HIGH` over the ground of the image."""
     edge = np.stack(np.meshgrid(np.linspace(0, SIZE[0], 40), np.linspace(0, SIZE[1], 40)), -1)

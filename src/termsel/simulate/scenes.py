@@ -196,7 +196,7 @@ def _numbered_ids(letter: str, count: int) -> tuple[str, ...]:
     return tuple(f"{letter}{i + 1:03d}" for i in range(count))
 
 
-@lru_cache
+@lru_cache  # a scene by its name is the same for all its seeds
 def _scene_geometry(name: str) -> tuple[Pushbroom, Terrain, FloatArray]:
     """Return sensor, terrain, and the image places (2, 2) of lowest and highest terrain."""
     scene = _scene_of_name(name)
@@ -248,7 +248,7 @@ def _role_counts(scene: Scene, count: int) -> tuple[int, int, int]:
     return third + (remainder == 2), third, third + (remainder > 0)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=16)  # studies and tests ask for a scene again and again
 def _noise_free_features(name: str, seed: int | None, roles: tuple[int, int, int],
                          n_lines: int) -> tuple[Points, Lines]:
     """Return points and lines free of noise; cached, as studies and tests repeat them.

@@ -152,7 +152,7 @@ SUITE = Suite((
     result_unchanged, unwritable_path, refuses_others, whole_or_nothing), cases)
 
 
-@cache
+@cache  # results to write, the same for every writer
 def example_results() -> tuple[Result, ...]:
     """Return results to write, like those of many runs.
 

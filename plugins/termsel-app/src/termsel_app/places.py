@@ -32,7 +32,7 @@ def shown_crs(crs: str) -> str:
     return MERCATOR if crs != LOCAL and is_geographic(crs) else crs
 
 
-@lru_cache
+@lru_cache  # PROJ takes milliseconds, and each move on the map asks
 def transformer_between(source: str, target: str) -> Any:
     """Return the transformer of x and y from one CRS to another; None if both are alike or local.
     """

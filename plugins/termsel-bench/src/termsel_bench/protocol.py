@@ -77,7 +77,7 @@ def set_of(work: Work) -> BenchSet:
     return simulated_set(work.set_name) if work.real is None else _read_real_set(work.real)
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=2)  # each method of a benchmark asks for the same set
 def _read_real_set(folder: Path) -> BenchSet:
     """Return the measured set in a folder; a function of the module, as tests replace it."""
     return real_set(folder)

@@ -68,7 +68,7 @@ class Hybrid3(Multiquadric):
         POWERS)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=8)  # each fit of a comparison asks for the same positions
 def _inverse_of_distances(positions: bytes) -> FloatArray:
     """Return the inverse (n, n) of distances between control points, given as bytes for a cache."""
     control = np.frombuffer(positions).reshape(-1, 2)

@@ -74,7 +74,7 @@ def _barycentric_coordinates(positions: FloatArray, places: FloatArray) -> Float
     return shares
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=8)  # each fit of a comparison asks for the same positions
 def _cached_triangles(positions: bytes) -> Delaunay | None:
     """Return the Delaunay triangles of positions, given as bytes.
 

@@ -172,7 +172,7 @@ def _rows_as_vectors(errors: FloatArray, scaled: FeatureSet) -> FloatArray:
     return np.concatenate([errors[:count].reshape(-1, 2), errors[count:, None] * normals])
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=8)  # a fit asks with each of its steps
 def _prepared_model(rpc: Rpc) -> RpcAffine:
     """Return a model with the RPC, which it takes as JSON."""
     return RpcAffine(rpc=json.dumps(asdict(rpc)))

@@ -148,7 +148,7 @@ def require_alike(required: Mapping[str, str], installed: Mapping[str, str | Non
                 hint="Install the same version on both: results may differ between versions.")
 
 
-@cache
+@cache  # a fact of the installation
 def versions_here(names: tuple[str, ...]) -> dict[str, str | None]:
     """Return the versions of packages and plugins in this process by name; None if not installed.
     """

@@ -93,7 +93,7 @@ DEPARTURE_RELIEF = 0.03
 """The same of a further power of Z, by that without it."""
 
 
-@cache
+@cache  # a prior is the same for all data
 def view_points(variables: int) -> FloatArray:
     """Return scaled places at which cameras look, (m, 3): a prior is the same for all data."""
     rng = np.random.default_rng(0)

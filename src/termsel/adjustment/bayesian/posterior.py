@@ -491,7 +491,7 @@ def polynomial_posterior(ground: FloatArray, image: FloatArray, exponents: Expon
                                         None if weights is None else weights.tobytes())
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=2)  # methods, blunders and spread ask about the same points
 def _cached_polynomial_posterior(ground: bytes, image: bytes, exponents: Exponents,
                                  weights: bytes | None) -> Posterior | None:
     """Return what `polynomial_posterior` does, given the bytes of its arrays, which are the key.

@@ -155,7 +155,7 @@ def thin_plates(points: Points, units: tuple[float, float], smoothing: float | N
     return _cached_splines(Measurements.of(points), units, smoothing, criterion)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=4)  # a fit, its errors and its spread need them
 def _cached_splines(measurements: Measurements, units: tuple[float, float],
                     smoothing: float | None, criterion: str) -> ThinPlates | None:
     """Return the splines of points, None as for `thin_plates`, whose other arguments these are.

@@ -87,7 +87,7 @@ def call_apart(work: Callable[..., Answer], path: Path, *arguments: Any) -> Answ
     return answer  # type: ignore[no-any-return]
 
 
-@cache
+@cache  # one process for each set of drivers, ended with this one
 def _vector_helper(drivers: tuple[str, ...], remote: bool) -> Helper:
     """Return the process that reads vector files with such drivers, started once."""
     with ExitStack() as stack:

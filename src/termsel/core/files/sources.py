@@ -529,7 +529,7 @@ def _is_known(path: Path, head: bytes) -> bool:
         and not os.path.islink(path)
 
 
-@cache
+@cache  # many files are sought in one folder
 def _cached_entries(folder: str, changed: int) -> tuple[str, ...]:  # noqa: ARG001 (a key alone)
     """Return the names in a folder; () if it cannot be read. `changed` renews the cache."""
     try:

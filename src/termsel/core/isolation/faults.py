@@ -160,7 +160,7 @@ def distribution_of(package: str) -> str:
     return "this session" if package == "__main__" else f"the module {package}"
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=1)  # opens every installed distribution
 def _distributions_by_module(_path: tuple[str, ...]) -> Mapping[str, list[str]]:
     """Return distributions by top-level module; all of them are opened to find that out."""
     return packages_distributions()

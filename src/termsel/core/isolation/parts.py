@@ -133,7 +133,7 @@ def _is_installed(package: str) -> bool:
     return True
 
 
-@cache
+@cache  # a file of the package, which does not change
 def own_packages() -> dict[str, list[str]]:
     """Return the names that each plugin package of termsel's own provides, by distribution.
 

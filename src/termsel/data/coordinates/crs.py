@@ -153,7 +153,7 @@ def _question_on_meaning(text: str) -> str:
         else ""
 
 
-@lru_cache
+@lru_cache  # PROJ takes milliseconds, and each step of a run asks
 def _crs_by_name(text: str) -> str:
     """Return the normal form of a CRS by name or as a string of PROJ; "" for any other text."""
     if _WGS84_NAME.fullmatch(text):
@@ -239,7 +239,7 @@ def _letters_and_digits(name: str) -> str:
     return re.sub(r"[\W_]", "", name.casefold())
 
 
-@lru_cache
+@lru_cache  # PROJ takes milliseconds, and each step of a run asks
 def _code_or_text(text: str) -> str:
     """Return the EPSG code of a CRS under another name, else the text; a search of 10 ms.
 
@@ -259,7 +259,7 @@ def is_geographic(crs: str) -> bool:
     return kind_of(normalise(crs)) == "geographic"
 
 
-@lru_cache
+@lru_cache  # PROJ takes milliseconds, and each step of a run asks
 def longitudes_and_latitudes_of(crs: str) -> Callable[[FloatArray], FloatArray] | None:
     """Return a function from x and y (n, 2) of a projected CRS to angles on its ellipsoid [rad].
 
@@ -281,7 +281,7 @@ def longitudes_and_latitudes_of(crs: str) -> Callable[[FloatArray], FloatArray] 
     return angles_of
 
 
-@lru_cache
+@lru_cache  # PROJ takes milliseconds, and each step of a run asks
 def axes_of_degrees(crs: str) -> tuple[float, str]:
     """Return the unit of longitude and latitude [deg], and the CRS with degrees in its place.
 
@@ -302,7 +302,7 @@ def axes_of_degrees(crs: str) -> tuple[float, str]:
     return unit, str(type(parsed).from_json_dict(described).to_wkt())
 
 
-@lru_cache
+@lru_cache  # PROJ takes milliseconds, and each step of a run asks
 def prime_meridian_of(crs: str) -> float:
     """Return the longitude from Greenwich [deg] of the meridian from which a CRS counts."""
     parsed = None if crs in WGS84 else _with_pyproj(crs)
@@ -350,7 +350,7 @@ def to_wgs84(crs: str) -> Transformation:
     return transformation_between(crs, "EPSG:4979")
 
 
-@lru_cache
+@lru_cache  # PROJ takes milliseconds, and each step of a run asks
 def transformation_between(source: str, target: str, *, strict: bool = True,
                            for_fit: bool = False) -> Transformation:
     """Return a function that transforms ground coordinates (n, 3) from one CRS to another.
@@ -472,7 +472,7 @@ def _has_no_datum(crs: CRS) -> bool:
     return _UNKNOWN_DATUM.match(datum) is not None
 
 
-@lru_cache
+@lru_cache  # said once for each datum
 def _say_no_datum(name: str) -> None:
     """Say once that a datum is taken for another."""
     shown = short_crs_name(name)
@@ -486,7 +486,7 @@ def _say_no_datum(name: str) -> None:
 EARTH = "the Earth"
 
 
-@lru_cache
+@lru_cache  # PROJ takes milliseconds, and each message asks
 def body_of(crs: str) -> str:
     """Return the celestial body of a CRS as messages call it, such as "Mars"; EARTH by default."""
     ellipsoid = _ellipsoid_and_name(crs)
@@ -497,7 +497,7 @@ def body_of(crs: str) -> str:
     return {"Moon": "the Moon", "": "another body", "Unknown": "another body"}.get(name, name)
 
 
-@lru_cache
+@lru_cache  # PROJ takes milliseconds, and each step of a run asks
 def ellipsoid_of(crs: str) -> tuple[float, float]:
     """Return semi-major axis [m] and square of the first eccentricity; those of WGS84 by default.
     """
@@ -641,7 +641,7 @@ def kind_of(crs: str) -> str:
         crs.upper()[:4], "")
 
 
-@lru_cache
+@lru_cache  # said once for each CRS
 def _say_unchecked(name: str) -> None:
     """Say once that only the form of a CRS was checked."""
     log.warning("Note: pyproj is not installed, so nothing checks that %s exists. Install it: "
@@ -657,7 +657,7 @@ def _with_pyproj(crs: str) -> CRS | None:
     return _parse_with_pyproj(crs)
 
 
-@lru_cache
+@lru_cache  # PROJ takes 10 ms, and a run asks a hundred times
 def _parse_with_pyproj(crs: str) -> CRS:
     """Return the CRS by pyproj; cached, as that takes 10 ms and a run asks a hundred times.
 

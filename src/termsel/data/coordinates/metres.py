@@ -63,7 +63,7 @@ def scales_at(crs: str, positions: FloatArray) -> tuple[float, float] | None:
     return _scales_of_place(crs, x, y)
 
 
-@lru_cache
+@lru_cache  # a transformation by PROJ for each of a few places
 def _scales_of_place(crs: str, x: float, y: float) -> tuple[float, float] | None:
     """Return the scales along x and y at a place; None where they are nearly 1 or not known."""
     along_x, along_y = _scales_along_axes(crs, np.array([[x, y]]))[0].tolist()
@@ -164,7 +164,7 @@ def height_unit(crs: str) -> float:
     return _kind_and_units(crs)[3] if crs else 1.0
 
 
-@lru_cache
+@lru_cache  # PROJ takes milliseconds, and each step of a run asks
 def _kind_and_units(crs: str) -> tuple[bool, bool, float | None, float]:
     """Return whether a CRS is geographic, whether geocentric, and its units in metres.
 
@@ -200,7 +200,7 @@ def metric_crs(crs: str, lon: float, lat: float) -> str:
     return f"EPSG:{(32600 if lat >= 0 else 32700) + max(ceil((lon + 180) / 6), 1)}"
 
 
-@lru_cache
+@lru_cache  # a projection is asked for with each set of points near a place
 def _transverse_mercator(crs: str, lon: int, lat: int) -> str:
     """Return a transverse Mercator projection about a place as WKT."""
     from pyproj import CRS
@@ -223,7 +223,7 @@ def polar_crs(crs: str, lat: float) -> str:
     return _polar_stereographic(crs, 90 if lat >= 0 else -90)
 
 
-@lru_cache
+@lru_cache  # a projection is asked for with each set of points near a pole
 def _polar_stereographic(crs: str, latitude: int) -> str:
     """Return a stereographic projection about a pole as WKT."""
     from pyproj import CRS

@@ -167,7 +167,7 @@ class Lattice:
             "them, too: give it if you have it.")
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=8)  # roles, folds and verdict ask about the same points
 def lattice_of(points: Points) -> Lattice | None:
     """Return the lattice that points are, or None if they are none."""
     if len(points) < MIN_LATTICE_LINES**2 or points.sigma is not None:

@@ -96,14 +96,14 @@ def fold_name(name: str) -> str:
     return re.sub(r"[\W_]", "", without_accents)
 
 
-@lru_cache(10_000)
+@lru_cache(10_000)  # readers compare the names of a header with all that are known
 def _folded_forms(name: str) -> tuple[str, str]:
     """Return a column's name folded with and without its unit: Line (px) is "linepx" and "line"."""
     normal = unicodedata.normalize("NFKC", name.strip().casefold())
     return fold_name(normal), fold_name(without_unit(normal))
 
 
-@lru_cache(100)
+@lru_cache(100)  # readers compare the names of a header with all that are known
 def _names_by_meaning(aliases: tuple[tuple[str, tuple[str, ...]], ...],
                       ) -> tuple[dict[str, tuple[frozenset[str], frozenset[str]]], frozenset[str]]:
     """Return the plain and the further names of each meaning, and all of them."""

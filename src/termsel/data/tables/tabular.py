@@ -466,7 +466,7 @@ class Tabular(Glance, Framed):
             **texts}
 
 
-@cache
+@cache  # a fact of a class, asked for with each new table
 def _given_fields(kind: Hashable) -> tuple[str, ...]:
     """Return the names of the fields of points or lines; all else that they keep is derived."""
     return tuple(column.name for column in fields(cast(type, kind)))

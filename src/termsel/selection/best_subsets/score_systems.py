@@ -378,7 +378,7 @@ class ScoreSystems:
         return vectors, limits, np.ascontiguousarray(guards[0].T)
 
 
-@cache
+@cache  # a table without data
 def _counts_of_subsets(columns: int, room: int) -> IntArray:
     """Return the number of subsets of 0 to `columns` with at most 0 to `room` members.
 

@@ -133,7 +133,7 @@ def _root_package(definition: Any) -> str:
     return str(definition.__module__).partition(".")[0]
 
 
-@cache
+@cache  # the source on disk does not change under a running study
 def _source_checksum(root: str) -> str:
     """Return the checksum of the source of a module, or of all modules of a package."""
     file = getattr(sys.modules.get(root), "__file__", None)

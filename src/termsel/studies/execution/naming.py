@@ -52,7 +52,7 @@ class _Keeper(logging.Handler):
         self._warnings.append(f"{text[:1].upper()}{text[1:]}")
 
 
-@cache
+@cache  # done once for each process
 def _name_images() -> None:
     """Put the name of the image at work into messages of the log from now on."""
     # The factory that others may have set is called first.

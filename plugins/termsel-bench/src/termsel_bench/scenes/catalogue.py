@@ -98,7 +98,7 @@ def set_names(pattern: str = "") -> list[str]:
     return names
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=2)  # each method of a benchmark asks for the same set
 def simulated_set(name: str) -> BenchSet:
     """Return a set, simulated here and checked against its checksums.
 

@@ -124,7 +124,7 @@ def measured_names(pattern: str = "") -> list[str]:
     return names
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=2)  # each method of a benchmark asks for the same set
 def read_measured_set(name: str) -> MeasuredSet:
     """Return a measured set.
 
@@ -186,7 +186,7 @@ def build_published_files(names: Sequence[str]) -> dict[str, str]:
     return contents
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=1)  # files of the package, which do not change
 def _source_and_file_by_set() -> Mapping[str, tuple[MeasuredSource, str]]:
     """Return the source and the file of points of each set, by the name of the set."""
     by_set: dict[str, tuple[MeasuredSource, str]] = {}
@@ -199,7 +199,7 @@ def _source_and_file_by_set() -> Mapping[str, tuple[MeasuredSource, str]]:
     return by_set
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=8)  # files of the package, which do not change
 def _read_meta(folder: str) -> dict[str, Any]:
     """Return the content of meta.json in the folder of a source."""
     content: dict[str, Any] = json.loads(_read_source_text(folder, "meta.json"))
@@ -230,7 +230,7 @@ def _parse_matches(rows: Sequence[Sequence[float]]) -> Points:
                   np.column_stack([x, -y, np.full(len(rows), np.nan)]))
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=1)  # files of the package, which do not change
 def _photo_rows() -> dict[str, dict[str, str]]:
     """Return the row of each photo by its name: its size and its camera."""
     rows = csv.DictReader(StringIO(_read_source_text("smapshot_nadir", "photos.csv")))

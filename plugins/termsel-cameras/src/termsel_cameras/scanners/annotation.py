@@ -158,7 +158,7 @@ def _geometry_text(path: Path) -> str:
     return replace(_read(path, time_of_change(path)), source="", product="").text()
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=8)  # a file is read by format, image and model; its time of change is a key
 def _read(path: Path, _changed: int) -> Annotation:
     """Return the annotation of a file; `_changed`, its time of change, only renews the cache."""
     root = _root(path)

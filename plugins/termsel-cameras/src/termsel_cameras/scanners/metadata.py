@@ -82,7 +82,7 @@ def metadata_of(given: str) -> Metadata:
         raise TermselError(f"{path} cannot be read: {error.strerror}", hint=_DIMAP_HINT) from error
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=2)  # a file is read by format, image and model; its time of change is a key
 def _read(path: Path, _changed: int) -> Metadata:
     """Return the metadata of a file; `_changed`, its time of change, only renews the cache.
 

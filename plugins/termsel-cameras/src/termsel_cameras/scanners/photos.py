@@ -227,14 +227,14 @@ def _geographic(ground: FloatArray, scaling: Scaling, crs: str) -> FloatArray:
 # Fits ask thousands of times about the same control.
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=32)  # a photo is asked for with each set of parameters
 def _middle_and_axes(scaling: Scaling, crs: str) -> tuple[FloatArray, FloatArray]:
     """Return the middle of the control, Earth-fixed (1, 3), and its east, north and up (3, 3)."""
     middle = _geographic(np.zeros((1, 3)), scaling, crs)
     return to_geocentric(middle), axes_at(*middle[0, :2])
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=32)  # a photo is asked for with each set of parameters
 def _ground_extent_of(scaling: Scaling, crs: str) -> float:
     """Return how far the eastern edge of the control is from its middle [m]."""
     return float(np.linalg.norm(_local(np.array([[1.0, 0.0, 0.0]]), scaling, crs)))

@@ -367,7 +367,7 @@ def as_stated(ready: Physical, control: FitData) -> FloatArray | None:
     return np.asarray(errors) if close else None
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=8)  # a fit, its errors and its spread need it
 def _cached_best_fit(pickled: bytes) -> CameraSolution:
     """Return the best fit of a model to scaled points, given pickled so that they can be cached."""
     return _best_solution(*pickle.loads(pickled))

@@ -270,7 +270,7 @@ def zero_doppler(annotation: Annotation, targets: FloatArray,
     return time, distance, rightward & reached
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=8)  # an orbit is asked for with each set of places
 def _splines_of_orbit(times: tuple[float, ...], positions: Vectors, velocities: Vectors,
                       ) -> tuple[Any, Any, Any]:
     """Return splines of position [m], velocity [m/s] and acceleration [m/s^2] by time [s]."""
