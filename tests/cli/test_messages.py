@@ -7,8 +7,9 @@ import os
 import re
 import shlex
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import click
 import numpy as np
@@ -436,3 +437,29 @@ def test_a_word_of_the_summary_leads_to_the_name_of_the_model(example_files: Pat
     message = refused("run", str(example_files / "gcps.csv"), "--model", "quadratic")
     assert "multiquadric'?" not in message
     assert "Name it poly2d, or poly3d with heights, and --set degree=2." in message
+
+
+@pytest.mark.parametrize("words", [
+    ("run", "gcps.csv", "--set", "layer=roads"),
+    ("project", "result", "--points", "gcps.csv", "--layer", "roads")])
+def test_a_layer_of_a_text_table_is_refused(
+        words: tuple[str, ...], tmp_path: Path, call: Callable[..., SimpleNamespace],
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("gcps.csv").write_text("# crs: local\nid,line,sample,x,y,z\n" + "".join(
+        f"P{i},{100 * (i % 3)},{100 * (i // 3)},{1000 * (i // 3)},{-1000 * (i % 3)},5\n"
+        for i in range(9)))
+    call("run", "gcps.csv", "--out", "result")
+    refused = call(*words)
+    assert refused.exit_code == 2
+    assert "a text table has no layers or sheets, and layer 'roads' is asked for" in refused.stderr
+
+
+def test_advice_on_too_few_points_names_the_option_that_leaves_them_out(
+        tmp_path: Path, call: Callable[..., SimpleNamespace]) -> None:
+    """A role given to a point that --off names would be refused."""
+    points = tmp_path / "few.csv"
+    points.write_text("# crs: local\nid,line,sample,x,y\nA,1,2,1,-2\nB,9,2,1,-9\nC,3,7,7,-3\n")
+    refused = call("run", points, "--off", "A,B")
+    assert refused.stderr.strip().endswith("Leave fewer out: --off is A,B.")
+    assert "--role ID=control" in call("run", points, "--role", "A=off", "--role", "B=off").stderr

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Iterable
-from contextlib import nullcontext, suppress
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TextIO
 
 import click
 
-from termsel.core.errors import DOUBT, PENDING, TermselError, make_printable
+from termsel.core.errors import DOUBT, ONCE, PENDING, TermselError, count_in_words, make_printable
 
 _results: TextIO | None = None
 """What stdout was before `take_stdout`."""
@@ -118,6 +119,34 @@ class _OnStderr(logging.Handler):
             return
         with suppress(OSError):
             print(make_printable(self.format(record)), file=sys.stderr)
+
+
+@contextmanager
+def say_once() -> Iterator[None]:
+    """Print of alike messages about many images the first, and at the end how many more there are.
+    """
+    told: Counter[str] = Counter()
+
+    def is_first(record: logging.LogRecord) -> bool:
+        """Return whether a record is the first of its kind, or of none."""
+        kind = getattr(record, ONCE, None)
+        if kind is None:
+            return True
+        told[kind] += 1
+        return told[kind] == 1
+
+    handlers = logging.getLogger("termsel").handlers
+    for handler in handlers:
+        handler.addFilter(is_first)
+    try:
+        yield
+    finally:
+        for handler in handlers:
+            handler.removeFilter(is_first)
+        for kind, count in told.items():
+            if count > 1:
+                others = count_in_words(count - 1, "further image")
+                echo(f"Note: that on {kind} concerns {others} as well.", err=True)
 
 
 def show_messages() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from termsel.cli.bars import share_bar
-from termsel.cli.messages import echo, say_written
+from termsel.cli.messages import echo, say_once, say_written
 from termsel.cli.tables import print_table
 from termsel.core.errors import TermselError, unknown_name_error
 from termsel.core.files.atomic import make_folder, write_text
@@ -82,7 +82,7 @@ def _write(maps: list[ImageMap], quiet: bool, options: Mapping[str, Any]) -> lis
     from termsel.studies.maps import PLANNED, write_maps
 
     total = max(sum(item.state == PLANNED for item in maps), 1)
-    with share_bar("rectify", quiet) as progress:
+    with say_once(), share_bar("rectify", quiet) as progress:
         done = 0
 
         def show(share: float) -> None:

@@ -141,6 +141,9 @@ ON_SUCCESS = "on success"
 DOUBT = "doubt"
 """Value of it: said by the summary of a run as well."""
 
+ONCE = "termsel_once"
+"""Attribute of a log record: what it is about; of many images the first alone gets the words."""
+
 
 _DEGREES = {"linear": 1, "quadratic": 2, "cubic": 3}
 """Degrees of polynomials by what the summary of a run calls them."""

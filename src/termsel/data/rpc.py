@@ -13,11 +13,19 @@ from termsel.core.errors import TermselError
 from termsel.data.arrays import FloatArray
 from termsel.data.locate import Surface, locate
 from termsel.data.monomials import RPC00B, evaluate_monomials
+from termsel.data.record.cautions import BEYOND_RPC
 from termsel.data.record.record import RpcNumbers
 
 Coefficients = tuple[float, ...]
 
 N_COEFFICIENTS = len(RPC00B)
+
+_OUTSIDE = 2.0
+"""Half ranges of the RPC's heights from their middle beyond which heights are surely outside."""
+_NEAR_RANGE = 200.0
+"""Height [m] above or below a narrow range to which an RPC is still about right."""
+CHECK_HEIGHTS = "check their unit and sign; leave unknown ones blank, or give --dem FILE"
+"""What to do about heights that are far outside those of an RPC."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +124,41 @@ class Rpc:
     def from_numbers(cls, numbers: RpcNumbers) -> Self:
         """Return the RPC that `numbers` returned these for."""
         return cls(**structs.asdict(numbers))
+
+    def heights_outside(self, heights: FloatArray) -> str:
+        """Return the clause that the median height [m] is far outside those of the RPC; else "".
+
+        Parameters
+        ----------
+        heights : array, shape (n,)
+            Ellipsoidal heights [m].
+
+        Returns
+        -------
+        str
+            A clause for a message.
+
+        Examples
+        --------
+        >>> import numpy as np, termsel
+        >>> one = (1.0,) + 19 * (0.0,)
+        >>> rpc = termsel.Rpc((500.0, 500.0), (500.0, 500.0), (11.0, 46.0, 300.0),
+        ...                   (0.1, 0.1, 300.0), one, one, one, one)
+        >>> rpc.heights_outside(np.array([9000.0]))
+        'the heights of the control, 9,000 m (median), are outside those of the RPC, 0 to 600 m'
+        >>> rpc.heights_outside(np.array([500.0]))
+        ''
+        """
+        if not len(heights):
+            return ""
+        # The range of an RPC is its offset plus and minus its scale.
+        middle = self.ground_offset[2]
+        half = abs(self.ground_scale[2])
+        median = float(np.median(heights)) + 0.0
+        if abs(median - middle) <= max(_OUTSIDE * half, half + _NEAR_RANGE):
+            return ""
+        return (f"the heights of the control, {median:,.0f} m (median){BEYOND_RPC}"
+                f"{middle - half:,.0f} to {middle + half:,.0f} m")
 
     def project(self, ground: ArrayLike) -> FloatArray:
         """Return where ground points are seen.

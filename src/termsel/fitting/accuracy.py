@@ -93,6 +93,8 @@ MAX_LEVERAGE = 0.999
 
 PIXEL_POINTS = 100
 """Most points at which the size of a pixel on the ground is computed."""
+MAX_PIXEL_RATIO = 50.0
+"""Largest pixel on the ground by the median one: beyond it a model is not plausible."""
 
 MIN_AXIS_RATIO = 0.6
 """Least ratio of the RMSE of x and y for which NSSDA has a figure."""
@@ -325,7 +327,7 @@ def predict_rmse_of_all(fitted: Fit, expected: Predicted, ground: FloatArray) ->
 def pixel_on_ground(fitted: Fit) -> float | None:
     """Return how far a pixel is on the ground [m]: root of the mean square at the control.
 
-    None where the CRS does not show metres, or the model has no inverse.
+    None where the CRS does not show metres, or the model has no inverse, or is not plausible.
     """
     points = fitted.control.points
     if not len(points):
@@ -347,7 +349,10 @@ def pixel_on_ground(fitted: Fit) -> float | None:
         return None
     finite = np.concatenate(squares)
     finite = finite[np.isfinite(finite)]
-    return float(np.sqrt(finite.mean())) if len(finite) else None
+    # Where pixels of one image differ so much, a model is bent through an outlier.
+    if not len(finite) or finite.max() > MAX_PIXEL_RATIO**2 * np.median(finite):
+        return None
+    return float(np.sqrt(finite.mean()))
 
 
 def _square_of_unlike_heights(fitted: Fit, control: FeatureSet, ground: FloatArray) -> float:

@@ -313,8 +313,11 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
         # A raster without georeferencing has the identity, which would put pixels at degrees.
         _require_georeferenced(raster, path)
         if raster.count != 1:
+            hint = "Choose one, for example with gdal_translate -b."
+            if _stores_bytes(raster):
+                hint = "Its 8-bit bands are those of an image: give a raster of heights (a DEM)."
             raise TermselError(f"this raster has {raster.count} bands, expected one of heights",
-                               file=path, hint="Choose one, for example with gdal_translate -b.")
+                               file=path, hint=hint)
         try:
             raster_crs = CRS.from_user_input(raster.crs.to_wkt())
         except CRSError as error:  # of a building
@@ -340,6 +343,19 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
         datum = datum_in_words(raster_crs, to_datum is not None, crs)
         yield Dem(path, raster, to_raster, datum, turns=raster_crs.is_geographic, crs=crs,
                   unit=unit, to_datum=to_datum)
+
+
+def _stores_bytes(raster: Any) -> bool:
+    """Return whether a raster stores 8-bit values, as images do, and no scale makes them heights.
+    """
+    return raster.dtypes[0] == "uint8" and raster.scales[0] == 1.0 and raster.offsets[0] == 0.0
+
+
+def warn_of_bytes(dem: Dem) -> None:
+    """Warn that a raster of heights stores 8-bit values, as images do."""
+    if _stores_bytes(dem.raster):
+        log.warning("Warning: %s stores 8-bit values (0 to 255), as an image does. They were "
+                    "taken for heights: is it a DEM?", make_printable(dem.path.name))
 
 
 def _require_georeferenced(raster: Any, path: Path) -> None:
@@ -524,6 +540,8 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
     ground = features.ground_vertices()
     unknown = np.isnan(ground[:, 2])
     with open_dem(dem, features.crs) as surface:
+        if unknown.any():
+            warn_of_bytes(surface)
         difference = difference_of(features, surface)
         ground[unknown, 2] = surface(ground[unknown, :2])
         datum = surface.datum

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.core.errors import TermselError
+from termsel.core.errors import ONCE, TermselError
 from termsel.core.options import Option
 from termsel.data.coordinates.earth import is_mirrored
 from termsel.data.distant_rasters import with_dataset
@@ -65,7 +65,8 @@ def note_on_exif_orientation(image: Path | str) -> None:
     if shown:
         log.warning("Note: by its EXIF viewers show %s %s. Lines and samples count in the pixels "
                     "as they are stored, as in a GIS. If the points were measured in such a "
-                    "viewer, give a copy with turned pixels (convert -auto-orient).", image, shown)
+                    "viewer, give a copy with turned pixels (convert -auto-orient).", image, shown,
+                    extra={ONCE: "the orientation in EXIF"})
 
 
 def _exif_orientation(dataset: Any) -> str:

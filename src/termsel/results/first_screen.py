@@ -15,6 +15,7 @@ from termsel.core.errors import (
     rounded_size_text,
 )
 from termsel.data.coordinates.crs import LOCAL, short_crs_name
+from termsel.data.record.cautions import BEYOND_RPC
 from termsel.data.record.figures import (
     EXACTLY,
     FEW_EVALUATIONS,
@@ -468,8 +469,13 @@ def _urgent_warnings_and_notes(record: Record) -> list[str]:
     read = record.data.read
     doubt = read.doubt.casefold() if read else ""
     is_exact_said = is_exact(record)
-    return [*_urgent_warnings(record),
+    # Wrong heights under an RPC make every figure one of other places.
+    wrong_heights = [note for note in record.notes if BEYOND_RPC in note]
+    if BEYOND_RPC in _why_rpc_unused(record):
+        wrong_heights.clear()
+    return [*_urgent_warnings(record), *wrong_heights,
             *(note for note in record.notes if note and not _is_shown(note)
+              and BEYOND_RPC not in note
               and note not in (heights, *_said_of_rpc(record))
               and not (is_exact_said and EXACTLY in note)
               and not (doubt and note.casefold().startswith(doubt))

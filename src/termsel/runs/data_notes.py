@@ -9,7 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel.core.errors import count_in_words, first_names_in_words, rounded_size_text
-from termsel.data.coordinates.crs import EARTH, body_of, geodetic_of
+from termsel.data.coordinates.crs import (
+    EARTH,
+    LOCAL,
+    body_of,
+    geodetic_of,
+    normalise,
+    to_wgs84,
+)
 from termsel.data.coordinates.earth import note_on_turned
 from termsel.data.coordinates.longitudes import has_longitude_jump
 from termsel.data.coordinates.metres import (
@@ -31,6 +38,7 @@ from termsel.data.fit_data import (
 )
 from termsel.data.record.cautions import EXTRAPOLATION, ON_ONE_LINE, TWO_DATUMS
 from termsel.data.roles import Observations, find_twins, twin_groups
+from termsel.data.rpc import CHECK_HEIGHTS
 from termsel.fitting.extrapolation import corners_of
 from termsel.fitting.fit import Fit
 from termsel.formats.heights import pixels_of
@@ -247,6 +255,7 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     yield from checked_next_to_control(features, independent)
     # One blunder far away draws all others together.
     yield from _note_on_one_line((clean or observations).together)
+    yield from _note_on_rpc_heights(features)
     missing = features.without_height()
     if heights and not blank and 0 < len(missing) < len(features):
         yield (f"{len(missing)} of {len(features)} {features.word} have no height, so the heights "
@@ -317,6 +326,20 @@ def _note_on_two_groups(features: FeatureSet) -> Iterator[str]:
     yield (f"{groups.sentence()}: {first_names_in_words(groups.second)}.{likely} Transform them "
            "to the CRS of "
            "the others.")
+
+
+def _note_on_rpc_heights(features: FeatureSet) -> Iterator[str]:
+    """Yield a note if the heights of the features are far outside those of their RPC."""
+    rpc = features.rpc
+    if rpc is None or normalise(features.crs) == LOCAL:
+        return
+    ground = features.ground_vertices()
+    outside = rpc.heights_outside(
+        to_wgs84(features.crs)(ground[np.isfinite(ground).all(axis=1)])[:, 2])
+    if outside:
+        remedy = "is the raster of heights the right one?" if features.heights else \
+            f"{CHECK_HEIGHTS}."
+        yield f"{outside[0].upper()}{outside[1:]}: {remedy}"
 
 
 def _note_on_one_line(features: FeatureSet) -> Iterator[str]:

@@ -63,10 +63,10 @@ CORRECTED = (" Or leave the rest out: termsel run --points FILE --rpc FILE corre
 
 
 def require_enough(observations: Observations, criterion: Criterion, model: SensorModel,
-                   fewest: int) -> None:
+                   fewest: int, named_off: str | None = None) -> None:
     """Refuse data for a problem: too few features, all in one place, or lines in one direction.
 
-    `fewest` is the fewest control features.
+    `fewest` is the fewest control features; `named_off` are ids that the option off leaves out.
     """
     control = observations.control
     check = observations.check
@@ -79,7 +79,7 @@ def require_enough(observations: Observations, criterion: Criterion, model: Sens
         raise TermselError(
             f"{_count_of_control(control)}{others}; at least {count_in_words(fewest, noun)} "
             f"{'is' if fewest == 1 else 'are'} needed",
-            hint=_remedy_for_few(observations, fewest)
+            hint=_remedy_for_few(observations, fewest, named_off)
                  + without_selection
                  + CORRECTED * ("rpc" in model.options))
     if criterion.needs_check and len(check) < MIN_CHECK:
@@ -158,11 +158,14 @@ OFF_IN_WORDS = "take no part (role off, or switched off in QGIS)"
 """What points of the role off do, and why."""
 
 
-def _remedy_for_few(observations: Observations, fewest: int) -> str:
+def _remedy_for_few(observations: Observations, fewest: int, named_off: str | None) -> str:
     """Return what helps against too few control points or lines: those that have another role."""
     total = len(observations.features)
     if total < fewest:
         return "Measure more."
+    # A role given besides would contradict the option.
+    if named_off and observations.off:
+        return f"Leave fewer out: --off is {named_off}."
     if len(observations.off) >= fewest:
         return ("Switch points on in the file, such as in QGIS's georeferencer, or give them the "
                 "role control: --role ID=control.")
@@ -408,7 +411,7 @@ def observe(request: Request, fewest: int = MIN_CONTROL) -> Observations:
     # Independent points need heights, too: the model must see them in the end.
     require_heights(request.model, features.with_(
         points=features.points.join_unchecked(observations.independent)))
-    require_enough(observations, criterion, request.model, fewest)
+    require_enough(observations, criterion, request.model, fewest, of_data["off"])
     if of_data["fit_crs"] is not None:
         observations = with_fit_crs(of_data["fit_crs"], observations, request.model)
     return observations
@@ -494,8 +497,6 @@ def _check_as(request: Request, observations: Observations) -> str:
 
 # The RPC that is given with the features: of which image it is, and whether it can be used.
 
-_OUTSIDE = 2.0
-"""Half ranges of the RPC's heights from their middle beyond which heights are surely outside."""
 _NEARER = 0.5
 """Part of the distance to the measured places that feet must leave."""
 
@@ -518,6 +519,9 @@ def part_of_rpc(control: FeatureSet) -> ImagePart | None:
                            hint=error.hint) from error
     # Before the part is recognised: wrong units look like another part.
     _refuse_feet(rpc, positions, points.image)
+    # Wrong heights move the points, which would look like another part, too.
+    if rpc.heights_outside(positions[:, 2]):
+        return None
     with np.errstate(all="ignore"):
         return recognise_part(rpc.project(positions), points.image)
 
@@ -527,15 +531,10 @@ def _refuse_feet(rpc: Rpc, positions: FloatArray, image: FloatArray) -> None:
 
     As metres they move the points, and another part of the image would seem to explain that.
     """
-    if not len(positions):
-        return
-    # The range of an RPC is its offset plus and minus its scale.
-    middle = rpc.ground_offset[2]
-    half = rpc.ground_scale[2]
+    outside = rpc.heights_outside(positions[:, 2])
     in_metres = positions * [1.0, 1.0, UNITS[FOOT]]
-    metres, feet = (float(np.median(heights)) for heights in (in_metres[:, 2], positions[:, 2]))
     # Plausible as metres, or implausible as feet: then there is nothing to refuse.
-    if abs(feet - middle) <= _OUTSIDE * half or abs(metres - middle) > half:
+    if not outside or abs(np.median(in_metres[:, 2]) - rpc.ground_offset[2]) > rpc.ground_scale[2]:
         return
     with np.errstate(all="ignore"):
         distances = [np.linalg.norm(rpc.project(ground) - image, axis=1)
@@ -544,8 +543,7 @@ def _refuse_feet(rpc: Rpc, positions: FloatArray, image: FloatArray) -> None:
     # Feet must explain at least half of the distance, or something else is wrong.
     if converted < as_read * _NEARER:
         raise TermselError(
-            f"the heights of the control, {feet:,.0f} m (median), are outside those of the RPC, "
-            f"{middle - half:,.0f} to {middle + half:,.0f} m. As feet they are inside, and the RPC "
+            f"{outside}. As feet they are inside, and the RPC "
             f"sees the points {converted:,.0f} px from where they were measured, in place of "
             f"{as_read:,.0f} px", hint="State the unit of z: --set z_unit=ft (or us-ft).")
 

@@ -198,13 +198,15 @@ class CorrectedRpc(Method):
             return error.what
         features = control.features
         # A correction moves an image by some px to hundreds; half an image is another image.
-        away = np.linalg.norm(
-            rpc.project(model.geographic(control.scaling.ground(features.ground_vertices())))
-            - features.image_vertices(), axis=1)
+        geographic = model.geographic(control.scaling.ground(features.ground_vertices()))
+        away = np.linalg.norm(rpc.project(geographic) - features.image_vertices(), axis=1)
         half = float(np.linalg.norm(rpc.image_scale))
         if not np.median(away) < half:
-            return (f"{model.source} sees the control {np.median(away):,.0f} px from where it was "
-                    f"measured, more than half of its image ({half:,.0f} px). It is of another "
+            seen = f"{model.source} sees the control {np.median(away):,.0f} px from where it was " \
+                   "measured"
+            if outside := rpc.heights_outside(geographic[:, 2]):
+                return f"{seen}, as {outside}: check their unit and sign"
+            return (f"{seen}, more than half of its image ({half:,.0f} px). It is of another "
                     "image, or line and sample are swapped")
         return None
 

@@ -28,8 +28,12 @@ UNLIKE_CONTROL = " control and check. Either "
 BESIDE_CONTROL = " close beside control points"
 """What a note has in it on independent points that show errors next to control alone."""
 
+BEYOND_RPC = ", are outside those of the RPC, "
+"""What a note has in it on control whose heights the RPC does not have."""
+
 _OPENINGS = (EXTRAPOLATION, BETWEEN_POINTS)
-_WORDS = (ON_ONE_LINE, TWO_DATUMS, CONTRADICT, EXCHANGED, UNLIKE_CONTROL, BESIDE_CONTROL)
+_WORDS = (ON_ONE_LINE, TWO_DATUMS, CONTRADICT, EXCHANGED, UNLIKE_CONTROL, BESIDE_CONTROL,
+          BEYOND_RPC)
 
 
 def limits_of_accuracy(notes: Iterable[str]) -> list[str]:

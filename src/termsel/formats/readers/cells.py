@@ -105,6 +105,9 @@ def read_cells(path: Path, aliases: Aliases, stated: Mapping[str, str], layer: s
     # Spreadsheets are known by their first bytes, whatever their name.
     if data.startswith(_SHEETS):
         return _choose_sheet(path, aliases, stated, layer)
+    if layer is not None:
+        raise TermselError("a text table has no layers or sheets, and layer "
+                           f"{layer!r} is asked for", file=path, hint="Leave the option layer out.")
     text, encoding = decode(data, path)
     text = _with_header(text, aliases, stated)
     _refuse_wide(path, text)

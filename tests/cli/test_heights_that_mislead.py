@@ -1,0 +1,85 @@
+"""Heights that an RPC does not have, images given as rasters of heights, far control."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from termsel.toolkit.files import write_example
+
+needs_rpc = pytest.mark.skipif(find_spec("termsel_rpc") is None, reason="corrects the RPC")
+
+Call = Callable[..., SimpleNamespace]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("heights") / "files"
+    write_example(folder)
+    return folder
+
+
+def _points(files: Path, name: str, every: int, change: Callable[[list[str]], list[str]]) -> Path:
+    """Write every n-th control point of the example, each changed, and return the file."""
+    comment, header, *rows = (files / "gcps.csv").read_text().splitlines()
+    changed = [",".join(change(row.split(","))) for row in rows[::every]]
+    path = files / name
+    path.write_text("\n".join([comment, header, *changed]) + "\n")
+    return path
+
+
+@needs_rpc
+@pytest.mark.parametrize("height", [0.0, -9000.0, 11000.0])
+@pytest.mark.parametrize("every", [10, 40])
+def test_heights_far_outside_those_of_the_rpc_are_named(
+        files: Path, call: Call, height: float, every: int) -> None:
+    points = _points(files, "far.csv", every, lambda row: [*row[:-1], f"{height}"])
+    done = call("run", points, files / "vendor.RPB")
+    assert done.exit_code == 0, done.stderr
+    shown = " ".join(done.stdout.split())
+    assert (f"he heights of the control, {height:,.0f} m (median), are outside those of the RPC, "
+            "1,500 to 2,200 m: check their unit and sign") in shown
+    # They move the points in the image; that looks like another part of it.
+    assert "rpc_offset" not in shown
+    assert "swapped" not in shown
+
+
+@needs_rpc
+def test_heights_of_the_rpc_get_no_word(files: Path, call: Call) -> None:
+    points = _points(files, "usual.csv", 10, lambda row: row)
+    assert "outside those" not in call("run", points, files / "vendor.RPB").stdout
+
+
+@pytest.mark.parametrize(("bands", "exit_code", "words"), [
+    (1, 0, "stores 8-bit values (0 to 255), as an image does"),
+    (3, 2, "8-bit bands are those of an image: give a raster of heights (a DEM)")])
+def test_an_image_given_as_raster_of_heights_is_named(
+        files: Path, call: Call, bands: int, exit_code: int, words: str) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    with rasterio.open(files / "dem.tif") as dem:
+        profile = {**dem.profile, "dtype": "uint8", "count": bands}
+        grey = (dem.read(1) % 250).astype(np.uint8)
+    image = files / f"grey{bands}.tif"
+    with rasterio.open(image, "w", **profile) as raster:
+        raster.write(np.repeat(grey[None], bands, axis=0))
+    points = _points(files, "no-heights.csv", 9, lambda row: [*row[:-1], ""])
+    done = call("run", points, "--dem", image)
+    assert done.exit_code == exit_code
+    assert words in done.stderr
+    # Where all heights are known, none is taken.
+    assert bands > 1 or "8-bit" not in call("run", files / "gcps.csv", "--dem", image).stderr
+
+
+@needs_rpc
+def test_no_metres_stand_by_a_model_that_a_wrong_point_bends(files: Path, call: Call) -> None:
+    def move(row: list[str]) -> list[str]:
+        return [*row[:-2], str(float(row[-2]) + (row[0] == "C27")), row[-1]]
+
+    shown = call("run", _points(files, "moved.csv", 3, move)).stdout
+    accuracy = next(line for line in shown.splitlines() if line.startswith("Accuracy"))
+    assert " m " not in accuracy
