@@ -235,7 +235,7 @@ def test_the_method_of_an_rpc_asks_for_one(example_files: Path) -> None:
      "z.jpg: a map is written as GeoTIFF, not as .jpg. Name it z.tif"),
     (["run", "x.csv", "--report", "page.pdf"], "--report takes no name: it writes report.html"),
     (["plot", "residuals", "result", "-o", "x.svg"], "DIR comes before KIND: termsel plot result"),
-    (["stability", "x.csv"], "A file of points is given by --points FILE."),
+    (["stability", "x.csv"], "A file of points is given so: --points "),
     (["bench", "--check", "nowhere"], "--check is 'nowhere', which does not exist. Check the name"),
     (["accuracy", "nowhere"], "nowhere: there is no result here: this folder does not exist."),
     # What is known elsewhere is not guessed.
@@ -463,3 +463,17 @@ def test_advice_on_too_few_points_names_the_option_that_leaves_them_out(
     refused = call("run", points, "--off", "A,B")
     assert refused.stderr.strip().endswith("Leave fewer out: --off is A,B.")
     assert "--role ID=control" in call("run", points, "--role", "A=off", "--role", "B=off").stderr
+
+
+def test_an_option_of_the_command_given_by_set_is_named(call: Callable[..., SimpleNamespace],
+                                                        ) -> None:
+    refused = call("run", "--problem", "poly-terms", "--set", "generations=5")
+    assert refused.exit_code == 2
+    assert "Type --generations 5." in refused.stderr
+    # An option of the GA has the name of one of the command.
+    assert "by itself" not in call("run", "--problem", "poly-terms", "--set", "points=0").stderr
+
+
+def test_limits_of_numbers_are_written_out(call: Callable[..., SimpleNamespace]) -> None:
+    refused = call("run", "--problem", "poly-terms", "--seconds", "-1")
+    assert "--seconds is -1, expected a number above 0." in refused.stderr

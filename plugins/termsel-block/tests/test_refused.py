@@ -27,7 +27,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(("edit", "message"), [
     (('"B"', '"A"'), "2 images are called 'A'"),
     (('name = "B"', 'name = "Q"'), "the block has no image 'B'"),
-    (('"ties.csv"', '"none.csv"'), "cannot read the ties"),
+    (('"ties.csv"', '"none.csv"'), "this file of ties does not exist"),
     (("rpc =", "rcp ="), "unknown key 'rcp' of image number 1. Did you mean 'rpc'? Known: name, "),
     (("[[image]]", "[[images]]"), "unknown key 'images' of a block. Did you mean 'image'? Known: "),
     (("rpc =", "rcp ="), "bad.toml, line "),

@@ -6,6 +6,7 @@ click names types of Python ("5m is not a valid float range"); these name what t
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Sequence
 from difflib import get_close_matches
 
@@ -265,9 +266,9 @@ def _range_in_words(kind: click.IntRange | click.FloatRange) -> str:
     noun = "a whole number" if isinstance(kind, click.IntRange) else "a number"
     limits = []
     if kind.min is not None:
-        limits.append(f"{'above' if kind.min_open else 'of at least'} {kind.min:,g}")
+        limits.append(f"{'above' if kind.min_open else 'of at least'} {kind.min:,.12g}")
     if kind.max is not None and kind.max < _NO_LIMIT:
-        limits.append(f"{'below' if kind.max_open else 'of at most'} {kind.max:,g}")
+        limits.append(f"{'below' if kind.max_open else 'of at most'} {kind.max:,.12g}")
     return f"{noun} {' and '.join(limits)}"
 
 
@@ -281,5 +282,5 @@ def _extra_words(error: click.ClickException) -> str:
     takes_words = any(isinstance(param, click.Argument) for param in ctx.command.params)
     remedy = "A name with spaces needs quotation marks." if takes_words else "Leave it out."
     if any("--points" in param.opts for param in ctx.command.params):
-        remedy = f"A file of points is given by --points FILE. {remedy}"
+        remedy = f"A file of points is given so: --points {shlex.quote(extra[1])}."
     return f"{extra[1]!r} is more than this command takes: {ctx.command_path} {usage}. {remedy}"

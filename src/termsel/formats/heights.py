@@ -348,7 +348,8 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
 def _stores_bytes(raster: Any) -> bool:
     """Return whether a raster stores 8-bit values, as images do, and no scale makes them heights.
     """
-    return raster.dtypes[0] == "uint8" and raster.scales[0] == 1.0 and raster.offsets[0] == 0.0
+    return bool(raster.dtypes[0] == "uint8"
+                and raster.scales[0] == 1.0 and raster.offsets[0] == 0.0)
 
 
 def warn_of_bytes(dem: Dem) -> None:

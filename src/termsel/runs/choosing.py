@@ -13,7 +13,7 @@ from msgspec.structs import replace as changed
 from termsel.auto.auto import MAX_EXACT_POINTS, Auto, minimal_fit, minimal_view
 from termsel.auto.compare import compare
 from termsel.auto.rule import Choice, folds_of, has_pole, method_of
-from termsel.core.errors import TermselError, count_in_words
+from termsel.core.errors import TermselError, count_in_words, rounded_size_text
 from termsel.core.interrupts import take_pending_interrupt
 from termsel.data.features import FloatArray, Points, empty_points, select
 from termsel.data.fit_data import FitData
@@ -202,7 +202,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
         fitted.model.uses_height and not data.heights)
     lattice = clean.lattice
     # Heights off a plane are no blunders: a model with heights would use them.
-    high = [f"{outlier.id} ({outlier.error:.3g} px)" for outlier in verdict.outliers
+    high = [f"{outlier.id} ({rounded_size_text(outlier.error)} px)" for outlier in verdict.outliers
             if outlier.id in verdict.high]
     heights = "its height" if len(high) == 1 else "their heights"
     left_out_for_height = [f"Left out for {heights}: {', '.join(high)}."] if high else []

@@ -405,7 +405,7 @@ async def _serve(session: Session, port: int, started: Callable[[str, str], None
     try:
         sockets = bind_sockets(port, address=ADDRESS)
     except OSError as error:
-        raise TermselError(f"port {port} cannot be had: {error.strerror}",
+        raise TermselError(f"port {port} cannot be used: {error.strerror}",
                            hint="Choose another --port, or leave it out.") from error
     # Port 0 lets the system choose: the socket knows which.
     pages = Pages(session, sockets[0].getsockname()[1])

@@ -179,6 +179,17 @@ def _number(cell: str, name: str, file: Path | None, line: int) -> float:
     return value
 
 
+def _refuse_repeated_ids(ids: Sequence[str], path: Path) -> None:
+    """Raise TermselError for a point whose errors are in the table twice: it would count twice."""
+    lines: dict[str, int] = {}
+    for line, name in enumerate(ids, 2):
+        if name and name in lines:
+            raise TermselError(f"the id {name!r} is that of line {lines[name]} as well", file=path,
+                               line=line, column="id", hint="Remove the row that repeats a point, "
+                               "or give each point an id of its own.")
+        lines[name] = line
+
+
 def read_errors(path: Path | str) -> GroundErrors:
     """Return the errors in a table.
 
@@ -227,6 +238,7 @@ def read_errors(path: Path | str) -> GroundErrors:
                                 "id,dx,dy or id,dx,dy,dz,x,y,sigma_x,sigma_y,sigma_z. For the "
                                 "accuracy of a run give its folder: termsel accuracy DIR.")
     ids = tuple(row.get("id", "").strip() or str(i) for i, row in enumerate(rows, 1))
+    _refuse_repeated_ids([row.get("id", "").strip() for row in rows], path)
     # A column of heights that is all blank is none.
     axes = AXES if any(row.get("dz", "").strip() for row in rows) else AXES[:2]
     errors = _parse_columns(path, rows, [f"d{axis}" for axis in axes])

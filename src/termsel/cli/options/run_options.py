@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -123,6 +123,21 @@ def run_options(command: Command) -> Command:
     return command
 
 
+_OF_COMMAND = ("lines", "areas", "dem", "image", "crs", "problem", "dataset", "model",
+               "solver", "criterion", "method", "strategy", "generations", "evaluations", "seconds",
+               "patience", "out")
+"""Options of the command that may be taken for one of --set."""
+
+
+def _refuse_options_of_command(settings: Iterable[str]) -> None:
+    """Raise TermselError for a setting that is an option of the command."""
+    for setting in settings:
+        key, _, value = setting.partition("=")
+        if key in _OF_COMMAND:
+            raise TermselError(f"{key} is an option by itself, not one of --set",
+                               hint=f"Type --{key} {shlex.quote(value or 'VALUE')}.")
+
+
 @dataclass(frozen=True)
 class RunOptions:
     """What is asked for by the options of `run_options` and ``--out``; as click gives them.
@@ -170,6 +185,7 @@ class RunOptions:
     options: dict[str, str] = field(init=False)
 
     def __post_init__(self) -> None:
+        _refuse_options_of_command(self.settings)
         # The class is frozen; this one field follows from the others.
         object.__setattr__(self, "options", parse_settings(
             self.settings, fit_crs=self.fit_crs,

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from termsel.core.errors import rounded_size_text
 from termsel.results.theme import (
     BLUNDER,
     CONTROL,
@@ -42,7 +43,7 @@ def bars_of_worst(view: View) -> Any:
     rows = []
     for row in view.worst[:WORST]:
         is_broken = row["distance"] > end
-        words = [f"{row['distance']:.3g} px"] if is_broken else []
+        words = [f"{rounded_size_text(row['distance'])} px"] if is_broken else []
         if row["blunder"]:
             words.append(CERTAINTY[row["blunder"]])
         rows.append({**row, "end": min(row["distance"], end), "broken": is_broken,

@@ -142,7 +142,7 @@ def _refuse_elsewhere(images: Sequence[ImageInput], started: Started, count: int
             away = np.abs(control.value - (control.normal * computed).sum(axis=1))
             if np.median(away) > 2 * max(np.abs(camera.rpc.image_scale)):
                 raise TermselError(f"the RPC of image {image.name!r} is of another area than its "
-                                   f"control: half of it is {np.median(away):.3g} px away or more",
+                                   f"control: half of it is {np.median(away):,.0f} px away or more",
                                    hint="Give the RPC of this image; x must be longitude or "
                                         "easting.")
         # Where the RPC puts the ties on the ground, at its mean height.

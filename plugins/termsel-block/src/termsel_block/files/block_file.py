@@ -534,8 +534,10 @@ def _table_rows(file: Path) -> list[tuple[int, dict[str, str]]]:
                                                for name, i in at.items()}))
             return rows
     except OSError as error:
-        raise TermselError(f"cannot read the ties: {error.strerror}", file=file,
-                           hint="Give a table headed id,image,line,sample.") from error
+        reason = "this file of ties does not exist" if isinstance(error, FileNotFoundError) else \
+            f"cannot read the ties: {error.strerror}"
+        raise TermselError(reason, file=file, hint="Check its name at ties = in the file of the "
+                           "block. It is a table headed id,image,line,sample.") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise TermselError(f"this is not a table: {error}", file=file,
                            hint="Give a table headed id,image,line,sample, in UTF-8.") from error

@@ -258,7 +258,7 @@ class PhysicalModel:
         missed = float(np.median(np.hypot(*(image - camera.project(camera.start, local)).T)))
         if not missed <= ABSURD * float(np.ptp(image, axis=0).max()):
             raise TermselError(f"image {of!r}: model {self.name!r} misses half of its points by "
-                               f"{missed:.3g} px or more",
+                               f"{missed:,.0f} px or more",
                                hint="Check the options of the model, above all the sensor, and "
                                     "the points.")
         return camera

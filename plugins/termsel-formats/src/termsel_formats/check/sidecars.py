@@ -27,7 +27,8 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
     """
     if path.is_dir():
         raise TermselError("this is a folder, expected a file", file=path,
-                           hint="Give a raster, or a file that goes with one.")
+                           hint="Give a raster, a file that goes with one, or the "
+                                "certificate.json of a result.")
     if not path.is_file():
         raise TermselError("there is no such file", file=path, hint="Check the name.")
     match = _STEM.fullmatch(path.name)

@@ -82,7 +82,7 @@ def points_for_others(result: Result, *, with_heights: bool = False) -> CheckedP
             reason_of_id[name] = "no height"
     for outlier in result.outliers:
         if outlier.kind == "point" and (outlier.excluded or outlier.certainty != "possible"):
-            reason_of_id[outlier.id] = f"blunder of {outlier.error:.3g} px"
+            reason_of_id[outlier.id] = f"blunder of {outlier.error:,.2f} px"
     is_written = np.array([name not in reason_of_id for name in points.ids], dtype=np.bool_)
     written = points.take(is_written)
     return CheckedPoints(written, tuple(role_of[name] == "independent" for name in written.ids),
