@@ -11,8 +11,13 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.data.coordinates.longitudes import unwrap_longitudes, without_jump
-from termsel.data.features import FeatureSet
+from termsel.data.coordinates.longitudes import (
+    has_longitude_jump,
+    turn_of,
+    unwrap_longitudes,
+    without_jump,
+)
+from termsel.data.features import FeatureSet, Points
 from termsel.formats.readers.csv_tables import write_points_csv
 
 Call = Callable[..., SimpleNamespace]
@@ -142,3 +147,85 @@ def test_independent_points_do_not_decide_where_longitudes_begin() -> None:
 def test_longitudes_that_go_on(given: list[float], expected: list[float]) -> None:
     np.testing.assert_allclose(unwrap_longitudes(np.array(given)) % 360, np.array(expected) % 360)
     assert np.ptp(unwrap_longitudes(np.array(given))) == pytest.approx(np.ptp(expected))
+
+
+PACIFIC = "+proj=eqc +lon_0=160 +R=6371000"
+"""Maps of the world whose edges are at 20 W."""
+
+
+def map_of_the_world(projection: str, west: float, east: float, low: float = -180.0) -> FeatureSet:
+    """Forty points of a small-scale map, longitudes begin at `low`; errors of 2 px."""
+    pyproj = pytest.importorskip("pyproj")
+    rng = np.random.default_rng(3)
+    lon = rng.uniform(west, east, 40)
+    lat = rng.uniform(-55, 70, 40)
+    x, y = pyproj.Transformer.from_crs("EPSG:4326", projection, always_xy=True).transform(lon, lat)
+    image = np.column_stack([2500 - np.asarray(y) / 5000, 4000 + np.asarray(x) / 5000])
+    ground = np.column_stack([(lon - low) % 360 + low, lat, np.full(40, np.nan)])
+    points = Points(ids=tuple(f"p{i:02}" for i in range(40)), roles=("control",) * 40,
+                    image=image + rng.normal(0, 2, (40, 2)), ground=ground)
+    return FeatureSet(points, crs="EPSG:4326")
+
+
+@pytest.mark.parametrize(("west", "east"), [(60.0, 340.0), (-18.0, 338.0)])
+def test_a_map_of_the_world_begins_where_its_image_does(west: float, east: float) -> None:
+    jumping = map_of_the_world(PACIFIC, west, east)
+    assert has_longitude_jump(jumping)
+    moved = without_jump(jumping).points.ground[:, 0]
+    from_the_edge = map_of_the_world(PACIFIC, west, east, low=west).points.ground[:, 0]
+    np.testing.assert_allclose(moved - from_the_edge, (moved - from_the_edge)[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("projection", [
+    "+proj=stere +lat_0=90", "+proj=laea +lat_0=-90", "+proj=robin +lon_0=0", "+proj=merc"])
+def test_other_maps_of_the_world_begin_at_180(projection: str) -> None:
+    if "lat_0" in projection:  # around a pole
+        scene = map_of_a_pole(projection, -1.0 if "-90" in projection else 1.0)
+    else:
+        scene = map_of_the_world(projection, -179.0, 179.0)
+    assert not has_longitude_jump(scene)
+    assert without_jump(scene) is scene
+
+
+def map_of_a_pole(projection: str, sign: float) -> FeatureSet:
+    """Forty points of all longitudes around a pole."""
+    pyproj = pytest.importorskip("pyproj")
+    scene = map_of_the_world(PACIFIC, -179.0, 179.0)
+    ground = scene.points.ground.copy()
+    ground[:, 1] = sign * np.linspace(45.0, 88.0, 40)
+    x, y = pyproj.Transformer.from_crs("EPSG:4326", projection, always_xy=True).transform(
+        *ground[:, :2].T)
+    image = np.column_stack([-np.asarray(y), np.asarray(x)]) / 5000 + 3000
+    return scene.with_(points=replace(scene.points, ground=ground, image=image))
+
+
+def test_places_beside_a_wide_map_are_those_next_to_it() -> None:
+    scene = map_of_the_world(PACIFIC, 110.0, 286.0)
+    result = termsel.run(features=scene)
+    beyond = result.project(np.array([[-71.0, 0.0, 0.0], [289.0, 0.0, 0.0]]))
+    np.testing.assert_allclose(beyond[0], beyond[1], rtol=0, atol=1e-6)
+    # 111 km a degree at the equator, 5 km a pixel, counted from 160 E.
+    assert beyond[0, 1] == pytest.approx(4000 + (289 - 160) * 111.2 / 5, abs=30)
+
+
+def test_x_of_cylindrical_projections_goes_on_across_180_degrees() -> None:
+    pyproj = pytest.importorskip("pyproj")
+    scene = map_of_the_world("+proj=merc +lon_0=180", 170.0, 195.0)
+    to_web = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:3857", always_xy=True)
+    ground = scene.points.ground.copy()
+    ground[:, 0], ground[:, 1] = to_web.transform(ground[:, 0], ground[:, 1])
+    web = FeatureSet(replace(scene.points, ground=ground), crs="EPSG:3857")
+    result = termsel.run(features=web)
+    assert result.predicted is not None
+    assert result.predicted.rmse < 4.0
+    turn = turn_of("EPSG:3857")
+    place = np.array([[20.1e6, -2e6, 0.0]])
+    np.testing.assert_allclose(result.project(place), result.project(place - [[turn, 0, 0]]),
+                               rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("crs", "turn"), [
+    ("EPSG:4326", 360.0), ("EPSG:3395", 40075016.7), ("+proj=eqc +lat_ts=60 +type=crs", 20037508.3),
+    ("EPSG:32633", 0.0), ("EPSG:3035", 0.0), ("+proj=robin +type=crs", 0.0), ("local", 0.0)])
+def test_what_a_turn_adds_to_x(crs: str, turn: float) -> None:
+    assert turn_of(crs) == pytest.approx(turn, rel=1e-4)

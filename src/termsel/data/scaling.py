@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from termsel.data.coordinates.crs import transformation_between
-from termsel.data.coordinates.longitudes import TURN, unwrap_longitudes
-from termsel.data.coordinates.metres import height_unit, is_in_degrees, plan_of
+from termsel.data.coordinates.longitudes import turn_of, unwrap_longitudes
+from termsel.data.coordinates.metres import height_unit, plan_of
 from termsel.data.features import FeatureSet, FloatArray, Lines, Points
 from termsel.data.record.record import ScalingNumbers
 from termsel.data.tables.tabular import replace_unchecked
@@ -45,7 +45,8 @@ class Scaling:
         CRS of the ground coordinates and CRS of the fit, if these differ; else both are
         empty.
     x_turn : float
-        360 where X is a longitude [deg], which is the same after a full turn; else 0.
+        What a full turn around the Earth adds to X, after which a place is the same: 360 where X
+        is a longitude [deg], the circumference in cylindrical projections; else 0.
 
     Examples
     --------
@@ -69,9 +70,11 @@ class Scaling:
         # Scaled coordinate = (coordinate - offset) / scale.
         away = fitted - self.ground_offset
         if self.x_turn:
-            # As GDAL evaluates an RPC.
-            far = np.abs(away[..., 0]) > 0.75 * self.x_turn
-            away[..., 0] -= np.where(far, np.copysign(self.x_turn, away[..., 0]), 0.0)
+            # A place is the nearest of those that are whole turns apart, but control that spans
+            # more than a turn keeps its places. Rounding must not turn places half a turn away.
+            reach = max(self.x_turn / 2, self.ground_scale[0]) * (1 + 1e-9)
+            turns = np.where(np.abs(away[..., 0]) > reach, np.round(away[..., 0] / self.x_turn), 0)
+            away[..., 0] -= turns * self.x_turn
         scaled = away / self.ground_scale
         # Places without coordinates in the CRS of the fit are far outside the image.
         return scaled if np.isfinite(scaled).all() else np.nan_to_num(
@@ -139,9 +142,9 @@ def make_scaling(features: FeatureSet) -> Scaling:
     crs_pair = (features.crs, features.fit_crs) if features.fit_crs else ("", "")
     ground = to_fit_crs(features.ground_vertices(), *crs_pair)
     image = features.image_vertices()
-    turns = is_in_degrees(features.fit_crs or features.crs)
-    if turns:
-        ground = np.column_stack([unwrap_longitudes(ground[:, 0]), ground[:, 1:]])
+    turn = turn_of(features.fit_crs or features.crs)
+    if turn:
+        ground = np.column_stack([unwrap_longitudes(ground[:, 0], turn), ground[:, 1:]])
     # Blank heights take any finite number here; the height axis is then 0 throughout.
     finite = np.where(np.isnan(ground), np.nanmin(ground[:, :2]), ground)
     blank = bool(np.isnan(ground[:, 2]).any())
@@ -160,7 +163,7 @@ def make_scaling(features: FeatureSet) -> Scaling:
     gx, gy, gz = ((low + high) / 2).tolist()
     sx, sy, sz = np.where(half > 0, half, 1.0).tolist()
     return Scaling((gx, gy, gz), (sx, sy, sz), (float(middle[0]), float(middle[1])),
-                   scale if scale > 0 else 1.0, *crs_pair, TURN if turns else 0.0)
+                   scale if scale > 0 else 1.0, *crs_pair, turn)
 
 
 def metres_of(features: FeatureSet, scaling: Scaling) -> FloatArray | None:

@@ -22,7 +22,7 @@ from termsel.data.coordinates.crs import (
     transformation_between,
 )
 from termsel.data.coordinates.earth import place_of, zone_of_utm_instead
-from termsel.data.coordinates.longitudes import unwrap_longitudes
+from termsel.data.coordinates.longitudes import turn_of, unwrap_longitudes
 from termsel.data.coordinates.metres import is_polar, metric_crs, polar_crs
 from termsel.data.features import FloatArray
 from termsel.formats.heights import Dem, open_dem, surface_of, where_raster_is
@@ -266,6 +266,6 @@ def _outline_on_map(
     positions = np.stack([x, y], axis=-1)
     is_placed = np.isfinite(positions).all(axis=1)
     positions[~is_placed] = np.nan
-    if is_placed.any() and is_geographic(target):
-        positions[is_placed, 0] = unwrap_longitudes(positions[is_placed, 0])
+    if is_placed.any() and (turn := turn_of(target)):
+        positions[is_placed, 0] = unwrap_longitudes(positions[is_placed, 0], turn)
     return np.asarray(positions.reshape(_OUTLINE, _OUTLINE, 2))

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel.adjustment.compiled import compile_lazily
-from termsel.data.coordinates.crs import horizontal_crs, is_geographic, plane_transformer
-from termsel.data.coordinates.longitudes import nearest_longitudes
+from termsel.data.coordinates.crs import horizontal_crs, plane_transformer
+from termsel.data.coordinates.longitudes import nearest_longitudes, turn_of
 from termsel.data.features import FloatArray
 from termsel.fitting.fit import Fit
 from termsel.formats.heights import Dem
@@ -181,11 +181,11 @@ class MapPositions:
         """
         x, y = transform @ (pixels[:, 1], pixels[:, 0])
         ground = np.stack(self._to_ground.transform(x, y), axis=1)
-        if is_geographic(self.fitted.control.crs):
+        if turn := turn_of(self.fitted.control.crs):
             # By whole turns next to the image, which may lie across 180 degrees.
             lon = self.footprint[:, 0]
             ground[:, 0] = nearest_longitudes(ground[:, 0],
-                                              float(np.nanmin(lon) + np.nanmax(lon)) / 2)
+                                              float(np.nanmin(lon) + np.nanmax(lon)) / 2, turn)
         return ground
 
     @cached_property

@@ -16,13 +16,12 @@ from termsel.data.coordinates.crs import (
     IN_DEGREES,
     WGS84,
     horizontal_crs,
-    is_geographic,
     normalise,
     short_crs_name,
     with_stated_heights,
 )
 from termsel.data.coordinates.earth import place_of
-from termsel.data.coordinates.longitudes import nearest_longitudes
+from termsel.data.coordinates.longitudes import nearest_longitudes, turn_of
 from termsel.data.coordinates.plausible import check_ground
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, select
 from termsel.data.tables.columns import COORDINATES, parse_columns
@@ -118,9 +117,9 @@ def project_table(
     control = _control_ground(result)
     # Longitudes by whole turns next to the control, so that distances are those on the ground.
     near = ground.copy()
-    if is_geographic(crs):
+    if turn := turn_of(crs):
         lon = control[:, 0]
-        near[:, 0] = nearest_longitudes(ground[:, 0], float(lon.min() + lon.max()) / 2)
+        near[:, 0] = nearest_longitudes(ground[:, 0], float(lon.min() + lon.max()) / 2, turn)
     distances = distance_outside_control(control, near)
     encloses = bool(np.isfinite(distance_outside_control(control, control[:1])[0]))
     if not encloses:  # two points, or points in a line

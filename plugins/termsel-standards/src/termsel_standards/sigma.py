@@ -15,10 +15,10 @@ from termsel import Result, TermselError, open_raster, require_replaceable
 from termsel.toolkit import FloatArray, picture_for, say_difference
 from termsel.toolkit.coordinates import (
     horizontal_crs,
-    is_geographic,
     nearest_longitudes,
     offsets_in_metres,
     plane_transformer,
+    turn_of,
 )
 from termsel.toolkit.files import MapGrid, accuracy_tags, grid_of_image, map_crs, surface_of
 from termsel.toolkit.models import (
@@ -376,7 +376,7 @@ def _to_ground(
     """Return the function from x and y on the map (n, 2) to the ground (n, 3), with heights of 0.
     """
     turn = plane_transformer(crs, horizontal_crs(control_crs))
-    turns = is_geographic(control_crs)
+    full_turn = turn_of(control_crs)
     middle = float(control[:, 0].min() + control[:, 0].max()) / 2
 
     def to_ground(xy: FloatArray) -> FloatArray:
@@ -385,7 +385,7 @@ def _to_ground(
         x, y = (np.where(np.isfinite(values), values, np.nan) for values in (x, y))
         # Longitudes are periodic: those next to the control are meant.
         return np.column_stack(
-            [nearest_longitudes(x, middle) if turns else x, y, np.zeros(len(xy))])
+            [nearest_longitudes(x, middle, full_turn), y, np.zeros(len(xy))])
 
     return to_ground
 

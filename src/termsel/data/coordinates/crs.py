@@ -259,6 +259,20 @@ def is_geographic(crs: str) -> bool:
     return kind_of(normalise(crs)) == "geographic"
 
 
+def projection_method(crs: str) -> str:
+    """Return the name of the method of a projected CRS; "" for others, and without pyproj.
+
+    Examples
+    --------
+    >>> projection_method("EPSG:32633"), projection_method("EPSG:4326")
+    ('Transverse Mercator', '')
+    """
+    parsed = _with_pyproj(horizontal_crs(normalise(crs)))
+    if parsed is None or not parsed.is_projected or parsed.coordinate_operation is None:
+        return ""
+    return str(parsed.coordinate_operation.method_name)
+
+
 @lru_cache  # PROJ takes milliseconds, and each step of a run asks
 def longitudes_and_latitudes_of(crs: str) -> Callable[[FloatArray], FloatArray] | None:
     """Return a function from x and y (n, 2) of a projected CRS to angles on its ellipsoid [rad].

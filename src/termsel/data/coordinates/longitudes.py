@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -13,54 +15,106 @@ from termsel.data.coordinates.crs import (
     is_geocentric,
     is_geographic,
     normalise,
+    projection_method,
     transformation_between,
 )
-from termsel.data.features import BoolArray, FeatureSet, FloatArray
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 
 TURN = 360.0
 """A full turn [deg]."""
 
+_CYLINDRICAL = re.compile("(?!.*(Transverse|Oblique)).*(Mercator|Cylindrical|Miller|Gall)")
+"""Methods of projections in which x may be proportional to the longitude."""
 
-def unwrap_longitudes(lon: FloatArray) -> FloatArray:
-    """Return longitudes [deg] (n,) that go on beyond 180 degrees where they would jump."""
+
+def unwrap_longitudes(lon: FloatArray, turn: float = TURN) -> FloatArray:
+    """Return longitudes [deg] (n,) that go on beyond 180 degrees where they would jump.
+
+    With the turn of `turn_of` it is the same for x of a projection.
+    """
     # They stay as they are unless they span more than half a turn and need not.
-    if np.ptp(lon) <= TURN / 2:
+    if np.ptp(lon) <= turn / 2:
         return lon
     # On the circle: the scene is all but the widest gap, if that is more than half of it.
-    turned = np.sort(lon % TURN)
-    gaps = np.diff(turned, append=turned[0] + TURN)
+    turned = np.sort(lon % turn)
+    gaps = np.diff(turned, append=turned[0] + turn)
     widest = int(np.argmax(gaps))
-    if gaps[widest] < TURN / 2:
+    if gaps[widest] < turn / 2:
         return lon
     # The scene begins after the gap; its middle is half of what the gap leaves further on.
     first = turned[(widest + 1) % len(turned)]
-    return nearest_longitudes(lon, first + (TURN - gaps[widest]) / 2)
+    return nearest_longitudes(lon, first + (turn - gaps[widest]) / 2, turn)
 
 
-def nearest_longitudes(lon: FloatArray, middle: float) -> FloatArray:
-    """Return longitudes [deg], (n,), each turned by whole turns to be the nearest to a middle."""
-    return np.asarray(lon - TURN * np.round((lon - middle) / TURN))
+def nearest_longitudes(lon: FloatArray, middle: float, turn: float = TURN) -> FloatArray:
+    """Return longitudes [deg], (n,), each turned by whole turns to be the nearest to a middle.
+
+    They stay as they are where the turn is 0, as `turn_of` has it for x that does not repeat.
+    """
+    return np.asarray(lon - turn * np.round((lon - middle) / turn)) if turn else lon
+
+
+@lru_cache
+def turn_of(crs: str) -> float:
+    """Return what a full turn around the Earth adds to x in a CRS, in its units; 0 if nothing.
+
+    360 degrees of longitude, or the circumference in cylindrical projections such as Web Mercator,
+    where x is proportional to the longitude. Only there do x on both sides of the meridian at which
+    a CRS begins go on as the ground does once whole turns are added.
+
+    Examples
+    --------
+    >>> turn_of("EPSG:4326"), round(turn_of("EPSG:3857")), turn_of("EPSG:32633")
+    (360.0, 40075017, 0.0)
+    """
+    try:
+        if is_geographic(crs):
+            return TURN
+        if not _CYLINDRICAL.match(projection_method(crs)):
+            return 0.0
+        to_x = transformation_between(horizontal_crs(geodetic_of(crs)), horizontal_crs(crs),
+                                      strict=False)
+    except TermselError:  # local coordinates, or without pyproj
+        return 0.0
+    lon = np.arange(-179.5, 180.0, 1.0)
+    rows = [to_x(np.column_stack([lon, np.full_like(lon, lat), np.zeros_like(lon)]))[:, 0]
+            for lat in (0.0, 30.0)]
+    if not np.isfinite(rows).all():
+        return 0.0
+    degree = float(np.median(np.diff(rows[0])))
+    # Proportional to longitude at each latitude, but for the one jump.
+    near = np.abs(np.diff(rows) - degree) < 1e-6 * abs(degree)
+    is_cylindrical = degree > 0 and (near.sum(axis=1) >= len(lon) - 2).all() \
+        and np.abs(rows[1] - rows[0]).max() < 1e-6 * degree
+    return TURN * degree if is_cylindrical else 0.0
 
 
 def has_longitude_jump(features: FeatureSet) -> bool:
-    """Return whether longitudes jump between control and check features at 180 degrees."""
-    lon = features.ground_vertices()[_deciding_vertices(features), 0]
-    return bool(len(lon)) and is_geographic(features.crs) and (unwrap_longitudes(lon) != lon).any()
+    """Return whether x jumps by a full turn between control and check features."""
+    decides = _deciding_vertices(features)
+    if not decides.any() or not turn_of(features.crs):
+        return False
+    lon = features.ground_vertices()[decides, 0]
+    return bool((_continuous_longitudes(features) != lon).any())
 
 
 def without_jump(features: FeatureSet) -> FeatureSet:
-    """Return features whose longitudes go on beyond 180 degrees; the same object if none jump."""
+    """Return features whose longitudes, or x, go on where they would jump by a full turn.
+
+    It is the same object if none jump.
+    """
     points = features.points
     lines = features.lines
     all_longitudes = features.ground_vertices()[:, 0]
     decides = _deciding_vertices(features)
-    if not decides.any() or not is_geographic(features.crs):
+    turn = turn_of(features.crs)
+    if not decides.any() or not turn:
         return features
     # Control and check points say where the scene is; the others follow, by whole turns.
-    lon = unwrap_longitudes(all_longitudes[decides])
-    if np.ptp(lon) > TURN:
+    lon = _continuous_longitudes(features)
+    if np.ptp(lon) > turn:
         return features
-    moved = nearest_longitudes(all_longitudes, float(lon.min() + lon.max()) / 2)
+    moved = nearest_longitudes(all_longitudes, float(lon.min() + lon.max()) / 2, turn)
     if (moved == all_longitudes).all():
         return features
     of_points = points.ground.copy()
@@ -71,10 +125,67 @@ def without_jump(features: FeatureSet) -> FeatureSet:
                           lines=replace(lines, ground=of_lines))
 
 
+def _continuous_longitudes(features: FeatureSet) -> FloatArray:
+    """Return the longitudes, or x, that decide without a jump, in the order of their vertices."""
+    turn = turn_of(features.crs)
+    lon = unwrap_longitudes(features.ground_vertices()[_deciding_vertices(features), 0], turn)
+    points = features.points
+    decides = ~_is_set_aside(points)
+    if np.ptp(lon) <= turn / 2 or decides.sum() < LEAST_FOR_SEAM:
+        return lon
+    start = _seam_by_image(points.ground[decides, :2], points.image[decides], turn)
+    return lon if start is None else start + (lon - start) % turn
+
+
+LEAST_FOR_SEAM = 8
+"""Points from which an image shows where a map of the world begins."""
+
+CLEARER_SEAM = 0.4
+"""Part of the misfit as the longitudes are written to which another seam must bring it."""
+
+
+def _seam_by_image(ground: FloatArray, image: FloatArray, turn: float) -> float | None:
+    """Return the longitude, or x, at which a map of more than half the world begins.
+
+    A map whose edge is in the Pacific may be as wide as the globe, so that no gap between the
+    longitudes shows where it begins. Its image does: neighbours on either side of the edge lie at
+    opposite ends of it. An affine transformation of (longitude, latitude) is fitted with each
+    point as the first one east of the edge. Maps around a pole fit badly with every edge.
+
+    Parameters
+    ----------
+    ground : (n, 2) longitude and latitude [deg], or x and y
+    image : (n, 2) line and sample [px]
+    turn : what a full turn adds to x
+
+    Returns
+    -------
+    start : float or None
+        None where the longitudes fit as they are, or hardly worse than otherwise.
+    """
+    lon = ground[:, 0]
+    starts = np.unique((lon + turn / 2) % turn - turn / 2)
+    # (k, n): the longitudes as they are, and begun at each point.
+    begun = starts[:, None] + (lon - starts[:, None]) % turn
+    turned = np.concatenate([lon[None], begun])
+    # (k, n, 3): 1, longitude, latitude
+    columns = np.stack(np.broadcast_arrays(1.0, turned, ground[:, 1]), axis=-1)
+    basis = np.linalg.qr(columns)[0]
+    residuals = image - basis @ (basis.transpose(0, 2, 1) @ image)
+    misfits = np.sqrt((residuals**2).sum(axis=(1, 2)))
+    best = int(np.argmin(misfits[1:]))
+    return float(starts[best]) if misfits[1 + best] < CLEARER_SEAM * misfits[0] else None
+
+
+def _is_set_aside(points: Points) -> BoolArray:
+    """Return which points are independent or switched off, (n,)."""
+    return np.isin(np.array(points.roles, dtype=object), ("independent", "off"))
+
+
 def _deciding_vertices(features: FeatureSet) -> BoolArray:
     """Return the ground vertices whose longitudes decide, (v,): independent points do not."""
-    is_set_aside = np.isin(np.array(features.points.roles, dtype=object), ("independent", "off"))
-    return np.concatenate([~is_set_aside, np.ones(2 * len(features.lines), dtype=bool)])
+    of_lines = np.ones(2 * len(features.lines), dtype=bool)
+    return np.concatenate([~_is_set_aside(features.points), of_lines])
 
 
 # Places of points that are the same in every CRS.
