@@ -17,8 +17,12 @@ import termsel
 from termsel import FeatureSet, FitData, Points, TermselError
 from termsel.testing import checks, invoke
 from termsel.toolkit.coordinates import normalise, transformation_between
-from termsel_cameras.sheets.candidates import candidate_projections, projections_of_file
-from termsel_cameras.sheets.choosing import first_of_the_best, rank_projections
+from termsel_cameras.sheets.candidates import (
+    Projection,
+    candidate_projections,
+    projections_of_file,
+)
+from termsel_cameras.sheets.choosing import Tried, first_of_the_best, rank_projections
 from termsel_cameras.sheets.meridians import meridian_of
 from termsel_cameras.sheets.paper import Sheet, matrix_of, paper_of, values_of
 from termsel_cameras.sheets.reading import candidates_of, from_greenwich
@@ -220,6 +224,22 @@ def test_projections_that_predict_alike_are_the_first_one() -> None:
     candidates = candidate_projections(np.array([[7.95, 45.97], [8.05, 46.03]]))
     assert first_of_the_best(rank_projections([small], candidates[:2]), candidates[:2]).crs == \
         candidates[0].crs
+
+
+def test_many_sheets_show_a_projection_where_one_does_not() -> None:
+    candidates = [Projection("first", "EPSG:1"), Projection("second", "EPSG:2")]
+
+    def taken(worse_by: list[float]) -> str:
+        of_sheets = np.array([2.0] * len(worse_by))
+        best, other = (Tried(name, crs, float(np.exp(np.log(rmses).mean())), tuple(rmses))
+                       for name, crs, rmses in (("second", "EPSG:2", of_sheets),
+                                                ("first", "EPSG:1", of_sheets * worse_by)))
+        return first_of_the_best([best, other], candidates).name
+
+    assert taken([1.05, 1.03]) == "first"
+    assert taken([1.05, 1.03, 1.04, 1.06, 1.05]) == "second"
+    # As often better as worse.
+    assert taken([1.3, 0.8, 1.2, 0.9, 1.05]) == "first"
 
 
 def test_a_century_has_its_projections(tmp_path: Path) -> None:

@@ -16,6 +16,15 @@ NEARLY = 1.1
 """RMSE by that of the best, up to which the first of several projections is taken: they predict
 alike."""
 
+MIN_SHEETS = 4
+"""Sheets from which on their differences show what chance does."""
+
+CLEARLY = 2.0
+"""Standard errors beyond which a difference over all sheets is not chance."""
+
+NEGLIGIBLE = 0.005
+"""Difference of two logarithms of RMSEs that matters to nobody."""
+
 MIN_POINTS_OF_SHEET = 4
 """Points from which on a sheet distinguishes projections."""
 
@@ -30,11 +39,14 @@ class Tried:
     rmse : float
         Of points held out of the choice of the model in this projection [px]: of several sheets
         the geometric mean. Infinite where no model is determined.
+    of_sheets : tuple of float
+        The RMSE of each sheet [px].
     """
 
     name: str
     crs: str
     rmse: float
+    of_sheets: tuple[float, ...] = ()
 
 
 def rank_projections(sheets: Sequence[FeatureSet],
@@ -55,9 +67,9 @@ def rank_projections(sheets: Sequence[FeatureSet],
     ranked = []
     for candidate in candidates:
         # The mean of log rmse, weighted by points: the log of the product above, by its power.
-        logs = [np.log(_predicted_rmse(sheet, candidate.crs)) for sheet in used_sheets]
-        rmse = float(np.exp(np.average(logs, weights=counts)))
-        ranked.append(Tried(candidate.name, candidate.crs, rmse))
+        of_sheets = [_predicted_rmse(sheet, candidate.crs) for sheet in used_sheets]
+        rmse = float(np.exp(np.average(np.log(of_sheets), weights=counts)))
+        ranked.append(Tried(candidate.name, candidate.crs, rmse, tuple(of_sheets)))
     return sorted(ranked, key=lambda projection: projection.rmse)
 
 
@@ -65,16 +77,31 @@ def first_of_the_best(
         ranked: Sequence[Tried], candidates: Sequence[Projection], nearly: float = NEARLY) -> Tried:
     """Return the first candidate among the projections that predict about as well as the best.
 
-    About as well: an RMSE up to `nearly` times the least. Raises TermselError if none predicts.
+    About as well: an RMSE up to `nearly` times the least and, of a series of sheets, by no more
+    than chance among them explains. Raises TermselError if none predicts.
     """
     best = ranked[0].rmse
     if not np.isfinite(best):
         raise TermselError("in no projection the points determine a model",
                            hint="Measure more points, spread over the map.")
     nearly_best = {projection.crs: projection for projection in ranked
-                   if projection.rmse <= nearly * best}
+                   if projection.rmse <= nearly * best
+                   and not _is_worse_on_sheets(projection, ranked[0])}
     return next(nearly_best[candidate.crs] for candidate in candidates
                 if candidate.crs in nearly_best)
+
+
+def _is_worse_on_sheets(projection: Tried, best: Tried) -> bool:
+    """Return whether the sheets of a series show that another projection predicts them better.
+
+    The logarithms of the ratios of their RMSEs have a mean above `CLEARLY` standard errors. Of few
+    sheets nothing is shown.
+    """
+    if len(best.of_sheets) < MIN_SHEETS:
+        return False
+    logs = np.log(projection.of_sheets) - np.log(best.of_sheets)
+    standard_error = logs.std(ddof=1) / np.sqrt(len(logs))
+    return bool(logs.mean() > max(CLEARLY * standard_error, NEGLIGIBLE))
 
 
 def _predicted_rmse(features: FeatureSet, crs: str) -> float:
