@@ -392,3 +392,17 @@ def test_those_of_allmaps_are_read_or_refused_as_there() -> None:
             assert (one.resource["width"], one.resource["height"]) == (
                 known["resource"].get("width"), known["resource"].get("height"))
             assert one.transformation == known.get("transformation")
+
+
+@pytest.mark.parametrize(("size", "is_said"), [((3000, 2000), True), ((6000, 3999), False)])
+def test_a_selector_of_another_size_than_the_source_is_named(
+        size: tuple[int, int], is_said: bool, tmp_path: Path,
+        caplog: pytest.LogCaptureFixture) -> None:
+    content = annotation()
+    content["target"]["source"] |= {"width": 6000, "height": 4000}
+    content["target"]["selector"]["value"] = (
+        f'<svg width="{size[0]}" height="{size[1]}">'
+        f'<polygon points="0,0 {size[0]},0 {size[0]},{size[1]}" /></svg>')
+    termsel.read(write(tmp_path, content))
+    said = "the selector is of an image of 3000 x 2000 px, and the source of 6000 x 4000 px"
+    assert (said in caplog.text) == is_said

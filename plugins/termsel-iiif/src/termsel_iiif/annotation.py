@@ -151,7 +151,7 @@ def _parse_map(item: Any, path: str) -> Map:
             raise ValueError(f"{error} - at `{path}.body.features[{i}].properties`") from error
         lon, lat = feature.geometry.coordinates[:2]
         points.append((column, row, lon, lat))
-    size = _size_and_mask(annotation.target.selector.value, path)
+    size = _checked_selector_size(annotation.target.selector.value, path)
     transformation = annotation.body.transformation
     return Map(annotation.id, _parse_resource(annotation.target, size, path),
                annotation.target.selector.value,
@@ -192,7 +192,7 @@ def _require_url(text: str, path: str) -> None:
         raise ValueError(f"Invalid url {text!r} - at `{path}`")
 
 
-def _size_and_mask(value: str, path: str) -> tuple[int, int] | None:
+def _checked_selector_size(value: str, path: str) -> tuple[int, int] | None:
     """Return width and height that an SVG selector states; None if it states none.
 
     Raises ValueError unless it has a polygon of three corners or more.
@@ -209,10 +209,36 @@ def _size_and_mask(value: str, path: str) -> tuple[int, int] | None:
                     if element.tag.rpartition("}")[2] == "polygon"), None)
     if polygon is None or len(polygon_corners(polygon.get("points", ""))) < 3:
         raise ValueError(f"Invalid SVG, expected a polygon of three corners or more{location}")
+    return _stated_size(svg)
+
+
+def _stated_size(svg: ElementTree.Element) -> tuple[int, int] | None:
+    """Return width and height that an SVG states; None if it states none."""
     try:
         return int(float(svg.get("width", ""))), int(float(svg.get("height", "")))
     except ValueError:
         return None
+
+
+def selector_of_other_size(map_: Map) -> tuple[int, int] | None:
+    """Return width and height of the image in the selector of a map that was read, if the source of
+    the image states others.
+
+    Sizes that differ by rounding are the same.
+
+    Examples
+    --------
+    >>> svg = '<svg width="300" height="200"><polygon points="0,0 9,0 9,9" /></svg>'
+    >>> selector_of_other_size(Map("", {"width": 600, "height": 400}, svg, None, []))
+    (300, 200)
+    """
+    size = _stated_size(ElementTree.fromstring(map_.mask))
+    width = map_.resource["width"]
+    height = map_.resource["height"]
+    if size is None or not width or not height:
+        return None
+    is_same = abs(size[0] - width) <= 0.01 * width and abs(size[1] - height) <= 0.01 * height
+    return None if is_same else size
 
 
 def polygon_corners(points: str) -> list[tuple[float, float]]:

@@ -10,7 +10,13 @@ import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, TermselError
 from termsel.toolkit import read_text
-from termsel_iiif.annotation import FORMAT_NAME, Map, kept_as_attributes, maps_of
+from termsel_iiif.annotation import (
+    FORMAT_NAME,
+    Map,
+    kept_as_attributes,
+    maps_of,
+    selector_of_other_size,
+)
 from termsel_iiif.viewer import kind_of
 
 log = logging.getLogger("termsel.iiif")
@@ -69,6 +75,11 @@ class AnnotationReader(Reader):
         width = map_.resource["width"]
         height = map_.resource["height"]
         size = (height, width) if width and height else None
+        if other := selector_of_other_size(map_):
+            log.warning("Warning: %s: the selector is of an image of %d x %d px, and the source of "
+                        "%d x %d px. Positions are taken as those of the source: compare them with "
+                        "its edges, and correct the size that is wrong.", path.name, *other,
+                        width, height)
         return FeatureSet(points, crs="EPSG:4326", image_size=size)
 
     def parts(self, path: Path) -> dict[str, dict[str, str]]:

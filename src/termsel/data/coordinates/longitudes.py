@@ -54,7 +54,7 @@ def nearest_longitudes(lon: FloatArray, middle: float, turn: float = TURN) -> Fl
     return np.asarray(lon - turn * np.round((lon - middle) / turn)) if turn else lon
 
 
-@lru_cache
+@lru_cache  # PROJ takes milliseconds, and each scaling asks
 def turn_of(crs: str) -> float:
     """Return what a full turn around the Earth adds to x in a CRS, in its units; 0 if nothing.
 
