@@ -47,7 +47,7 @@ The losses on five kinds were looked into on five fresh scenes each, drawn as th
 the best rival of the scene. The median of `auto` by that rival was 0.96 for panoramic-3, 1.07 for
 old-map-1, 0.81 for agile-1, 0.16 for steady-2 and 0.24 for lines-2; single scenes had from 0.08 to
 1.66. So these losses are chance of the set rather than of its kind, and nothing was changed for
-them. panoramic-2 and frame-3 were not looked into."""
+them. panoramic-2 was not looked into."""
 
 
 def rows(columns: Sequence[str], lines: Sequence[Sequence[str]]) -> Iterator[str]:
