@@ -289,6 +289,39 @@ def test_a_place_in_the_image_is_the_visible_one_on_the_dem(tmp_path: Path) -> N
     assert before == pytest.approx([500300.0, 5199500.0], abs=0.1)
 
 
+def test_a_point_that_moves_on_the_map_keeps_the_height_that_was_given(
+        scan: Path, ortho: Path, tmp_path: Path) -> None:
+    with session_of(tmp_path / "out", str(scan), (str(ortho),)) as session:
+        point = session.put({"ground": [500020.0, 5199950.0, 242.73]})
+        session.put({"id": point, "map": [500020.5, 5199950.0]})
+        assert session.control.records[point]["ground"] == [500020.5, 5199950.0, 242.73]
+        line = session.put({"kind": "line", "ground": [[500001.0, 5199999.0, 7.0]]})
+        session.put({"id": line, "map": [[500002.0, 5199999.0], [500009.0, 5199990.0]]})
+        assert session.control.records[line]["ground"] == [
+            [500002.0, 5199999.0, 7.0], [500009.0, 5199990.0, None]]
+        assert session.note_on_height(point) == session.note_on_height(line) == ""
+
+
+def test_only_heights_of_the_dem_follow_the_dem(scan: Path, ortho: Path, tmp_path: Path) -> None:
+    slope = np.tile(np.arange(60, dtype=np.float32) * 10, (1, 40, 1))
+    dem = write_raster(tmp_path / "dem.tif", slope, "EPSG:25832",
+                       Affine(10, 0, 499900, 0, -10, 5200100))
+    with session_of(tmp_path / "out", str(scan), (str(ortho),), dem=str(dem)) as session:
+        clicked = session.put({"map": [500015.0, 5199950.0]})
+        assert session.control.records[clicked]["ground"][2] == 110.0
+        session.put({"id": clicked, "map": [500025.0, 5199950.0]})
+        assert session.control.records[clicked]["ground"][2] == 120.0
+        assert session.note_on_height(clicked) == ""
+        surveyed = session.put({"ground": [500015.0, 5199950.0, 64.9]})
+        session.put({"id": surveyed, "map": [500025.0, 5199950.0]})
+        assert session.control.records[surveyed]["ground"][2] == 64.9
+        assert session.note_on_height(surveyed) == (
+            f"The height of {surveyed} stays 64.90, as it was given; the DEM has 120.00 there.")
+        outside = session.put({"ground": [500015.0, 5199950.0, 110.0]})
+        session.put({"id": outside, "map": [400000.0, 5199950.0]})
+        assert session.control.records[outside]["ground"][2] is None
+
+
 def test_the_map_is_shown_in_a_plane_and_coordinates_are_those_of_the_control(
         scan: Path, tmp_path: Path) -> None:
     degrees = write_raster(tmp_path / "degrees.tif", np.zeros((1, 90, 90), dtype=np.uint8),

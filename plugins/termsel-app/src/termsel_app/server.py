@@ -320,8 +320,15 @@ def _box_argument(arguments: dict[str, Any]) -> tuple[float, float, float, float
     return (low[0], low[1], high[0], high[1])
 
 
+def _put(session: Session, arguments: dict[str, Any]) -> dict[str, Any]:
+    """Add or change a feature; return its name, the version and a note on its height, or ""."""
+    name = session.put(arguments)
+    note = session.note_on_height(name) if arguments.get("map") is not None else ""
+    return {"id": name, "version": session.version, "note": note}
+
+
 CALLS: dict[str, Callable[[Session, Pages, dict[str, Any]], dict[str, Any] | None]] = {
-    "put": lambda session, _, arguments: {"id": session.put(arguments), "version": session.version},
+    "put": lambda session, _, arguments: _put(session, arguments),
     "delete": lambda session, _, arguments: session.delete(_id_arguments(arguments)),
     "undo": lambda session, _, __: session.undo(),
     "redo": lambda session, _, __: session.redo(),

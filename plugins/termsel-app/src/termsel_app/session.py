@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
+from itertools import zip_longest
 from pathlib import Path
 from threading import RLock
 from typing import Any
@@ -40,6 +41,11 @@ from termsel_app.worker import Worker
 MOST_PASTED = 2**20
 """Characters that may be pasted."""
 
+Place = list[Any]
+"""x, y and z on the ground; z is None where it is not known."""
+
+_SAME_HEIGHT = 0.005
+"""Heights that differ by no more [m] are the same in a table of two decimals."""
 
 LONGEST_NAME = 4096
 FILE_KEYS = ("image", "points", "lines", "rpc", "dem")
@@ -338,7 +344,8 @@ class Session:
             after.update({key: values[key] for key in ("image", "ground", "role") if key in values})
             if values.get("map") is not None:
                 positions = values["map"] if kind == "line" else [values["map"]]
-                ground = self.ground_of(check_place_pairs(positions))
+                moved = self.ground_of(check_place_pairs(positions))
+                ground = self._with_given_heights(_places_of(after), moved)
                 after["ground"] = ground if kind == "line" else ground[0]
             if "name" in values:
                 after["id"] = values["name"]
@@ -350,7 +357,33 @@ class Session:
                 self.change([Patch(before, after)])
             return str(after["id"])
 
-    def _with_height(self, ground: list[float | None]) -> list[float | None]:
+    def _with_given_heights(self, before: list[Place], after: list[Place]) -> list[Place]:
+        """Return ground places with the heights that they had before they were moved on the map.
+
+        A height that was given stays; one that is the DEM's follows the DEM.
+        """
+        return [[*place[:2], old[2]] if old is not None and self._has_given_height(old) else place
+                for old, place in zip_longest(before[:len(after)], after)]
+
+    def _has_given_height(self, place: Place) -> bool:
+        """Return whether a ground place has a height that is not the DEM's."""
+        if place[2] is None:
+            return False
+        height = self._with_height(place)[2]
+        return height is None or abs(height - place[2]) > _SAME_HEIGHT
+
+    def note_on_height(self, name: str) -> str:
+        """Return what the DEM has where a feature has another height; "" if none differs."""
+        with self.lock:
+            record = self.control.records.get(name)
+            for place in () if record is None else _places_of(record):
+                height = self._with_height(place)[2]
+                if height is not None and self._has_given_height(place):
+                    return (f"The height of {name} stays {place[2]:.2f}, as it was given; the DEM "
+                            f"has {height:.2f} there.")
+        return ""
+
+    def _with_height(self, ground: Place) -> Place:
         """Return x, y and the height of the DEM there; None as height if the DEM has none."""
         height = self.places.heights(np.array([ground[:2]], dtype=np.float64))[0]
         return [*ground[:2], None if height != height else float(height)]
@@ -440,12 +473,16 @@ def check_place_pairs(positions: Any) -> list[list[float]]:
     return positions
 
 
-def _ground_places(record: Record) -> list[list[float]]:
-    """Return x and y of the ground places of a feature, up to two; [] if it has none."""
+def _places_of(record: Record) -> list[Place]:
+    """Return the ground places x, y, z of a feature, up to two; [] if it has none."""
     if not record["ground"]:
         return []
-    positions = [record["ground"]] if record["kind"] == "point" else record["ground"]
-    return [position[:2] for position in positions]
+    return [record["ground"]] if record["kind"] == "point" else record["ground"]
+
+
+def _ground_places(record: Record) -> list[Place]:
+    """Return x and y of the ground places of a feature, up to two; [] if it has none."""
+    return [place[:2] for place in _places_of(record)]
 
 
 _NAMES = ("id", "role", "line", "sample", "x", "y", "z")

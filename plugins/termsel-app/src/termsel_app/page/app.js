@@ -49,7 +49,7 @@ const places = (record, side) => !record[side] ? [] : record.kind === "point" ? 
 async function attempt(task) {
   try {
     const answer = await task();
-    alertUser("");
+    alertUser(answer?.note ?? "");
     return answer;
   } catch (error) {
     alertUser(error instanceof Error ? error.message : String(error));
