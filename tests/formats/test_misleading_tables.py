@@ -95,6 +95,31 @@ def test_names_say_what_numbers_are(kind: str, tmp_path: Path,
         assert any(words in caplog.text for words in ("by its name", "on which side", "one angle"))
 
 
+@pytest.mark.parametrize(("header", "cells"), [
+    ("row;col;lat;lon;status", ["N", "S"] * (N // 2)), ("row;col;lat;lon;quality", "E"),
+    ("row;col;lat;lon;note;seen", "O")])
+def test_letters_of_other_columns_are_no_sides(header: str, cells: str | list[str],
+                                               tmp_path: Path) -> None:
+    columns = [LINE, SAMPLE, LAT, LON, *(["ok"] if "note" in header else []), cells]
+    ground = termsel.read(write(tmp_path, header, *columns), crs=DEGREES).points.ground
+    np.testing.assert_array_equal(ground[:, :2], np.column_stack([LON, LAT]))
+
+
+def test_points_on_both_sides_of_the_equator(tmp_path: Path) -> None:
+    north = np.arange(N) % 2 == 0
+    latitude = np.where(north, 0.1, 0.2) + LAT - 47.9
+    path = write(tmp_path, "row;col;lat;ns;lon", LINE, SAMPLE, latitude,
+                 ["N" if is_north else "S" for is_north in north], LON)
+    ground = termsel.read(path, crs=DEGREES).points.ground
+    np.testing.assert_allclose(ground[:, 1], np.where(north, latitude, -latitude))
+
+
+def test_an_o_beside_longitudes_is_asked(tmp_path: Path) -> None:
+    path = write(tmp_path, "fila;columna;latitud;longitud;hemisferio", LINE, SAMPLE, LAT, LON, "O")
+    with pytest.raises(TermselError, match="east in German and west in Romance"):
+        termsel.read(path, crs=DEGREES)
+
+
 def test_a_row_of_units_counts(tmp_path: Path) -> None:
     path = write(tmp_path, "row;col;E;N;H\npx;px;km;km;m", LINE, SAMPLE,
                  np.round(EAST / 1000, 5), np.round(NORTH / 1000, 5), Z)

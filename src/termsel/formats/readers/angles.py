@@ -5,11 +5,14 @@ They are put together as one cell, such as 47 deg 54' 56.6" S, which is read as 
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Mapping, Sequence
 from itertools import product
 
 from termsel.data.tables.columns import POINTS, columns_by_meaning
+
+log = logging.getLogger(__name__)
 
 _PART_OF_ANGLE = re.compile(
     r"(.*?)[\s_.(\[-]*(?:(d|deg|degrees?|grad|°)|(m|min|mins|minutes?|minuten|'|′)"
@@ -18,7 +21,9 @@ _WHOLE = re.compile(r"([+-]?\d{1,3})(?:[.,]0*)?")
 _SIXTIETHS = re.compile(r"[0-5]?\d(?:[.,]\d*)?")
 _SIDES = {"y": frozenset(("N", "S", "NORTH", "SOUTH")),
           "x": frozenset(("E", "W", "O", "EAST", "WEST"))}
-_AGAINST = {"y": frozenset(("S", "SOUTH")), "x": frozenset(("W", "WEST"))}
+_ALONG = {"y": frozenset(("N", "NORTH")), "x": frozenset(("E", "EAST"))}
+_FROM_ZERO = 10.0
+"""Degrees from the equator, from Greenwich or from 180, beyond which a scene has one side."""
 
 
 def joined_angles(header: Sequence[str], rows: list[list[str]],
@@ -82,29 +87,48 @@ def _are_all(pattern: re.Pattern[str], rows: Sequence[Sequence[str]], column: in
 
 
 def column_of_sides(axis: str, numbers: Sequence[str], others: Mapping[int, Sequence[str]],
-                    near: int) -> int | None:
+                    near: int, header: Sequence[str]) -> int | None:
     """Return the column that says on which side of the equator or of Greenwich angles are.
 
     It holds N and S beside latitudes, E and W beside longitudes. `others` are the columns without
     a meaning by their places, of which the next after `near` counts. None where there is none, or
     where it turns no sign.
     """
-    letters = _SIDES[axis]
-    found = [place for place, cells in others.items()
-             if letters.issuperset(cell.strip().upper() for cell in cells)]
+    sizes = [_size(cell) for cell in numbers]
     # Eastings and northings have no side.
-    if not found or any(_exceeds_circle(cell) for cell in numbers):
+    if max(sizes, default=0.0) > 360.0:
+        return None
+    found = [place for place, cells in others.items()
+             if _are_sides(axis, cells, is_next=place == near + 1)]
+    # On both sides are the points of one scene only near zero, or near 180 degrees.
+    is_far = min(sizes, default=0.0) > _FROM_ZERO and max(sizes) < 180.0 - _FROM_ZERO
+    for place in found if is_far else ():
+        letters = sorted({cell.strip().upper()[0] for cell in others[place]})
+        if len(letters) > 1:
+            log.info("Note: %s holds %s, and is not taken for the side of %s: the points would be "
+                     "far apart.", header[place].strip(), " and ".join(letters),
+                     header[near].strip())
+            found = [other for other in found if other != place]
+    if not found:
         return None
     place = min(found, key=lambda i: (i < near, abs(i - near)))
-    turns = any(cell.strip().upper() in _AGAINST[axis] for cell in others[place])
+    turns = any(cell.strip().upper() not in _ALONG[axis] for cell in others[place])
     return place if turns else None
 
 
-def _exceeds_circle(cell: str) -> bool:
+def _are_sides(axis: str, cells: Sequence[str], *, is_next: bool) -> bool:
+    """Return whether cells may say on which side of zero the angles of an axis are."""
+    sides = {cell.strip().upper() for cell in cells}
+    # O is west to some and east to others, which the reader of angles asks; or it says "ok".
+    return bool(sides) and _SIDES[axis].issuperset(sides) and (sides != {"O"} or is_next)
+
+
+def _size(cell: str) -> float:
+    """Return the size of a number; 0 of a cell that is none, as of degrees and minutes."""
     try:
-        return abs(float(cell.replace(",", "."))) > 360.0
+        return abs(float(cell.replace(",", ".")))
     except ValueError:
-        return False
+        return 0.0
 
 
 def with_side(cell: str, side: str) -> str:

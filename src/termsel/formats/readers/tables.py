@@ -661,7 +661,7 @@ def _join_sides(columns: dict[str, list[str]], column_of: Mapping[str, int],
     for axis in ("x", "y"):
         if axis not in columns:
             continue
-        place = column_of_sides(axis, columns[axis], others, column_of[axis])
+        place = column_of_sides(axis, columns[axis], others, column_of[axis], header)
         if place is None:
             continue
         columns[axis] = [with_side(cell, side)

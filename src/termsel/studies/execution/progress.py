@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from time import monotonic
 from typing import Any
 
 from termsel.studies.cells.cell import kind_of
@@ -14,6 +15,11 @@ from termsel.studies.execution.work import STATES
 
 LONG_BESIDE_LOADING = 20.0
 """Seconds of a cell from which on what its process loads first counts little."""
+
+
+MOST_SLOWNESS = 3.0
+"""Largest ratio of the time between cells and their own that is taken for usual: a computer may
+have slept."""
 
 
 @dataclass(frozen=True)
@@ -68,25 +74,34 @@ class Tally:
             if len({labels[name] for labels in cells.values()}) > 1:
                 self._telling.append(name)
         self._telling = self._telling or ["data"]
-        self._first_left = 0
         for record in finished.values():
-            self.count(record)
+            self._count(record, loads=False)
         # The first cell of each process also loads what it needs, which others find there.
         self._first_left = workers
+        self._clock: _Clock | None = None
 
     def count(self, record: CellRecord) -> None:
-        """Count the record of a cell of the study."""
+        """Count the record of a cell of the study that has ended just now."""
+        seconds = record.figures.get("seconds")
+        self._count(record, loads=self._first_left > 0)
+        if seconds is None:
+            return
+        if self._clock is not None:
+            self._clock.cells += seconds
+        self._first_left = max(self._first_left - 1, 0)
+        if not self._first_left and self._clock is None:
+            self._clock = _Clock(monotonic())
+
+    def _count(self, record: CellRecord, *, loads: bool) -> None:
+        """Count a record: of a cell that `loads`, little but its state, unless it took long."""
         labels = self.cells[record.cell]
         figures = record.figures
         kind = kind_of(labels)
         self._states[record.state] += 1
         self._left[kind] -= 1
-        if "seconds" in figures:
-            # A cell that does little else than load says nothing of the others.
-            if not self._first_left or figures["seconds"] >= LONG_BESIDE_LOADING:
-                count, total = self._times.get(kind, (0, 0.0))
-                self._times[kind] = (count + 1, total + figures["seconds"])
-            self._first_left = max(self._first_left - 1, 0)
+        if "seconds" in figures and (not loads or figures["seconds"] >= LONG_BESIDE_LOADING):
+            count, total = self._times.get(kind, (0, 0.0))
+            self._times[kind] = (count + 1, total + figures["seconds"])
         # The figure that says most about the accuracy of the result.
         value = next((figures[name] for name in ("predicted", "independent", "check")
                       if figures.get(name) is not None), None)
@@ -111,5 +126,21 @@ class Tally:
             return None
         # Kinds without a finished cell are taken to be like the others.
         usual = sum(means.values()) / len(means)
-        return sum(number * means.get(kind, usual) for kind, number in self._left.items()
-                   ) / self.workers
+        cells = sum(number * means.get(kind, usual) for kind, number in self._left.items())
+        return cells / self.workers * (self._clock.slowness(self.workers) if self._clock else 1.0)
+
+
+@dataclass
+class _Clock:
+    """Time since all processes are at work [s], and what the cells that ended since say they took.
+    """
+
+    started: float
+    cells: float = 0.0
+
+    def slowness(self, workers: int) -> float:
+        """Return by what cells take longer than they say: results are sent, kept and shown."""
+        if not self.cells:
+            return 1.0
+        passed = (monotonic() - self.started) * workers
+        return min(max(passed / self.cells, 1.0), MOST_SLOWNESS)
