@@ -268,6 +268,10 @@ def _rpc_items_of_image(path: Path) -> tuple[dict[str, str], dict[str, Items], d
                 {band: items for band, items in of_bands.items() if items}, raster.tags())
 
 
+_SAME_PLACE = 1e-3
+"""Difference of the RPCs of bands [px] that is one of digits."""
+
+
 def _choose_rpc(items_of: Mapping[str, Items], name: str, *, bands: bool = False) -> Rpc:
     """Return the RPC of a name, the only one, or, of bands, the middle one.
 
@@ -286,9 +290,12 @@ def _choose_rpc(items_of: Mapping[str, Items], name: str, *, bands: bool = False
                            hint=f"Name one after the file, such as FILE#{names[0]}.")
     rpcs = {band: from_items(items) for band, items in items_of.items()}
     middle = names[len(names) // 2]
-    log.warning("Note: the file has an RPC for each of %d bands. That of band %s is taken; others "
-                "see places up to %.2g px from there. FILE#BAND takes another.", len(rpcs), middle,
-                largest_difference(rpcs, middle))
+    difference = largest_difference(rpcs, middle)
+    # Bands that see the same are no choice.
+    if difference > _SAME_PLACE:
+        log.warning("Note: the file has an RPC for each of %d bands. That of band %s is taken; "
+                    "others see places up to %.2g px from there. FILE#BAND takes another.",
+                    len(rpcs), middle, difference)
     return rpcs[middle]
 
 
