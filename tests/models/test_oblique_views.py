@@ -15,7 +15,8 @@ from termsel.auto.auto import Auto
 from termsel.auto.blunders import find_blunders
 from termsel.auto.methods import named
 from termsel.auto.rule import has_pole, refusal, validated
-from termsel.data.features import FloatArray
+from termsel.data import view
+from termsel.data.features import FloatArray, Points
 from termsel.data.fit_data import FitData, relief_carriers
 from termsel.data.scaling import make_scaling
 from termsel.data.view import view_of
@@ -387,3 +388,24 @@ def test_a_view_that_is_hardly_oblique_gets_a_camera_if_it_fits_far_better() -> 
     name, error = chosen_by(scene(40, 100, 5, 2))
     assert name == "pinhole"
     assert error < 1.0
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_no_view_is_missed_where_no_search_is_made(seed: int,
+                                                   monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(5, 30))
+    ground = rng.uniform(-1.0, 1.0, (n, 3)) * [1.0, 1.0, rng.choice([0.0, 0.1, 1.0])]
+    columns = np.column_stack([np.ones(n), ground])
+    matrix = rng.normal(size=(3, 4)) * [[1.0], [1.0], [rng.choice([0.0, 0.01, 0.1, 0.4])]]
+    matrix[2, 0] = 1.5
+    line, sample, below = matrix @ columns.T
+    image = np.column_stack([line, sample]) / np.maximum(np.abs(below), 0.3)[:, None]
+    image += rng.choice([1e-6, 1e-3, 0.03, 0.3]) * rng.normal(size=image.shape)
+    points = Points(tuple(map(str, range(n))), image, ground)
+    found = view_of(points)
+    monkeypatch.setattr(view, "_may_be_clearly_better", lambda *_: True)
+    view._view_of.cache_clear()
+    searched = view_of(points)
+    assert (found is None) == (searched is None)
+    assert found is None or np.array_equal(found.matrix, searched.matrix)

@@ -42,6 +42,7 @@ from termsel.auto.majority import (
     MAX_BLUNDER_SHARE,
     MIN_POINTS,
     NOISE_JUMP,
+    Halves,
     find_majority,
     is_outvoted,
 )
@@ -168,15 +169,17 @@ def _majority_and_test(control: FitData) -> tuple[BoolArray, Test] | None:
 
     None where no majority is clear, so that the usual search from a core will do.
     """
-    return likeliest_majority(control, _majority_of_polynomials(control))
+    halves = Halves.of(control)
+    return likeliest_majority(control, _majority_of_polynomials(control, halves), halves)
 
 
-def _majority_of_polynomials(control: FitData) -> tuple[BoolArray, Test] | None:
+def _majority_of_polynomials(control: FitData,
+                             halves: Halves | None) -> tuple[BoolArray, Test] | None:
     """Return the points that agree with a polynomial, with all that they predict, and their test.
 
     None where they are no clear majority: too few, or the others are no gross blunders.
     """
-    agreeing = find_majority(control)
+    agreeing = find_majority(control, halves)
     if agreeing is None:
         return None
     settled = _grow_majority(control, agreeing)

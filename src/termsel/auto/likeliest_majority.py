@@ -29,7 +29,7 @@ from termsel.auto.majority import (
     MAX_DEVIATION,
     MAX_SAMPLED_POINTS,
     MIN_POINTS,
-    closest_halves,
+    Halves,
     distances_from_fit,
     may_be_bend,
     polynomial_designs,
@@ -314,7 +314,8 @@ def likelier_right(log_odds: FloatArray) -> BoolArray:
     return np.asarray((log_odds > 0) | (rank < log_odds.shape[1] // 2))
 
 
-def likeliest_majority(control: FitData, of_polynomials: Majority | None) -> Majority | None:
+def likeliest_majority(control: FitData, of_polynomials: Majority | None,
+                       halves: Halves | None = None) -> Majority | None:
     """Return the points (n,) under which all are likeliest, and their test of all points.
 
     Parameters
@@ -323,6 +324,8 @@ def likeliest_majority(control: FitData, of_polynomials: Majority | None) -> Maj
         Control points; with lines, or fewer than MIN_POINTS, nothing is sought.
     of_polynomials : tuple or None
         The majority that `termsel.auto.majority` found, which is returned where none is likelier.
+    halves : Halves, optional
+        Those of the control, if they are known.
 
     Returns
     -------
@@ -334,7 +337,7 @@ def likeliest_majority(control: FitData, of_polynomials: Majority | None) -> Maj
     if n < MIN_POINTS or len(control.features.lines):
         return of_polynomials
     if n <= MAX_SAMPLED_POINTS:
-        return _likeliest_of(control, of_polynomials)
+        return _likeliest_of(control, of_polynomials, halves)
     if of_polynomials is not None:
         return of_polynomials
     # Of many points a sample shows the majority; its prediction then decides about all.
@@ -352,7 +355,8 @@ def likeliest_majority(control: FitData, of_polynomials: Majority | None) -> Maj
     return None if test is None else (used, test)
 
 
-def _likeliest_of(data: FitData, of_polynomials: Majority | None) -> Majority | None:
+def _likeliest_of(data: FitData, of_polynomials: Majority | None,
+                  halves: Halves | None = None) -> Majority | None:
     """Return the majority of at most MAX_SAMPLED_POINTS points that makes all likeliest.
 
     The climb starts from the best halves of polynomials; further random samples follow only where
@@ -362,19 +366,18 @@ def _likeliest_of(data: FitData, of_polynomials: Majority | None) -> Majority | 
     n = len(data)
     points = data.scaled.points
     everything = np.ones(n, dtype=bool)
-    designs, is_affine = polynomial_designs(points.ground, heights=data.heights)
-    distances = distances_from_fit(designs[0], points.image, everything)
-    if distances.max() < LEAST_DISTANCE:
+    [design, *_], _ = polynomial_designs(points.ground, heights=data.heights)
+    distances = distances_from_fit(design, points.image, everything)
+    halves = None if distances.max() < LEAST_DISTANCE else halves or Halves.of(data)
+    if halves is None:
         return of_polynomials
     exponents = polynomial_of(data.heights, 3).exponents
     likelihoods = Likelihoods(evaluate_monomials(points.ground, exponents),
                               np.array(exponents).sum(axis=1), points.image, distances)
-    rng = np.random.default_rng(0)  # the same points have the same majority
-    halves = closest_halves(designs, points.image, is_affine, rng)
     # A majority must make the points likelier than one polynomial of all of them does.
     likelihood_of_all = float(likelihoods.judge(everything[None]).log_likelihood[0])
     min_likelihood = likelihood_of_all + MIN_SEEN_GAIN * n
-    reached = likelihoods.climb(np.array([half for of_design in halves
+    reached = likelihoods.climb(np.array([half for of_design in halves.of_designs
                                           for half in of_design[:FIRST_STARTS]]))
     # Most points without blunders end here.
     if not any(likelihood > min_likelihood and not likelihoods.may_be_bend(used, UNLIKE_AT_FIRST)
@@ -382,7 +385,8 @@ def _likeliest_of(data: FitData, of_polynomials: Majority | None) -> Majority | 
         return of_polynomials
     likelihood, used = reached[0]
     if likelihood - likelihood_of_all < CLEAR_GAIN * n or not likelihoods.is_contradicted(used):
-        starts = [half for of_design in halves for half in of_design]
+        starts = [half for of_design in halves.of_designs for half in of_design]
+        rng = np.random.default_rng(0)  # the same points have the same majority
         reached = likelihoods.climb(np.concatenate([starts, likelihoods.best_samples(rng)]))
     likely_sets = [used for likelihood, used in reached[:REFINED] if likelihood > min_likelihood]
     return _likeliest_fit(data, likelihoods, likely_sets, of_polynomials)

@@ -20,12 +20,15 @@ it: where the image bends, the errors of neighbours are alike and those of all v
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from statistics import NormalDist
+from typing import Self
 
 import numpy as np
 
+from termsel.adjustment.subset_fits import squared_distances_from_fits
 from termsel.auto.contradictions import Test, polynomial_of
-from termsel.data.features import BoolArray, FloatArray, IntArray, Points
+from termsel.data.features import BoolArray, FloatArray, Points
 from termsel.data.fit_data import FitData
 from termsel.data.monomials import evaluate_monomials
 from termsel.data.record.chances import t_quantile
@@ -80,27 +83,48 @@ GROSS_STRAIN = 6.0
 """Standard deviations that the others disagree by, in the median."""
 
 
-def find_majority(control: FitData) -> BoolArray | None:
+@dataclass(frozen=True, eq=False)
+class Halves:
+    """The halves of points that agree best with polynomials."""
+
+    designs: list[FloatArray]  # (n, k): the terms of each polynomial
+    of_designs: list[list[BoolArray]]  # (n,): those with the least trimmed squares first
+
+    @classmethod
+    def of(cls, control: FitData) -> Self | None:
+        """Return those of points; None of fewer than MIN_SEEN_POINTS, and of lines."""
+        n = len(control)
+        if n < MIN_SEEN_POINTS or len(control.features.lines):
+            return None
+        scaled = control.scaled.points
+        designs, is_affine = polynomial_designs(scaled.ground, heights=control.heights)
+        rng = np.random.default_rng(0)  # the same points have the same blunders
+        # Squares of a sample of the points rank halves as well as those of all do, and cost less.
+        sampled = rng.permutation(n)[:MAX_SAMPLED_POINTS]
+        of_sampled = closest_halves([columns[sampled] for columns in designs],
+                                    scaled.image[sampled], is_affine, rng)
+
+        def among_all(closest: BoolArray) -> BoolArray:
+            half = np.zeros(n, dtype=bool)
+            half[sampled] = closest
+            return half
+
+        return cls(designs, [list(map(among_all, halves)) for halves in of_sampled])
+
+
+def find_majority(control: FitData, halves: Halves | None = None) -> BoolArray | None:
     """Return which points (n,) agree with one polynomial; None where no majority is clear.
 
     It is clear if more than a third of the points disagree with the others, and grossly. There is
-    none for fewer than MIN_SEEN_POINTS points, and none for lines.
+    none for fewer than MIN_SEEN_POINTS points, and none for lines. `halves` are those of the
+    points, if they are known.
     """
-    n = len(control)
-    if n < MIN_SEEN_POINTS or len(control.features.lines):
+    halves = halves or Halves.of(control)
+    if halves is None:
         return None
-    scaled = control.scaled.points
-    designs, is_affine = polynomial_designs(scaled.ground, heights=control.heights)
-    rng = np.random.default_rng(0)  # the same points have the same blunders
-    # Squares of a sample of the points rank halves as well as those of all do, and cost less.
-    sampled = rng.permutation(n)[:MAX_SAMPLED_POINTS]
-    halves = closest_halves([columns[sampled] for columns in designs], scaled.image[sampled],
-                             is_affine, rng)
     # The fewer terms, the clearer is who disagrees.
-    for columns, closest in zip(designs, halves, strict=True):
-        half = np.zeros(n, dtype=bool)
-        half[sampled] = closest[0]
-        agreeing = _majority_over_blunders(columns, scaled, half)
+    for columns, closest in zip(halves.designs, halves.of_designs, strict=True):
+        agreeing = _majority_over_blunders(columns, control.scaled.points, closest[0])
         if agreeing is not None:
             return agreeing
     return None
@@ -157,28 +181,27 @@ def closest_halves(designs: Sequence[FloatArray], image: FloatArray, is_affine: 
     Samples are of the first design (n, k). Halves of each design go on from those of the one
     before it.
     """
-    n = len(image)
     first = designs[0]
-    # Many samples lead to the same half.
-    halves: list[dict[bytes, tuple[float, BoolArray]]] = [{} for _ in designs]
     # Affine samples need few points, so that more of them have no blunder; others bend as well.
     samples_of = [first[:, is_affine]]
     if not is_affine.all():
         samples_of.append(first)
-    for columns in samples_of:
-        for closest in _best_random_halves(columns, image, rng):
-            half = np.zeros(n, dtype=bool)
-            half[closest] = True
-            for number, design in enumerate(designs):
-                squares, half = _concentrate_half(design, image, half)
-                halves[number].setdefault(half.tobytes(), (squares, half))
-    return [[half for _, half in sorted(of_design.values(), key=lambda found: found[0])]
-            for of_design in halves]
+    halves = np.concatenate([_best_random_halves(columns, image, rng) for columns in samples_of])
+    of_designs = []
+    for design in designs:
+        squares, halves = _concentrate_halves(design, image, halves)
+        # Many samples lead to the same half.
+        found: dict[bytes, tuple[float, BoolArray]] = {}
+        for of_half, half in zip(squares.tolist(), halves, strict=True):
+            found.setdefault(half.tobytes(), (of_half, half))
+        of_designs.append([half for _, half in sorted(found.values(),
+                                                      key=lambda each: each[0])])
+    return of_designs
 
 
 def _best_random_halves(design: FloatArray, image: FloatArray,
-                        rng: np.random.Generator) -> IntArray:
-    """Return the closest halves (CONCENTRATED, n // 2) of the best random samples.
+                        rng: np.random.Generator) -> BoolArray:
+    """Return the closest halves (CONCENTRATED, n) of the best random samples.
 
     A sample of k points determines the k coefficients; its half are the n // 2 points next to that
     polynomial. The best samples have the least trimmed squares: the sum of those of their half.
@@ -195,28 +218,40 @@ def _best_random_halves(design: FloatArray, image: FloatArray,
     squares = line**2 + sample**2
     trimmed = np.partition(squares, n // 2 - 1, axis=1)[:, :n // 2].sum(axis=1)
     best = np.argsort(trimmed, kind="stable")[:CONCENTRATED]
-    return np.argsort(squares[best], axis=1, kind="stable")[:, :n // 2]
+    return _closest(squares[best], n // 2)
 
 
-def _concentrate_half(design: FloatArray, image: FloatArray,
-                      half: BoolArray) -> tuple[float, BoolArray]:
-    """Return the least sum of trimmed squares that refitting a half leads to, and its half, (n,).
+def _closest(squares: FloatArray, count: int) -> BoolArray:
+    """Return the points of the `count` least squares of each row, (m, n)."""
+    sets = np.zeros(squares.shape, dtype=bool)
+    np.put_along_axis(sets, np.argsort(squares, axis=1, kind="stable")[:, :count], True, axis=1)
+    return sets
 
-    A step fits the half, and takes the points closest to that fit as the next half.
+
+def _concentrate_halves(design: FloatArray, image: FloatArray,
+                        halves: BoolArray) -> tuple[FloatArray, BoolArray]:
+    """Return the least sums of trimmed squares that refitting halves leads to, and these, (m, n).
+
+    A step fits each half, and takes the points closest to that fit as its next half.
     """
-    n = len(design)
-    least = np.inf
+    count = (len(design) + 1) // 2
+    halves = halves.copy()
+    least = np.full(len(halves), np.inf)
+    falling = np.arange(len(halves))  # those whose squares still fall
     for _ in range(STEPS):
         # No step raises the sum: the fit is the best for the half, the next half the best for it.
-        squares = distances_from_fit(design, image, half) ** 2
-        closest = np.argsort(squares, kind="stable")[:(n + 1) // 2]
-        trimmed = float(squares[closest].sum())
-        if trimmed >= least:
+        squares = squared_distances_from_fits(design, image, halves[falling])
+        closest = _closest(squares, count)
+        trimmed = np.where(closest, squares, 0.0).sum(axis=1)
+        falls = trimmed < least[falling]
+        # What is its own closest half is refitted to itself.
+        is_settled = (closest == halves[falling]).all(axis=1)
+        least[falling[falls]] = trimmed[falls]
+        halves[falling[falls]] = closest[falls]
+        falling = falling[falls & ~is_settled]
+        if not len(falling):
             break
-        least = trimmed
-        half = np.zeros(n, dtype=bool)
-        half[closest] = True
-    return least, half
+    return least, halves
 
 
 def _points_agreeing_with(design: FloatArray, image: FloatArray,

@@ -190,7 +190,7 @@ def _view_of(measurements: Measurements) -> CentralView | None:
         # sigma is taken, if it is clearly better than an affine one.
         columns = _projection_columns(points.ground, size)
         affine_sigma = _affine_deviation(columns, points.image)
-        if affine_sigma is not None:
+        if affine_sigma is not None and _may_be_clearly_better(columns, points.image, affine_sigma):
             view = _fit_projection(columns, points, affine_sigma)
             if view is not None:
                 views.append(view)
@@ -210,6 +210,43 @@ def _affine_deviation(columns: FloatArray, image: FloatArray) -> float | None:
         return None
     residuals = image - columns @ np.linalg.lstsq(columns, image)[0]
     return float(np.sqrt((residuals**2).sum() / freedom))
+
+
+def _may_be_clearly_better(columns: FloatArray, image: FloatArray, affine_sigma: float) -> bool:
+    """Return False where no projection of points in front of the camera is clearly better.
+
+    Let p be the columns of a point with its image f, and d = d p the denominator, made 1 in the
+    centroid of the points, where it is positive as at each of them. With the other columns centred
+    and at most 1, e their coefficients in d, and r = |e|_1, all d are at most 1 + r, so that
+
+        sum |f - a p / d|^2 >= sum |d f - a p|^2 / (1 + r)^2.
+
+    The least sum for any numerators a is S + (e - e0)'B (e - e0), where columns f and f times the
+    others count without what p explains of them; that is at least S + w (r - |e0|_1)^2 with w the
+    least eigenvalue of B by the number of the others. By Cauchy's inequality no r then brings the
+    quotient below 1 / ((1 + |e0|_1)^2 / S + 1 / w).
+    """
+    n, size = columns.shape
+    others = columns[:, 1:] - columns[:, 1:].mean(axis=0)
+    extents = np.abs(others).max(axis=0)
+    freedom = 2 * n - (3 * size - 1)
+    if freedom <= 0 or not extents.all():  # undetermined
+        return False
+    terms = np.concatenate([columns[:, :1], others / extents], axis=1)
+    products = (image[:, :, None] * terms[:, None]).reshape(n, -1)
+    q = np.linalg.qr(columns)[0]
+    rest = (products - q @ (q.T @ products)).reshape(-1, size)
+    gram = rest.T @ rest
+    values, vectors = np.linalg.eigh(gram[1:, 1:])
+    if values[0] <= _DETERMINED * values[-1]:
+        return True
+    along = vectors.T @ gram[1:, 0]
+    least = gram[0, 0] - float(along**2 @ (1.0 / values))
+    if least <= 0.0:
+        return True
+    centre = np.abs(vectors @ (along / values)).sum()
+    bound = 1.0 / ((1.0 + centre) ** 2 / least + (size - 1) / values[0])
+    return bool(bound < (CLEARER * affine_sigma) ** 2 * freedom)
 
 
 def _fit_projection(columns: FloatArray, points: Points,

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import digamma, polygamma
 
 from termsel import FeatureSet, FitData, Scaling, TermselError
 from termsel.toolkit import FloatArray
@@ -251,6 +250,8 @@ def usual_noise(sheets: Sequence[Sheet]) -> tuple[float, float]:
     Variances of sheets are those of a scaled inverse chi-squared distribution, whose moments of the
     logarithm show both (Smyth 2004, Stat. Appl. Genet. Mol. Biol. 3(1), 3).
     """
+    from scipy.special import digamma, polygamma  # which all other commands need not import
+
     halves = np.array([sheet.freedom for sheet in sheets]) / 2.0
     logs = np.log([sheet.noise**2 for sheet in sheets]) - digamma(halves) + np.log(halves)
     log_square = float(np.mean(logs))

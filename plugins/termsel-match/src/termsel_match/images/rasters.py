@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -149,6 +148,8 @@ def _is_filled(values: NDArray[Any]) -> Mask:
     zero = (values == 0).all(axis=0).astype(np.uint8)
     if not zero.any():
         return np.zeros(zero.shape, dtype=bool)
+    import cv2  # which a command that matches nothing need not import
+
     # Opening leaves only areas of zeros, not dark pixels by themselves.
     return np.asarray(cv2.morphologyEx(zero, cv2.MORPH_OPEN,
                                        np.ones((_BLANK_SIDE, _BLANK_SIDE), np.uint8))
