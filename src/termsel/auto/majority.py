@@ -214,7 +214,9 @@ def _best_random_halves(design: FloatArray, image: FloatArray,
     gram = normal.transpose(0, 2, 1) @ normal
     gram += 1e-12 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(k)
     coefficients = np.linalg.solve(gram, normal.transpose(0, 2, 1) @ image[samples])
-    line, sample = np.moveaxis(image - design @ coefficients, 2, 0)                # (samples, n)
+    # One product of matrices for all samples, not one for each.
+    line, sample = (image[:, axis] - coefficients[:, :, axis] @ design.T
+                    for axis in (0, 1))                                            # (samples, n)
     squares = line**2 + sample**2
     trimmed = np.partition(squares, n // 2 - 1, axis=1)[:, :n // 2].sum(axis=1)
     best = np.argsort(trimmed, kind="stable")[:CONCENTRATED]
