@@ -16,6 +16,7 @@ from termsel.data.fingerprints import with_control_record
 from termsel.data.monomials import RPC00B
 from termsel.data.rpc import N_COEFFICIENTS, Rpc
 from termsel.data.scaling import make_scaling
+from termsel.fitting.datum_accuracy import say_stand_in
 from termsel.fitting.fit import Fit
 from termsel.fitting.least_squares import fit
 from termsel.fitting.sky import part_said, refuse_sky
@@ -100,6 +101,7 @@ def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
     (1, 2)
     """
     best = closest_rpc(fitted, heights)
+    say_stand_in(fitted, "EPSG:4979")
     if best.heights is not None:
         low, high = best.heights
         log.log(logging.INFO if best.worst <= GOOD else logging.WARNING,

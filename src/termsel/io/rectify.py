@@ -25,6 +25,7 @@ from termsel.data.coordinates.crs import (
     to_wgs84,
 )
 from termsel.data.rasters import gdal_name, open_raster, refuse_empty_giant, require_rasterio
+from termsel.fitting.datum_accuracy import say_stand_in
 from termsel.fitting.rpc_fit import GOOD, RpcFit, closest_rpc
 from termsel.fitting.sky import NEAR_OR_FAR, why_not_shown
 from termsel.formats.deviation import places_of, say_deviation
@@ -183,6 +184,7 @@ def rectify(
             crs_note = "" if crs is not None or target == horizontal_crs(result.features.crs) else \
                 f" ({zone}as the control is not in metres; --crs names another)"
             _say(result, grid, crs_note, share, dem)
+            say_stand_in(result.fit, grid.crs)
             warp(raster, output, grid, pixels, tags=accuracy_tags(result, caution),
                  progress=progress, positions=positions, **options)
 
