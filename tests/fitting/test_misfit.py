@@ -139,13 +139,60 @@ def test_noise_alone_has_no_misfit_that_matters() -> None:
     rng = np.random.default_rng(3)
     image = rng.uniform(-1.0, 1.0, (120, 2))
     noise = rng.normal(0.0, 1.0, (120, 2))
-    trend = trend_of(image, 120)
+    trend = trend_of(image, 6)
     missed = misfit_of(image, noise - trend @ np.linalg.lstsq(trend, noise)[0], noise_prior(2.0),
                        12.0)
     assert missed is not None
     assert missed.squares(rng.uniform(-1.0, 1.0, (100, 2))).mean() < 0.03
     assert misfit_of(image[:5], image[:5], noise_prior(2.0), 6.0) is None
     assert misfit_of(image, np.zeros((120, 2)), noise_prior(2.0), 6.0) is None
+
+
+def test_no_camera_is_without_misfit_however_small_the_noise() -> None:
+    precise, rough = (
+        NoisePrior.of(1.0, None, with_heights=True).ratio_probabilities(np.array([noise])).sum()
+        for noise in (0.03, 1.0))
+    assert 0.95 < precise < 1.0
+    assert 0.36 < rough < 0.5  # a small misfit is none by so much noise
+    drawing = NoisePrior.of(1.0, None, with_heights=False).ratio_probabilities(np.ones(3))
+    np.testing.assert_allclose(drawing.sum(axis=0), 0.36)
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.1, 0.5])
+def test_matched_points_of_a_camera_leave_some_hundredths_of_a_pixel_open(noise: float) -> None:
+    rng = np.random.default_rng(21)
+    image = rng.uniform(-1.0, 1.0, (60, 2))
+    trend = trend_of(image, 10)
+    measured = rng.normal(0.0, noise, (60, 2))
+    residuals = measured - trend @ np.linalg.lstsq(trend, measured)[0]
+    missed = misfit_of(image, residuals, NoisePrior.of(1.0, None, with_heights=True), 20.0)
+    assert missed is not None
+    size = np.sqrt(missed.squares(image).mean())
+    assert 0.01 < size < 0.5 * noise
+
+
+def test_a_field_that_a_cubic_fit_has_flattened_is_seen_still() -> None:
+    rng = np.random.default_rng(22)
+    image = rng.uniform(-1.0, 1.0, (300, 2))
+    waves = np.column_stack([np.sin(image @ [6.0, 2.0]), np.cos(image @ [-3.0, 6.0])])
+    seen = 1.5 * waves[:60] + rng.normal(0.0, 0.3, (60, 2))
+    cubic = trend_of(image, 10)
+    coefficients = np.linalg.lstsq(cubic[:60], seen)[0]
+    missed = misfit_of(image[:60], seen - cubic[:60] @ coefficients,
+                       NoisePrior.of(1.0, None, with_heights=True), 20.0)
+    assert missed is not None
+    errors = (1.5 * waves - cubic @ coefficients)[60:]
+    assert 0.75 < np.sqrt((errors**2 / missed.squares(image[60:])).mean()) < 1.25
+
+
+def test_points_in_rows_that_determine_no_cubic_trend_have_a_misfit_by_a_lesser_one() -> None:
+    rng = np.random.default_rng(23)
+    image = np.column_stack([rng.uniform(-1.0, 1.0, 60), np.repeat([-1.0, 0.0, 1.0], 20)])
+    missed = misfit_of(image, rng.normal(0.0, 1.0, (60, 2)), noise_prior(1.0), 20.0)
+    assert missed is not None
+    assert np.isfinite(missed.squares(image)).all()
+    in_a_row = image * [1.0, 0.0]
+    assert misfit_of(in_a_row, rng.normal(0.0, 1.0, (60, 2)), noise_prior(1.0), 20.0) is None
 
 
 def test_what_lines_have_in_common_is_no_noise_however_fast_it_changes() -> None:
@@ -311,9 +358,7 @@ def test_a_course_of_several_trends_is_the_sum_of_theirs() -> None:
     assert courses is not None
     system = courses.control
     places = np.array([[0.2, 0.3], [-0.7, 0.9]])
-    line, sample = places.T
-    trend = np.column_stack([trend_of(places, 120), line**3, line**2 * sample,
-                             line * sample**2, sample**3])
+    trend = trend_of(places, 10)
     for solutions in courses.solutions[:3]:
         expected = np.zeros((2, 2))
         for columns, shares in zip(TREND_COLUMNS, solutions.shares, strict=True):

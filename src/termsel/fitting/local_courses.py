@@ -7,11 +7,11 @@ sample,
 
     z = T b + g + e,    g ~ (ratio s)^2 K,  e ~ s^2,
 
-with an affine, quadratic or cubic trend T of places in the image, as an affine map of the ground
-sees them, and a covariance K of unknown smoothness, length and ratio, or without a field g. All are
-averaged with their restricted likelihood, as in `termsel.fitting.misfit`. With c = (ratio^2 k, t)
-the covariances and trend of a place and M = [[S, T], [T', 0]], S = I + ratio^2 K, a course has
-there (universal kriging)
+with an affine, quadratic or cubic trend T, all as likely beforehand, of places in the image, as an
+affine map of the ground sees them, and a covariance K of unknown smoothness, length and ratio, or
+without a field g. All are averaged with their restricted likelihood, as in
+`termsel.fitting.misfit`. With c = (ratio^2 k, t) the covariances and trend of a place and
+M = [[S, T], [T', 0]], S = I + ratio^2 K, a course has there (universal kriging)
 
     the mean c' M^-1 (z, 0) and the variance s^2 (ratio^2 - c' M^-1 c).
 
@@ -50,11 +50,14 @@ from termsel.fitting.misfit import (
     MISFIT_BATCH,
     MISFIT_MAX_POINTS,
     NEGLIGIBLE_SHARE,
+    TREND_COLUMNS,
     Course,
     NoisePrior,
     System,
+    determined_trend,
     matern_correlations,
     rows_of_field,
+    trend_of,
 )
 
 LOCAL_MIN_POINTS = 20
@@ -86,9 +89,6 @@ FINE_RATIOS = tuple(np.geomspace(0.1, 25.6, 17).tolist())
 
 FIELD_PROBABILITY = 0.8
 """Probability of a field: hardly a sheet is a plane to a tenth of its noise."""
-
-TREND_COLUMNS = 3, 6, 10
-"""Of an affine, a quadratic and a cubic trend, all as likely beforehand."""
 
 CELL_POINTS = 100
 """Most points of a cell, where that does not make more than MAX_CELLS."""
@@ -225,7 +225,7 @@ class CourseCell:
     def columns(self, course: Course, positions: FloatArray) -> FloatArray:
         """Return the columns at positions (m, 2) from which a course has its mean and variance."""
         return course.columns(positions, self.positions,
-                              _trend_of(positions, course.trend_columns))
+                              trend_of(positions, course.trend_columns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,8 +329,8 @@ def local_courses(points: Points, pixel: float) -> LocalCourses | None:
                           dtype=np.float64)
     positions = affine @ to_image
     deviations = points.image - positions
-    trend = _determined_trend(positions, spread)
-    if trend is None or not deviations[spread].any():
+    trend = determined_trend(positions, spread)
+    if trend is None or trend.shape[1] < TREND_COLUMNS[1] or not deviations[spread].any():
         return None
     from_trend = deviations - trend @ np.linalg.lstsq(trend[spread], deviations[spread])[0]
     groups = _groups_around(positions, positions.mean(axis=0), np.inf)
@@ -490,24 +490,6 @@ def _prior_covariances(field_ratios: tuple[float, ...],
             yield unequal, lengths, smoothness, field_ratios
     for lengths in SWATH_LENGTHS:
         yield unequal, lengths, SWATH_SMOOTHNESS, field_ratios
-
-
-def _determined_trend(positions: FloatArray, rows: IntArray) -> FloatArray | None:
-    """Return the trend of the highest degree that rows of positions determine, (n, f), or None."""
-    for columns in reversed(TREND_COLUMNS[1:]):
-        trend = _trend_of(positions, columns)
-        if np.linalg.matrix_rank(trend[rows]) == columns:
-            return trend
-    return None
-
-
-def _trend_of(positions: FloatArray, columns: int) -> FloatArray:
-    """Return so many columns of a cubic trend at positions (m, 2), those of low degree first."""
-    line, sample = positions.T
-    cubic = np.column_stack([np.ones(len(positions)), line, sample,
-                             line**2, line * sample, sample**2,
-                             line**3, line**2 * sample, line * sample**2, sample**3])
-    return cubic[:, :columns]
 
 
 def _affine_columns(ground: FloatArray) -> FloatArray:

@@ -29,9 +29,14 @@ are what the model misses: close to control it is seen, and far away it is as la
 Few residuals do not show a field of short length from noise. Then their scatter is divided by what
 is known beforehand: a measurement in an image is good to about half a pixel, and a scatter of
 several pixels is rather what the model does not fit, in images of cameras more so than on maps that
-somebody has drawn. Of a local model, which fits fields itself, r are its errors of points held out,
-of the size of the noise that it sees; in a plane, from 20 points on, it and polynomials are judged
-by `termsel.fitting.local_courses` instead.
+somebody has drawn. No camera is without any misfit: where matches are good to a tenth of a pixel,
+the few hundredths that films, lenses and attitudes leave are a large part of the error, and few
+residuals do not show them. So what is no field of any size is beforehand a small one, of which the
+size in px is known, not that by the noise.
+
+Of a local model, which fits fields itself, r are its errors of points held out, of the size of the
+noise that it sees; in a plane, from 20 points on, it and polynomials are judged by
+`termsel.fitting.local_courses` instead.
 
 References
 ----------
@@ -44,6 +49,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import erf
 
 import numpy as np
 
@@ -64,6 +70,9 @@ MISFIT_RATIOS = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8)
 MISFIT_PROBABILITY = 0.36
 """Probability of a field of these sizes before the residuals are looked at. What is less than a
 tenth of the noise counts as none."""
+
+SMALL_MISFIT, SMALL_MISFIT_LOG_DEVIATION = 0.03, 0.7
+"""Median [px] of what any camera's model leaves, and the standard deviation of its logarithm."""
 
 NOISE_MEDIAN = 0.5
 """Median of the noise beforehand [px]."""
@@ -88,8 +97,13 @@ MISFIT_BATCH = 2000
 MISFIT_MIN_POINTS = 6
 """Points below which nothing shows a field."""
 
-QUADRATIC_TREND_POINTS = 20
-"""Points from which on the trend is quadratic; else it is affine."""
+TREND_COLUMNS = 3, 6, 10
+"""Of an affine, a quadratic and a cubic trend."""
+
+QUADRATIC_TREND_POINTS, CUBIC_TREND_POINTS = 20, 40
+"""Points from which on the trend is quadratic, and from which on it is cubic under a model of as
+many parameters; else it is affine. Under a trend of fewer columns than the model has taken up,
+residuals look more like noise than they are."""
 
 NEGLIGIBLE_SHARE = 1e-4
 """Probability of a solution that is left out."""
@@ -107,17 +121,21 @@ class NoisePrior:
         Standard deviations of the measurements, scaled, if known.
     log_deviation : float
         Standard deviation of the logarithm of the noise where it is above its median.
+    small_misfit : float
+        Median of what any model leaves, scaled; 0 where it may leave nothing.
     """
 
     pixel: float
     sigma: FloatArray | None
     log_deviation: float
+    small_misfit: float
 
     @classmethod
     def of(cls, pixel: float, sigma: FloatArray | None, *, with_heights: bool) -> NoisePrior:
         """Return the prior of the noise of an image, another one if heights count."""
-        return cls(pixel, sigma,
-                   CAMERA_NOISE_LOG_DEVIATION if with_heights else NOISE_LOG_DEVIATION)
+        if with_heights:
+            return cls(pixel, sigma, CAMERA_NOISE_LOG_DEVIATION, SMALL_MISFIT * pixel)
+        return cls(pixel, sigma, NOISE_LOG_DEVIATION, 0.0)
 
     def log_probability(self, noises: FloatArray) -> FloatArray:
         """Return logarithms of how likely noises (s,) are; the probabilities add up to one."""
@@ -126,6 +144,21 @@ class NoisePrior:
         deviation = np.where(excess > 0.0, self.log_deviation, NOISE_LOG_DEVIATION)
         logs = -0.5 * (excess / deviation) ** 2
         return np.asarray(logs - np.logaddexp.reduce(logs))
+
+    def ratio_probabilities(self, noises: FloatArray) -> FloatArray:
+        """Return probabilities of MISFIT_RATIOS next to noises (s,), (r, s); the rest is no field.
+        """
+        ratios = np.array(MISFIT_RATIOS)
+        probabilities = np.full((len(ratios), len(noises)), MISFIT_PROBABILITY / len(ratios))
+        if self.small_misfit == 0.0:
+            return probabilities
+        # Each ratio stands for an octave, the last one for all that is greater.
+        edges = np.append(ratios / np.sqrt(2.0), np.inf)
+        sizes = np.multiply.outer(edges, noises)
+        beyond = np.log(sizes / self.small_misfit) / SMALL_MISFIT_LOG_DEVIATION
+        below = 0.5 + 0.5 * np.vectorize(erf)(beyond / np.sqrt(2.0))
+        return np.asarray(
+            probabilities + (1.0 - MISFIT_PROBABILITY) * np.diff(below, axis=0))
 
     def relative_variances(self, n: int) -> FloatArray:
         """Return the variances of n measurements by that of a usual one, (n,)."""
@@ -236,7 +269,7 @@ class System:
 
     def log_likelihoods(self, spectra: Sequence[Spectrum],
                         ratios: tuple[float, ...]) -> FloatArray:
-        """Return logarithms of p(r, ratio | length, s) for each axis, (l, 2, r, s)."""
+        """Return logarithms of p(r | length, ratio, s) for each axis, (l, 2, r, s)."""
         variances = np.array([spectrum.variances(ratios) for spectrum in spectra])  # (l, r, n)
         vectors = np.array([spectrum.vectors for spectrum in spectra])
         f = self.trend.shape[1]
@@ -251,10 +284,9 @@ class System:
                               + np.log(self.relative_variances).sum()) \
             + np.log(np.abs(np.diagonal(triangle, axis1=2, axis2=3))).sum(axis=2)
         freedom = len(self.residuals) - f
-        logs = (-freedom * np.log(self.noises)
-                - 0.5 * squares.swapaxes(1, 2)[..., None] / self.noises**2
-                - determinants[:, None, :, None])
-        return np.asarray(logs - np.log(len(ratios)))
+        return np.asarray(-freedom * np.log(self.noises)
+                          - 0.5 * squares.swapaxes(1, 2)[..., None] / self.noises**2
+                          - determinants[:, None, :, None])
 
     def course(self, spectrum: Spectrum, ratios: tuple[float, ...], shares: FloatArray) -> Course:
         """Return the solutions of one covariance; `shares` (2, r, s) are of ratios and noises.
@@ -319,24 +351,25 @@ class Misfit:
     def squares(self, image: FloatArray) -> FloatArray:
         """Return the mean square of the model's own error at places in the image, (m, 2)."""
         total = np.zeros((len(image), 2))
-        trend = self._trend_columns(image)
+        trend = self._trend_at(image)
         for course in self.courses:
-            total += course.squares(course.columns(image, self.positions, trend), 0.0)
+            columns = course.columns(image, self.positions, trend[:, :course.trend_columns])
+            total += course.squares(columns, 0.0)
         return total
 
     def covariance(self, image: FloatArray, axis: int) -> FloatArray:
         """Return the mean products of the model's own error among places in the image, (m, m)."""
         total = np.zeros((len(image), len(image)))
-        trend = self._trend_columns(image)
+        trend = self._trend_at(image)
         for course in self.courses:
-            columns = course.columns(image, self.positions, trend)
+            columns = course.columns(image, self.positions, trend[:, :course.trend_columns])
             total += course.second_moments(image, columns, axis, 0.0)
         return total
 
-    def _trend_columns(self, image: FloatArray) -> FloatArray:
-        """Return the trend's columns at places, (m, t); beyond the control those of its edge."""
+    def _trend_at(self, image: FloatArray) -> FloatArray:
+        """Return the columns of a cubic trend at places; beyond the control those of its edge."""
         nearest = np.clip(image, self.positions.min(axis=0), self.positions.max(axis=0))
-        return trend_of(nearest, len(self.positions))
+        return trend_of(nearest, TREND_COLUMNS[-1])
 
 
 def misfit_of(image: FloatArray, residuals: FloatArray, noise: NoisePrior,
@@ -353,7 +386,9 @@ def misfit_of(image: FloatArray, residuals: FloatArray, noise: NoisePrior,
         residuals = residuals[rows]
         noise = noise if noise.sigma is None else replace(noise, sigma=noise.sigma[rows])
     n = len(image)
-    trend = trend_of(image, len(image))
+    trend = determined_trend(image, np.arange(n), _trend_columns(n, effective))
+    if trend is None:  # seen on one line of the image
+        return None
     freedom = n - trend.shape[1]
     effective = 2.0 * trend.shape[1] if effective is None else effective
     if n < MISFIT_MIN_POINTS or 2 * n - effective < 2.0 or freedom < 2 or not residuals.any():
@@ -366,11 +401,15 @@ def misfit_of(image: FloatArray, residuals: FloatArray, noise: NoisePrior,
     system = System(image, relative_variances, trend, residuals, noises)
     of_noise = restricted_likelihood(np.diag(relative_variances), trend, residuals, noises)
     spectra = system.spectra(MISFIT_LENGTHS, MISFIT_SMOOTHNESS)
-    by_ratios = system.log_likelihoods(spectra, MISFIT_RATIOS)                        # (l, 2, r, s)
+    ratio_probabilities = noise.ratio_probabilities(noises)                           # (r, s)
+    probability = ratio_probabilities.sum(axis=0)
+    by_ratios = system.log_likelihoods(spectra, MISFIT_RATIOS) \
+        + np.log(ratio_probabilities / probability)                                   # (l, 2, r, s)
     by_noise = np.logaddexp.reduce(by_ratios, axis=2)                                 # (l, 2, s)
+    without_field = np.maximum(1.0 - probability, np.finfo(float).tiny)
     logs = np.concatenate([
-        [np.log(1.0 - MISFIT_PROBABILITY) + log_prior + of_noise.sum(axis=0)],
-        np.log(MISFIT_PROBABILITY / len(MISFIT_LENGTHS)) + log_prior + by_noise.sum(axis=1)])
+        [np.log(without_field) + log_prior + of_noise.sum(axis=0)],
+        np.log(probability / len(MISFIT_LENGTHS)) + log_prior + by_noise.sum(axis=1)])
     if not np.isfinite(logs).all():  # seen on one line of the image: no trend is determined
         return None
     shares = np.exp(logs - np.logaddexp.reduce(logs, axis=None))                 # (1 + l, s)
@@ -417,13 +456,35 @@ def restricted_likelihood(covariance: FloatArray, trend: FloatArray, residuals: 
     return np.asarray(log - np.log(np.diag(lower)).sum() - np.log(np.abs(np.diag(r))).sum())
 
 
-def trend_of(image: FloatArray, n_points: int) -> FloatArray:
-    """Return the columns of the trend at places (m, 2), (m, 6) of many points and (m, 3) of few."""
-    line, sample = image.T
-    columns = [np.ones(len(image)), line, sample]
-    if n_points >= QUADRATIC_TREND_POINTS:
-        columns += [line**2, line * sample, sample**2]
-    return np.column_stack(columns)
+def _trend_columns(n_points: int, effective: float | None) -> int:
+    """Return how many columns the trend has that stands for so many parameters of both axes."""
+    affine, quadratic, cubic = TREND_COLUMNS
+    if n_points < QUADRATIC_TREND_POINTS:
+        return affine
+    is_cubic = n_points >= CUBIC_TREND_POINTS and effective is not None and effective >= 2 * cubic
+    return cubic if is_cubic else quadratic
+
+
+def determined_trend(positions: FloatArray, rows: IntArray,
+                     most: int = TREND_COLUMNS[-1]) -> FloatArray | None:
+    """Return the trend at positions of the highest degree that rows of them determine, (n, f).
+
+    It has at most so many columns; None where not even an affine one is determined.
+    """
+    for columns in reversed(TREND_COLUMNS):
+        trend = trend_of(positions, columns)
+        if columns <= most and np.linalg.matrix_rank(trend[rows]) == columns:
+            return trend
+    return None
+
+
+def trend_of(positions: FloatArray, columns: int) -> FloatArray:
+    """Return so many columns of a cubic trend at positions (m, 2), those of low degree first."""
+    line, sample = positions.T
+    cubic = np.column_stack([np.ones(len(positions)), line, sample,
+                             line**2, line * sample, sample**2,
+                             line**3, line**2 * sample, line * sample**2, sample**3])
+    return cubic[:, :columns]
 
 
 def matern_correlations(a: FloatArray, b: FloatArray, lengths: tuple[float, float],
