@@ -238,7 +238,7 @@ GIS = '"termsel[gis]"'
 
 # How figures are rounded wherever people read them.
 
-_TENTHS, _HUNDREDTHS, _DIGITS = 99.95, 9.995, 0.0995
+_TENTHS, _HUNDREDTHS, _DIGITS, _SMALLEST = 99.95, 9.995, 0.0995, 1e-4
 """From these sizes on a figure has no decimals, one, and two; a smaller one has two digits."""
 
 
@@ -255,7 +255,10 @@ def rounded_size_text(value: float) -> str:
         return f"{value:,.0f}"
     if size >= _HUNDREDTHS:
         return f"{value:.1f}"
-    return f"{value:.2f}" if size >= _DIGITS else f"{value:.2g}"
+    if size >= _DIGITS:
+        return f"{value:.2f}"
+    # Two digits, also where the second is 0; none are known of 0 itself.
+    return f"{value:#.2g}" if size >= _SMALLEST else f"{value:.2g}"
 
 
 def interval_text(low: float, high: float, percent: float = 90.0) -> str:

@@ -163,8 +163,13 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
     sample_spacing = np.linalg.norm(np.diff(outline, axis=1), axis=-1)
     if np.isnan(line_spacing).all() or np.isnan(sample_spacing).all():
         if dem is None:
-            raise TermselError("the model gives no ground position anywhere in the image",
-                               hint="Do not use it: choose another model, or measure more.")
+            at_height = "" if height is None else f" at the height {height:g}"
+            remedy = "Do not use it: choose another model, or measure more."
+            if height is not None:
+                remedy = "Give the height of the ground (--height H). If it is right, choose " \
+                    "another model, or measure more."
+            raise TermselError("the model gives no ground position anywhere in the image"
+                               f"{at_height}", hint=remedy)
         control = result.fit.control
         with open_dem(Path(dem), control.crs) as surface:
             where = where_raster_is(surface, control)

@@ -621,6 +621,6 @@ def task_of_method(request: Request, auto: Auto) -> Task:
 def require_alone(method: object, words: list[str]) -> None:
     """Raise TermselError for a method next to parts or options of a search, given in words."""
     if method is not None and words:
-        raise TermselError(f"a method is given, and {words[0]}, which is of a search",
-                           hint=f"Leave the method out for a search, or {words[0]} to fit the "
+        raise TermselError(f"a method fits without a search, and {words[0]} is for a search",
+                           hint=f"Leave out the method to search, or {words[0]} to fit the "
                                 "method.")

@@ -109,6 +109,8 @@ REMEDY_FOR_SWAPPED = (
 _MOST_ROWS, _MOST_REASONS = 4, 2
 """Images, and reasons of verdicts, on the screen of a batch: with what was written, how many
 failed and the next command it has twelve lines at most."""
+_MOST_ALIKE = 1
+"""Images that a reason on the screen names, of all that have it."""
 _MOST_IDS = 3
 """Blunders of an image that its row names."""
 _SCREEN_WIDTH = 88
@@ -133,7 +135,7 @@ def screen(study: Study) -> str:
     caption = count_of_verdicts(rows)
     if study.spec.accept is None and any(row["verdict"] == FIT for row in rows):
         caption = f"{caption}; --accept 5m would set a limit"
-    reasons = image_reasons(rows)
+    reasons = image_reasons(rows, _MOST_ALIKE)
     room = _MOST_REASONS + _MOST_ROWS - len(shown)
     remedy = [SWAPPED_IN_SHORT] if any("swapped" in reason for reason in reasons) else []
     lines = [*(shorten(_first_sentence(reason), _SCREEN_WIDTH, placeholder=" ...")

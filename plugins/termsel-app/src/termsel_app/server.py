@@ -402,7 +402,7 @@ class Events(WebSocketHandler):
 def serve(session: Session, port: int, started: Callable[[str, str], None]) -> None:
     """Serve the page until Ctrl-C; `started` is called with its address, and the first one.
 
-    Raises TermselError if the port cannot be had.
+    Raises TermselError if the port cannot be used.
     """
     asyncio.run(_serve(session, port, started))
 

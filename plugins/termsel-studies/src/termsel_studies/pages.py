@@ -74,9 +74,8 @@ def tables_of(study: Study, *, brief: bool = False) -> tuple[list[TableBlock], l
             [(pair.first, pair.second, str(pair.wins), str(pair.losses), f"{pair.p:.2g}",
               f"{pair.corrected:.2g}") for pair in comparison.pairs]))
     # What failed is named with its reason: it counts as worst above.
-    tables.append(TableBlock("Runs without a result", ("run", "state", "reason"), [
-        (_row_in_words(row), row["state"], row["reason"]) for row in rows
-        if row["state"] in ("failed", "infeasible")]))
+    tables.append(TableBlock("Runs without a result", ("run", "state", "reason"),
+                             _rows_without_result(rows)))
     return [table for table in tables if table.rows], valid_claims(groups, comparison, rows)
 
 
@@ -155,9 +154,30 @@ def _title_of_study(name: str, optimum: float | None) -> str:
     return name if optimum is None else f"{name}: proven optimum {optimum:.4f}"
 
 
+def _rows_without_result(rows: list[Row]) -> list[tuple[str, str, str]]:
+    """Return run, state and reason of what failed; seeds of one reason are together."""
+    seeds_by_run: dict[tuple[str, str, str], list[str]] = {}
+    for row in rows:
+        if row["state"] in ("failed", "infeasible"):
+            run = (_row_in_words(row), row["state"], row["reason"])
+            seeds_by_run.setdefault(run, []).append(str(row["seed"]))
+    return [(f"{run}, seed {_seeds_in_words(seeds)}", state, reason)
+            for (run, state, reason), seeds in seeds_by_run.items()]
+
+
+def _seeds_in_words(seeds: list[str]) -> str:
+    """Return seeds, of many the first and how many more there are."""
+    more = len(seeds) - _MOST_SEEDS
+    return ", ".join(seeds[:_MOST_SEEDS]) + (f" and {more} more" if more > 0 else "")
+
+
+_MOST_SEEDS = 5
+"""Seeds of one reason that are named."""
+
+
 def _row_in_words(row: Row) -> str:
-    """Return the name of a row: problem, data, model, solver and seed, as far as it has them."""
-    return ", ".join(str(row[name]) for name in ("problem", "data", "model", "solver", "seed")
+    """Return the name of a row: problem, data, model and solver, as far as it has them."""
+    return ", ".join(str(row[name]) for name in ("problem", "data", "model", "solver")
                      if row[name] not in ("", None))
 
 
@@ -168,11 +188,17 @@ def format_number(value: float | None, digits: int) -> str:
     return f"{value:.{digits}f}" if math.isfinite(value) else "∞"
 
 
+def title_of(study: Study) -> str:
+    """Return the title of a study, or what it is of."""
+    of_images = study.spec.strategies == ("auto",)
+    return study.spec.title or ("Batch of images" if of_images else "Study")
+
+
 def study_as_markdown(study: Study) -> str:
     """Return all tables of a study, and its valid claims, as Markdown."""
     tables, sentences = tables_of(study)
     remarks = [f"- {markdown_text(remark)}" for remark in remarks_of(study)]
-    paragraphs = [f"# {markdown_text(study.spec.title or 'Study')}\n"]
+    paragraphs = [f"# {markdown_text(title_of(study))}\n"]
     if remarks:
         paragraphs.append("\n".join(remarks) + "\n")
     paragraphs += map(table_as_markdown, tables)

@@ -13,7 +13,7 @@ from termsel.toolkit import count_in_words, write_text
 from termsel.toolkit.charts import Document, Figure, Section, render_page, save, text_of, with_theme
 from termsel.toolkit.studies import IMAGES, folders_of, image_reasons
 from termsel_studies.figures import figures_of
-from termsel_studies.pages import remarks_of, study_as_latex, study_as_markdown, tables_of
+from termsel_studies.pages import remarks_of, study_as_latex, study_as_markdown, tables_of, title_of
 from termsel_studies.small import small_map
 
 log = logging.getLogger(__name__)
@@ -106,7 +106,7 @@ def _study_document(study: Study, charts: list[
     only_images = study.spec.strategies == ("auto",)
     done = len(study.records)
     number = count_in_words(len(study.cells), "image" if only_images else "run")
-    return Document(study.spec.title or "Study",
+    return Document(title_of(study),
                     # A table or section without content is left out.
                     number if study.complete else f"{done} of {number} finished", (),
                     tuple(section for section in sections if section.blocks))

@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Container, Sequence
 
-from termsel.core.errors import count_in_words, rounded_size_text
+from termsel.core.errors import count_in_words, first_names_in_words, rounded_size_text
 from termsel.results.blocks import TableBlock
 from termsel.studies.cells.table import Row, usual_notes
 from termsel.studies.cells.verdicts import FIT, VERDICTS
@@ -22,16 +22,21 @@ def image_table(rows: Sequence[Row]) -> TableBlock:
                       keys=[row["cell"] for row in rows])
 
 
-def image_reasons(rows: Sequence[Row]) -> list[str]:
-    """Return why images are not fit for use, the worst first."""
+def image_reasons(rows: Sequence[Row], most_names: int | None = None) -> list[str]:
+    """Return why images are not fit for use, the worst first, and a common reason once.
+
+    `most_names` is how many of the images with a reason are named, by default all.
+    """
     usual = usual_notes(rows)
-    lines = []
+    images_by_reason: dict[str, list[str]] = {}
     for row in rows:
         reason = row["why"] or notes_on_image(row, usual)
         if row["verdict"] != FIT and reason:
-            image = image_name(row)
-            lines.append(reason if reason.startswith(image) else f"{image}: {reason}")
-    return lines
+            images_by_reason.setdefault(reason, []).append(image_name(row))
+    # A reader's reason names its file itself.
+    return [reason if reason.startswith(images[0])
+            else f"{first_names_in_words(images, most_names or len(images))}: {reason}"
+            for reason, images in images_by_reason.items()]
 
 
 def image_name(row: Row) -> str:

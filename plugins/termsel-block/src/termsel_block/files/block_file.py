@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from termsel import FeatureSet, TermselError, get, open_raster, read, read_rpc
-from termsel.toolkit import options_of_file, require_regular, unguard_cell
+from termsel.toolkit import count_in_words, options_of_file, require_regular, unguard_cell
 from termsel.toolkit.coordinates import LOCAL, normalise
 from termsel.toolkit.files import (
     KINDS_OF_JSON,
@@ -234,8 +234,9 @@ def _check_names(names: Sequence[str], path: Path) -> None:
                                "on a file system without case", file=path,
                                hint="Give them names that differ in more than capitals.")
     if len(names) < 2:
-        raise TermselError(f"a block of {len(names)} images has no ties", file=path,
-                           hint="Give two images or more; for one image use termsel run.")
+        count = count_in_words(len(names), "image") if names else "no image"
+        raise TermselError(f"a block has two images or more, and this one has {count}", file=path,
+                           hint="Add [[image]] for each; for one image use termsel run.")
 
 
 def _read_image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path) -> BlockImage:
