@@ -207,7 +207,7 @@ def test_pasted_rows_become_points_or_complete_them(
         scan: Path, ortho: Path, tmp_path: Path) -> None:
     with session_of(tmp_path / "out", str(scan), (str(ortho),)) as session:
         first = session.put({"image": [10.0, 20.0]})
-        assert session.paste(f"{first}\t500001.5\t5199990\nB 7\t500003\t5199991") == 2
+        assert session.paste(f"{first}\t500001.5\t5199990\nB 7\t500003\t5199991") == (2, [])
         assert session.control.records[first]["image"] == [10.0, 20.0]
         assert session.control.records[first]["ground"] == [500001.5, 5199990.0, None]
         assert session.control.records["B 7"]["image"] is None
@@ -220,6 +220,76 @@ def test_pasted_rows_become_points_or_complete_them(
             with pytest.raises(TermselError):
                 session.paste(text)
         assert session.version == version
+
+
+@pytest.mark.parametrize("name", ["z", "height", "elev", "h", "Elevation [m]"])
+@pytest.mark.parametrize("image", ["line,sample,", ""])
+def test_a_paste_knows_the_names_that_a_run_knows(
+        scan: Path, ortho: Path, tmp_path: Path, name: str, image: str) -> None:
+    numbers = "10,20," if image else ""
+    with session_of(tmp_path / "out", str(scan), (str(ortho),)) as session:
+        session.paste(f"Point,{image}Easting,Northing,{name}\nA,{numbers}500020,5199990,210")
+        assert session.control.records["A"]["ground"] == [500020.0, 5199990.0, 210.0]
+        assert session.control.records["A"]["image"] == ([10.0, 20.0] if image else None)
+        session.paste("A;500021,5;5199990,5")
+        assert session.control.records["A"]["ground"] == [500021.5, 5199990.5, 210.0]
+        session.paste("id,role,line,sample\nA,check,11,22")
+        assert session.control.records["A"]["image"] == [11.0, 22.0]
+        assert session.control.records["A"]["role"] == "check"
+        session.paste("line,sample,x,y\n1,2,500001,5199999\n3,4,500004,5199996")
+        session.paste("line,sample,x,y\n5,6,500006,5199994")
+        assert [record["image"] for record in session.control.records.values()] == [
+            [11.0, 22.0], [1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]
+
+
+@pytest.mark.parametrize(("text", "said"), [
+    ("203.2,116.9,500273.5,5199618.3\n10,20,500020,5199990\n150,200,500201,5199850\n",
+     "names above the rows, if this is right: line,sample,x,y (the first point would be line"),
+    ("203.2,116.9,500273.5,5199618.3", "no header"),
+    ("203.2,116.9,500273.5,5199618.3,227\n10,20,500020,5199990,228", "no header"),
+    ("500273.5,5199618.3,227", "no header"),
+    ("A,9999,5,500000,5199999", "200 lines and 300 samples, but points extend to line 9999"),
+    ("id,line,sample\nA,5,301.5\nB,5,9000", "points extend to line 5 and sample 9000"),
+    ("A,41.55,15.01", "look like degrees, but EPSG:25832 is a projected CRS"),
+    ("id,x,y,z [ft]\nA,500000,5199999,700", "z is in feet"),
+    ("id,line,sample,x,y,z [ft]\nA,1,2,500000,5199999,700", "z is in feet"),
+    ("# crs: EPSG:25833\nid,x,y\nA,500000,5199999", "in EPSG:25833, and this session in"),
+    ("A,1,2,500000,5199999\nB,3,4,500000,5199999", "same ground coordinates"),
+    ("id,x,y\nA,500000,5199999\nB,500001", "row 3")])
+def test_a_paste_refuses_what_a_run_refuses(
+        scan: Path, ortho: Path, tmp_path: Path, text: str, said: str) -> None:
+    with session_of(tmp_path / "out", str(scan), (str(ortho),)) as session:
+        with pytest.raises(TermselError) as refused:
+            session.paste(text)
+        message = f"{refused.value.what} {refused.value.hint}"
+        assert said in message
+        assert "--" not in message
+        assert str(tmp_path) not in message
+        assert not session.control.records
+
+
+def test_pasted_points_far_from_the_map_are_told(scan: Path, tmp_path: Path) -> None:
+    degrees = write_raster(tmp_path / "degrees.tif", np.zeros((1, 90, 90), dtype=np.uint8),
+                           "EPSG:4326", Affine(0.01, 0, 15, 0, -0.01, 42))
+    with session_of(tmp_path / "out", str(scan), (str(degrees),)) as session:
+        assert session.paste("A1,15.01,41.55") == (1, [])
+        _, notes = session.paste("A2,41.55,15.01")
+        assert "far from the map" in notes[0]
+        assert "Exchange x and y" in notes[0]
+        _, notes = session.paste("A3,-70.5,10.5")
+        assert "Check the coordinates" in notes[0]
+
+
+@pytest.mark.parametrize("image", [[9999.0, 5.0], [5.0, 320.0], [-30.0, 5.0]])
+def test_no_point_is_measured_outside_the_image(
+        scan: Path, ortho: Path, tmp_path: Path, image: list[float]) -> None:
+    with session_of(tmp_path / "out", str(scan), (str(ortho),)) as session:
+        name = session.put({"image": [199.4, 0.0]})
+        with pytest.raises(TermselError, match="outside the image, which has 200 lines and 300"):
+            session.put({"id": name, "image": image})
+        with pytest.raises(TermselError, match="outside the image"):
+            session.put({"kind": "line", "image": [[1.0, 1.0], image]})
+        assert session.control.records[name]["image"] == [199.4, 0.0]
 
 
 @pytest.mark.parametrize("given", [

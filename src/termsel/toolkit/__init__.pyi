@@ -42,6 +42,7 @@ from termsel.formats.base import read_data as read_data
 from termsel.formats.base import read_text as read_text
 from termsel.formats.deviation import say_deviation as say_deviation
 from termsel.formats.heights import say_difference as say_difference
+from termsel.formats.image_origin import require_inside as require_inside
 from termsel.formats.readers.vector import open_layer as open_layer
 from termsel.formats.rpc_files import rpc_txt_text as rpc_txt_text
 from termsel.formats.vrt import picture_for as picture_for

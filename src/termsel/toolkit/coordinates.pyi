@@ -11,6 +11,7 @@ from termsel.data.coordinates.crs import transformation_between as transformatio
 from termsel.data.coordinates.longitudes import nearest_longitudes as nearest_longitudes
 from termsel.data.coordinates.longitudes import turn_of as turn_of
 from termsel.data.coordinates.metres import offsets_in_metres as offsets_in_metres
+from termsel.data.coordinates.plausible import check_ground as check_ground
 from termsel.data.coordinates.wgs84 import from_ecef as from_ecef
 from termsel.data.coordinates.wgs84 import to_ecef as to_ecef
 from termsel.data.coordinates.wgs84 import vertical_directions as vertical_directions

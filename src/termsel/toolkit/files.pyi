@@ -19,6 +19,8 @@ from termsel.core.files.texts import markdown_text as markdown_text
 from termsel.core.files.texts import xml_attribute as xml_attribute
 from termsel.data.fingerprints import is_cut as is_cut
 from termsel.data.fingerprints import makers_of as makers_of
+from termsel.data.tables.columns import POINTS as POINTS
+from termsel.data.tables.columns import columns_by_meaning as columns_by_meaning
 from termsel.data.tables.tabular import TextArray as TextArray
 from termsel.data.tables.tabular import distinct_names as distinct_names
 from termsel.formats.base import IMAGE_NAME as IMAGE_NAME
@@ -31,8 +33,9 @@ from termsel.formats.deviation import places_of as places_of
 from termsel.formats.deviation import say_measured as say_measured
 from termsel.formats.deviation import say_nearest as say_nearest
 from termsel.formats.heights import surface_of as surface_of
-from termsel.formats.image_origin import require_inside as require_inside
+from termsel.formats.readers.cells import read_cells as read_cells
 from termsel.formats.readers.tables import Table as Table
+from termsel.formats.readers.tables import read_table as read_table
 from termsel.formats.rpc_files import read_delivered_rpc as read_delivered_rpc
 from termsel.formats.rpc_files import rpb_text as rpb_text
 from termsel.formats.rpc_files import rpc_items as rpc_items
@@ -41,6 +44,7 @@ from termsel.formats.vrt import vrt_text as vrt_text
 from termsel.formats.writers.selections import chosen_points as chosen_points
 from termsel.formats.writers.selections import gcps_of as gcps_of
 from termsel.formats.writers.selections import wkt_in_one_line as wkt_in_one_line
+from termsel.formats.z_unit import refuse_other_units as refuse_other_units
 from termsel.io.accuracy_tags import Prediction as Prediction
 from termsel.io.accuracy_tags import accuracy_tags as accuracy_tags
 from termsel.io.accuracy_tags import prediction_of as prediction_of

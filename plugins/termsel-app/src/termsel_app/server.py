@@ -327,13 +327,18 @@ def _put(session: Session, arguments: dict[str, Any]) -> dict[str, Any]:
     return {"id": name, "version": session.version, "note": note}
 
 
+def _paste(session: Session, text: str) -> dict[str, Any]:
+    """Add the points of a table that was pasted; return how many, and a note on them or ""."""
+    count, notes = session.paste(text)
+    return {"count": count, "note": " ".join(notes)}
+
+
 CALLS: dict[str, Callable[[Session, Pages, dict[str, Any]], dict[str, Any] | None]] = {
     "put": lambda session, _, arguments: _put(session, arguments),
     "delete": lambda session, _, arguments: session.delete(_id_arguments(arguments)),
     "undo": lambda session, _, __: session.undo(),
     "redo": lambda session, _, __: session.redo(),
-    "paste": lambda session, _, arguments: {
-        "count": session.paste(_text_argument(arguments, "text"))},
+    "paste": lambda session, _, arguments: _paste(session, _text_argument(arguments, "text")),
     "add": lambda session, _, arguments: {"count": session.add(arguments.get("points"))},
     "predict": lambda session, _, arguments: {"prediction": session.predict(
         arguments.get("image"), arguments.get("map"))},

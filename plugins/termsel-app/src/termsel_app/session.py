@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
-import re
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
-from itertools import zip_longest
+from itertools import count, zip_longest
 from pathlib import Path
 from threading import RLock
 from typing import Any
@@ -18,8 +14,8 @@ from typing import Any
 import numpy as np
 
 import termsel
-from termsel import FeatureSet, TermselError
-from termsel.toolkit import make_folder
+from termsel import FeatureSet, Points, TermselError
+from termsel.toolkit import make_folder, require_inside
 from termsel.toolkit.coordinates import LOCAL, horizontal_crs, normalise
 from termsel_app.control import (
     COORDINATE_LIMIT,
@@ -32,6 +28,7 @@ from termsel_app.control import (
 from termsel_app.iiif import IiifImage, fetch_image, is_iiif
 from termsel_app.journal import Journal, entry_of, open_journal
 from termsel_app.maps import Box, Maps, box_around, box_of, open_maps
+from termsel_app.pasting import read_pasted
 from termsel_app.places import Places, shown_crs
 from termsel_app.prediction import Prediction, prediction_of
 from termsel_app.quality import Answer, Question
@@ -350,12 +347,27 @@ class Session:
             if "name" in values:
                 after["id"] = values["name"]
             after = checked_record(after)
+            if "image" in values:
+                self._require_in_image(after)
             if after.get("ground") and kind == "point" and after["ground"][2] is None \
                     and values.get("ground") is not None:
                 after["ground"] = self._with_height(after["ground"])
             if after != before:
                 self.change([Patch(before, after)])
             return str(after["id"])
+
+    def _require_in_image(self, record: Record) -> None:
+        """Raise TermselError for a feature that is measured outside the image."""
+        places = np.array(record["image"] or [], dtype=np.float64).reshape(-1, 2)
+        points = Points(tuple(f"{i}" for i in range(len(places))), places,
+                        np.column_stack([np.arange(len(places)), np.zeros((len(places), 2))]))
+        try:
+            require_inside(FeatureSet(points, crs=LOCAL), self.size, None)
+        except TermselError as error:
+            lines, samples = self.size or (0, 0)
+            extent = f", which has {lines:,} lines and {samples:,} samples" if self.size else ""
+            raise TermselError(f"this position is outside the image{extent}", ids=[record["id"]],
+                               hint="Measure within the image.") from error
 
     def _with_given_heights(self, before: list[Place], after: list[Place]) -> list[Place]:
         """Return ground places with the heights that they had before they were moved on the map.
@@ -417,34 +429,61 @@ class Session:
                 self.change(patches)
         return len(patches)
 
-    def paste(self, text: str) -> int:
-        """Add points from a table that was pasted; return how many.
+    def paste(self, text: str) -> tuple[int, list[str]]:
+        """Add points from a table that was pasted; return how many, and what to know of them.
 
-        A header names the columns, as in a points CSV; without one they are id, x, y and perhaps z,
-        or id, line, sample, x, y and perhaps z.
+        See `read_pasted`. A point with the id of one that is there completes it.
         """
         if len(text) > MOST_PASTED:
             raise TermselError(f"at most {MOST_PASTED:,} characters can be pasted")
-        records = list(_points_of_paste(text))
+        records, notes = read_pasted(text, self.places.crs, self.size)
         with self.lock:
+            notes += self._note_on_distance(records)
+            # New ids are none that other rows have.
+            pasted = {record["id"] for record in records}
+            first = int(self.control.new_id("point")[1:])
+            new_ids = (name for number in count(first) if (name := f"P{number:02d}") not in pasted)
             patches = []
-            for number, record in enumerate(records):
-                record["id"] = record["id"] or f"{self.control.new_id('point')}-{number + 1}"
-                before = self.control.records.get(record["id"])
-                after = dict(before) if before else {**record, "role": record["role"]}
-                for space in ("image", "ground"):
-                    after[space] = record[space] or after[space]
-                if after["ground"] and after["ground"][2] is None:
-                    after["ground"] = self._with_height(after["ground"])
+            for record in records:
+                name = record["id"] or next(new_ids)
+                before = self.control.records.get(name)
+                after = self._completed({**record, "id": name}, before)
                 patches.append(Patch(before, checked_record(after)))
-            names = Counter(patch.after["id"] for patch in patches if patch.after)
-            twice = next((name for name, count in names.items() if count > 1), None)
-            if twice is not None:
-                raise TermselError(f"{twice!r} occurs twice in what was pasted",
-                                   hint="Names are unique: correct one of them.")
             if patches:
                 self.change(patches)
-        return len(patches)
+        return len(patches), notes
+
+    def _completed(self, pasted: Record, before: Record | None) -> Record:
+        """Return what a point becomes by one that was pasted; `before` is None for a new one."""
+        after = dict(before or pasted)
+        for key in ("role", "image", "ground"):
+            after[key] = pasted[key] or after[key]
+        if pasted["ground"] and pasted["ground"][2] is None:
+            place = self._with_height(pasted["ground"])
+            known = [] if before is None else _places_of(before)
+            after["ground"] = self._with_given_heights(known, [place])[0]
+        return after
+
+    def _note_on_distance(self, records: list[Record]) -> list[str]:
+        """Return a note if all points are far from the map and the other points; else []."""
+        ground = [record["ground"] for record in records if record["ground"]]
+        if not ground or (self.maps.box is None and not self.control.complete("point")):
+            return []
+        box = self.box()
+        turned = [[place[1], place[0]] for place in ground]
+        if self._are_near(ground, box):
+            return []
+        remedy = "Exchange x and y" if self._are_near(turned, box) else "Check the coordinates"
+        return [f"What was pasted lies far from the map and the other points. {remedy}, if that is "
+                "wrong: Ctrl+Z takes it back."]
+
+    def _are_near(self, ground: list[Place], box: Box) -> bool:
+        """Return whether a ground place is in a box on the map, or not far outside."""
+        on_map = self.places.to_map(ground)
+        middle = np.array([box[0] + box[2], box[1] + box[3]]) / 2.0
+        extent = max(box[2] - box[0], box[3] - box[1])
+        # Infinite where the map has no such place.
+        return bool((np.abs(on_map - middle) <= 2.0 * extent).all(axis=1).any())
 
     def predict(self, image: Any = None, xy: Any = None) -> dict[str, Any] | None:
         """Return where a place of the image is on the map, or one of the map (`xy`) in the image.
@@ -483,72 +522,6 @@ def _places_of(record: Record) -> list[Place]:
 def _ground_places(record: Record) -> list[Place]:
     """Return x and y of the ground places of a feature, up to two; [] if it has none."""
     return [place[:2] for place in _places_of(record)]
-
-
-_NAMES = ("id", "role", "line", "sample", "x", "y", "z")
-_WITHOUT_HEADER = {3: ("id", "x", "y"), 4: ("id", "x", "y", "z"),
-                   5: ("id", "line", "sample", "x", "y"),
-                   6: ("id", "line", "sample", "x", "y", "z")}
-
-
-def _points_of_paste(text: str) -> Iterator[Record]:
-    """Yield the points of a table that was pasted, columns known by a header or by their number.
-
-    Raises TermselError with the row at fault.
-    """
-    lines = [line for line in text.splitlines() if line.strip()]
-    # Tabs come from spreadsheets; a comma may be in a cell of a table with semicolons.
-    separator = next((mark for mark in ("\t", ";", ",") if lines and mark in lines[0]), None)
-    try:
-        rows = [[cell.strip() for cell in row] for row in csv.reader(
-            io.StringIO("\n".join(lines)), delimiter=separator)] if separator else [
-            re.split(r"\s+", line.strip()) for line in lines]
-    except csv.Error as error:
-        raise TermselError(f"this is no table: {error}", hint="Paste rows such as: "
-                           "A1, 512300.5, 5339520.1") from error
-    if not rows:
-        raise TermselError("nothing was pasted", hint="Paste rows such as: A1, 512300.5, 5339520.1")
-    header = [cell.lower() for cell in rows[0]]
-    # A header is known by its names; else the number of columns shows what they are.
-    if {"x", "y"} <= set(header) or {"line", "sample"} <= set(header):
-        names: tuple[str, ...] = tuple(header)
-        rows = rows[1:]
-    else:
-        names = _WITHOUT_HEADER.get(len(rows[0]), ())
-    if not names:
-        raise TermselError(f"rows of {len(rows[0])} columns need a header",
-                           hint=f"Its names are {', '.join(_NAMES)}.")
-    for number, row in enumerate(rows, 1):
-        if len(row) != len(names):
-            raise TermselError(f"row {number} has {len(row)} columns, expected {len(names)}",
-                               line=number)
-        cells = dict(zip(names, row, strict=True))
-        yield {"id": cells.get("id", ""), "kind": "point", "role": cells.get("role", "").lower(),
-               "image": _row_numbers(cells, ("line", "sample"), number),
-               "ground": _row_numbers(cells, ("x", "y", "z"), number)}
-
-
-def _row_numbers(cells: Mapping[str, str], names: tuple[str, ...], number: int,
-                 ) -> list[float | None] | None:
-    """Return the numbers of some columns of a row; None if either of the first two is blank.
-
-    A blank z is None. `number` is that of the row, for the TermselError if a cell is no number.
-    """
-    if not all(cells.get(name) for name in names[:2]):
-        return None
-    values: list[float | None] = []
-    for name in names:
-        cell = cells.get(name, "")
-        # A height may be unknown: the DEM gives it, or none is needed.
-        if not cell and name == "z":
-            values.append(None)
-            continue
-        try:
-            values.append(float(cell))
-        except ValueError:
-            raise TermselError(f"{cell!r} in row {number} is no number", line=number, column=name,
-                               hint="Write decimals with a point.") from None
-    return values
 
 
 def _read_features(files: Files) -> FeatureSet:

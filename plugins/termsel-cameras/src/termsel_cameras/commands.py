@@ -10,9 +10,15 @@ from typing import TYPE_CHECKING
 import click
 
 from termsel import FeatureSet, TermselError, read, require_replaceable
-from termsel.toolkit import count_in_words, echo, print_table, say_written, write_text
+from termsel.toolkit import (
+    count_in_words,
+    echo,
+    print_table,
+    require_inside,
+    say_written,
+    write_text,
+)
 from termsel.toolkit.coordinates import LOCAL
-from termsel.toolkit.files import require_inside
 
 if TYPE_CHECKING:
     from termsel_cameras.sheets.series_file import Series

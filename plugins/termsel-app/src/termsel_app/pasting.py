@@ -1,0 +1,224 @@
+"""Points of a table that was pasted, read as `termsel.read` reads a file.
+
+A file of control has both coordinates of each point; what is pasted may have either alone, as a
+list of surveyed points whose places in the image are measured next.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from threading import get_ident
+
+import numpy as np
+
+import termsel
+from termsel import FeatureSet, Points, TermselError
+from termsel.toolkit import private_folder, require_inside
+from termsel.toolkit.coordinates import check_ground
+from termsel.toolkit.files import (
+    POINTS,
+    columns_by_meaning,
+    read_cells,
+    read_table,
+    refuse_other_units,
+)
+from termsel_app.control import Record, checked_record
+
+_GROUND = ("x", "y", "z")
+_IMAGE = ("line", "sample")
+_WITHOUT_HEADER = {3: ("id", "x", "y"), 4: ("id", "x", "y", "z"),
+                   5: ("id", "line", "sample", "x", "y"),
+                   6: ("id", "line", "sample", "x", "y", "z")}
+"""What the columns of rows without a header are, where the first has ids."""
+
+_UNKNOWN = "no format that termsel knows"
+_LEFT_OUT = ("has no column of ids", "its heights are unknown")
+"""What notes say that does not hold on the page: it gives ids, and has heights of a DEM."""
+
+_EXAMPLE = "id,role,line,sample,x,y,z"
+_PASTED = "what was pasted"
+
+
+def read_pasted(text: str, crs: str, size: tuple[int, int] | None,
+                ) -> tuple[list[Record], list[str]]:
+    """Return the points of a table that was pasted as records, and notes on how it was read.
+
+    Columns are known by their names; without a header by their number, if the first has ids.
+    Points without an id have "" for one. `crs` is that of the ground coordinates, `size` lines and
+    samples of the image.
+
+    Raises TermselError for what `termsel run` would refuse, with row and column.
+    """
+    with private_folder() as folder, _notes_kept() as notes:
+        path = folder / "pasted.csv"
+        path.write_text(text, "utf-8", errors="replace")
+        try:
+            records = _records_of_table(path, crs, size)
+        except TermselError as error:
+            raise _on_page(error, path) from error
+    kept = [note for note in notes if not any(words in note for words in _LEFT_OUT)]
+    return records, [note.replace(str(path), _PASTED) for note in kept]
+
+
+def _records_of_table(path: Path, crs: str, size: tuple[int, int] | None) -> list[Record]:
+    """Return the points of a file as records; see `read_pasted`."""
+    rows = read_cells(path, POINTS, {}).rows
+    if not rows:
+        raise TermselError("nothing was pasted")
+    names = _columns_without_header(rows)
+    if names:
+        columns = {name: str(i) for i, name in enumerate(names, 1)}
+    else:
+        columns = {}
+        names = tuple(name for name, found in columns_by_meaning(rows[0], POINTS).items() if found)
+    if columns and "line" not in columns:
+        return _ground_records(path, columns, names, crs)
+    try:
+        features = termsel.read(path, crs=crs, columns=columns or None)
+    except TermselError as error:
+        # The words of a table whose other pair of coordinates is missing.
+        if "ground coordinates alone" in error.what or (
+                _UNKNOWN in error.what and {"x", "y"} <= set(names)):
+            return _ground_records(path, columns, names, crs)
+        if "image coordinates alone" in error.what or (
+                _UNKNOWN in error.what and set(_IMAGE) <= set(names)):
+            return _image_records(path, names, size)
+        raise
+    if not len(features.points):
+        raise TermselError("these are lines, not points", hint="Paste points alone.")
+    # The CRS that is read may state feet of z, where that of the session has metres.
+    refuse_other_units(features.named_units, crs)
+    require_inside(features, size, None)
+    return _records(features.points, has_ids="id" in names, spaces=("image", "ground"))
+
+
+def _columns_without_header(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """Return the meanings of the columns of rows of an id and numbers; () for other rows."""
+    width = len(rows[0])
+    if width not in _WITHOUT_HEADER or not all(map(_is_coordinate, rows[0][1:])):
+        return ()
+    first = [row[0].strip() for row in rows if row]
+    # Three columns of whole numbers, x and y have numbered points; more may begin with a line.
+    are_ids = not all(map(_is_coordinate, first)) or (width == 3 and all(map(str.isdigit, first)))
+    return _WITHOUT_HEADER[width] if are_ids else ()
+
+
+def _is_coordinate(cell: str) -> bool:
+    """Return whether a cell is a number, with either decimal sign."""
+    try:
+        float(cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _ground_records(path: Path, columns: Mapping[str, str], names: Sequence[str], crs: str,
+                    ) -> list[Record]:
+    """Return the points of a table of ground coordinates alone."""
+    coordinates = [name for name in _GROUND if name in names]
+    table = read_table(path, _aliases(coordinates), columns=_text_of(columns))
+    if table.crs not in ("", crs):
+        raise TermselError(f"the table is in {table.crs}, and this session in {crs}",
+                           hint=f"Transform the points to {crs}.")
+    ground = np.full((len(table.lines), 3), np.nan)
+    ground[:, :len(coordinates)] = table.stack(*coordinates)
+    points = table.points(np.zeros((len(ground), 2)), ground, None, table.roles())
+    refuse_other_units(table.named_units(), crs)
+    check_ground(FeatureSet(points, crs=crs))
+    return _records(points, has_ids="id" in names, spaces=("ground",))
+
+
+def _image_records(path: Path, names: Sequence[str], size: tuple[int, int] | None) -> list[Record]:
+    """Return the points of a table of lines and samples alone."""
+    table = read_table(path, _aliases(_IMAGE))
+    image = table.stack(*_IMAGE)
+    # Points need ground coordinates, each its own; nobody sees these.
+    ground = np.zeros((len(image), 3))
+    ground[:, 0] = np.arange(len(image))
+    points = table.points(image, ground, None, table.roles())
+    require_inside(FeatureSet(points, crs="local"), size, None)
+    return _records(points, has_ids="id" in names, spaces=("image",))
+
+
+def _aliases(coordinates: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Return names of the columns of ids, roles and some coordinates."""
+    return {name: POINTS[name] for name in ("id", "role", "enabled", *coordinates)}
+
+
+def _text_of(columns: Mapping[str, str]) -> str:
+    """Return columns by meaning as the option --columns has them."""
+    return ",".join(f"{name}={column}" for name, column in columns.items())
+
+
+def _records(points: Points, *, has_ids: bool, spaces: Sequence[str]) -> list[Record]:
+    """Return points as records with their places in some spaces, image or ground."""
+    records = []
+    for name, role, image, ground in zip(points.ids, points.roles, points.image.tolist(),
+                                         points.ground.tolist(), strict=True):
+        record = checked_record({
+            "id": name, "kind": "point", "role": role,
+            "image": image if "image" in spaces else None,
+            "ground": [None if z != z else z for z in ground] if "ground" in spaces else None})
+        # Ids that the reader made up may be those of other points.
+        records.append(record if has_ids else {**record, "id": ""})
+    return records
+
+
+def _on_page(error: TermselError, path: Path) -> TermselError:
+    """Return an error in the words of the page, which has rows instead of files and options."""
+    place = ", ".join(f"{word} {value}" for word, value in (
+        ("row", error.line), ("column", error.column)) if value)
+    hint = error.hint or ""
+    if error.guesses:
+        readings = [f"{_header_of(guess)} (the first point would be {first})"
+                    for guess, first in zip(error.guesses, error.first_points, strict=True)]
+        hint = f"Put a line of names above the rows, if this is right: {'; or '.join(readings)}."
+    elif _UNKNOWN in error.what or "no header" in error.what:
+        error.what = "the rows have no header that names their columns"
+        hint = f"Put one above them, such as {_EXAMPLE}. Rows without one begin with an id: " \
+            "A1, 512300.5, 5339520.1."
+    elif "--" in hint or "termsel " in hint or hint.startswith("Give the image"):
+        hint = "Correct the table, and paste it again."
+    what = f"{error.what} ({place})" if place else error.what
+    return TermselError(what.replace(str(path), _PASTED), hint=hint.replace(str(path), _PASTED),
+                        ids=error.ids)
+
+
+def _header_of(guess: str) -> str:
+    """Return the header that says what a text of --columns says, such as line,sample,x,y."""
+    column_of = dict(pair.split("=", 1) for pair in guess.split(","))
+    if not all(map(str.isdigit, column_of.values())):
+        return ", ".join(f"{name} for {column}" for name, column in column_of.items())
+    name_of = {int(column): name for name, column in column_of.items()}
+    # Columns without a meaning need names as well.
+    return ",".join(name_of.get(i, f"column{i}") for i in range(1, max(name_of) + 1))
+
+
+@contextmanager
+def _notes_kept() -> Iterator[list[str]]:
+    """Yield a list of what termsel logs in this thread during the block."""
+    notes: list[str] = []
+    keeper = _Keeper(notes)
+    logger = logging.getLogger("termsel")
+    logger.addHandler(keeper)
+    try:
+        yield notes
+    finally:
+        logger.removeHandler(keeper)
+
+
+class _Keeper(logging.Handler):
+    """Keeps the messages of one thread."""
+
+    def __init__(self, notes: list[str]) -> None:
+        super().__init__(logging.INFO)
+        self._notes = notes
+        self._thread = get_ident()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a message, unless another thread logs it."""
+        if record.thread == self._thread:
+            self._notes.append(record.getMessage())
