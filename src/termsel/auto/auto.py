@@ -348,8 +348,7 @@ class Auto(Method):
         advantage = gain_of(points_choice.chosen.held_out().squares,
                             choice.chosen.held_out().squares[:count], choice.chosen.rounding)
         comparison = (
-            f"Points alone predict the points {'better' if advantage > 0 else 'worse'} than "
-            "points "
+            f"Points alone predict the points {'better' if advantage > 0 else 'worse'} than points "
             f"with lines do, by {standard_errors(advantage)}")
         if advantage > PRIOR_MARGIN:
             return replace(points_choice,

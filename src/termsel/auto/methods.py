@@ -180,8 +180,7 @@ class _WithField(Structure):
         if process.spline_weight > 0.0 and process.probability <= FIELD_CALLED_FOR:
             return (f"{self.label} is an average: so few points cannot decide between "
                     "polynomials, fields, a spline and an affine image. The probability of local "
-                    "deformation is "
-                    f"{process.probability:.3g}.")
+                    f"deformation is {process.probability:.3g}.")
         # The requirement is stated where the field is a course of its own.
         requirement = ""
         if process.spline_weight == 0.0:

@@ -80,8 +80,7 @@ class Averaging(Estimator):
             feature_word = "control feature" if len(scaled.lines) else "control point"
             raise Undetermined(
                 f"{count_in_words(len(scaled), feature_word)} without any one of them do not "
-                "determine "
-                "an affine model", hint="Measure more control, spread over the area.")
+                "determine an affine model", hint="Measure more control, spread over the area.")
         return fit_of(self, model, control, scaling, used, average_of_all)
 
 

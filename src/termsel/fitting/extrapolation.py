@@ -67,8 +67,7 @@ def warnings_of(control: FeatureSet, used: BoolArray, check: Points) -> Iterator
             groups.append(f"{far.sum()} of 4 corners of the image")
     if groups:
         yield (f"{EXTRAPOLATION}{' and '.join(groups)} {_lie_or_lies(n_outside)} far outside "
-               "the control "
-               "in use. The RMSE does not apply there.")
+               "the control in use. The RMSE does not apply there.")
     # Heights by themselves: a point within the hull may be on a summit far above all control.
     heights = control.ground_vertices()[:, 2]
     check_heights = check.ground[:, 2]

@@ -132,8 +132,7 @@ def _say_wide(positions: FloatArray) -> None:
     scale = float(((lon * np.cos(np.radians(positions[:, 1]))) ** 2 / 2).max())
     if scale > WIDE:
         log.warning("Warning: the control spans %.0f degrees of longitude. One zone of UTM shows "
-                    "distances at its edges %.2g %% too long: --crs names a projection for such "
-                    "an "
+                    "distances at its edges %.2g %% too long: --crs names a projection for such an "
                     "area, such as that of an atlas.", float(np.ptp(positions[:, 0])), 100 * scale)
 
 

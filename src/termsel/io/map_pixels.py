@@ -201,8 +201,7 @@ def _prepare_for_resampling(picture: Picture, resampling: str | None) -> tuple[P
         raise TermselError(f"the pixels of this image are classes, which {resampling} would mix",
                            file=picture.path, hint="Leave --resampling out, for nearest.")
     if mixed:
-        log.warning("Note: the map has the colours of the image's table instead of its indices, "
-                    "as "
+        log.warning("Note: the map has the colours of the image's table instead of its indices, as "
                     "%s mixes pixels; without --resampling it keeps them.", resampling)
         return expand_colours(picture), str(resampling)
     alphas = {colour[3] for band in bands for colour in band.table}
@@ -440,8 +439,7 @@ def _describe(tiled: Any, spec: MapPixels, tags: Mapping[str, str]) -> None:
             table.setdefault(int(spec.nodata), _WHITE)
         tiled.write_colormap(1, table)
     elif tables:
-        log.warning("Warning: a GeoTIFF can have a colour table for one band of 8 or 16 bits "
-                    "only; "
+        log.warning("Warning: a GeoTIFF can have a colour table for one band of 8 or 16 bits only; "
                     "the map has the values without colours. gdal_translate -expand rgb makes an "
                     "image with colours.")
         colours = [ColorInterp.undefined if colour == ColorInterp.palette else colour

@@ -53,8 +53,7 @@ def _say_size(fitted: Fit) -> None:
     features = fitted.control
     if features.image_size is None and features.rpc is not None and "rpc" in fitted.model.options:
         (first_line, first_sample), (last_line, last_sample) = fitted.image_box()
-        log.warning("Note: the size of the image is not known. By the scale of its RPC it is "
-                    "taken "
+        log.warning("Note: the size of the image is not known. By the scale of its RPC it is taken "
                     "as lines %.0f to %.0f and samples %.0f to %.0f; positions may be outside "
                     "it. Give --image FILE to termsel run to state it.", first_line, last_line,
                     first_sample, last_sample)

@@ -169,12 +169,11 @@ def _projection_warnings(missed: Sequence[str], hidden: Sequence[str], off_image
                f"{first_names_in_words(missed)}")
     if off_image:
         yield (f"no position was found for {count_in_words(len(off_image), 'point')} outside the "
-               "image: "
-               f"{first_names_in_words(off_image)}. Check the lines and samples")
+               f"image: {first_names_in_words(off_image)}. Check the lines and samples")
     if far:
         yield (f"{count_in_words(len(far), 'point')} {'is' if len(far) == 1 else 'are'} far "
-               "outside the "
-               f"control, and the model is not valid there: {first_names_in_words(far)}")
+               "outside the control, and the model is not valid there: "
+               f"{first_names_in_words(far)}")
 
 
 def _control_ground(result: Result) -> FloatArray:

@@ -75,8 +75,7 @@ class ThinPlate(Interpolating):
         Option("smoothing", None, "Value added to the diagonal of the kernels' matrix; 0 "
                                   "interpolates the control points. By default it is estimated.",
                float, 0.0, 1e9),
-        Option("chosen_by", "reml", "How the smoothing is chosen: by restricted maximum "
-                                    "likelihood "
+        Option("chosen_by", "reml", "How the smoothing is chosen: by restricted maximum likelihood "
                                     "or generalised cross-validation.", choices=("reml", "gcv")))
 
     def interpolation(self, control: FeatureSet) -> Interpolation | None:
@@ -84,8 +83,7 @@ class ThinPlate(Interpolating):
         if self.options["smoothing"] == 0 and len(control.points) > MAX_EXACT_SPLINE:
             raise TermselError(
                 f"a spline that meets {amount_in_words(len(control.points), 'point')} exactly "
-                "takes too "
-                "long", hint="Leave smoothing out, or give one above 0.")
+                "takes too long", hint="Leave smoothing out, or give one above 0.")
         return thin_plates(control.points, plane_units(self), self.options["smoothing"],
                            self.options["chosen_by"])
 

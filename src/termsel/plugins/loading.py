@@ -317,8 +317,7 @@ def _points_of(distribution: Distribution) -> tuple[list[EntryPoint], str]:
     first = {point.name: point for point in reversed(points)}
     if len(first) < len(points):
         twice = next(point.name for point in points if first[point.name] is not point)
-        return list(first.values()), (f"its entry_points.txt names {twice!r} twice; only the "
-                                      "first "
+        return list(first.values()), (f"its entry_points.txt names {twice!r} twice; only the first "
                                       "is used")
     return points, ""
 

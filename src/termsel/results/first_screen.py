@@ -337,8 +337,7 @@ def _no_outlier_clause(record: Record) -> str:
         return f"not detectable by this model among {features}"
     if test.limit > _BLUNT * test.extent:
         return (f"none found among {features}; below {rounded_size_text(test.limit)} px most "
-                "cannot be "
-                "detected")
+                "cannot be detected")
     return f"none among {features}"
 
 
@@ -580,8 +579,7 @@ def _urgent_warnings(record: Record) -> Iterator[str]:
         yield f"check the datum of the points: {shift}"
     elif may_be_shifted(record):
         yield (f"are rows shifted, or matches wrong? {outlier_share_in_words(record)} contradict "
-               "the "
-               "others")
+               "the others")
     if record.interrupted:
         yield "the run was interrupted; run it again to its end"
 

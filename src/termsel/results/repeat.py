@@ -29,8 +29,7 @@ def why_not_by_command(record: Record) -> str:
                    if plugin.class_]
     if own_classes:
         return (f"No command repeats this run, as no plugin provides its {', '.join(own_classes)}. "
-                "Call "
-                "termsel.run with the same objects, seed and options.")
+                "Call termsel.run with the same objects, seed and options.")
     if record.solver == GIVEN:
         return "No command repeats this result, as its genes were given in Python."
     return ""

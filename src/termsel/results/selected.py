@@ -118,8 +118,7 @@ def _sentences_on_search(record: Record) -> Iterator[Block]:
                f"{stability.threshold:.0%} of {stability.repeats} selections, each with "
                "other control and selection points.")
     yield (f"Selected: {share_in_words(selection.n_features, offered.n_features)} control "
-           "features, "
-           f"{share_in_words(selection.n_terms, offered.n_terms)} terms; "
+           f"features, {share_in_words(selection.n_terms, offered.n_terms)} terms; "
            f"redundancy {record.adjustment.redundancy}{_iteration_in_words(record.adjustment)}")
     if parameters := selection.parameters:
         yield "Parameters: " + ", ".join(
@@ -129,8 +128,8 @@ def _sentences_on_search(record: Record) -> Iterator[Block]:
     if max_share < 1:
         yield f"Limit: {max_share:.2g} terms per equation; --set max_share=1 removes it"
     yield (f"Search: {amount_in_words(record.evaluations, 'evaluation')} ({record.lookups:,} from "
-           "the "
-           f"cache), {count_in_words(record.generations, 'generation')}, {record.seconds:.1f} s")
+           f"the cache), {count_in_words(record.generations, 'generation')}, {record.seconds:.1f} "
+           "s")
     if refined := record.polish:
         yield (f"Local refinement: {record.criterion} {refined.found:.4g} as "
                f"{record.solver} found it, {refined.polished:.4g} after it "

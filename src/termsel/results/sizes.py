@@ -46,8 +46,7 @@ def sentences_on_sizes(by_size: Sequence[SizeRow], criterion: str) -> Iterator[s
             open_.append(size)
     if settled:
         yield (f"Proven: the best selection of {_ranges_in_words(settled)} {words} is no better "
-               "than "
-               "that of fewer.")
+               "than that of fewer.")
     if open_:
         yield (f"Not proven: a selection of {_ranges_in_words(open_)} {words} may still be better "
                "than that of fewer.")

@@ -194,9 +194,8 @@ def verdict_table(record: Record) -> Iterator[Block]:
         off = off_option(record)
         if may_be_shifted(record):
             yield (f"{outlier_share_in_words(record)} contradict the others, more than slips do. "
-                   "Rows of "
-                   "the table may be shifted against each other or sorted in part, or matches "
-                   "wrong: compare some points with the map before leaving any out.")
+                   "Rows of the table may be shifted against each other or sorted in part, or "
+                   "matches wrong: compare some points with the map before leaving any out.")
         elif off:
             yield f"Leave out those in use with {off} and run again."
     else:

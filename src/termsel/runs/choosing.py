@@ -209,8 +209,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
     lines = len(fitted.control.lines.features)
     lines_in_use = fitted.used[len(fitted.control.points):].any()
     without_lines = [f"None of the {count_in_words(lines, 'line')} is used: the points alone "
-                     "predict "
-                     "better."] if lines and not lines_in_use else []
+                     "predict better."] if lines and not lines_in_use else []
     notes = (
         *([doubt] if (doubt := rpc_correction and doubt_of_rpc(clean)) else []),
         *_notes_on_stated_geometry(data, auto, choice.chosen),

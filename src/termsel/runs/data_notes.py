@@ -260,8 +260,7 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     if heights and not blank and 0 < len(missing) < len(features):
         yield (f"{len(missing)} of {len(features)} {features.word} have no height, so the heights "
                f"of the others were not used: {first_names_in_words(missing)}. Take those that "
-               "are missing "
-               "from a raster (--dem FILE).")
+               "are missing from a raster (--dem FILE).")
     if heights and len(features) > 1 and not missing:
         # Heights may rest on one or two features.
         carrying = observations.carriers
@@ -324,8 +323,7 @@ def _note_on_two_groups(features: FeatureSet) -> Iterator[str]:
         datum = datum_of(groups, features.crs, (lon, lat))
     likely = f" Coordinates in {datum} are as far off there." if datum else ""
     yield (f"{groups.sentence()}: {first_names_in_words(groups.second)}.{likely} Transform them "
-           "to the CRS of "
-           "the others.")
+           "to the CRS of the others.")
 
 
 def _note_on_rpc_heights(features: FeatureSet) -> Iterator[str]:
@@ -411,9 +409,8 @@ def _note_on_flat(control: FitData, points: Points) -> Iterator[str]:
         yield (f"{count_in_words(int(far.sum()), 'other point')} "
                f"{'is' if far.sum() == 1 else 'are'} up "
                f"to {_rounded_text(off.max() * unit)} m above or below their plane. What this "
-               "does in "
-               f"the image is not known: some {_rounded_text(effect.max())} px, as views usually "
-               "are.")
+               f"does in the image is not known: some {_rounded_text(effect.max())} px, as views "
+               "usually are.")
 
 
 def _question_on_unit(features: FeatureSet, z: FloatArray) -> str:

@@ -87,9 +87,8 @@ def rpc_without_record(rpc: Rpc) -> str:
     if not rpc.control_count or rpc.control_digests:
         return ""
     return (f"{_WITHOUT_RECORD} to {count_in_words(rpc.control_count, 'control point')} that "
-            "its file "
-            "no longer names: if these points are among them, the accuracy stated is too good. "
-            "Give the RPC that the vendor delivered, or the file that termsel wrote.")
+            "its file no longer names: if these points are among them, the accuracy stated is too "
+            "good. Give the RPC that the vendor delivered, or the file that termsel wrote.")
 
 
 def doubt_of_fitted_rpc(observations: Observations) -> str:

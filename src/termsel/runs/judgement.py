@@ -49,8 +49,7 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
     if not feasible and evaluations is not None and evaluations < FEW_EVALUATIONS:
         return (f"This selection does not satisfy all conditions, and no better one was found with "
                 f"{amount_in_words(evaluations, 'evaluation')}, {TOO_FEW}. Do not use it: search "
-                "with "
-                f"{FEW_EVALUATIONS:,} evaluations or more.")
+                f"with {FEW_EVALUATIONS:,} evaluations or more.")
     if not feasible:
         return ("This selection does not satisfy all conditions, and no better one was found. It "
                 "has undetermined or too many terms, an axis without terms, or a pole in the "
@@ -81,8 +80,7 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
         size = _px_text(_independent_rmse(best))
         if ratio > ALIKE_RATIO and (blunders or not method.is_plain):
             sentences.append(f"The automatic choice, {title}, is {times_in_words(ratio)} better "
-                             f"({size}): "
-                             "omit --problem, --solver and --model.")
+                             f"({size}): omit --problem, --solver and --model.")
         elif ratio > ALIKE_RATIO:
             sentences.append(f"A simpler model, {title}, is {times_in_words(ratio)} better "
                              f"({size}).")
@@ -120,8 +118,7 @@ def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
         sentences.append("It is not verified: there are no independent check points.")
     else:
         sentences.append(f"The RMSE at {count_in_words(measured.n, 'independent check point')}, "
-                         "which "
-                         f"took no part, is {_px_text(measured.total)}.")
+                         f"which took no part, is {_px_text(measured.total)}.")
     # The rival is chosen by held-out errors, never by independent check points.
     rivals = [(b.predicted, b, candidate.title) for b in baselines if b.predicted is not None
               and (candidate := registry().known("methods", b.name))

@@ -170,8 +170,7 @@ def note_on_blank(ids: Sequence[str], features: FeatureSet) -> str:
     takes, heights, them = ("takes", "its height", "it") if is_one else (
         "take", "their heights", "them")
     return (f"{count_in_words(len(ids), features.word[:-1])} without a height {takes} no part, as "
-            "the "
-            f"model uses heights: {named}. Give {heights}, or take {them} from a raster (--dem "
+            f"the model uses heights: {named}. Give {heights}, or take {them} from a raster (--dem "
             "FILE). A plane model (--model poly2d) requires none.")
 
 
@@ -196,9 +195,8 @@ DATA_OPTIONS = (
            "control below 60 points, and takes 3:3:2 from there."),
     Option("split", 0, "Seed by which roles are assigned.", int, 0, SEED),
     Option("check_as", None, "What selection points are: judges of each selection, or further "
-           "control. "
-           "By default judges; where points are the control and the criterion needs no check "
-           "points, control.", choices=("judge", "control")),
+           "control. By default judges; where points are the control and the criterion needs no "
+           "check points, control.", choices=("judge", "control")),
     Option("tested", None, "Whether blunders among control and selection points were looked for "
            "before, as in a block of images: then they are not here.", bool),
     FIT_CRS,

@@ -379,8 +379,7 @@ def _limits_of_detection(features: FeatureSet, suspects: Suspects) -> Iterator[s
                 if suspects.limits[index] <= extent else
                 f"at {features.ids[index]} none can be found for certain")
     yield (f"With {len(features)} {features.word} an error must exceed {_size_text(median_limit)} "
-           "px "
-           f"to be found for certain at half of them, and {at_worst}.")
+           f"px to be found for certain at half of them, and {at_worst}.")
 
 
 def _size_text(error: float) -> str:

@@ -81,8 +81,7 @@ def plan_maps(folder: Path, pictures: Path, out: Path, *, with_doubtful: bool, o
                            hint="Give the folder of one result, or of a batch of images.")
     if not pictures.is_dir():
         raise TermselError(f"{folder} is a batch of {count_in_words(len(study.cells), 'image')}, "
-                           "and this "
-                           "is not a folder of images", file=pictures,
+                           "and this is not a folder of images", file=pictures,
                            hint="Give the folder in which the images are, or one result: "
                                 f"{folder / IMAGES}/NAME.")
     if out.resolve() == pictures.resolve():
@@ -150,8 +149,7 @@ def _with_picture(planned: ImageMap, folder: Path, pictures_of: Mapping[str, Seq
     if len(owners) > 1:
         return replace(planned, state=FAILED, why=(
             f"{files[0].name} would be the image of {count_in_words(len(owners), 'file')} of "
-            "points: "
-            f"{first_names_in_words(owners)}. Give each its own name"))
+            f"points: {first_names_in_words(owners)}. Give each its own name"))
     return replace(planned, picture=files[0])
 
 

@@ -96,8 +96,7 @@ def study_summary(study: Study) -> str:
     texts = [output.summary(study) for output in outputs if output.summary]
     return "".join(texts) or (
         f"{count_in_words(len(study.records), study.noun)} finished. Statistics and tables come "
-        "with the "
-        f"package {package}, which {state}. {remedy}\n")
+        f"with the package {package}, which {state}. {remedy}\n")
 
 
 REMEDY_FOR_SWAPPED = (

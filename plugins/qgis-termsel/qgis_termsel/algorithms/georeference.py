@@ -72,9 +72,8 @@ class Georeference(Algorithm):
     HELP = (
         "Chooses a model for an image from ground control points, names blunders, and reports "
         "the accuracy of the result.\n\nPoints are a layer with fields of line and sample (rows "
-        "and "
-        "columns in the image, the centre of the upper left pixel is 0, 0), or a file: .points of "
-        "QGIS's georeferencer, CSV, or any other that termsel reads.\n\n"
+        "and columns in the image, the centre of the upper left pixel is 0, 0), or a file: .points "
+        "of QGIS's georeferencer, CSV, or any other that termsel reads.\n\n"
         "Points with the role independent are independent check points: no fit and no choice uses "
         "them, and their RMSE is the accuracy. Rectify, Export model and Accuracy report read the "
         "output folder.")

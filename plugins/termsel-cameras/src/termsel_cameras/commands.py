@@ -128,8 +128,7 @@ def _say_paper(series: Series) -> None:
     paper = paper_of(series.sheets)
     scale, turn, stretch, shear = paper.spreads
     echo(f"Paper by {count_in_words(len(series.sheets), 'sheet')}: {math.exp(paper.means[0]):.5g} "
-         "px per "
-         f"unit of ground (standard deviation {100 * scale:,.2f} %), turn "
+         f"px per unit of ground (standard deviation {100 * scale:,.2f} %), turn "
          f"{math.degrees(paper.means[1]):.3g} deg ({math.degrees(turn):.2g}), stretch "
          f"{100 * paper.means[2]:.2g} % ({100 * stretch:.2g}), shear {100 * paper.means[3]:.2g} % "
          f"({100 * shear:.2g}); an affine map leaves {paper.noise:.3g} px.")

@@ -426,9 +426,8 @@ def _limiting_notes(ground_errors: GroundErrors, total: float, survey: float | N
                      "and sigma_y, or --survey-sigma.")
     elif survey > IMPLAUSIBLE * total:
         notes.append(f"The survey is said to be off by {_size_text(survey)} m, and the errors "
-                     "found are "
-                     f"{_size_text(total)} m. Check --survey-sigma or the columns sigma_x and "
-                     "sigma_y: "
+                     f"found are {_size_text(total)} m. Check --survey-sigma or the columns "
+                     "sigma_x and sigma_y: "
                      "they are in metres.")
     elif survey > total / 2:
         notes.append("The check points are not twice as accurate as what they test.")

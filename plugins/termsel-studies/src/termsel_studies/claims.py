@@ -51,8 +51,7 @@ def valid_claims(groups: Groups, comparison: Comparison | None, rows: list[Row])
         and not row.get("proven") and row.get("optimum") is None for row in rows)
     if n_unproven:
         sentences.append(f"Not proven: {count_in_words(n_unproven, 'run')} of exact ended before "
-                         "the "
-                         "optimum was proven, so a better selection may exist.")
+                         "the optimum was proven, so a better selection may exist.")
     if groups.measure == "fitness":
         sentences.append("The fitness chose the selections, so it is not the accuracy: compare the "
                          "RMSE at independent check points (ICP).")
@@ -135,7 +134,6 @@ def _claims_over_instances(comparison: Comparison) -> list[str]:
     n_unproven = len(comparison.pairs) - len(proven)
     if n_unproven:
         sentences.append(f"Of {count_in_words(n_unproven, 'pair')} no difference may be claimed. "
-                         "That "
-                         "does not show that they are equally good.")
+                         "That does not show that they are equally good.")
     sentences.append("This is valid for instances like these, with these options and budgets.")
     return sentences

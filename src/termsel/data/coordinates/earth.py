@@ -249,8 +249,7 @@ def zone_of_utm_instead(crs: str, features: FeatureSet) -> str:
     west, south, east, north = area
     return (f"{short_crs_name(crs)} is for the area from {position_in_words((west, south))} to "
             f"{position_in_words((east, north))}, but the map is at {position_in_words(middle)}: "
-            "--crs "
-            f"{metric_crs(features.crs, *middle)} is the zone of UTM there")
+            f"--crs {metric_crs(features.crs, *middle)} is the zone of UTM there")
 
 
 def is_inside(position: tuple[float, float], area: tuple[float, float, float, float],

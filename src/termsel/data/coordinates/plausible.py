@@ -76,8 +76,7 @@ def _check_distance(ground: FloatArray, features: FeatureSet, crs: str) -> None:
         f"{_feature_in_words(ground, name, first)}, z = {ground[first, 2]:.10g} is "
         f"{distance[first]:.5g} m "
         f"from the centre of {body_of(crs)}, from which {short_crs_name(crs)} counts; its surface "
-        "is "
-        f"{radius:.5g} m away", ids=[name], column=column, hint=hint)
+        f"is {radius:.5g} m away", ids=[name], column=column, hint=hint)
 
 
 def _hint_of_degrees(xy: FloatArray, features: FeatureSet) -> str:
@@ -94,8 +93,7 @@ def _hint_of_degrees(xy: FloatArray, features: FeatureSet) -> str:
     in_metres = len(np.unique(features.vertex_feature[are_metres]))
     if in_metres > 1:
         hint = (f"{hint} {in_metres} of {count_in_words(len(features), 'row')} look like metres, "
-                "as of "
-                "UTM: transform them to degrees.")
+                "as of UTM: transform them to degrees.")
     return hint
 
 
@@ -124,8 +122,7 @@ def _hint_of_utm(xy: FloatArray, features: FeatureSet, zone: int, low: tuple[flo
         rows = "this row" if outside == 1 else f"these {outside} rows"
         inside = len(features) - outside
         return (f"The other {count_in_words(inside, 'row')} {'is' if inside == 1 else 'are'} "
-                "within the "
-                f"zone: is there a digit too many? Correct {rows}.")
+                f"within the zone: is there a digit too many? Correct {rows}.")
     if (xy[:, 0] // 1e6 == zone).all():
         crs = _WITH_ZONE.get(zone)
         stated = f", or state the CRS that has them, --crs {crs} (ETRS89)" if crs else ""
@@ -157,8 +154,7 @@ def _check_metres(xy: FloatArray, features: FeatureSet, crs: str) -> None:
     else:
         problem = "the ground coordinates look like degrees"
         hint = (f"Where {short_crs_name(crs)} is stated, in the file or by --crs, state EPSG:4979 "
-                "for "
-                "longitude, latitude and ellipsoidal height, or local for plane coordinates "
+                "for longitude, latitude and ellipsoidal height, or local for plane coordinates "
                 "without a CRS.")
     first = int(np.argmax(degrees))
     name, column = _name_vertex(features, first, 0)

@@ -55,8 +55,7 @@ def enumerable_parts(inputs: ProblemData, equations: Equations, genome: Genome,
         raise _not_enumerable_error("lines or a shared denominator couple the axes")
     if equations.prior is not None:
         raise _not_enumerable_error(f"model {model.name!r} has pseudo-observations, which are no "
-                                    "rows "
-                                    "of the control (--set ridge=0 removes them)")
+                                    "rows of the control (--set ridge=0 removes them)")
     _refuse_other_errors(inputs)
     # parents[i, j]: term i is selected only with term j.
     parents = np.zeros((len(axis), len(axis)), dtype=bool)

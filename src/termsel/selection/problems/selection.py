@@ -107,8 +107,8 @@ class SelectionProblem(Problem):
             if model.corrects and not inputs.criterion.needs_check:
                 raise TermselError(
                     f"features of model {model.name!r} cannot be selected without selection "
-                    "points: it "
-                    "corrects its predictions by control", hint="Choose --criterion check-rmse.")
+                    "points: it corrects its predictions by "
+                    "control", hint="Choose --criterion check-rmse.")
             min_features, max_features = _feature_counts(inputs)
             if subset and min_features == max_features:
                 segments.append(Subset("features", control.ids, min_features))

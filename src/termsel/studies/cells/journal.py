@@ -170,8 +170,7 @@ class Journal:
         return TermselError(
             f"cannot write the journal: {error.strerror or error}", file=self.path,
             hint=f"{count_in_words(len(self.records), 'finished run')} are kept. Make space, then "
-                 "repeat "
-                 "the command to go on.")
+                 "repeat the command to go on.")
 
 
 def read_journal(folder: Path) -> Journal:
@@ -213,8 +212,7 @@ def read_journal(folder: Path) -> Journal:
     if damaged:
         journal.remarks.append(
             f"{journal.path} is damaged in {count_in_words(len(damaged), 'line')}, the first of "
-            "them "
-            f"line {damaged[0]}. Those runs are repeated.")
+            f"them line {damaged[0]}. Those runs are repeated.")
     if content and not (journal.versions or journal.records) and not _torn_at_once(lines):
         raise TermselError("this is not the journal of a study", file=journal.path,
                            hint="Choose another --out.")

@@ -115,8 +115,7 @@ def _far_image_sentences(
         guesses = [_guess(placed[names[i]], positions[usual], reach) for i in members]
         question = guesses[0] if len(set(guesses)) == 1 else ELSEWHERE
         doubts = {names[i]: f"Near {position_in_words(placed[names[i]]['place'])}, while {number} "
-                            "other "
-                            f"images of the batch are near {middle}: {guess}"
+                            f"other images of the batch are near {middle}: {guess}"
                   for i, guess in zip(members, guesses, strict=True)}
         sentences.append((f"{number} images are near {middle}, {len(members)} near "
                           f"{position_in_words(_middle_of_places(positions[group]))} ({question})",
@@ -161,8 +160,7 @@ def _note_on_mirrored(
     question = "are x and y exchanged there, or line and sample?"
     doubt = (f"{'No m' if usual else 'M'}irror image of the ground, unlike "
              f"{count_in_words(usual_count, 'other')} of the batch: are x and y exchanged, or "
-             "line and "
-             "sample?")
+             "line and sample?")
     return [(f"{statement}, unlike the other {usual_count} ({question})",
              dict.fromkeys(odd, doubt))]
 

@@ -192,8 +192,7 @@ def _contradiction_clauses(row: Mapping[str, Any], usual: float) -> list[str]:
     high, measured = row["predicted_high"], row["independent"]
     if high is not None and measured is not None and measured > high:
         said.append(f"independent check points miss it by {rounded_size_text(measured)} px, more "
-                    "than "
-                    "predicted")
+                    "than predicted")
     interval = _rmse_interval(row, "px")
     if interval is not None and interval[1] > UNLIKE * usual:
         said.append(f"its RMSE is {interval[1] / usual:.0f} times that of the usual image")

@@ -73,8 +73,7 @@ def block_facts(record: BlockRecord) -> list[Fact]:
                  "(sigma of image measurements)", "Precision"),
             *_with_label("Caution", _caution_lines(record)),
             Fact(f"more control points or ties in {_least_certain_images(record)[0].name}, the "
-                 "least "
-                 "certain image", "Next")]
+                 "least certain image", "Next")]
 
 
 def _least_certain_images(record: BlockRecord) -> list[ImageRecord]:

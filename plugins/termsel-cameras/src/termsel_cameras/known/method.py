@@ -222,8 +222,8 @@ class KnownCamera(Method):
         height = model.unit * (camera.position[0, 2] - ground[:, 2].mean())
         focal = camera.focal[0] * fitted.scaling.image_scale
         return (f"The camera is known by {interior.source}. It looked {tilt:.0f} deg off the "
-                "vertical "
-                f"from {height:,.0f} m above the points, with a focal length of {focal:,.1f} px. "
+                f"vertical from {height:,.0f} m above the points, with a focal length of "
+                f"{focal:,.1f} px. "
                 f"{_focal_in_words(interior)}{_focal_of_points(fitted)}")
 
 

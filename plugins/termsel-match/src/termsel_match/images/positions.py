@@ -47,8 +47,7 @@ def require_same_area(references: Sequence[Path], dem: Path | str | None) -> Non
         return
     raise TermselError(
         f"the reference {references[0].name} ({middle_in_words(of_references[0], _WGS84)}) and "
-        "the DEM "
-        f"{Path(dem).name} ({middle_in_words(of_dem, _WGS84)}) do not overlap",
+        f"the DEM {Path(dem).name} ({middle_in_words(of_dem, _WGS84)}) do not overlap",
         hint="Give a reference and a DEM of the area of the image.")
 
 

@@ -94,9 +94,8 @@ def match_lines(
     n_with_band = sum(map(bool, of_pieces))
     if n_with_band < LEAST_PIECES:
         raise TermselError(f"not enough candidates: {count_in_words(n_with_band, 'piece')} of the "
-                           "vectors "
-                           f"{'was' if n_with_band == 1 else 'were'} found in the image, at least "
-                           f"{LEAST_PIECES} are needed", file=image,
+                           f"vectors {'was' if n_with_band == 1 else 'were'} found in the image, "
+                           f"at least {LEAST_PIECES} are needed", file=image,
                            hint="Give vectors of what the image shows, a start that is nearer, or "
                                 "a larger --search.")
     rows = []

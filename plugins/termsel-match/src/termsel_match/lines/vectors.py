@@ -84,8 +84,7 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
     nowhere = TermselError(
         f"no straight piece of {SHORTEST:.0f} px of the vectors is in the image: they are around "
         f"{middle_in_words(np.concatenate(lines)[:, :2], crs)}, the image by {start.description} "
-        "around "
-        f"{middle_in_words(image_place[:, :2], start.crs)}",
+        f"around {middle_in_words(image_place[:, :2], start.crs)}",
         file=path, hint="Give vectors of the same area; if the place of the image is wrong, "
                         "another --start.")
     lines, vector_of = _vectors_near_image(lines, _mesh_of_image(start, to_start, size), size)
