@@ -49,8 +49,7 @@ class Quotients:
 
 
 def solve_least_distances(quotients: Quotients, systems: tuple[IndependentPart, ...],
-                          terms: BoolArray,
-                          coefficients: FloatArray) -> FloatArray:
+                          terms: BoolArray, coefficients: FloatArray) -> FloatArray:
     """Return coefficients (p, k) of the least weighted distances, from those of a first solution.
 
     Each part of the terms (p, k) is iterated by itself. Steps that do not lessen the sum of squares

@@ -249,8 +249,7 @@ def _may_be_clearly_better(columns: FloatArray, image: FloatArray, affine_sigma:
     return bool(bound < (CLEARER * affine_sigma) ** 2 * freedom)
 
 
-def _fit_projection(columns: FloatArray, points: Points,
-                    affine_sigma: float) -> CentralView | None:
+def _fit_projection(columns: FloatArray, points: Points, affine_sigma: float) -> CentralView | None:
     """Return the projection of least distances, if it is clearly better than an affine one.
 
     None if not determined, or with points behind, too.

@@ -45,8 +45,7 @@ class ImageWindow:
 
 
 def resample_pixels(window: ImageWindow, positions: FloatArray, resampling: str,
-                    size: tuple[int, int],
-                    empty: Values) -> tuple[Values, BoolArray]:
+                    size: tuple[int, int], empty: Values) -> tuple[Values, BoolArray]:
     """Return pixels of a map at positions in an image, and where they show something.
 
     Parameters

@@ -27,10 +27,9 @@ POOR = 3.0
 terms."""
 
 
-def judge(conventional: str, criterion: str, rmse: Rmses,
-          baselines: tuple[Baseline, ...], reference: str, feasible: bool,
-          noise: float | None, *, converged: bool = True, method: Method | None = None,
-          blunders: int = 0, evaluations: int | None = None) -> str:
+def judge(conventional: str, criterion: str, rmse: Rmses, baselines: tuple[Baseline, ...],
+          reference: str, feasible: bool, noise: float | None, *, converged: bool = True,
+          method: Method | None = None, blunders: int = 0, evaluations: int | None = None) -> str:
     """Return one or two sentences that compare the selection with fits that need no search.
 
     `conventional` names the features and terms of the conventional fit, such as "all lines"; that
@@ -99,8 +98,7 @@ def judge(conventional: str, criterion: str, rmse: Rmses,
 
 def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
                  baselines: tuple[Baseline, ...], noise: float | None, *,
-                 held_out: float | None = None, among: int = 1,
-                 is_asked_for: bool = False) -> str:
+                 held_out: float | None = None, among: int = 1, is_asked_for: bool = False) -> str:
     """Return some sentences on the worth of an automatic choice, or of a method asked for.
 
     `predicted` is the RMSE of the choice repeated in folds [px], `held_out` that of the chosen

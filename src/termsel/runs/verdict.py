@@ -164,8 +164,7 @@ class Verdict:
                      for outlier in self.outliers)
 
 
-def judge_features(observations: Observations, auto: Auto,
-                   tested: bool | None = None) -> Verdict:
+def judge_features(observations: Observations, auto: Auto, tested: bool | None = None) -> Verdict:
     """Return the verdict on control and check features.
 
     It is an empty one if they were tested before, and of a lattice, whose points were computed.

@@ -293,8 +293,7 @@ class Pushbroom:
         return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(nadir, ray)), nadir @ ray)))
 
     def _view_coordinates(self, target: FloatArray, up: FloatArray, height: FloatArray,
-                          line: FloatArray,
-                          ) -> tuple[FloatArray, FloatArray]:
+                          line: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the along-track camera coordinate of targets at `line`, and their sample, (n,)."""
         station, rotation = self.exposure(self.time(line))
         if self.refraction:

@@ -105,8 +105,7 @@ def checks(thing: Any, *, expected_failures: Mapping[str, str] | None = None,
     return assemble(suite.functions, suite.cases(thing, **about), expected_failures)
 
 
-def check(thing: Any, *, expected_failures: Mapping[str, str] | None = None,
-          **about: Any) -> None:
+def check(thing: Any, *, expected_failures: Mapping[str, str] | None = None, **about: Any) -> None:
     """Run all checks of what a plugin provides.
 
     Parameters

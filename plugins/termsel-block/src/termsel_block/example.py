@@ -11,8 +11,7 @@ from termsel_block.simulated import simulate_block
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
-def write_example(folder: Path, n_images: int = 3, seed: int = 1,
-                  check: int = 0) -> None:
+def write_example(folder: Path, n_images: int = 3, seed: int = 1, check: int = 0) -> None:
     """Write a block of images with RPCs; the first two see six control points.
 
     Raises

@@ -330,8 +330,7 @@ def _control_rows(result: BlockResult) -> list[tuple[str, FloatArray, FloatArray
     return rows_of_features
 
 
-def _tie_rows(result: BlockResult, ties: IntArray,
-              ) -> list[tuple[str, FloatArray, FloatArray]]:
+def _tie_rows(result: BlockResult, ties: IntArray) -> list[tuple[str, FloatArray, FloatArray]]:
     """Return label, rows and targets of ties whose places are eliminated."""
     solved = result.adjusted.solved
     state = result.adjusted.state

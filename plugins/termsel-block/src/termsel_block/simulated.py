@@ -282,8 +282,7 @@ def _rank_in_stack(stack: IntArray) -> IntArray:
 
 
 def _measured_points(sensor: Pushbroom, known: tuple[FloatArray, BoolArray, BoolArray],
-                     noise: float,
-                     size: int, rng: np.random.Generator) -> Points:
+                     noise: float, size: int, rng: np.random.Generator) -> Points:
     """Return the control and the independent points, of those in use, that an image sees.
 
     What is known is the ground (n, 3), which of it is in use, and which of it is control.

@@ -10,8 +10,7 @@ from termsel import FeatureSet
 
 
 def features_by_search(problem: str, features: FeatureSet, model: str, options: Mapping[str, Any],
-                       *,
-                       seed: int, criterion: str | None = None) -> tuple[str, ...]:
+                       *, seed: int, criterion: str | None = None) -> tuple[str, ...]:
     """Return the ids of the features that a search selects, without the comparisons of a run."""
     # As `termsel run` prepares it, so that options and defaults are the same.
     task = termsel.prepare(problem, features=features, model=model, criterion=criterion,

@@ -405,8 +405,7 @@ def distribution_of(ground_errors: GroundErrors) -> Distribution:
 
 
 def _limiting_notes(ground_errors: GroundErrors, total: float, survey: float | None,
-                    distribution: Distribution,
-                    components: tuple[Component, ...],
+                    distribution: Distribution, components: tuple[Component, ...],
                     classes: tuple[float | None, float | None]) -> list[str]:
     """Return sentences on what limits the figures: points, blunders, the survey.
 

@@ -296,8 +296,7 @@ def _fill_factors(diagonal: FloatArray, below: FloatArray, squared_sizes: FloatA
 
 @_compiled
 def _add_shrunken_residuals(root: FloatArray, upper: FloatArray, along: FloatArray,
-                            rotation: FloatArray,
-                            form: IntArray, residuals: FloatArray) -> None:
+                            rotation: FloatArray, form: IntArray, residuals: FloatArray) -> None:
     """Add U w, where R'R w = U'y, to `residuals` (u, m).
 
     R is `root` (its diagonal) and `upper` (m, u); `along` (m, u) is U'y and is overwritten by w;

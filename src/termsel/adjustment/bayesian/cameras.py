@@ -127,8 +127,7 @@ class _Flights(NamedTuple):
 
 
 def _simulate_flights(rng: np.random.Generator, heading: FloatArray, latitude: float,
-                      tilt: FloatArray,
-                      toward: FloatArray, altitude: FloatArray) -> _Flights:
+                      tilt: FloatArray, toward: FloatArray, altitude: FloatArray) -> _Flights:
     """Return flights seen from the middle under angles from the vertical, in a direction [rad]."""
     lat = np.radians(
         # Latitudes that are not known are drawn as all else is.
@@ -147,8 +146,7 @@ def _simulate_flights(rng: np.random.Generator, heading: FloatArray, latitude: f
                     np.stack([np.zeros(len(tilt)), np.cos(lat), np.sin(lat)], axis=1))
 
 
-def scanner_views(positions: FloatArray, azimuth: float,
-                  latitude: float) -> tuple[FloatArray, ...]:
+def scanner_views(positions: FloatArray, azimuth: float, latitude: float) -> tuple[FloatArray, ...]:
     """Return time and slope across, once (c, m, 2), of places (m, 3) in images of cameras.
 
     The azimuth of the scan is clockwise from north [rad]; the latitude is in degrees, or NaN.

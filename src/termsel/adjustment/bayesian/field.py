@@ -359,8 +359,7 @@ def fit_gaussian_process(points: Points, variables: int) -> GaussianProcess | No
 
 
 @lru_cache(maxsize=1)  # of many points one takes a great part of the memory
-def _cached_gaussian_process(measurements: Measurements,
-                             variables: int) -> GaussianProcess | None:
+def _cached_gaussian_process(measurements: Measurements, variables: int) -> GaussianProcess | None:
     """Return the process of points; None if they are too few for it (see `polynomial_posterior`).
 
     It is cached, since one fit asks for it many times.

@@ -237,10 +237,8 @@ def _add_products(x: FloatArray, y: FloatArray, total: FloatArray) -> None:
 
 @_compiled
 def _fill_held_out_figures(line: AxisErrors, sample: AxisErrors, square: FloatArray,
-                           min_square: FloatArray,
-                           weight: FloatArray, half: int, lowest: float, start: int,
-                           workspace: _Workspace,
-                           figures: FloatArray) -> None:
+                           min_square: FloatArray, weight: FloatArray, half: int, lowest: float,
+                           start: int, workspace: _Workspace, figures: FloatArray) -> None:
     """Fill rows of `figures` (n, 7): two errors, chance, statistic, two variances, logarithm.
 
     They are those of the points from `start` on for which `workspace` has room. `square` and

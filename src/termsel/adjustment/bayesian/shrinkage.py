@@ -189,8 +189,7 @@ class Shrinkage:
     Group and size (u,) are numbers, of each solution, in order; `sizes` are all there are.
     """
 
-    def __init__(self, design: Design, group: IntArray, size: IntArray,
-                 sizes: FloatArray) -> None:
+    def __init__(self, design: Design, group: IntArray, size: IntArray, sizes: FloatArray) -> None:
         self._design = design
         squared_sizes = sizes[size] ** 2
         self._solutions = BidiagonalSolutions(design.forms, group, squared_sizes)
@@ -229,8 +228,7 @@ class SharedShrinkage:
     It takes what `Shrinkage` takes; the design has few columns of scales of their own.
     """
 
-    def __init__(self, design: Design, group: IntArray, size: IntArray,
-                 sizes: FloatArray) -> None:
+    def __init__(self, design: Design, group: IntArray, size: IntArray, sizes: FloatArray) -> None:
         n_own = design.n_own
         self._design = design
         self._column_scales = sizes[size, None] * design.scales[group]

@@ -208,8 +208,7 @@ def is_free(name: str) -> bool:
             and len(name) <= 200 and name.casefold() not in TAKEN)
 
 
-def as_attributes(attributes: Mapping[str, Iterable[Any]], n: int, *reserved: str,
-                  ) -> Attributes:
+def as_attributes(attributes: Mapping[str, Iterable[Any]], n: int, *reserved: str) -> Attributes:
     """Return columns of n rows as features have them: stripped text that cannot be changed.
 
     None, NaN and the like of pandas stand for a value that is not known. Raises TermselError for a

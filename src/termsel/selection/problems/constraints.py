@@ -124,8 +124,7 @@ def largest_term_share(equations: IntArray, share: float, freedom: int = 1) -> I
 
 
 def count_excess_terms(systems: tuple[IndependentPart, ...], terms: BoolArray,
-                       features: BoolArray | None,
-                       share: float, freedom: int = 1) -> FloatArray:
+                       features: BoolArray | None, share: float, freedom: int = 1) -> FloatArray:
     """Return how many terms are in use beyond those that the equations support, shape (p,).
 
     Each part supports its own terms, (p, k), or (1, k) if all have the same. Features (p, f) are
@@ -145,8 +144,7 @@ def count_excess_terms(systems: tuple[IndependentPart, ...], terms: BoolArray,
 
 
 def cap_segments(segments: Iterable[Bits], gene_of_term: IntArray,
-                 systems: tuple[IndependentPart, ...],
-                 share: float) -> list[Bits]:
+                 systems: tuple[IndependentPart, ...], share: float) -> list[Bits]:
     """Return the segments of terms with a maximum that no selection without excess is above.
 
     Segments are all those of terms, in the order of the genes. Raises TermselError if one may not

@@ -32,8 +32,7 @@ if TYPE_CHECKING:
 
 def enumerable_parts(inputs: ProblemData, equations: Equations, genome: Genome,
                      gene_of_term: IntArray, guard: FloatArray, margin: float,
-                     pairs: tuple[IntArray, IntArray] | None,
-                     ) -> tuple[EnumerablePart, ...]:
+                     pairs: tuple[IntArray, IntArray] | None) -> tuple[EnumerablePart, ...]:
     """Return the parts of a term selection from control points, by the equations of the control.
 
     The genome is of terms alone.

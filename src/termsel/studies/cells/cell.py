@@ -118,8 +118,7 @@ def _data_of_problem(spec: Spec, problem: PartSpec | None) -> Data:
 
 
 def _cells_of_data(spec: Spec, kinds: _Kinds, problem: PartSpec | None, name: str | None,
-                   data: Data,
-                   alternatives: list[Data], split: int) -> Iterator[Cell]:
+                   data: Data, alternatives: list[Data], split: int) -> Iterator[Cell]:
     """Yield the cells of one problem and one data set, by strategy, parts and seed."""
     problem_spec: PartSpec | None = problem or (PartSpec(name, name) if name else None)
     for strategy in spec.strategies:
@@ -343,8 +342,7 @@ def _resolve_method(method: PartSpec | None) -> Any:
 
 
 def _make_cell(spec: Spec, strategy: str, specs: Mapping[str, PartSpec | None], kind: _Kind,
-               data: Data,
-               split: int, seed: int) -> Cell:
+               data: Data, split: int, seed: int) -> Cell:
     """Return a cell: its labels, its call, and the key by which the journal finds it."""
     problem = specs["problem"]
     # What tables call the cell; of auto the method is not known before it has run.

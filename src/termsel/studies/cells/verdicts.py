@@ -72,8 +72,7 @@ class Accept:
         return f"{self.size!r}{self.unit}"
 
 
-def verdicts_of(rows: Sequence[Mapping[str, Any]], accept: Accept | None,
-                ) -> list[tuple[str, str]]:
+def verdicts_of(rows: Sequence[Mapping[str, Any]], accept: Accept | None) -> list[tuple[str, str]]:
     """Return the verdict on each image of a batch, and why; "" for cells that are not finished.
 
     Rows are those of the table of a study, with their figures.

@@ -70,8 +70,7 @@ def run_serially(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop
 
 
 def run_in_processes(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: Stop,
-                     workers: int
-                     ) -> Iterator[Outcome]:
+                     workers: int) -> Iterator[Outcome]:
     """Yield the outcomes of cells, run in processes of this machine, as they end."""
     waiting = deque(cells)
     while waiting and not stop():

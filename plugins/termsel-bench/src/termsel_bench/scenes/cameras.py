@@ -179,8 +179,7 @@ def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
 
 
 def _scanner_positions(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int],
-                       pixel: float,
-                       scene: tuple[float, float, float]) -> Pushbroom:
+                       pixel: float, scene: tuple[float, float, float]) -> Pushbroom:
     """Return the line scanner of a scene: longitude, latitude [deg] and height [m]."""
     lon, lat, height = scene
     tilt = rng.uniform(*ranges.tilt)

@@ -137,8 +137,7 @@ class _Run(Steps):
     freedom = np.nan
 
     def __init__(self, state: BlockUnknowns, measured: Sequence[Measured],
-                 control: Sequence[OwnControl],
-                 heights: Heights, shared: Sequence[Shared]) -> None:
+                 control: Sequence[OwnControl], heights: Heights, shared: Sequence[Shared]) -> None:
         super().__init__(state, measured, control, heights, shared)
         self.large = sum(len(camera.groups) for camera in state.cameras) > _SLOW
 

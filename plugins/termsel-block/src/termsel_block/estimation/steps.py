@@ -47,8 +47,7 @@ class Steps:
     """How much of the last step was taken."""
 
     def __init__(self, state: BlockUnknowns, measured: Sequence[Measured],
-                 control: Sequence[OwnControl],
-                 heights: Heights, shared: Sequence[Shared]) -> None:
+                 control: Sequence[OwnControl], heights: Heights, shared: Sequence[Shared]) -> None:
         self.state = state
         self.measured = measured
         self.control = control

@@ -241,8 +241,7 @@ class PhysicalModel:
     name: str
     options: Mapping[str, Any]
 
-    def fitted(self, frame: Frame, local: FloatArray, image: FloatArray,
-               of: str) -> PhysicalCamera:
+    def fitted(self, frame: Frame, local: FloatArray, image: FloatArray, of: str) -> PhysicalCamera:
         """Return the camera fitted to places (n, 3) seen at (n, 2) in an image called `of`.
 
         Raises TermselError if it cannot be fitted, or misses half of the points absurdly.

@@ -83,8 +83,7 @@ def is_image(path: Path, head: bytes) -> bool:
 
 
 def choose_images(images: tuple[Image, ...], path: Path, swath: str | None,
-                  polarisation: str | None,
-                  ) -> tuple[Image, ...]:
+                  polarisation: str | None) -> tuple[Image, ...]:
     """Return the images of a swath and a polarisation.
 
     Raises

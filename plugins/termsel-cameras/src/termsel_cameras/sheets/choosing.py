@@ -49,8 +49,7 @@ class Tried:
     of_sheets: tuple[float, ...] = ()
 
 
-def rank_projections(sheets: Sequence[FeatureSet],
-                     candidates: Sequence[Projection]) -> list[Tried]:
+def rank_projections(sheets: Sequence[FeatureSet], candidates: Sequence[Projection]) -> list[Tried]:
     """Return how well each projection predicts the points of all sheets, the best first.
 
     Each candidate has a `name` and a `crs`. Independent points take no part. Sheets of a series

@@ -316,8 +316,7 @@ def mask_clouds_and_water(picture: GreyRaster) -> tuple[Excluded, ...]:
 
 
 def read_bands(picture: GreyRaster, first_line: int, first_sample: int, shape: tuple[int, int],
-               step: int,
-               ) -> tuple[FloatArray, Mask]:
+               step: int) -> tuple[FloatArray, Mask]:
     """Return the values of a window's bands (c, lines, samples), and where all bands have data.
 
     `shape` is in steps, each of which is `step` px.

@@ -329,8 +329,7 @@ def crs_of(picture: GreyRaster) -> str:
     return str(raster.crs.to_wkt()) if code is None else f"EPSG:{code}"
 
 
-def _require_overlap(reference: Reference, size: tuple[int, int],
-                     dem: Path | str | None) -> None:
+def _require_overlap(reference: Reference, size: tuple[int, int], dem: Path | str | None) -> None:
     """Raise NotShown if the reference shows nothing of an image.
 
     Raise TermselError if the DEM covers none of it, or the start has no ground for it.

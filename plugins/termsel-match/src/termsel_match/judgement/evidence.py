@@ -45,8 +45,7 @@ class ResidualStructure:
 
 
 def residual_structure(image: FloatArray, residuals: FloatArray, limit: float,
-                       size: tuple[int, int],
-                       rng: np.random.Generator) -> ResidualStructure | None:
+                       size: tuple[int, int], rng: np.random.Generator) -> ResidualStructure | None:
     """Return what residuals of neighbours have in common; None for too few.
 
     Moran's I of vectors, with the eight nearest as neighbours. Its level is that of permutations,

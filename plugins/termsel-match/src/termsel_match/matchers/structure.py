@@ -104,8 +104,7 @@ def edge_layers(window: Window) -> Layers | None:
 
 
 def _offsets_from_shift(image_layers: Grey, reference_layers: Grey, positions: FloatArray,
-                        shift: FloatArray,
-                        ) -> tuple[FloatArray, FloatArray]:
+                        shift: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return by how much places are off the common shift (n, 2) [px], and how unclear that is (n,).
 
     Unclear is the second peak over the first: 0 is clear, 1 means two alike.

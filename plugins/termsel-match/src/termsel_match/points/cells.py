@@ -72,8 +72,7 @@ Area = tuple[int, int, int, int]
 
 
 def match_cells(picture: GreyRaster, reference: Reference, looking: Looking,
-                area: Area | None = None,
-                ) -> tuple[Matches, Counter[str]]:
+                area: Area | None = None) -> tuple[Matches, Counter[str]]:
     """Return matches, first in the image and second in the reference [px], and how cells ended.
 
     Parameters

@@ -303,8 +303,7 @@ class World:
             free &= ~hit
         return self._to_cells(start + rise * (height - low))
 
-    def _to_cells(self, metres: FloatArray,
-                  ) -> list[NDArray[np.float32]]:
+    def _to_cells(self, metres: FloatArray) -> list[NDArray[np.float32]]:
         """Return east and south of the corner [m] as columns and rows of cells."""
         return [(axis / self.cell - 0.5).astype(np.float32) for axis in metres]
 

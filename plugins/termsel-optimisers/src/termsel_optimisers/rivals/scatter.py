@@ -90,8 +90,7 @@ class ScatterMatrix(TermRegression):
         return selection
 
     def _partial_f(self, regression: Regression, scatter: FloatArray, change: float,
-                   with_it: BoolArray,
-                   without: BoolArray, *, entering: bool) -> float:
+                   with_it: BoolArray, without: BoolArray, *, entering: bool) -> float:
         """Return the F of a column that enters, or leaves if not `entering`.
 
         `with_it` and `without` (k,) are the columns in use with and without the column, and

@@ -29,8 +29,7 @@ _compiled = partial(compile_lazily, _nrt=False, fastmath={"reassoc", "contract",
 
 @_compiled
 def decide_branch(kind: int, vectors: Vectors, limits: Limits, records: Records,
-                  position: WalkPosition,
-                  check: CheckSpace | None, work: FloatArray | None) -> int:
+                  position: WalkPosition, check: CheckSpace | None, work: FloatArray | None) -> int:
     """Decide all subsets of n columns in addition to those in use already.
 
     For the errors of check points the kind is LINEAR or RATIONAL, of one system and one target,

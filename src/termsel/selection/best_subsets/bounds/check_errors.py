@@ -48,8 +48,7 @@ def score_with_column(kind: int, vectors: Vectors, depth: int, c: int, limits: L
 
 @_compiled
 def first_closed_column(kind: int, vectors: Vectors, limits: Limits, depth: int, first: int,
-                        worst: float,
-                        upper: FloatArray, space: BoundSpace) -> int:
+                        worst: float, upper: FloatArray, space: BoundSpace) -> int:
     """Return the first column from which on no subset can improve any size that is still possible.
 
     `worst` is the largest of the best scores of these sizes.
@@ -152,8 +151,7 @@ def _root_of_score(best: float, limits: Limits) -> float:
 
 @_compiled
 def _score_exactly(kind: int, vectors: Vectors, limits: Limits, records: Records, depth: int,
-                   first: int,
-                   count: int, cursor: IntArray, mask: Any, b: SubsetBlock) -> None:
+                   first: int, count: int, cursor: IntArray, mask: Any, b: SubsetBlock) -> None:
     """Score one subset of a block from the vectors, and record it if it is the best of its size.
 
     It adds `count` columns to the node at `depth`: those of `b.cursor`, counted from `first` on.

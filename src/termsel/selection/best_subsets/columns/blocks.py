@@ -69,8 +69,7 @@ def prepare(top: FloatArray, extra: FloatArray, first: int, n: int, upper: Float
 
 @_compiled
 def _write_products(rows: FloatArray, height: int, weighted: bool, first: int, n: int,
-                    products: Products,
-                    b: SubsetBlock) -> float:
+                    products: Products, b: SubsetBlock) -> float:
     """Write the inner products of columns first, ..., n - 1 at level 0; return the target's square.
 
     `rows` (n + 1, .) are the columns and the target, of which the first `height` elements count,
@@ -132,8 +131,7 @@ def eliminate(i: int, level: int, count: int, b: SubsetBlock) -> None:
 
 @_compiled
 def is_single_column_pruned(i: int, level: int, root_limit: float, error_accuracy: float,
-                            sum_accuracy: float,
-                            b: SubsetBlock) -> bool:
+                            sum_accuracy: float, b: SubsetBlock) -> bool:
     """Return whether with one more column the root of the score is certainly above `root_limit`."""
     products = b.errors
     share = b.control.f[level, i] / b.control.diagonal[level, i]
@@ -149,8 +147,7 @@ def is_single_column_pruned(i: int, level: int, root_limit: float, error_accurac
 
 @_compiled
 def count_open_pairs(i: int, level: int, count: int, share: float, root_limit: float,
-                     error_accuracy: float,
-                     sum_accuracy: float, b: SubsetBlock) -> int:
+                     error_accuracy: float, sum_accuracy: float, b: SubsetBlock) -> int:
     """Return how many subsets with column i and one to its right may score `root_limit` squared.
 
     Where b.row is positive the score is certainly higher.

@@ -254,8 +254,7 @@ def _open_leverage(vectors: Vectors, depth: int, i: int) -> None:
 
 @_compiled
 def enumerate_subsets(kind: int, vectors: Vectors, limits: Limits, records: Records,
-                      position: WalkPosition,
-                      single: bool | None, press: bool | None) -> None:
+                      position: WalkPosition, single: bool | None, press: bool | None) -> None:
     """Enumerate all subsets of n columns in addition to those in use already.
 
     The kind is LINEAR, RATIONAL, PRESS or RSS. If f = r = 1, `single` is None: a type of its own,

@@ -45,8 +45,7 @@ _SINGULAR = 1e-14  # pivot, relative to the trace, up to which a normal matrix i
 
 @_compiled
 def enumerate_selections(rows: FeatureRows, state: WalkState, space: EntrySpace, first: int,
-                         size: int,
-                         limits: SelectionLimits, remaining: RemainingSelections) -> int:
+                         size: int, limits: SelectionLimits, remaining: RemainingSelections) -> int:
     """Decide a selection of some size and all with features from `first` on in addition.
 
     Return how many may be within the limits: the first rows of `remaining` hold them.

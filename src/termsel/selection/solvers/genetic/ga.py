@@ -161,8 +161,7 @@ class GeneticAlgorithm(Solver):
         """Return the indices of the chromosomes that survive unchanged, the best, but never all."""
         return evaluation.order()[:min(self.options["elite"], len(genes) - 1)]
 
-    def children(self, box: base.Toolbox, genes: Genes, evaluation: Evaluation,
-                 n: int) -> Genes:
+    def children(self, box: base.Toolbox, genes: Genes, evaluation: Evaluation, n: int) -> Genes:
         """Return n new chromosomes of a population and its evaluation, before their repair."""
         children: Genes = box.mutate(box.mate(genes[box.select(evaluation.order(), n)]))
         return children

@@ -136,8 +136,7 @@ class SteadyStateGA(GeneticAlgorithm):
         first = np.sort(np.unique(genes[order], axis=0, return_index=True)[1])
         return order[first][:min(round(self.options["overlap"] * len(genes)), len(genes) - 1)]
 
-    def children(self, box: base.Toolbox, genes: Genes, evaluation: Evaluation,
-                 n: int) -> Genes:
+    def children(self, box: base.Toolbox, genes: Genes, evaluation: Evaluation, n: int) -> Genes:
         """Return n new chromosomes: bred ones, then immigrants."""
         n_immigrants = round(self.options["immigrants"] * n)
         parents = box.tuples(genes[box.select(evaluation.order(), n - n_immigrants)])

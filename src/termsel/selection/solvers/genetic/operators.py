@@ -254,8 +254,7 @@ def set_crossover(tuples: IntArray, probability: float, rng: np.random.Generator
     return children
 
 
-def replace_one(tuples: IntArray, n: int, probability: float,
-                rng: np.random.Generator) -> IntArray:
+def replace_one(tuples: IntArray, n: int, probability: float, rng: np.random.Generator) -> IntArray:
     """Return chromosomes, some with one number replaced by one they did not have.
 
     Tuples (p, m) are of numbers below n, each row ascending. A chromosome mutates with the given

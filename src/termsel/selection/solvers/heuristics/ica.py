@@ -313,8 +313,7 @@ class ImperialistCompetition(Solver):
         return genes, Evaluation(objectives, violation)
 
     def _generation_of_empires(self, index: int, genes: BoolArray, evaluation: Evaluation,
-                               cost: FloatArray, world: Empires,
-                               first_empires: int) -> Generation:
+                               cost: FloatArray, world: Empires, first_empires: int) -> Generation:
         """Return a generation with the figures of the empires that its charts show.
 
         There were `first_empires`; those that have vanished have no country.

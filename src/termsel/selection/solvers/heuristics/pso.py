@@ -146,8 +146,7 @@ _FOR_KEYS = {"inertia": 0.7298, "inertia_last": 0.7298, "cognition": 1.4962, "so
 
 
 def _next_velocities(parameters: Mapping[str, Any], index: int, velocity: FloatArray,
-                     position: FloatArray,
-                     best_position: Genes, best_evaluation: Evaluation,
+                     position: FloatArray, best_position: Genes, best_evaluation: Evaluation,
                      rng: np.random.Generator) -> FloatArray:
     """Return the velocities of the next step, (p, size)."""
     share = min(index / parameters["iterations"], 1.0)
