@@ -99,7 +99,7 @@ def gap_of(reached: float, optimum: float) -> dict[str, float | None]:
 
 
 class Exact(Solver):
-    """Every selection decided: the optimum, the best of every size, and the proof.
+    """Every selection enumerated or excluded: the optimum, the best of every size, a proof.
 
     Branch and bound over all term selections, line and sample separately where they are
     independent; or a walk over all selections of control features. It begins with a descent from
