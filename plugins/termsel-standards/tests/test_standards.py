@@ -226,6 +226,8 @@ def test_the_command_states_and_prints_json(result: Result, tmp_path: Path) -> N
     ("id,dx,dy\nA,1,2\nB,,2\n", "line 3, column 'dx': this cell is blank"),
     ("id,dx,dy\nA,1,nan\n", "is not a number"),
     ("id,dx,dy,dz\nA,1,2,3\nB,1,2,\n", "line 3, column 'dz': this cell is blank"),
+    ("id,dx,dy,x,y\nA,1,2,50,60\nB,1,2,50,61\nC,2,1,50,60\n",
+     "line 4: 'A' of line 2 and 'C' are at the same x and y"),
     ("id,dx,dy,sigma_x\nA,1,2,-3\n", "sigma_x of A is -3"),
     ("id,dx,dy\nA,1,2\nB,1,2\nA,2,1\n", "line 4, column 'id': the id 'A' is that of line 2"),
     ("id,dx,dy\nA,1\n", "line 2, column 'dy': this cell is blank"),

@@ -190,6 +190,18 @@ def _refuse_repeated_ids(ids: Sequence[str], path: Path) -> None:
         lines[name] = line
 
 
+def _refuse_repeated_places(positions: FloatArray, ids: Sequence[str], path: Path) -> None:
+    """Raise TermselError for points at one place, which are no independent check points."""
+    lines: dict[tuple[float, ...], int] = {}
+    for line, place in enumerate(map(tuple, positions.tolist()), 2):
+        if np.isfinite(place).all() and place in lines:
+            raise TermselError(
+                f"{ids[lines[place] - 2]!r} of line {lines[place]} and {ids[line - 2]!r} are at "
+                "the same x and y", file=path, line=line,
+                hint="Remove one of them: measured twice, a point is one check point.")
+        lines[place] = line
+
+
 def read_errors(path: Path | str) -> GroundErrors:
     """Return the errors in a table.
 
@@ -251,9 +263,9 @@ def read_errors(path: Path | str) -> GroundErrors:
     for axis in axes:
         name = f"sigma_{axis}"
         survey.append(_parse_sigmas([row.get(name, "") for row in rows], name, ids, path))
-    return GroundErrors(ids, errors, np.column_stack(survey),
-                        _parse_columns(path, rows, ["x", "y"]),
-                        source=str(path))
+    positions = _parse_columns(path, rows, ["x", "y"])
+    _refuse_repeated_places(positions, ids, path)
+    return GroundErrors(ids, errors, np.column_stack(survey), positions, source=str(path))
 
 
 def _parse_columns(path: Path, rows: Sequence[Mapping[str, str]],
