@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -311,3 +312,52 @@ def test_an_error_says_nothing_where_its_prediction_is_as_uncertain() -> None:
     found = Contradictions(none, none, np.array([0.9, 4.5, 5.5]), np.array([1.0, 5.0, 5.0]), 0.3,
                            20, none)
     assert found.beyond_form().tolist() == [False, False, True]
+
+
+def hemisphere(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
+    """Positions on a stereographic map of half the Earth, of 7000 px."""
+    away = 1.0 + np.cos(latitude) * np.cos(longitude)
+    return 1750 * np.stack([-np.sin(latitude), np.cos(latitude) * np.sin(longitude)], 1) / away[
+        :, None]
+
+
+def mercator(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
+    """Positions on a Mercator map of the world, of 7000 px."""
+    return 1150 * np.stack([-np.arctanh(np.sin(latitude)), longitude], 1)
+
+
+def small_scale_map(project: Callable[[np.ndarray, np.ndarray], np.ndarray], reach: float,
+                    seed: int, wrong: int = 0) -> tuple[FitData, np.ndarray]:
+    """A map of 25 points with errors of 6 px, the last of them wrong by some 250 px."""
+    rng = np.random.default_rng(seed)
+    longitude = rng.uniform(-reach, reach, 25)
+    latitude = rng.uniform(-75.0, 75.0, 25)
+    image = project(np.radians(longitude), np.radians(latitude)) + rng.normal(0.0, 6.0, (25, 2))
+    is_wrong = np.arange(25) >= 25 - wrong
+    angle = rng.uniform(0.0, 2.0 * np.pi, 25)
+    image[is_wrong] += 250.0 * np.stack([np.cos(angle), np.sin(angle)], 1)[is_wrong]
+    ground = np.stack([longitude, latitude, np.full(25, np.nan)], 1)
+    points = Points(tuple(f"P{i}" for i in range(25)), image, ground)
+    return FitData.of(FeatureSet(points, crs="EPSG:4326", lines=empty_lines()), False), is_wrong
+
+
+@pytest.mark.parametrize(("project", "reach"), [(hemisphere, 80.0), (mercator, 175.0)])
+def test_right_points_of_a_map_of_half_the_earth_are_no_blunders(
+        project: Callable[[np.ndarray, np.ndarray], np.ndarray], reach: float) -> None:
+    named = []
+    for seed in range(10):
+        found = find_blunders(small_scale_map(project, reach, seed)[0])
+        assert found is not None
+        named.append(int(found.blunders.sum()))
+    # A cubic polynomial alone names points of five and of eight of the ten.
+    assert sum(named) <= 1
+
+
+def test_blunders_on_a_map_of_the_world_are_still_found() -> None:
+    found = []
+    for seed in range(10):
+        data, is_wrong = small_scale_map(mercator, 175.0, seed, wrong=2)
+        suspects = find_blunders(data)
+        assert suspects is not None
+        found.append(int((suspects.blunders & is_wrong).sum()))
+    assert sum(found) >= 18

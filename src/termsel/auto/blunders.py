@@ -14,7 +14,8 @@ like a bend of the image. No test distinguishes them, and only an error that is 
 the variance that its place gives is named by one. Of points, what is likelier is said all the same:
 a blunder or a right point, under all polynomials and random fields that the others support.
 Points that are likelier blunders are left out. Others with such an error stay in use, and are named
-as undecided.
+as undecided. What was left out is asked once more by a polynomial that bends more than a cubic one:
+points that it makes likelier right than blunders are in use again.
 
 References
 ----------
@@ -142,6 +143,11 @@ def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
                 break
             retained[worst] = False
     if (retained != used).any():
+        test = Division(control, retained).test() or test
+    # A random field has followed any bend already.
+    bent = np.zeros_like(used) if test.by_field else _points_on_a_bend(control, retained)
+    if (bent & predictable).any():
+        retained = retained | (bent & predictable)
         test = Division(control, retained).test() or test
     by_projection = None if by_majority else _judge_by_projection(control, auto, retained)
     if by_projection is not None:
@@ -375,6 +381,8 @@ def _contradicting_features(all_features: FitData, is_other: BoolArray,
     used, test = _judge_by_field(all_features,
                                  *_readmit_predicted(all_features, *core, test_of_all))
     blunders = is_other & ~used
+    if not test.by_field:
+        blunders &= ~_points_on_a_bend(all_features, used)
     decided = test.beyond_form()
     return test.suspects(blunders & decided, np.zeros_like(is_other), blunders & ~decided, is_other)
 
@@ -485,6 +493,24 @@ def _readmit_predicted(control: FitData, used: BoolArray, test: Test, test_of_al
         used = next_used
         test = next_test
     return used, test
+
+
+def _points_on_a_bend(control: FitData, used: BoolArray) -> BoolArray:
+    """Return which points out of use, (n,), a strong bend of the image explains.
+
+    A cubic polynomial is too stiff for a map of half the Earth: right points at its edge look like
+    blunders. One that bends more, as far as the points in use support it, tells for each whether it
+    is likelier right or a blunder. A point on a bend shows it to the next.
+    """
+    bent = np.zeros(len(control), dtype=bool)
+    is_open = not len(control.features.lines)
+    while is_open and not (used | bent).all():
+        division = Division(control, used | bent)
+        point = next(filter(division.shows_bend_at, division.candidates_of_bend()), None)
+        is_open = point is not None
+        if point is not None:
+            bent[point] = True
+    return bent
 
 
 def _judge_by_field(control: FitData, used: BoolArray, test: Test,

@@ -11,10 +11,20 @@ from typing import TypeVar
 
 import numpy as np
 
-from termsel.adjustment.bayesian.field import GaussianProcess, fit_gaussian_process
+from termsel.adjustment.bayesian.field import (
+    GaussianProcess,
+    blunder_odds,
+    fit_gaussian_process,
+)
 from termsel.adjustment.bayesian.held_out import HeldOutPredictions, chance_of
 from termsel.adjustment.bayesian.line_posterior import line_posterior
-from termsel.adjustment.bayesian.posterior import Posterior, scales_of, solve_posterior
+from termsel.adjustment.bayesian.posterior import (
+    FALLS,
+    SLOW_FALL,
+    Posterior,
+    scales_of,
+    solve_posterior,
+)
 from termsel.adjustment.equations import row_weights, weights_of
 from termsel.auto.rule import PRIOR_MARGIN, gain_of
 from termsel.auto.shrunken import FIELD_CALLED_FOR
@@ -23,7 +33,7 @@ from termsel.data.coordinates.longitudes import unwrap_longitudes
 from termsel.data.coordinates.metres import is_polar
 from termsel.data.features import BoolArray, FloatArray, IntArray
 from termsel.data.fit_data import FitData
-from termsel.data.monomials import evaluate_monomials
+from termsel.data.monomials import Exponents, evaluate_monomials, graded_exponents
 from termsel.fitting.fit import Undetermined
 from termsel.fitting.method import Method, Suspects
 from termsel.models.polynomial import Polynomial, Polynomial2D, Polynomial3D
@@ -47,6 +57,9 @@ LOOK_STRAIN = 2.0
 
 MAX_COMPARED_POINTS = 1000
 """Points by which the quadratic and the cubic polynomial are compared, about; more decide alike."""
+
+BEND_DEGREE = 5
+"""Degree in X and Y of a polynomial that follows strong bends, as of a map of half the Earth."""
 
 UNUSED_WEIGHT = 1e-3
 """Weight at which a point has no influence and is predicted all the same."""
@@ -233,9 +246,45 @@ class Division:
         if not doubtful.size:
             return None
         odds = process.blunder_odds(doubtful)
-        # Prior odds of 1 to n - 1, as any of the points may be the blunder.
-        likely = odds.max() > np.log(len(self.in_use) - 1)
+        likely = odds.max() > self.log_odds_of_right_points
         return int(np.flatnonzero(self.used)[doubtful[odds.argmax()]]) if likely else None
+
+    @property
+    def log_odds_of_right_points(self) -> float:
+        """Odds beforehand of a point in use to be right: any of them may be the only blunder."""
+        return float(np.log(len(self.in_use) - 1))
+
+    def candidates_of_bend(self) -> IntArray:
+        """Return the points out of use that a bend may explain, the likeliest first.
+
+        They are those that a regularised polynomial which follows strong bends predicts within
+        chance, or too weakly to say.
+        """
+        prediction = _prediction_by(self, *_bending_polynomial(heights=self.all_features.heights))
+        if prediction is None:
+            return np.empty(0, dtype=np.intp)
+        predicted = prediction.posterior.predict_unused(UNUSED_WEIGHT)
+        strain = np.sqrt(predicted.statistic)
+        is_clear = ((predicted.probability < FALSE_ALARM / len(self.used))
+                    & (strain > STRAIN_PER_SPREAD * np.sqrt(predicted.spread.max(axis=1))))
+        likeliest = np.argsort(-predicted.probability, kind="stable")
+        return np.asarray(np.flatnonzero(~self.used)[likeliest[~is_clear[likeliest]]])
+
+    def shows_bend_at(self, point: int) -> bool:
+        """Return whether a point out of use is likelier right, on a bend, than a blunder.
+
+        That is under a regularised polynomial which follows strong bends, with the point in use.
+        """
+        used = self.used.copy()
+        used[point] = True
+        with_point = Division(self.all_features, used)
+        prediction = _prediction_by(with_point,
+                                    *_bending_polynomial(heights=self.all_features.heights))
+        if prediction is None:
+            return False
+        odds = blunder_odds([(1.0, prediction.posterior, False)],
+                            np.flatnonzero(prediction.order == point))
+        return bool(odds[0] <= with_point.log_odds_of_right_points)
 
 
 _Squares = TypeVar("_Squares", Test, "_PointPrediction")
@@ -300,15 +349,32 @@ class _PointPrediction:
 
 
 def _prediction_of_points(division: Division, degree: int) -> _PointPrediction | None:
-    """Return what a regularised polynomial of the points in use predicts; None if too few.
+    """Return what a regularised polynomial of the points in use predicts; None if too few."""
+    exponents = polynomial_of(division.all_features.heights, degree).exponents
+    return _prediction_by(division, exponents, FALLS)
 
-    The other points take part with a tiny weight, which predicts them with the same factors.
+
+def _bending_polynomial(*, heights: bool) -> tuple[Exponents, tuple[float, ...]]:
+    """Return the terms of a polynomial that follows strong bends, and how its degrees may fall.
+
+    Bends are of the plane: heights have terms as in a cubic polynomial.
+    """
+    of_plane = graded_exponents(BEND_DEGREE, 2)
+    cubic = polynomial_of(heights, 3).exponents
+    return (*cubic, *of_plane[len(graded_exponents(3, 2)):]), (*FALLS, SLOW_FALL)
+
+
+def _prediction_by(division: Division, exponents: Exponents,
+                   falls: tuple[float, ...]) -> _PointPrediction | None:
+    """Return what a regularised polynomial of some terms predicts, by the points in use.
+
+    None if they are too few. The other points take part with a tiny weight, which predicts them
+    with the same factors.
     """
     points = division.all_features.features.points
     used = division.used
     scaling = division.in_use.scaling
     scaled = scaling.points(points)
-    exponents = polynomial_of(division.all_features.heights, degree).exponents
     powers = np.array(exponents).sum(axis=1)
     weights = weights_of(points)
     # Those in use first, as the posterior counts them.
@@ -316,7 +382,8 @@ def _prediction_of_points(division: Division, degree: int) -> _PointPrediction |
     weights_in_use = weights * np.where(used, 1.0, UNUSED_WEIGHT)[:, None]
     posterior = solve_posterior(
         evaluate_monomials(scaled.ground[order], exponents), scaled.image[order], powers,
-        weights_in_use[order], scales_of(np.array(exponents)[powers > 1]), int(used.sum()))
+        weights_in_use[order], scales_of(np.array(exponents)[powers > 1], falls=falls),
+        int(used.sum()))
     if posterior is None:
         return None
     return _PointPrediction(posterior, order, weights, scaling.image_scale)

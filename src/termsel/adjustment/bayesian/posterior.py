@@ -51,6 +51,10 @@ and all sizes are huge; this does."""
 FALLS = (0.01, 0.03, 0.1, 0.3)
 """Cubic coefficients by quadratic ones."""
 
+SLOW_FALL = 0.6
+"""Coefficients of a degree by those of the one below, where a series falls slowly: that of a
+projection in latitudes up to 75 degrees, or of a half of the Earth."""
+
 RELIEFS = (0.03, 0.1, 0.3, 1.0)
 """Coefficients of one power of Z more, by those without."""
 
@@ -85,17 +89,19 @@ class AxisEvidence:
     square: FloatArray
 
 
-def scales_of(exponents: IntArray, draws: int | None = None) -> FloatArray:
+def scales_of(exponents: IntArray, draws: int | None = None,
+              falls: tuple[float, ...] = FALLS) -> FloatArray:
     """Return standard deviations of the shrunken coefficients for size 1, shape (g, k).
 
     Of the coefficient of X^a Y^b Z^c it is fall^(a + b + c - 2) relief^c: for each fall and relief
     of the grid as it is, then each with factors of single terms, `draws` in all.
     """
-    return _scales_of(tuple(map(tuple, exponents.tolist())), N_DRAWS if draws is None else draws)
+    return _scales_of(tuple(map(tuple, exponents.tolist())), N_DRAWS if draws is None else draws,
+                      falls)
 
 
 @lru_cache(maxsize=32)  # a prior is the same for all data
-def _scales_of(exponents_of_terms: Exponents, draws: int) -> FloatArray:
+def _scales_of(exponents_of_terms: Exponents, draws: int, falls: tuple[float, ...]) -> FloatArray:
     """Return scales (s, k) of the terms, from rules and from draws about them (see `scales_of`).
 
     Each rule is fall^(order - 2) relief^(power of Z); draws are its log-normal neighbours.
@@ -105,9 +111,8 @@ def _scales_of(exponents_of_terms: Exponents, draws: int) -> FloatArray:
     height = exponents[:, 2]
     # Of terms without heights, or of one order, a further fall would say the same again.
     reliefs = RELIEFS if height.any() else (1.0,)
-    falls = FALLS if order.max() > 2 else (1.0,)
     rules = []
-    for fall in falls:
+    for fall in falls if order.max() > 2 else (1.0,):
         for relief in reliefs:
             rules.append(fall ** (order - 2.0) * relief ** height)
     rule = np.array(rules)
