@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
                     "pip install -e plugins/termsel-block")
 
 from termsel_block.accuracy import independent_points, rms_length
+from termsel_block.estimation.starts import start
+from termsel_block.estimation.unknowns import BlockUnknowns
 from termsel_block.evidence.variances import posterior_mean
 from termsel_block.files.folders import image_result
 from termsel_block.geometry.cameras import PolynomialCamera
@@ -60,6 +63,19 @@ def test_a_wrong_ray_at_the_start_does_not_bend_all_images() -> None:
     result = adjust(simulated.block)
     assert errors(result).max() < 3.0  # 14 px where the perspective stayed that of the start
     assert chi_square(simulated, result) < 3.0  # 26
+
+
+def test_a_good_tie_that_began_far_off_is_not_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    def start_far_off(*given: Any) -> BlockUnknowns:
+        state = start(*given)
+        state.ties[:3] += [300.0, -300.0, 0.0]
+        return state
+
+    simulated = simulate_block(2, n_ties=60, control=(8, 8), noise=0.4, seed=3, wrong=0.0)
+    monkeypatch.setattr("termsel_block.joint.start", start_far_off)
+    result = adjust(simulated.block)
+    assert (times_seen(result)[:3] > 1).all()
+    assert not record_of(result).wrong_ties
 
 
 def test_the_perspective_has_its_derivatives() -> None:

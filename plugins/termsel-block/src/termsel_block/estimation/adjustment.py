@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from termsel_block.estimation.equations import Shared, image_pairs
+from termsel_block.estimation.starts import intersect
 from termsel_block.estimation.steps import CONVERGED, Steps, shrinkage_of_mean_square, soft_weights
 from termsel_block.estimation.unknowns import Adjusted, BlockUnknowns, Measured
 from termsel_block.evidence.factors import log_bayes_factor
@@ -343,12 +344,36 @@ class _Run(Steps):
                 state.variances[i] = state.variances[i][keep]
         return dropped
 
+    def place_unused_ties(self) -> None:
+        """Put ties that no image uses where all their rays meet.
+
+        No equation moves such a tie, so that it would be judged where it once was, as by images
+        that were not yet where they belong.
+        """
+        state = self.state
+        count = np.zeros(len(state.ties))
+        seen = np.zeros(len(state.ties))
+        for measured, used in zip(self.measured, state.in_use, strict=True):
+            np.add.at(count, measured.tie, used)
+            np.add.at(seen, measured.tie, 1)
+        unused = np.flatnonzero((count == 0) & (seen > 1))
+        renamed = np.full(len(state.ties), -1)
+        renamed[unused] = np.arange(len(unused))
+        rays = []
+        for camera, parameters, measured in zip(state.cameras, state.parameters, self.measured,
+                                                strict=True):
+            at = renamed[measured.tie]
+            rays.append((camera, parameters, at[at >= 0], measured.position[at >= 0]))
+        if len(unused):
+            state.ties[unused] = intersect(state.ties[unused], rays)
+
     def leave_out(self) -> bool:
         """Mark measurements as blunders, and take back what agrees; return whether any changed.
 
         A tie needs two images that use it; both rows of a point or line of control go together.
         """
         state = self.state
+        self.place_unused_ties()
         of_ties, of_control = self.residuals()
         changed = False
         # Of each tie over all images: sum of its largest residuals, and number of its rays.
