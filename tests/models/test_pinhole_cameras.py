@@ -10,10 +10,11 @@ import pytest
 import termsel
 from benchmarks.oblique import Scene, rival, rmse, scene
 from termsel.auto.methods import named
-from termsel.data.features import FloatArray
+from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.data.fit_data import FitData
 from termsel.fitting.fit import Undetermined
-from termsel.fitting.pinhole import Cameras, Measured, pinhole_of
+from termsel.fitting.pinhole import Cameras, Measured, pinhole_of, rotation_matrices
+from termsel.simulate import simulate_scene
 
 
 def seen_by(drawn: Scene, *, size: bool = True) -> FloatArray:
@@ -139,3 +140,48 @@ def test_four_points_over_hills_get_a_camera_of_unknown_accuracy() -> None:
     assert result.strategy is not None
     assert result.strategy.chosen == "pinhole"
     assert result.predicted is None
+
+
+def vertical_photo(seed: int, noise: float) -> tuple[FeatureSet, FloatArray, FloatArray]:
+    """Return 8 points clicked with some noise [px] on a photo from 3 km above 250 m of relief.
+
+    Beside them are 200 places within their reach, and where the photo shows them.
+    """
+    rng = np.random.default_rng(seed)
+    ground = np.column_stack([rng.uniform(-1000, 1000, (208, 2)), rng.uniform(0, 250, 208)])
+    tilts = rng.normal(0.0, np.radians(2.0), 2)
+    turn = rotation_matrices(np.array([[*tilts, rng.uniform(0, 6.28)]]))[0]
+    # The photo looks down: its rows are lines to the south, samples to the east, and the view.
+    axes = turn @ np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    seen = (ground - [0.0, 0.0, 3000.0]) @ axes.T
+    image = 749.5 + 1500.0 * seen[:, :2] / seen[:, 2:]
+    control = slice(0, 8)
+    points = Points(tuple(f"P{i}" for i in range(8)),
+                    image[control] + rng.normal(0, noise, (8, 2)), ground[control] + [5e5, 5e6, 0])
+    features = FeatureSet(points, crs="EPSG:32632", image_size=(1500, 1500))
+    places = np.abs(ground[8:, :2]).max(axis=1) < 700.0
+    return features, ground[8:][places] + [5e5, 5e6, 0], image[8:][places]
+
+
+def test_rough_clicks_on_a_vertical_photo_get_its_camera() -> None:
+    by_auto, by_camera = [], []
+    for seed in range(5):
+        features, ground, image = vertical_photo(seed, noise=4.0)
+        by_auto.append(rmse(termsel.run(features=features).project(ground), image))
+        control = FitData.of(features)
+        camera = named("pinhole")
+        assert camera is not None
+        by_camera.append(rmse(camera.fit(control).project(ground), image))
+    assert np.median(np.array(by_auto) / by_camera) < 1.2
+
+
+def test_four_points_of_mountains_from_orbit_are_no_photo() -> None:
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        scene_from_orbit = simulate_scene("spot-isfahan", n_points=40, seed=seed)
+        some = scene_from_orbit.take(np.isin(np.arange(len(scene_from_orbit)),
+                                             rng.choice(40, 4, replace=False)))
+        pinhole = named("pinhole")
+        assert pinhole is not None
+        with pytest.raises(Undetermined):
+            pinhole.fit(FitData.of(some))

@@ -8,14 +8,14 @@ import numpy as np
 
 from termsel.adjustment.bayesian.field import GaussianProcess
 from termsel.auto.physical import (
+    PHOTO_MAX_POINTS,
     PHYSICAL_MAX_CHOSEN,
     PHYSICAL_MIN_POINTS,
-    PINHOLE_MAX_POINTS,
     Physical,
     PinholeCamera,
     call_for_camera,
     camera_average_of,
-    may_be_oblique,
+    may_be_photo,
 )
 from termsel.auto.robust import Reweighted
 from termsel.auto.selected import ForwardSelection
@@ -133,10 +133,9 @@ class _OfCamera(Structure):
         return None
 
     def fit(self, control: FitData) -> Fit:
-        """Fit the camera, where the points support an oblique view."""
+        """Fit the camera, where the points support one."""
         if not call_for_camera(control.scaled, control.scaling):
-            raise Undetermined("the points do not show an oblique view by a camera without "
-                               "distortion",
+            raise Undetermined("the points do not show a photo by a camera without distortion",
                                hint="Choose another model, such as dlt or projective.")
         # With heights wherever they differ: the camera knows what they do.
         heights_known = not control.features.without_height()
@@ -149,8 +148,8 @@ class _OfCamera(Structure):
         return self.estimator.refit(fitted, control.features)
 
     def nearly(self, control: FitData) -> bool:
-        """Return whether the points may be of an oblique view."""
-        return may_be_oblique(control.scaled)
+        """Return whether the points may be of a photo."""
+        return may_be_photo(control.scaled, control.scaling)
 
 
 class _Selected(Structure):
@@ -266,7 +265,7 @@ METHODS: tuple[Structure, ...] = (
                  max_features=PHYSICAL_MAX_CHOSEN),
     _OfCamera("pinhole", "a pinhole camera", DLT3D(weighted=True), Projective2D(weighted=True),
               estimator=PinholeCamera(), short="pinhole camera", central=True,
-              max_features=PINHOLE_MAX_POINTS),
+              max_features=PHOTO_MAX_POINTS),
     *ROBUST,
 )
 """All built-in methods, in the order of the tables that compare them."""

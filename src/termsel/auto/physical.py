@@ -42,10 +42,16 @@ from termsel.auto.shrunken import (
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.fit_data import is_off_plane
 from termsel.data.monomials import Exponents, evaluate_monomials, graded_exponents
-from termsel.data.scaling import Scaling
+from termsel.data.scaling import Scaling, metres_of
 from termsel.data.view import CLEARER, CentralView, Measurements, view_of
 from termsel.fitting.fit import Estimator, Fit, HeldOut, Undetermined
-from termsel.fitting.pinhole import PINHOLE_MIN_POINTS, Pinhole, pinhole_near, pinhole_of
+from termsel.fitting.pinhole import (
+    EXPECTED_FOCAL,
+    PINHOLE_MIN_POINTS,
+    Pinhole,
+    pinhole_near,
+    pinhole_of,
+)
 from termsel.fitting.uncertainty import Spread
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Polynomial
@@ -359,13 +365,16 @@ class Physical(Estimator):
 
 # A pinhole camera as a candidate, where few points support an oblique view.
 
-PINHOLE_MAX_POINTS = 20
+PHOTO_MAX_POINTS = 20
 """Points up to which a camera is tried: a DLT of more shows as much, and takes up more of a lens.
 """
 
 OBLIQUE_DEPTH = 0.8
 """Distance of the nearest point by that of the middle, along the view, below which a view is
 oblique: points of a photo from above are at about the same distance."""
+
+HIGHEST_FLIGHT = 30e3
+"""Height above the ground [m] that aircraft with cameras do not exceed."""
 
 BENT_DEVIATION = 0.01
 """Standard deviation of what affine polynomials leave, by the half extent of the image, below which
@@ -374,7 +383,7 @@ few points show no oblique view."""
 EXACT_AFFINE_POINTS = 4
 """Points that an affine polynomial with heights fits exactly."""
 
-PINHOLE_MIN_DLT_POINTS = 8
+PHOTO_MIN_DLT_POINTS = 8
 """Points below which a view is not told by a DLT, which leaves them hardly an equation."""
 
 
@@ -433,12 +442,12 @@ class PinholeCamera(Estimator):
         return super().view(features, scaling) if camera is None else camera.view
 
 
-def may_be_oblique(features: FeatureSet) -> bool:
-    """Return whether scaled points may be of an oblique view, by a quick test."""
+def may_be_photo(features: FeatureSet, scaling: Scaling) -> bool:
+    """Return whether scaled points may be those of a photo, by a quick test."""
     points = features.points
-    if len(features.lines) or not PINHOLE_MIN_POINTS <= len(points) <= PINHOLE_MAX_POINTS:
+    if len(features.lines) or not PINHOLE_MIN_POINTS <= len(points) <= PHOTO_MAX_POINTS:
         return False
-    if len(points) >= PINHOLE_MIN_DLT_POINTS:
+    if len(points) >= PHOTO_MIN_DLT_POINTS and not _may_be_from_the_air(features, scaling):
         view = view_of(points)
         return view is not None and (view.depth < OBLIQUE_DEPTH
                                      or view.affine_share < CENTRAL_AFFINE_SHARE)
@@ -446,22 +455,56 @@ def may_be_oblique(features: FeatureSet) -> bool:
 
 
 def call_for_camera(features: FeatureSet, scaling: Scaling) -> bool:
-    """Return whether scaled points support an oblique view by a camera without distortion.
+    """Return whether scaled points support a view by a camera without distortion.
 
-    They do where the camera leaves far less of them than an affine polynomial does.
+    Of a photo of relief from the air they do where it leaves less than an affine polynomial does:
+    rough clicks on a vertical photo leave hardly less, and what the camera predicts for points left
+    out decides. Else it must leave far less.
     """
-    if not may_be_oblique(features):
+    if not may_be_photo(features, scaling):
         return False
-    if len(features.points) == EXACT_AFFINE_POINTS and not is_off_plane(features.points):
-        return False  # a projective transformation sees four points of a plane as they are
     camera = pinhole_of(features, scaling)
     if camera is None or not camera.view.depth > 0.0:
         return False
+    count = len(features.points)
+    has_relief = is_off_plane(features.points)
+    is_oblique = camera.view.depth < OBLIQUE_DEPTH
     # Affine polynomials with heights fit four points exactly.
-    deviation = _affine_deviation(features.points,
-                                  heights=len(features.points) > EXACT_AFFINE_POINTS)
-    share = CLEARER if camera.view.depth < OBLIQUE_DEPTH else CENTRAL_AFFINE_SHARE
-    return camera.sigma < share * deviation
+    is_exact = count == EXACT_AFFINE_POINTS
+    if is_exact and not (has_relief and is_oblique):
+        return False  # a projective transformation sees four points of a plane as they are
+    if has_relief and _is_from_the_air(camera, features, scaling):
+        share = CLEARER if is_exact else 1.0
+    elif has_relief and count < PHOTO_MIN_DLT_POINTS:
+        return False  # few points of a scene from orbit, in mountains, look like those of a photo
+    else:
+        share = CLEARER if is_oblique else CENTRAL_AFFINE_SHARE
+    return camera.sigma < share * _affine_deviation(features.points, heights=not is_exact)
+
+
+def _may_be_from_the_air(features: FeatureSet, scaling: Scaling) -> bool:
+    """Return whether a camera of the usual focal length sees scaled points from where aircraft fly.
+
+    Its height above them is the focal length [px] by the size of a pixel. Only relief shows a
+    camera above, so that points of a plane may not be.
+    """
+    metres = metres_of(features, scaling)
+    if metres is None or not is_off_plane(features.points):
+        return False
+    size = features.image_size
+    half_diagonal = scaling.image_scale if size is None else float(np.linalg.norm(size)) / 2.0
+    # Scaled points extend to 1 from the middle, on the ground and in the image.
+    pixel = float(metres[:2].max()) / scaling.image_scale
+    return EXPECTED_FOCAL * half_diagonal * pixel < HIGHEST_FLIGHT
+
+
+def _is_from_the_air(camera: Pinhole, features: FeatureSet, scaling: Scaling) -> bool:
+    """Return whether a camera is as high above scaled points as aircraft fly, or lower."""
+    metres = metres_of(features, scaling)
+    assert metres is not None  # else there is no camera
+    # The camera's axes have one unit, the larger of the two in the plane.
+    height = camera.camera.position[0, 2] - camera.measured.ground[:, 2].mean()
+    return bool(height * metres[:2].max() < HIGHEST_FLIGHT)
 
 
 def _affine_deviation(points: Points, *, heights: bool) -> float:

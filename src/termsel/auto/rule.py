@@ -187,6 +187,10 @@ points of the edge hardly counts in logarithms."""
 FEWEST_EQUATIONS_OF_CAMERA = 2
 """Equations that a central projection must leave to be held against a method that knows more."""
 
+MOST_OF_CAMERA = 9.0
+"""Unknowns of a camera without distortion: its place, its turn, its focal length and, as far as
+their priors let them, the two of the principal point. An affine polynomial with heights has 8."""
+
 SMALLEST_RMSE_REASON = "It has the smallest leave-one-out RMSE."
 """Why a method is chosen where none has a prior."""
 
@@ -322,6 +326,8 @@ def required_gain(fitted: Fit, base: Fit) -> float:
     view = fitted.view
     calls_for_camera = view is not None and (
         view.depth < OBLIQUE_DEPTH_RATIO or view.affine_share < CENTRAL_AFFINE_SHARE)
+    # A camera with about as many unknowns as an affine polynomial is not better for having more.
+    calls_for_camera |= fitted.model.uses_height and fitted.effective <= MOST_OF_CAMERA
     return PRIOR_MARGIN if calls_for_camera else PROJECTION_MARGIN
 
 
