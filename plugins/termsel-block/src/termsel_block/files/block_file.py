@@ -234,8 +234,8 @@ def _check_names(names: Sequence[str], path: Path) -> None:
                                "on a file system without case", file=path,
                                hint="Give them names that differ in more than capitals.")
     if len(names) < 2:
-        count = count_in_words(len(names), "image") if names else "no image"
-        raise TermselError(f"a block has two images or more, and this one has {count}", file=path,
+        images = count_in_words(len(names), "image") if names else "no image"
+        raise TermselError(f"a block has two images or more, and this one has {images}", file=path,
                            hint="Add [[image]] for each; for one image use termsel run.")
 
 
