@@ -361,3 +361,48 @@ def test_blunders_on_a_map_of_the_world_are_still_found() -> None:
         assert suspects is not None
         found.append(int((suspects.blunders & is_wrong).sum()))
     assert sum(found) >= 18
+
+
+@pytest.mark.parametrize("two", [False, True])
+@pytest.mark.parametrize(("name", "count"), [("ikonos-hamedan", 33), ("spot-isfahan", 12)])
+def test_a_degree_that_is_wrong_is_a_blunder_though_polynomials_could_bend_to_it(
+        name: str, count: int, two: bool) -> None:
+    scene = termsel.simulate_scene(name, n_points=count, seed=1)
+    ground = scene.points.ground.copy()
+    ground[7, 0] += 1.0
+    if two:  # two points that are wrong, in unlike directions
+        ground[3, 1] -= 1.0
+    points = replace(scene.points, ground=ground, roles=("control",) * count)
+    wrong = [3, 7] if two else [7]
+    alone = scene.with_(points=points, lines=empty_lines())
+    for right, features in ((scene.with_(lines=empty_lines()), alone),
+                            (scene, scene.with_(points=points))):
+        before = find_blunders(FitData.of(right))
+        suspects = find_blunders(FitData.of(features))
+        assert before is not None
+        assert suspects is not None
+        assert sorted(np.flatnonzero(before.blunders).tolist() + wrong) == \
+            np.flatnonzero(suspects.blunders).tolist()
+    result = termsel.run(features=alone)
+    assert result.predicted is not None
+    assert result.predicted.rmse < 3.0
+
+
+def test_far_ground_that_an_oblique_view_shows_over_near_points_is_no_blunder() -> None:
+    # A camera 500 m above the plain looks down by 20 degrees; a lake 30 km away lies below near
+    # summits in the image.
+    rng = np.random.default_rng(2)
+    near = np.column_stack([rng.uniform(-600, 600, 14), rng.uniform(900, 2200, 14),
+                            rng.uniform(0, 420, 14)])
+    ground = np.vstack([near, [[0.0, 30000.0, 0.0]]])
+    seen = ground - [0.0, 0.0, 500.0]
+    angle = np.radians(20.0)
+    ahead = np.cos(angle) * seen[:, 1] - np.sin(angle) * seen[:, 2]
+    below = -np.sin(angle) * seen[:, 1] - np.cos(angle) * seen[:, 2]
+    image = np.column_stack([1000 + 2000 * below / ahead, 1500 + 2000 * seen[:, 0] / ahead])
+    points = Points(tuple(f"P{i:02}" for i in range(15)), image + rng.normal(0, 0.5, (15, 2)),
+                    ground + np.array([5e5, 5e6, 0.0]))
+    features = FeatureSet(points, crs="EPSG:32632", image_size=(2000, 3000))
+    suspects = find_blunders(FitData.of(features))
+    assert suspects is not None
+    assert not suspects.blunders.any()

@@ -48,6 +48,7 @@ from termsel.auto.majority import (
     is_outvoted,
 )
 from termsel.auto.memory import Memory
+from termsel.auto.misplaced import misplaced_points
 from termsel.auto.robust import reweighted
 from termsel.auto.shrunken import Averaging
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
@@ -76,6 +77,9 @@ CLEAR_RATIO = 1.5
 """Errors by the largest one of points in use, beyond which a point is a blunder under a model that
 is no polynomial."""
 
+OUT_OF_PLACE = 0.5
+"""Error by the extent of the points in the image, beyond which a far point is not in its place."""
+
 MIN_PROBABLE_POINTS = 21
 """Points below which none is left out for being likelier a blunder. They are no more than the
 coefficients of a cubic polynomial, and a right point that shows a bend may look like one."""
@@ -95,8 +99,51 @@ def find_blunders(control: FitData, auto: Auto | None = None) -> Suspects | None
     """
     choice = auto or Auto()
     suspects: Suspects | None = choice.recall("blunders", control,
-                                              lambda: _suspects_of(control, choice))
+                                              lambda: _suspects_and_misplaced(control, choice))
     return suspects
+
+
+def _suspects_and_misplaced(control: FitData, auto: Auto) -> Suspects | None:
+    """Return blunders, probable ones and open cases, points that an image cannot show first.
+
+    These are blunders whatever the others say of them; without them the others are judged.
+    """
+    misplaced = _points_out_of_place(control, auto)
+    if not misplaced.any():
+        return _suspects_of(control, auto)
+    others = _suspects_of(control.take(~misplaced), auto)
+    if others is None:
+        return _suspects_of(control, auto)
+    blunders = misplaced.copy()
+    probable = np.zeros(len(control), dtype=bool)
+    undecided = probable.copy()
+    blunders[~misplaced] = others.blunders
+    probable[~misplaced] = others.probable
+    undecided[~misplaced] = others.undecided
+    test = Division(control, ~blunders).test()
+    everything = np.ones(len(control), dtype=bool)
+    return None if test is None else test.suspects(blunders, probable, undecided, everything)
+
+
+def _points_out_of_place(control: FitData, auto: Auto) -> BoolArray:
+    """Return which points lie where the image cannot show them, (n,).
+
+    They are far from the others on the ground and among them in the image, and the model of the
+    others puts them outside the image: an oblique view may show far ground over near summits.
+    """
+    points = control.features.points
+    misplaced = np.zeros(len(control), dtype=bool)
+    misplaced[:len(points)] = misplaced_points(points)
+    if not misplaced.any():
+        return misplaced
+    choice = auto.choose(control.take(~misplaced), with_contained=False)
+    if choice is None:
+        return np.zeros_like(misplaced)
+    errors = np.abs(choice.chosen.errors(points)).max(axis=1)
+    extent = np.ptp(points.image[~misplaced[:len(points)]], axis=0).max()
+    # Behind a camera there is no image of a place.
+    misplaced[:len(points)] &= ~(errors <= OUT_OF_PLACE * extent)
+    return misplaced
 
 
 def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:

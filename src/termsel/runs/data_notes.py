@@ -252,9 +252,10 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     # In the order in which a reader would act: datum, repeated points, geometry, heights.
     yield from _note_on_two_groups(features)
     yield from _note_on_twins(features.points, independent)
-    yield from checked_next_to_control(features, independent)
     # One blunder far away draws all others together.
-    yield from _note_on_one_line((clean or observations).together)
+    without_blunders = clean or observations
+    yield from checked_next_to_control(without_blunders.together, without_blunders.independent)
+    yield from _note_on_one_line(without_blunders.together)
     yield from _note_on_rpc_heights(features)
     missing = features.without_height()
     if heights and not blank and 0 < len(missing) < len(features):
