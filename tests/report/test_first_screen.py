@@ -184,6 +184,9 @@ def test_notes_that_do_not_fit_are_counted() -> None:
     ({"data": counts(independent=0)}, "r",
      "Next: termsel plan r   (best positions for further points)"),
     ({"outliers": [outlier("P 2", 9.0, False)]}, "r", "Next: run again with --off 'P 2'"),
+    ({"outliers": [outlier("P1", 9.0, True), outlier("P2", 8.0, False)]}, "r",
+     "Next: run again with --off P1,P2"),
+    ({"outliers": [outlier("P1", 9.0, True)]}, "r", "Next: termsel report r"),
     ({"outliers": [outlier("P2", 9.0, False, "possible")]}, "r", "Next: termsel report r")])
 def test_one_command_comes_next(changed: dict[str, Any], folder: str, step: str) -> None:
     assert next_step(folder, **changed) == step

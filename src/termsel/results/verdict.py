@@ -87,11 +87,16 @@ TESTABLE_RATIO = 10.0
 
 
 def off_option(record: Record) -> str:
-    """Return the --off option for blunders in use, independent ones too; "" without any."""
+    """Return the --off option for blunders, if any is in use or independent; "" else.
+
+    It names rejected ones as well: the next run gives roles anew, and would have them as
+    independent check points.
+    """
     # A possible blunder is no reason to leave a point out; it is shown, and stays.
-    wrong = [outlier.id for outlier in record.outliers
-             if not outlier.excluded and outlier.certainty != "possible"]
-    return f"--off {shlex.quote(','.join(wrong))}" if wrong else ""
+    wrong = [outlier for outlier in record.outliers if outlier.certainty != "possible"]
+    if all(outlier.excluded for outlier in wrong):
+        return ""
+    return f"--off {shlex.quote(','.join(outlier.id for outlier in wrong))}"
 
 
 _MANY_OUTLIERS = (5, 0.15)
@@ -197,7 +202,7 @@ def verdict_table(record: Record) -> Iterator[Block]:
                    "Rows of the table may be shifted against each other or sorted in part, or "
                    "matches wrong: compare some points with the map before leaving any out.")
         elif off:
-            yield f"Leave out those in use with {off} and run again."
+            yield f"Leave them out with {off} and run again."
     else:
         yield "Outliers were tested in an earlier run, not here." \
             if record.options.data.get("tested") else \
