@@ -49,6 +49,25 @@ def plane(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.parametrize(("ending", "stated"), [("xlsx", ".xlsx"), ("gpkg", ".gpkg"),
+                                                ("GEOJSON", ".geojson"), ("tsv", ".tsv")])
+@pytest.mark.parametrize("words", [["plan", "nowhere"], ["export", "nowhere", "--to", "points-csv"],
+                                   ["project", "nowhere", "--points", "ground.csv"]])
+def test_tables_are_not_written_under_names_of_other_kinds(
+        words: list[str], ending: str, stated: str, tmp_path: Path) -> None:
+    code, _, err = _termsel(*words, "-o", tmp_path / f"next.{ending}")
+    assert code == 2
+    assert err.startswith(f"Error: {tmp_path / f'next.{ending}'}: this file is written as CSV, not "
+                          f"as {stated}. Name it next.csv.")
+
+
+@pytest.mark.parametrize("name", ["next", "next.CSV", "next.txt", "next.2024"])
+def test_names_of_tables_that_say_no_other_kind_are_free(
+        name: str, folder: Path, tmp_path: Path) -> None:
+    assert _termsel("plan", folder, "-n", 1, "-o", tmp_path / name)[0] == 0
+    assert (tmp_path / name).read_text().startswith("# crs:")
+
+
 def test_export_writes_what_is_asked_for(folder: Path, tmp_path: Path) -> None:
     target = tmp_path / "scene_RPC.TXT"
     code, out, err = _termsel("export", folder, "--to", "rpc-txt", "--output", target)

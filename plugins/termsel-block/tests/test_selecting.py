@@ -94,6 +94,8 @@ def test_without_check_points_nothing_is_selected() -> None:
 def test_the_command_writes_a_table(tmp_path: Path) -> None:
     place, table = tmp_path / "place", tmp_path / "enough.csv"
     assert invoke("block-example", place, "--check", 6).exit_code == 0
+    named = invoke("block-select", place / "block.toml", "-o", tmp_path / "enough.ods")
+    assert "this file is written as CSV, not as .ods. Name it enough.csv." in named.stderr
     asked = ["block-select", str(place / "block.toml"), "-o", str(table), "--most", "10",
              "--candidates", "20", "--evaluations", "100"]
     done = invoke(*asked, "--json")

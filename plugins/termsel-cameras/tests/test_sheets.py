@@ -111,6 +111,13 @@ def test_the_projection_of_a_map_is_found(tmp_path: Path, caplog: pytest.LogCapt
         termsel.read(tmp_path / "map.csv", crs="EPSG:4326", map_century=18)
 
 
+@pytest.mark.parametrize("words", [["map-series"], ["flight-camera", "--size", 100, 100]])
+def test_the_file_of_json_has_no_name_of_a_table(words: list[object], tmp_path: Path) -> None:
+    done = invoke(*words, "sheet.csv", "-o", tmp_path / "series.csv")
+    assert done.exit_code == 2
+    assert "this file is written as JSON, not as .csv. Name it series.json." in done.stderr
+
+
 def test_sheets_of_a_series_share_their_projection(tmp_path: Path) -> None:
     sheets = [sheet(10, 2), *(sheet(4, seed, (7.0 + seed / 5, 45.0), 1.5) for seed in range(3))]
     candidates = tmp_path / "mine.txt"

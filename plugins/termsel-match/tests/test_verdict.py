@@ -261,6 +261,15 @@ def test_a_reference_of_a_part_is_no_reason_to_refuse(place: Any, altered: Calla
         assert whole.shape >= part.shape
 
 
+@pytest.mark.parametrize("words", [("match-points", "a.tif", "--reference", "b.tif"),
+                                   ("match-lines", "a.tif", "--vectors", "roads.gpkg"),
+                                   ("match-ties", "a.tif", "b.tif")])
+def test_tables_of_matches_are_not_named_as_workbooks(words: tuple[str, ...], says: Any) -> None:
+    code, text = says(*words, "--dem", "dem.tif", "-o", "candidates.xlsx")
+    assert code == 2
+    assert "this file is written as CSV, not as .xlsx. Name it candidates.csv." in text
+
+
 @pytest.mark.slow
 def test_the_recommended_run_is_the_run_of_the_chain(place: Any, says: Any,
                                                      tmp_path: Path) -> None:

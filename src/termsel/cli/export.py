@@ -53,10 +53,13 @@ def export(folder: Path, to: str, output: Path, image: str | None, dem: str | No
     from termsel.io.result_folder import read_result
 
     # Report a mistake in these before the folder is read.
-    files = writer_of(to, **options).files(output)
+    writer = writer_of(to, **options)
+    files = writer.files(output)
+    is_table = (writer.suffix or to).endswith("csv")  # as of points-csv
     if not is_there(output):  # those next to it may be of an export that was killed
         files = (output,)
     # All files of a format are looked at before anything is written: one that exists refuses all.
-    require_replaceable(files, reads=[folder, *options.values()], overwrite=overwrite)
+    require_replaceable(files, reads=[folder, *options.values()], overwrite=overwrite,
+                        written_as="CSV" if is_table else None)
     say_written(write(read_result(folder), to, output, overwrite=overwrite, final=final,
                       **options))

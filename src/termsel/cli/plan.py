@@ -47,7 +47,8 @@ def plan(folder: Path, candidates: Path | None, count: int, output: Path | None,
     from termsel.io.result_folder import read_result
 
     if output is not None:
-        require_replaceable([output], reads=[folder, candidates], overwrite=overwrite)
+        require_replaceable([output], reads=[folder, candidates], overwrite=overwrite,
+                            written_as="CSV")
     positions = ranked(as_exported(read_result(folder), final), count, candidates)
     rows = [(name, f"{line:.1f}", f"{sample:.1f}", f"{x:.8g}", f"{y:.8g}",
              "" if z != z else f"{z:.1f}", rounded_size_text(sigma))

@@ -56,7 +56,8 @@ def project(folder: Path, points: Path, columns: str | None, layer: str | None, 
     output = None if output == Path("-") else output
     # All is computed before the file is touched: a mistake in the table leaves no half of it.
     if output is not None:
-        require_replaceable([output], reads=[folder, points, dem], overwrite=overwrite)
+        require_replaceable([output], reads=[folder, points, dem], overwrite=overwrite,
+                            written_as="CSV")
     text, warnings = project_table(as_exported(read_result(folder), final), points,
                                    inverse=inverse, dem=dem, height=height,
                                    columns=columns or "", layer=layer)

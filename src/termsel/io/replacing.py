@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 
 from termsel.core.errors import TermselError
@@ -17,8 +18,18 @@ _APPENDED = (".aux.xml", ".ovr", ".msk", ".points")
 """What GDAL and QGIS read next to an image: with another suffix, name, or more of it."""
 
 
+_ENDINGS = {"CSV": (".csv", ".txt"), "JSON": (".json",)}
+"""Endings of what termsel writes, by its kind; the first is the usual one."""
+
+_ENDINGS_OF_OTHERS = (
+    ".dbf", ".docx", ".fgb", ".geojson", ".gpkg", ".htm", ".html", ".jp2", ".jpeg", ".jpg", ".kml",
+    ".ods", ".parquet", ".pdf", ".png", ".points", ".shp", ".svg", ".tif", ".tiff", ".toml", ".tsv",
+    ".vrt", ".xls", ".xlsx", ".xml", ".zip")
+
+
 def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
-                        overwrite: bool = False, makes_folder: bool = False) -> None:
+                        overwrite: bool = False, makes_folder: bool = False,
+                        written_as: str | None = None) -> None:
     """Refuse to replace a file that is read, any other without permission, or what cannot be.
 
     For commands, before long work: nobody should learn after it that there is no such folder.
@@ -37,6 +48,9 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
         Whether other files may be replaced.
     makes_folder : bool
         Whether the command makes the folder that they are in.
+    written_as : {"CSV", "JSON"}, optional
+        What the files hold: a name whose ending says another kind is refused, as other programs
+        open a file as its ending says. Other endings, and none, are free.
 
     Returns
     -------
@@ -59,19 +73,35 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
     existing = [file for file in files if is_there(file)]
     for file in files:
         _require_writable(file, makes_folder)
-    if not existing:
-        return
+    if existing:
+        _refuse_read(existing, reads)
+    if written_as is not None:
+        for file in files:
+            _refuse_other_ending(file, written_as)
+    if existing and not overwrite:
+        raise TermselError("this file already exists", file=existing[0],
+                           hint="Choose another name, or add --overwrite.")
+
+
+def _refuse_read(files: Iterable[Path], reads: Iterable[object]) -> None:
+    """Raise TermselError for a file that is read, under whatever name."""
     read = list(_files_in_use(reads))
-    for file in existing:
+    for file in files:
         # The same file under another name is found by its device and number.
         for source in read:
             if file.samefile(source):
                 alias = "" if str(source) == str(file) else f", as {source}"
                 raise TermselError(f"this command reads this file{alias}, and would replace it",
                                    file=file, hint="Choose another name for the output.")
-    if not overwrite:
-        raise TermselError("this file already exists", file=existing[0],
-                           hint="Choose another name, or add --overwrite.")
+
+
+def _refuse_other_ending(file: Path, written_as: str) -> None:
+    """Raise TermselError for a name that says another kind of file than is written."""
+    suffix = file.suffix.lower()
+    own = _ENDINGS[written_as]
+    if suffix not in own and suffix in (*_ENDINGS_OF_OTHERS, *chain(*_ENDINGS.values())):
+        raise TermselError(f"this file is written as {written_as}, not as {suffix}", file=file,
+                           hint=f"Name it {file.with_suffix(own[0]).name}.")
 
 
 def _require_writable(file: Path, makes_folder: bool) -> None:

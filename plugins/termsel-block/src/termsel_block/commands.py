@@ -153,7 +153,8 @@ def block_select(file: Path, output: Path, solver: str, most_features: int | Non
 
     block = read_block(file)
     # Refused before the search, not after it.
-    require_replaceable([output], reads=[file, *block.files], overwrite=overwrite)
+    require_replaceable([output], reads=[file, *block.files], overwrite=overwrite,
+                        written_as="CSV")
     selected = select(block, solver=solver, seed=seed, evaluations=evaluations, most=most_features,
                       tie_candidates=candidates)
     write_text(output, table_of(selected))

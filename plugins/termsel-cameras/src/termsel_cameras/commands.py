@@ -59,7 +59,8 @@ def map_series(sheets: tuple[Path, ...], crs: str | None, prime_meridian: str | 
 
     # Before the sheets are read, as nobody should learn it after the work.
     if output is not None:
-        require_replaceable([output], reads=[*sheets, candidates], overwrite=overwrite)
+        require_replaceable([output], reads=[*sheets, candidates], overwrite=overwrite,
+                            written_as="JSON")
     meridian = {}
     if prime_meridian is not None:
         meridian_of(prime_meridian)  # refused before any sheet is
@@ -174,7 +175,7 @@ def flight_camera(photos: tuple[Path, ...], crs: str | None, size: tuple[int, in
 
     from termsel_cameras.known.sharing import shared_camera, unlike_photos
 
-    require_replaceable([output], reads=photos, overwrite=overwrite)
+    require_replaceable([output], reads=photos, overwrite=overwrite, written_as="JSON")
     read_photos = [_read_photo(photo, crs, size) for photo in photos]
     camera = shared_camera(read_photos, size, focal)
     content = {"focal": round(camera.focal, 3), "focal_spread": round(camera.spread, 6),

@@ -125,7 +125,7 @@ def match_points(image: Path, reference: Path, output: Path, overwrite: bool, qu
     from termsel_match.points.candidates import match_points as match
 
     # Before minutes of matching, not after.
-    refuse_output(output, overwrite, image, reference, *options.values())
+    refuse_output(output, overwrite, image, reference, *options.values(), written_as="CSV")
     show_log()
     with progress_bar("match-points", quiet) as progress:
         candidates = match(image, reference, progress=progress,
@@ -180,7 +180,7 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
     from termsel_match.lines.candidates import match_lines as match
     from termsel_match.lines.rounds import iterate_lines
 
-    refuse_output(output, overwrite, image, vectors, *options.values())
+    refuse_output(output, overwrite, image, vectors, *options.values(), written_as="CSV")
     # Only an iteration has a result to keep.
     if folder is not None and not iterate:
         raise TermselError("--out requires --iterate", hint="Add --iterate, or leave --out out.")
@@ -244,7 +244,7 @@ def match_ties(images: tuple[Path, ...], dem: Path, output: Path, overwrite: boo
     """
     from termsel_match.ties.matching import match_ties as match
 
-    refuse_output(output, overwrite, *images, dem, *options["masks"])
+    refuse_output(output, overwrite, *images, dem, *options["masks"], written_as="CSV")
     show_log()
     with progress_bar("match-ties", quiet) as progress:
         ties = match(images, dem=dem, progress=progress, matcher=matcher_of(matcher, settings),
@@ -377,15 +377,18 @@ def next_run_command(start: str | None, image: Path, lines: Path) -> str:
             "--out result")
 
 
-def refuse_output(output: Path, overwrite: bool, *reads: object) -> None:
+def refuse_output(output: Path, overwrite: bool, *reads: object,
+                  written_as: str | None = None) -> None:
     """Refuse to replace what is read, or a file without permission, before long work.
+
+    `written_as` is as of `require_replaceable`.
 
     A link is followed where the user typed its name.
     """
     # Nobody has asked for the default name: a link of that name may lead anywhere.
     if click.get_current_context().get_parameter_source("output") is ParameterSource.DEFAULT:
         refuse_link(output)
-    require_replaceable([output], reads=reads, overwrite=overwrite)
+    require_replaceable([output], reads=reads, overwrite=overwrite, written_as=written_as)
 
 
 def refuse_folder(folder: Path | None) -> None:
