@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from contextlib import suppress
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pytest
@@ -66,6 +67,20 @@ def test_a_virtual_raster(wrapped: str, folder: Path, server, victim: Path) -> N
         path.write_text(filled(WRAPPED[wrapped](name), server, victim))
         with pytest.raises(TermselError):
             read(path)
+    assert server.requests == []
+
+
+@pytest.mark.parametrize("before", ["", " "])
+@pytest.mark.parametrize("start", ["/vsicurl/@URL/@N.tif?", '<VRTDataset a="/vsicurl/@URL/@N.tif'])
+def test_names_longer_than_those_of_files(start: str, before: str, folder: Path, server,
+                                          victim: Path) -> None:
+    """Of an attribute that is not known to name a file: any may be one in a later GDAL."""
+    name = quoteattr(before + filled(start, server, victim) + "x" * 5000)
+    path = folder / "long.vrt"
+    path.write_text(f'<VRTDataset rasterXSize="60" rasterYSize="60"><VRTRasterBand dataType="Byte" '
+                    f'band="1"><Pixels name={name}/></VRTRasterBand></VRTDataset>')
+    with pytest.raises(TermselError):
+        read(path)
     assert server.requests == []
 
 

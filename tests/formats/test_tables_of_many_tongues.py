@@ -143,6 +143,15 @@ def test_points_of_several_images_are_not_one_image(header: str, tmp_path: Path)
         termsel.read(path, crs="EPSG:32633", image_name="c.jpg")
 
 
+def test_an_image_of_a_table_that_names_none(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text("id,line,sample,x,y,z\na,1,2,3,4,5\nb,2,3,4,5,6\n")
+    with pytest.raises(TermselError, match="no point of this file names its image") as caught:
+        termsel.read(path, crs="local", image_name="a.jpg")
+    assert caught.value.file == path
+    assert "Leave --set image_name=NAME out" in str(caught.value.hint)
+
+
 @pytest.mark.parametrize(("scale", "shift", "hint"), [
     (1.0, 33e6, "x begins with the zone, 33: take these digits off, or state the CRS"),
     (1 / 0.3048, 0.0, "In feet they would be within the zone"),

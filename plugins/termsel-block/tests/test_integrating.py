@@ -13,7 +13,7 @@ pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
 
 from termsel_block.accuracy import independent_points, rms_length
 from termsel_block.evidence.integrating import Integrated, integrate
-from termsel_block.evidence.variances import OWN, TAIL, loosening_factors
+from termsel_block.evidence.variances import OWN_WEIGHT, TAIL, loosening_factors
 from termsel_block.geometry.frame import FloatArray
 from termsel_block.joint import adjust
 from termsel_block.simulated import Hills, simulate_block
@@ -41,7 +41,7 @@ def test_a_posterior_over_variances_is_true_where_its_prior_is() -> None:
     rng, inside, squares = np.random.default_rng(3), [], []
     for _ in range(30):
         shared = GUESS * abs(rng.standard_t(TAIL))
-        own = shared * np.sqrt(OWN / rng.chisquare(OWN, IMAGES))
+        own = shared * np.sqrt(OWN_WEIGHT / rng.chisquare(OWN_WEIGHT, IMAGES))
         truth = own[:, None] * rng.standard_normal((IMAGES, 2))
         found, _ = observed(truth, rng.uniform(1.0, 15.0, IMAGES), rng)
         away = truth.ravel() - found.mean[:-2]
@@ -86,11 +86,11 @@ def test_columns_that_are_unlike_scatter_unlike() -> None:
 
 def test_terms_of_sensors_scatter_as_the_images_say() -> None:
     """What three images have in common counts; what they do not tell stays as it is stated."""
-    camera = SimpleNamespace(stated={"rate": 0, "yaw": 1}, looser=np.ones(2))
+    camera = SimpleNamespace(stated_terms={"rate": 0, "yaw": 1}, sigma_factors=np.ones(2))
     parameters = [np.array([value, 0.0]) for value in (4.0, -5.0, 3.0)]
     covariances = [np.diag([0.01, 1.0])] * 3
     found = loosening_factors([camera] * 3, parameters, covariances)  # type: ignore[list-item]
-    assert found["rate"] == pytest.approx(np.sqrt((50 + OWN) / (3 + OWN)), rel=1e-3)
+    assert found["rate"] == pytest.approx(np.sqrt((50 + OWN_WEIGHT) / (3 + OWN_WEIGHT)), rel=1e-3)
     assert found["yaw"] == pytest.approx(1.0)
 
 

@@ -17,6 +17,8 @@ import termsel
 from termsel import FeatureSet, Points, TermselError, write_result
 from termsel.testing import Check, checks, invoke
 from termsel_formats import compare_programs
+from termsel_formats.check.command import _warn
+from termsel_formats.check.comparison import Apart, Deviation
 
 rasterio = pytest.importorskip("rasterio")
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -194,6 +196,16 @@ def test_the_command_warns_and_prints_json(result: termsel.Result, tmp_path: Pat
     alone = call("check", path)
     assert "affine transformation" in alone.output
     assert "Give --result DIR" in alone.output
+
+
+def test_the_note_counts_places_of_points_and_of_the_image(
+        capsys: pytest.CaptureFixture[str]) -> None:
+    """Those that a program has no ground position for, whichever distance is the larger one."""
+    near = Apart(0.1, 0.2, None, 1.0, 2.0, 3)
+    far = Apart(0.3, 0.4, None, 1.0, 2.0, 4)
+    for at_points, over_image, lacking in ((near, far, 7), (far, near, 7), (None, near, 3)):
+        _warn(Deviation("GDAL", "affine", "", True, at_points, over_image))
+        assert f"GDAL has no place for {lacking} of the places" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("name", "said"), [

@@ -236,6 +236,15 @@ def test_damage_is_named(name: str, old: str, new: str, said: str, line: int | N
     assert caught.value.line == line
 
 
+def test_markers_on_images_without_ground_positions(tmp_path: Path) -> None:
+    """Those that have ground positions are on no image, and the others have none."""
+    path = tmp_path / "a.xml"
+    path.write_text(MARKERS.replace('marker_id="0"', 'marker_id="2"').replace(
+        'marker_id="1"', 'marker_id="2"'))
+    with pytest.raises(TermselError, match="no markers with image and ground positions"):
+        termsel.read(path)
+
+
 def test_gcps_that_gdal_wrote_into_a_geotiff() -> None:
     read = termsel.read(GOLDEN / "gcps.tif")
     np.testing.assert_allclose(read.points.image, PAM_READ.points.image)

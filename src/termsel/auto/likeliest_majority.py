@@ -276,11 +276,14 @@ class Likelihoods:
         are_gross = bool(np.median(strains) >= GROSS_STRAIN)
         return are_gross and not self.may_be_bend(used, CLEARLY_UNLIKE)
 
-    def may_be_bend(self, used: BoolArray, unlike: float) -> bool:
-        """Return whether the errors of the points beyond a set (n,) may be a bend of the image."""
+    def may_be_bend(self, used: BoolArray, max_unlikeness: float) -> bool:
+        """Return whether the errors of the points beyond a set (n,) may be a bend of the image.
+
+        `max_unlikeness` is that of `majority.may_be_bend`.
+        """
         # The second and third term are the scaled coordinates of the plane.
         return may_be_bend(self.design[:, 1:3], used, self.judge(used[None]).errors[0, ~used],
-                           unlike)
+                           max_unlikeness)
 
 
 def _may_be_relief(image: FloatArray, errors: FloatArray) -> bool:

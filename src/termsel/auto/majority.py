@@ -321,14 +321,25 @@ def _residuals(design: FloatArray, image: FloatArray, used: BoolArray) -> FloatA
 
 
 def may_be_bend(ground: FloatArray, agreeing: BoolArray, errors: FloatArray,
-                unlike: float = UNLIKE) -> bool:
-    """Return whether the errors (m, 2) of points that disagree may be a bend of the image.
+                max_unlikeness: float = UNLIKE) -> bool:
+    """Return whether the errors of points that disagree may be a bend of the image.
 
     The errors of a bend are alike in neighbours, and vary over the image. Those of blunders differ
     from neighbour to neighbour, or are one and the same among points that have none, as of points
     copied from another map.
+
+    Parameters
+    ----------
+    ground : ndarray, shape (n, 2 or 3)
+        Of all points.
+    agreeing : ndarray of bool, shape (n,)
+    errors : ndarray, shape (m, 2)
+        Of the m points that do not agree, in their order.
+    max_unlikeness : float
+        How much errors of a bend may differ from those of their neighbours: 0 for not at all, 1
+        for as much as independent ones.
     """
-    if _unlikeness(ground[~agreeing], errors) > unlike:
+    if _unlikeness(ground[~agreeing], errors) > max_unlikeness:
         return False
     shift = errors.mean(axis=0)
     deviation = np.sqrt(((errors - shift) ** 2).sum(axis=1).mean())

@@ -2,12 +2,12 @@
 
 With d the DEM's height less that of control, the median of d shows a shift, of which
 
-    s^2 = (n scatter^2 + AS_MANY USUAL^2) / (n + AS_MANY)
+    s^2 = (n scatter^2 + PRIOR_COUNT USUAL_SIGMA^2) / (n + PRIOR_COUNT)
 
 is the variance of one difference: the robust scatter of n differences, and what errors of DEMs
-usually are, as if AS_MANY differences more had told that. So two heights that agree by chance claim
-no precision. The median of n has the standard deviation EFFICIENCY s / sqrt(n); next to it DEMs are
-off as a whole by some ROUGHLY, by their making and by epochs of the ground.
+usually are, as if PRIOR_COUNT more differences had shown that. So two heights that agree by chance
+claim no precision. The median of n has the standard deviation EFFICIENCY s / sqrt(n); next to it
+DEMs are off as a whole by some ROUGHLY, by their making and by epochs of the ground.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from termsel.core.errors import count_in_words
 from termsel.data.coordinates.height_units import FOOT, UNITS
 from termsel.data.coordinates.wgs84 import FloatArray
 
-USUAL, AS_MANY = 5.0, 2.0
+USUAL_SIGMA, PRIOR_COUNT = 5.0, 2.0
 """Usual standard deviation of a DEM's errors [m], and the differences that it counts as."""
 
 ROUGHLY = 0.5
@@ -111,23 +111,34 @@ def sentence_on_common_offset(above: float, reference: str, evidence: str, effec
 
 
 def dem_difference(control: FloatArray, dem: FloatArray, name: str = "") -> DemDifference | None:
-    """Return the difference of heights of control and of a DEM at their places, shapes (n,) [m].
+    """Return how far a DEM is above the heights of control as a whole.
 
-    Those that are not known on either side, and those that were taken from the DEM, show nothing.
-    None where no height shows anything.
+    Parameters
+    ----------
+    control, dem : ndarray, shape (n,)
+        Heights of control, and of the DEM at the same places [m]; NaN where not known. Control
+        whose height was taken from the DEM shows nothing, and is left out.
+    name : str
+        Of the DEM's file.
+
+    Returns
+    -------
+    DemDifference or None
+        None where no height shows anything.
     """
-    over = dem - control
-    telling = np.isfinite(over) & (np.abs(over) > TAKEN)
-    over = over[telling]
-    control = control[telling]
-    dem = dem[telling]
-    n = len(over)
+    differences = dem - control
+    informative = np.isfinite(differences) & (np.abs(differences) > TAKEN)
+    differences = differences[informative]
+    control = control[informative]
+    dem = dem[informative]
+    n = len(differences)
     if not n:
         return None
-    median = float(np.median(over))
+    median = float(np.median(differences))
     # The median absolute deviation, so that trees and blunders among the heights count little.
-    scatter = _MAD * float(np.median(np.abs(over - median)))
-    variance = (n * scatter**2 + AS_MANY * USUAL**2) / (n + AS_MANY)
+    scatter = _MAD * float(np.median(np.abs(differences - median)))
+    # s^2 of the module's text: with few heights what is usual counts more than what they show.
+    variance = (n * scatter**2 + PRIOR_COUNT * USUAL_SIGMA**2) / (n + PRIOR_COUNT)
     sigma = float(np.sqrt(_EFFICIENCY**2 * variance / n + ROUGHLY**2))
     in_feet, in_kilometres = (_is_in_unit(unit, control, dem, scatter)
                               for unit in (UNITS[FOOT], _KILOMETRE))

@@ -263,28 +263,49 @@ def error_in_file(error: TermselError, file: Path | None, line: int | None = Non
 
 
 def image_of(path: Path, images: Iterable[_Image], asked_for: _Image | None, option: str) -> _Image:
-    """Return which image of a file is read: the wanted or only one; an option chooses it.
+    """Return which image of a file is read: the one that was asked for, or the only one.
 
-    Images with names are parts of the file, so that a study takes them all.
+    Parameters
+    ----------
+    path : Path
+        Of the file, for messages.
+    images : iterable of str or float
+        The name or number of the image of each point.
+    asked_for : str, float or None
+        What the user has chosen, if anything.
+    option : str
+        How to choose, such as "image_name=NAME", for messages.
+
+    Raises
+    ------
+    TermselError
+        If the file has no point of the image asked for, if it has several images and none is asked
+        for, or if no point names its image. The message names those with the most points.
     """
     counts = Counter(images)
+    if not counts:
+        raise TermselError("no point of this file names its image", file=path,
+                           hint=f"Leave --set {option} out, or name the image of each point.")
     names_in_file = sorted(counts)
     name = names_in_file[0] if asked_for is None and len(names_in_file) == 1 else asked_for
-    if name is None or name not in names_in_file:
-        # Those with most points first: an image of one or two is too little for most models.
-        ordered = sorted(names_in_file, key=lambda image: -counts[image])
-        has_counts = max(counts.values()) > 1
-        names = []
-        for image in ordered:
-            label = f"{image:g}" if isinstance(image, float) else image or "without a name"
-            names.append(f"{label} ({counts[image]})" if has_counts else label)
-        each = "" if any(isinstance(image, float) for image in names_in_file) else \
-            ", or fit each with termsel compare --points FILE --out DIR"
-        note = ", with their numbers of points" if has_counts else ""
-        raise TermselError(f"the file has points of the images {first_names_in_words(names)}{note}",
-                           file=path,
-                           hint=f"Choose one with --set {option}{each}.")
-    return name
+    if name is not None and name in counts:
+        return name
+    # Those with most points first: an image of one or two is too little for most models.
+    ordered = sorted(names_in_file, key=lambda image: -counts[image])
+    labels = [f"{image:g}" if isinstance(image, float) else image or "without a name"
+              for image in ordered]
+    # Counts say something only where a file lists an image once for each of its points.
+    note = ""
+    if max(counts.values()) > 1:
+        labels = [f"{label} ({counts[image]})"
+                  for label, image in zip(labels, ordered, strict=True)]
+        note = ", with their numbers of points"
+    hint = f"Choose one with --set {option}"
+    # Images with names are parts of the file, so that a study takes them all.
+    if not any(isinstance(image, float) for image in names_in_file):
+        hint += ", or fit each with termsel compare --points FILE --out DIR"
+    raise TermselError(f"the file has points of the images {first_names_in_words(labels)}{note}",
+                       file=path, hint=f"{hint}.")
 
 
 def read_text(path: Path) -> str:

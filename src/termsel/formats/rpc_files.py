@@ -129,8 +129,14 @@ def has_rpc(image: Path | str) -> bool:
 def read_delivered_rpc(image: Path | str) -> Rpc | None:
     """Return the RPC that an image came with, inside it or next to it; None without one.
 
-    One that termsel fitted to control points, and that was exported next to the image, is none: its
-    own points would seem to test it. Of that the user is told.
+    One that termsel fitted to control points, and that was exported next to the image, is not used:
+    the points that it was fitted to would seem to test it. Then the vendor's file that it hides is
+    returned, if there is one, and a warning is logged.
+
+    Raises
+    ------
+    TermselError
+        If the RPC that GDAL finds cannot be read.
     """
     if not has_rpc(image):
         return None
@@ -138,22 +144,28 @@ def read_delivered_rpc(image: Path | str) -> Rpc | None:
     if not rpc.control_count:
         return rpc
     path = Path(image)
-    beside = {file.name: other for file, other in _rpcs_beside(path)}
-    exported = next((name for name, other in beside.items()
-                     if other.control_count and other == rpc), path.name)
+    rpc_by_name = {file.name: file_rpc for file, file_rpc in _rpcs_beside(path)}
+    exported_name = next((name for name, file_rpc in rpc_by_name.items()
+                          if file_rpc.control_count and file_rpc == rpc), path.name)
     # What GDAL prefers may hide the file of the vendor.
-    beside.update(_rpc_within(path))
-    delivered = next((other for other in beside.values() if not other.control_count), None)
-    instead = "" if delivered is None else f" That of {delivered.source} is used."
+    rpc_by_name.update(_rpc_within(path))
+    delivered = next((file_rpc for file_rpc in rpc_by_name.values()
+                      if not file_rpc.control_count), None)
+    if delivered is None:
+        advice = f" To use it with other points: --rpc {path.with_name(exported_name)}"
+    else:
+        advice = f" That of {delivered.source} is used."
     log.warning("Note: the RPC of %s was fitted by termsel to %s, and is not used as the "
-                "vendor's.%s", exported, count_in_words(
-                    rpc.control_count, "control feature"), instead
-                or f" To use it with other points: --rpc {path.with_name(exported)}")
+                "vendor's.%s", exported_name, count_in_words(rpc.control_count, "control feature"),
+                advice)
     return delivered
 
 
 def _rpcs_beside(image: Path) -> Iterator[tuple[Path, Rpc]]:
-    """Yield the files next to an image in which GDAL looks for its RPC, if they can be read."""
+    """Yield (path, RPC) of each file next to an image in which GDAL looks for its RPC.
+
+    Files that are not there are left out, and so are those that cannot be read, without a message.
+    """
     for ending in _BESIDE:
         path = image.with_name(image.stem + ending)
         if is_there(path):

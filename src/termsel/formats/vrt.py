@@ -92,14 +92,14 @@ def vrt_text(
     source = None if picture.path is None else _name_in_vrt(picture.path, folder)
     for number, band in enumerate(picture.bands, 1):
         rows.append(f'  <VRTRasterBand dataType="{band.type}" band="{number}">')
-        rows += [f"    {line}" for line in _said_of(band)]
+        rows += [f"    {line}" for line in _description_xml(band)]
         if source is not None:
-            rows += _pixels_of(source, str(band.source), picture.size, band.lookup)
+            rows += _source_xml(source, str(band.source), picture.size, band.lookup)
         rows.append("  </VRTRasterBand>")
     # GDAL reads a mask as the band "mask,1" of its image.
     if picture.masked and source is not None:
         rows += ["  <MaskBand>", '  <VRTRasterBand dataType="Byte">',
-                 *_pixels_of(source, "mask,1", picture.size),
+                 *_source_xml(source, "mask,1", picture.size),
                  "  </VRTRasterBand>", "  </MaskBand>"]
     return "\n".join([*rows, "</VRTDataset>", ""])
 
@@ -114,8 +114,8 @@ def _name_in_vrt(image: Path, folder: Path) -> str:
     return name
 
 
-def _said_of(band: Band) -> list[str]:
-    """Return the elements that describe a band."""
+def _description_xml(band: Band) -> list[str]:
+    """Return the elements of XML that describe a band, without those that have GDAL's default."""
     elements = {"Description": band.description, "UnitType": band.unit}
     lines = [f"<{name}>{xml_text(value)}</{name}>" for name, value in elements.items() if value]
     if band.nodata is not None:
@@ -135,9 +135,21 @@ def _said_of(band: Band) -> list[str]:
     return lines
 
 
-def _pixels_of(name: str, number: str, size: tuple[int, int], lookup: Sequence[int] = (),
-               ) -> list[str]:
-    """Return the lines of XML on the source of a band, with the value that each becomes."""
+def _source_xml(name: str, number: str, size: tuple[int, int], lookup: Sequence[int] = (),
+                ) -> list[str]:
+    """Return the lines of XML that say where the pixels of a band are.
+
+    Parameters
+    ----------
+    name : str
+        Of the source, relative to the folder of the VRT or absolute.
+    number : str
+        Of the band in the source; "mask,1" for its mask.
+    size : tuple of int
+        Lines and samples, all of which are taken.
+    lookup : sequence of int
+        What each value of the source becomes, from 0 on; () to leave them as they are.
+    """
     # Only a complex source maps values; a simple one is faster.
     kind = "ComplexSource" if lookup else "SimpleSource"
     extent = f'xSize="{size[1]}" ySize="{size[0]}"'

@@ -267,22 +267,41 @@ def _lacks_a_column(error: TermselError) -> bool:
     return error.what.startswith(("there is no column", "there are no columns"))
 
 
-def _has_columns(path: Path, columns: str, *meanings: str, layer: str | None) -> bool:
-    """Return whether a table has columns of some meanings."""
+def _has_columns(path: Path, columns: str, *coordinates: str, layer: str | None) -> bool:
+    """Return whether a table has columns of some coordinates, such as "line" and "sample"."""
     try:
-        _read_table(path, columns, *meanings, layer=layer)
+        _read_table(path, columns, *coordinates, layer=layer)
     except TermselError:
         return False
     return True
 
 
-def _read_table(path: Path, columns: str, *meanings: str, layer: str | None,
+def _read_table(path: Path, columns: str, *coordinates: str, layer: str | None,
                 flat: bool = False) -> Table:
-    """Return the table of a file, also of the points of a vector file."""
-    aliases = _ID | {meaning: COORDINATES[meaning] for meaning in meanings}
-    places = table_of_places(path, aliases, parse_columns(columns), layer=layer, flat=flat)
-    if places is not None:
-        return places
+    """Return the table of a file of text, of a spreadsheet, or of the points of a vector file.
+
+    Parameters
+    ----------
+    path : Path
+    columns : str
+        What the user says of the headings, as of --columns.
+    *coordinates : str
+        Those whose columns the table must have: "x", "y", "z", "line", "sample".
+    layer : str or None
+        That of a vector file or spreadsheet; None for the first that has points.
+    flat : bool
+        Whether heights may be missing.
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be read, or lacks the column of a coordinate.
+    """
+    aliases = _ID | {name: COORDINATES[name] for name in coordinates}
+    table = table_of_places(path, aliases, parse_columns(columns), layer=layer, flat=flat)
+    # None of a file that is no vector file.
+    if table is not None:
+        return table
     with read_once(path) as file:
         return replace(read_table(file, aliases, columns=columns, layer=layer, flat=flat),
                        path=path)

@@ -166,7 +166,7 @@ def termsel_sections() -> Iterable[ReportSection]:
     Returns
     -------
     iterable of ReportSection
-        One that fails is a note in its section, and the rest of the report stays as it is.
+        If a section fails, the report says so in its place, and is otherwise the same.
     """
 
 

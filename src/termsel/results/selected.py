@@ -210,31 +210,42 @@ def _front_and_proofs(record: Record, view: View | None, picture: str) -> Iterat
 
 
 def _table_of_members(record: Record, members: Sequence[Member | SizeRow]) -> TableBlock:
-    """Return the table of the front, with a column on proofs if there are any."""
+    """Return the table of the front, or of the best so far of each size: a row a member.
+
+    Its columns are the objectives, the RMSE at selection points (unless that is an objective) and
+    at independent check points, what is proven of the size (if anything is proven of any), and the
+    names of the terms. The member that the record's selection is, is marked.
+    """
     size, *further = members[0].objectives
     names = size.removeprefix("n_")
-    # The criterion may be the RMSE at selection points itself.
-    is_objective = "check-rmse" in further
-    proven = {row.objectives[size]: sizes.proven_in_words(row) for row in record.by_size}
-    rows = []
-    for member in members:
-        objectives = ["-" if value is None else f"{value:.5g}"
-                      for value in member.objectives.values()]
-        verdict = [proven.get(member.objectives[size], "")] if proven else []
-        selection = [] if is_objective else [_px_text(member.rmse.check)]
-        rows.append((*objectives, *selection, _px_text(member.rmse.independent), *verdict,
-                     " ".join(getattr(member.selection, names))))
-    title = [sizes.TITLE] if proven else []
-    selection_heading = [] if is_objective else ["selection [px]"]
-    columns = (sizes.noun_of_members(members), *further, *selection_heading,
-               "independent check [px]",
-               *title, names)
+    proofs = {row.objectives[size]: sizes.proven_in_words(row) for row in record.by_size}
+    # The heading of each column, and its cells.
+    columns = [(heading, [_objective_text(member.objectives[objective]) for member in members])
+               for heading, objective in ((sizes.noun_of_members(members), size),
+                                          *zip(further, further, strict=True))]
     # A text has no room for the errors at selection points and for the names.
-    selection_columns = [] if is_objective else [len(members[0].objectives)]
-    return TableBlock("Pareto front", columns, rows, choice="member" if record.front else "",
+    page_only = []
+    if "check-rmse" not in further:
+        page_only.append(len(columns))
+        columns.append(("selection [px]", [_px_text(member.rmse.check) for member in members]))
+    columns.append(("independent check [px]",
+                    [_px_text(member.rmse.independent) for member in members]))
+    if proofs:
+        columns.append((sizes.TITLE, [proofs.get(member.objectives[size], "")
+                                      for member in members]))
+    page_only.append(len(columns))
+    columns.append((names, [" ".join(getattr(member.selection, names)) for member in members]))
+    return TableBlock("Pareto front", tuple(heading for heading, _ in columns),
+                      list(zip(*(cells for _, cells in columns), strict=True)),
+                      choice="member" if record.front else "",
                       keys=list(range(len(record.front))),
                       marked=sizes.recommended_member(members, record.selection),
-                      page_only=(*selection_columns, len(columns) - 1))
+                      page_only=tuple(page_only))
+
+
+def _objective_text(value: float | None) -> str:
+    """Return the value of an objective to five digits; "-" where it is not known."""
+    return "-" if value is None else f"{value:.5g}"
 
 
 def _table_by_size(members: Sequence[Member | SizeRow], by_size: Sequence[SizeRow]) -> TableBlock:

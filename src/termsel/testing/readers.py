@@ -128,7 +128,10 @@ def wrong_encoding(example: Example) -> None:
 
 
 def line_ends(example: Example) -> None:
-    """Text is read the same with the line ends of Windows and with a byte order mark."""
+    """Text is read the same with line ends of Unix or Windows, without a last, and with a BOM.
+
+    Nothing is required of a reader of binary files.
+    """
     if example.text is None:
         return
     lines = example.text.replace("\r\n", "\n")

@@ -70,11 +70,16 @@ class Journal:
 @contextmanager
 def open_journal(folder: Path) -> Iterator[
         tuple[Journal, dict[str, Any] | None, ControlFeatures]]:
-    """Open the journal of a folder.
+    """Open the journal of a folder, which nobody else can open meanwhile.
 
-    Yields the journal, its header, and the features as the last change left them. A new one has no
-    header yet (see `Journal.begin`). Nobody else can open it meanwhile. Raises TermselError if
-    somebody has, if it cannot be read or written.
+    Yields the journal, its header, and the features as the last change left them. A new journal has
+    no header yet: None (see `Journal.begin`). An entry at the end that is incomplete is cut off,
+    and a journal to which nothing was written is removed on leaving.
+
+    Raises
+    ------
+    TermselError
+        If another program has the journal open, or if its file cannot be opened, or is no journal.
     """
     with lock_folder(folder, "Another `termsel app` has this session open: use its page, or choose "
                      "another --out."):

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from termsel_studies.frequencies import Stability
 
 _SOLVER, _CRITERION = "all-terms", "press"
-"""What fits given terms to control and selection points together."""
+"""They fit given terms to control and selection points together, without a search."""
 
 
 @click.command()
@@ -45,9 +45,6 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
     run_settings = RunOptions(**arguments)
     show_messages()
 
-    from termsel import require_replaceable
-    from termsel.toolkit import write_text
-    from termsel.toolkit.files import STABILITY, lock_output_folder
     from termsel.toolkit.runs import problem_for
     from termsel_studies import frequencies as module
 
@@ -56,18 +53,8 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
     page = run_settings.page()
     features, options = run_settings.read()
     problem = run_settings.problem or problem_for(features, run_settings.dataset)
-    if run_settings.out is not None:
-        require_replaceable([run_settings.out / STABILITY], reads=run_settings.reads,
-                            overwrite=run_settings.overwrite, makes_folder=True)
-        click.get_current_context().with_resource(
-            lock_output_folder(run_settings.out, overwrite=run_settings.overwrite)
-        )
-    if run_settings.method is not None:
-        raise TermselError("--method is for a model without a search, and this repeats a search",
-                           hint="Leave --method out, or call termsel run.")
-    if run_settings.strategy == "auto":
-        echo("Note: the strategy auto searches for no terms. Each repetition runs the problem's "
-             "solver instead.", err=True)
+    _claim_folder(run_settings)
+    _require_search(run_settings)
     with search_bar(problem, run_settings.quiet) as observe:
         repeated = module.selection_frequencies(
             problem, repeats=repeats, threshold=threshold, features=features, options=options,
@@ -78,23 +65,60 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
         print_json(repeated.to_dict())
     else:
         _show(repeated)
-    unstable = [term for term in repeated.terms if term not in repeated.stable]
-    if repeated.determined and unstable and not run_settings.as_json:
-        echo("For a result with the stable terms run\n  " + run_settings.command(
-            problem, _SOLVER, _CRITERION,
-            _options_of_fit(problem, run_settings, run_settings.options, unstable)))
-    if run_settings.out is not None and not repeated.determined:
-        write_text(run_settings.out / STABILITY, json_text(repeated.to_dict()))
-        say_written([run_settings.out / STABILITY])
-    if (exported or page) and not repeated.determined:
-        raise TermselError("the stable terms alone are no model, so nothing is exported",
-                           hint="Lower --threshold.")
-    if run_settings.out is not None and repeated.determined:
-        settings = _options_of_fit(problem, run_settings, options, unstable)
-        _write(repeated, (exported, page), problem, run_settings, features, settings)
+    if repeated.determined:
+        unstable = [term for term in repeated.terms if term not in repeated.stable]
+        if unstable and not run_settings.as_json:
+            echo("For a result with the stable terms run\n  " + run_settings.command(
+                problem, _SOLVER, _CRITERION,
+                _options_of_fit(problem, run_settings, run_settings.options, unstable)))
+        if run_settings.out is not None:
+            settings = _options_of_fit(problem, run_settings, options, unstable)
+            _write(repeated, (exported, page), problem, run_settings, features, settings)
+    else:
+        _write_frequencies(repeated, run_settings.out)
+        if exported or page:
+            raise TermselError("the stable terms alone are no model, so nothing is exported",
+                               hint="Lower --threshold.")
     if repeated.interrupted:
         echo(f"Interrupted after {len(repeated.selections)} of {repeats} selections.", err=True)
         sys.exit(INTERRUPTED)
+
+
+def _claim_folder(run_settings: RunOptions) -> None:
+    """Lock the folder of --out, if there is one, until the command ends.
+
+    Raises TermselError if it has results that may not be replaced, or if another program uses it.
+    """
+    from termsel import require_replaceable
+    from termsel.toolkit.files import STABILITY, lock_output_folder
+
+    if run_settings.out is None:
+        return
+    require_replaceable([run_settings.out / STABILITY], reads=run_settings.reads,
+                        overwrite=run_settings.overwrite, makes_folder=True)
+    click.get_current_context().with_resource(
+        lock_output_folder(run_settings.out, overwrite=run_settings.overwrite))
+
+
+def _require_search(run_settings: RunOptions) -> None:
+    """Raise TermselError for a method, which does not search; tell what becomes of a strategy."""
+    if run_settings.method is not None:
+        raise TermselError("--method is for a model without a search, and this repeats a search",
+                           hint="Leave --method out, or call termsel run.")
+    if run_settings.strategy == "auto":
+        echo("Note: the strategy auto searches for no terms. Each repetition runs the problem's "
+             "solver instead.", err=True)
+
+
+def _write_frequencies(repeated: Stability, folder: Path | None) -> None:
+    """Write the frequencies alone, where the stable terms are no model; nothing without a folder.
+    """
+    from termsel.toolkit import write_text
+    from termsel.toolkit.files import STABILITY
+
+    if folder is not None:
+        write_text(folder / STABILITY, json_text(repeated.to_dict()))
+        say_written([folder / STABILITY])
 
 
 def _show(repeated: Stability) -> None:
@@ -117,7 +141,11 @@ def _show(repeated: Stability) -> None:
 
 def _options_of_fit(problem: str, run_settings: RunOptions, options: Mapping[str, str],
                     off: Sequence[str]) -> dict[str, str]:
-    """Return the options of a fit without the terms `off`; those of searches alone are left out."""
+    """Return the options of a plain fit of all terms but `off`.
+
+    They are those of `options` that the problem, the model, the criterion or a reader declares;
+    force_off has the terms that the user forced off, and then `off`.
+    """
     from termsel.toolkit import registry
     from termsel.toolkit.runs import DATA_OPTIONS
 
@@ -133,19 +161,21 @@ def _options_of_fit(problem: str, run_settings: RunOptions, options: Mapping[str
     # Options of the searches alone, such as a population, would be refused by a plain fit.
     settings = {key: value for key, value in options.items() if key in names_of_options}
     # Terms that the user forced off stay off.
-    before = settings.get("force_off", "").split(",")
-    return {**settings, "force_off": ",".join(dict.fromkeys([*filter(None, before), *off]))}
+    forced_off = settings.get("force_off", "").split(",")
+    return {**settings, "force_off": ",".join(dict.fromkeys([*filter(None, forced_off), *off]))}
 
 
 def _write(repeated: Stability, outputs: tuple[Mapping[str, Path], Path | None], problem: str,
            run_settings: RunOptions, features: FeatureSet | None,
            options: Mapping[str, str]) -> None:
-    """Write the fit of the stable terms: its record with the frequencies, exports, its page."""
+    """Fit the stable terms, and write the fit with the frequencies into the folder of --out.
+
+    `outputs` are the exports by format, and the page of the report or None; they are written too.
+    """
     from termsel import run, write_result
     from termsel.toolkit.files import RECORD, STABILITY
     from termsel.toolkit.models import TermFrequencies
 
-    # Exports by format, and the page of the report, as far as they are asked for.
     exported, page = outputs
     assert run_settings.out is not None
     fitted = run(problem, features=features, dataset=run_settings.dataset,
@@ -155,7 +185,7 @@ def _write(repeated: Stability, outputs: tuple[Mapping[str, Path], Path | None],
     content = repeated.to_dict()
     result = fitted.with_(stability=TermFrequencies(
         content["repeats"], content["threshold"], content["frequency"]),
-        # Both, or neither.
+        # Among the files of the result, so that both are written, or neither.
         files={**fitted.files, STABILITY: json_text(content)})
     write_result(result, run_settings.out)
     say_written([run_settings.out / STABILITY, run_settings.out / RECORD])

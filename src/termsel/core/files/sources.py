@@ -51,6 +51,7 @@ _LARGEST_XML = 32 << 20  # bytes of a virtual raster, which has about 100,000 so
 _DEEPEST = 16
 _MOST_READS = 10_000  # readings of sources by nested virtual rasters, which multiply
 _HEAD_BYTES = 4096
+_LONGEST_NAME = 4096  # characters of a path that a system takes
 _TEXTS = (".xml", ".txt", ".rpb", ".imd", ".pvl", ".prj", ".wld", ".hdr", ".tfw", ".att", ".eph",
           ".geo", ".til", ".tab", ".points")
 """Endings of texts that GDAL reads next to a raster."""
@@ -494,13 +495,16 @@ def _possible_raster_names(root: ElementTree.Element, folder: str) -> Iterator[s
 
 
 def _may_be_name(text: str, folder: str) -> bool:
-    """Return whether a text is the name of something that GDAL could open."""
-    if len(text) > 4096 and text[:1] not in "<{":
-        return False
-    if text.lstrip()[:1] in ("<", "{") or text.startswith("/vsi") or _REMOTE.match(text):
+    """Return whether a text is the name of something that GDAL could open, or such a thing itself.
+
+    Texts of XML and JSON are: GDAL opens a virtual raster that is given instead of its name.
+    """
+    # However long: neither such a text nor an address on a server has a limit.
+    start = text.lstrip()
+    if start.startswith(("<", "{", "/vsi")) or _REMOTE.match(start):
         return True
-    # Numbers are no names, though a file may be called 1.
-    if "\0" in text or re.fullmatch(r"[-+.\d,\seE]*", text):
+    # No file system has longer names. Numbers are no names, though a file may be called 1.
+    if len(text) > _LONGEST_NAME or "\0" in text or re.fullmatch(r"[-+.\d,\seE]*", text):
         return False
     # Pipes and devices are such names, too: GDAL would wait for them.
     return any(os.path.exists(path) and not os.path.isdir(path)

@@ -25,7 +25,7 @@ from termsel.selection.best_subsets.columns.arrays import (
     Limits,
     Records,
     Vectors,
-    check_space,
+    allocate_check_space,
     position_of,
     vectors_of,
 )
@@ -290,25 +290,34 @@ class ScoreSystems:
 
     def _score_of_used_columns(self, node: SubtreeNode, vectors: Vectors, limits: Limits) -> float:
         """Return the score of the columns in use alone; infinite with a denominator too small."""
-        # Row n is the target: the errors of the check points without more columns, and (rational)
-        # behind them what is left of 0 less the denominators, so that their sign is turned.
+        # Row n is the target: the errors of the check points without more columns.
         target = vectors.extra[0, 0, len(node.candidates)]
-        if self.kind == RATIONAL:
-            n_check = len(target) // 2
-            denominators = -target[n_check:]
-        else:
-            n_check = len(target)
-            denominators = np.ones(n_check)
-        if (denominators < self.margin).any():
-            return np.inf
-        return limits.offset + float(((target[:n_check] / denominators) ** 2).sum())
+        return limits.offset + float(self.score_of_errors(target))
+
+    def score_of_errors(self, errors: FloatArray) -> FloatArray:
+        """Return the scores (...) of errors of check points.
+
+        Parameters
+        ----------
+        errors : ndarray, shape (..., e) or (..., 2 e)
+            Of linear models e errors: the score is sum r_i^2. Of rational ones e errors r, and
+            behind them what is left of 0 less the denominators d, so that their sign is turned:
+            the score is sum (r_i / d_i)^2, infinite with any d_i below the margin.
+        """
+        if self.kind != RATIONAL:
+            return np.asarray((errors**2).sum(axis=-1))
+        e = errors.shape[-1] // 2
+        denominators = -errors[..., e:]
+        too_small = denominators < self.margin
+        quotients = errors[..., :e] / np.where(too_small, 1.0, denominators)
+        return np.where(too_small.any(axis=-1), np.inf, (quotients**2).sum(axis=-1))
 
     def _space(self, vectors: Vectors) -> CheckSpace:
         """Return the work space of vectors at check points."""
         depths, _, height, _ = vectors.top.shape
         # Without denominators U and tau are 1.
         upper = self._largest if self.kind == RATIONAL else np.ones(vectors.extra.shape[3] + 1)
-        return check_space(depths, height - 1, upper)
+        return allocate_check_space(depths, height - 1, upper)
 
     @cached_property
     def _largest(self) -> FloatArray:

@@ -121,17 +121,6 @@ def _scores_after_changes(systems: ScoreSystems, used: IntArray, members: IntArr
     added = left[:, :-1].T[None] + u_a[:, :, None] * z[:, None]
     errors = np.concatenate([without[:, None], without[:, None] - shares[:, :, None] * added],
                             axis=1)
-    scores = _score_of_errors(systems, errors)
+    scores = systems.score_of_errors(errors)
     scores[:, 1:][~independent] = np.inf
     return scores
-
-
-def _score_of_errors(systems: ScoreSystems, errors: FloatArray) -> FloatArray:
-    """Return the scores of errors (..., e), or of e errors and e denominators with a minus sign."""
-    if systems.kind == LINEAR:
-        return np.asarray((errors**2).sum(axis=-1))
-    half = errors.shape[-1] // 2
-    denominators = -errors[..., half:]
-    too_small = denominators < systems.margin
-    quotients = errors[..., :half] / np.where(too_small, 1.0, denominators)
-    return np.where(too_small.any(axis=-1), np.inf, (quotients**2).sum(axis=-1))

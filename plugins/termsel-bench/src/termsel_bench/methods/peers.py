@@ -146,14 +146,25 @@ def fit_ransac(features: FeatureSet, seed: int) -> Projection:
 
 
 def fit_ridge(features: FeatureSet, seed: int) -> Projection:
-    """Return scikit-learn's ridge polynomial; folds choose the degree and the penalty."""
+    """Return scikit-learn's ridge polynomial, as its user would fit it.
+
+    Five folds, drawn with the seed, choose the degree from 1 to 3 and the penalty from `_ALPHAS`.
+
+    Raises
+    ------
+    TermselError
+        If scikit-learn is not installed, or for fewer than 5 points.
+    """
     with _fit_sklearn():
         from sklearn.linear_model import Ridge
         from sklearn.model_selection import GridSearchCV, KFold
         from sklearn.pipeline import make_pipeline
         from sklearn.preprocessing import PolynomialFeatures, StandardScaler
     positions = _ground_of(features)
+    # Each of five folds needs a point.
     _require(len(positions) >= 5, "scikit-learn", len(positions))
+    # Scaled first, as the penalty is the same for all coefficients. The grid is termsel's own
+    # choice.
     model = GridSearchCV(
         make_pipeline(StandardScaler(), PolynomialFeatures(include_bias=False), Ridge()),
         {"polynomialfeatures__degree": [1, 2, 3], "ridge__alpha": _ALPHAS},

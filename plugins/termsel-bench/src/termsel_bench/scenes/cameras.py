@@ -313,16 +313,21 @@ def _random_angle(rng: Generator, unit: float, half: float, drift: tuple[float, 
 
 
 def _sensor_with_angles(sensor: Pushbroom, angles: list[Angle]) -> Pushbroom:
-    """Return a sensor with `angles` (roll, pitch, yaw) added to its attitude."""
-    def joined(before: Angle, added: Angle) -> Angle:
-        """Return the sum of two angles, with the jitter of the second."""
-        drift = np.zeros(max(len(before.drift), len(added.drift)))
-        drift[:len(before.drift)] += before.drift
-        drift[:len(added.drift)] += added.drift
-        return Angle(tuple(drift), added.jitter)
+    """Return a sensor of `pushbroom_at` with `angles` (roll, pitch, yaw) added to its attitude.
 
-    return replace(sensor, roll=joined(sensor.roll, angles[0]),
-                   pitch=joined(sensor.pitch, angles[1]), yaw=joined(sensor.yaw, angles[2]))
+    Each is added to the angle of its name, term by term, and not as a rotation before or after.
+    """
+    def sum_of_angles(steady: Angle, motion: Angle) -> Angle:
+        """Return the sum of two polynomials in time, with the jitter of the second angle."""
+        drift = np.zeros(max(len(steady.drift), len(motion.drift)))
+        drift[:len(steady.drift)] += steady.drift
+        drift[:len(motion.drift)] += motion.drift
+        # `pushbroom_at` makes sensors without jitter, so that none is lost.
+        return Angle(tuple(drift), motion.jitter)
+
+    roll, pitch, yaw = angles
+    return replace(sensor, roll=sum_of_angles(sensor.roll, roll),
+                   pitch=sum_of_angles(sensor.pitch, pitch), yaw=sum_of_angles(sensor.yaw, yaw))
 
 
 def _wave_heights(rng: Generator, plan: FloatArray, waves: int) -> FloatArray:

@@ -114,7 +114,7 @@ def adjust_block(state: BlockUnknowns, measured: Sequence[Measured], control: Se
     # By priors as models state them, before these are loosened: contradictions are judged by them.
     by_priors = [(parameters.copy(), covariance) for parameters, covariance in zip(
         state.parameters, run.solved.image_covariances[:-1], strict=True)]
-    score = run.score_of_control() if any(camera.stated for camera in state.cameras) else {}
+    score = run.score_of_control() if any(camera.stated_terms for camera in state.cameras) else {}
     # What terms scatter by depends on their parameters, which move when priors are loosened.
     for _ in range(_LOOSENED):
         if not run.loosen():
@@ -166,14 +166,17 @@ class _Run(Steps):
         return limit
 
     def loosen(self) -> bool:
-        """Let the priors that models state scatter as they do; return whether any changed much."""
+        """Widen or narrow the priors that models state to what the images show (in place).
+
+        Return False, and change nothing, where that would change no standard deviation by much.
+        """
         state = self.state
         factors = loosening_factors(state.cameras, state.parameters,
                                     self.solved.image_covariances[:-1])
         change = 0.0
         for camera in state.cameras:
-            for name, at in camera.stated.items():
-                change = max(change, abs(factors[name] / camera.looser[at] - 1))
+            for name, index in camera.stated_terms.items():
+                change = max(change, abs(factors[name] / camera.sigma_factors[index] - 1))
         if change < _LOOSER:
             return False
         cameras = []
@@ -339,7 +342,7 @@ class _Run(Steps):
             if dropped_groups:
                 dropped = True
                 keep = np.array([name not in dropped_groups for name in camera.groups])
-                state.cameras[i] = camera.only(keep)
+                state.cameras[i] = camera.with_parameters(keep)
                 state.parameters[i] = state.parameters[i][keep]
                 state.variances[i] = state.variances[i][keep]
         return dropped

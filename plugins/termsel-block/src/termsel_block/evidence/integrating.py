@@ -9,7 +9,7 @@ from itertools import chain
 import numpy as np
 from scipy import linalg
 
-from termsel_block.evidence.variances import OWN, TAIL
+from termsel_block.evidence.variances import OWN_WEIGHT, TAIL
 from termsel_block.geometry.cameras import Camera
 from termsel_block.geometry.frame import FloatArray, IntArray
 
@@ -95,9 +95,9 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
     Notes
     -----
     The model is that of `variances.estimate_variances`: a group has one standard deviation in all
-    images, half t about a first guess. Each image's own follows it with `OWN` degrees of freedom.
-    Taken as known they would make errors look smaller than they are, as 20 columns show a variance
-    to a third. So is that of a DEM's offset.
+    images, half t about a first guess. Each image's own follows it with `OWN_WEIGHT` degrees of
+    freedom. Taken as known they would make errors look smaller than they are, as 20 columns show a
+    variance to a third. So is that of a DEM's offset.
 
     Columns of a group may be unlike (`Camera.scales`). An attitude bends images along their lines
     alone, and one variance of all columns of degree 2 would be too small for that of lines. So each
@@ -246,7 +246,7 @@ def _draw_scales(x: FloatArray, equations: tuple[FloatArray, FloatArray], group:
 
     def drawn(squares_by_shared: FloatArray, number: IntArray) -> FloatArray:
         """Return draws of ratios: their squares are scaled inverse chi-squared."""
-        square = (squares_by_shared + OWN) / rng.chisquare(OWN + number)
+        square = (squares_by_shared + OWN_WEIGHT) / rng.chisquare(OWN_WEIGHT + number)
         return np.clip(np.sqrt(square), _MIN_IMAGE_RATIO, _MAX_IMAGE_RATIO)
 
     if np.isnan(group.min_ratio):

@@ -9,12 +9,14 @@ import numpy as np
 from termsel_block.geometry.cameras import Camera
 from termsel_block.geometry.frame import FloatArray
 
-OWN = 4.0
-"""Weight of what all images say of a variance, as so many parameters of the image's own."""
+OWN_WEIGHT = 4.0
+"""Weight of what all images say of a variance, as so many parameters of the image's own.
+
+Termsel's own choice: the variance of an image with as many parameters is the mean of both.
+"""
 
 _RATIO_GRID = np.geomspace(1e-4, 1e2, 121)
 """Standard deviations over the first guess that are weighed."""
-
 
 TAIL = 4.0
 """Degrees of freedom of the prior: without data the mean of the variance is twice the guess's."""
@@ -62,27 +64,45 @@ def estimate_variances(cameras: Sequence[Camera], parameters: Sequence[FloatArra
         for name in dict.fromkeys(camera.groups):
             if name not in camera.fixed_variance:
                 in_group = groups == name
-                # The posterior mean of a variance with OWN degrees of freedom about the common one.
-                new[in_group] = ((moments[in_group].sum() + OWN * common[name])
-                                 / (in_group.sum() + OWN))
+                # The posterior mean of a variance about the common one, which has OWN_WEIGHT
+                # degrees of freedom.
+                new[in_group] = ((moments[in_group].sum() + OWN_WEIGHT * common[name])
+                                 / (in_group.sum() + OWN_WEIGHT))
         result.append(np.maximum(new, np.square(camera.min_sigma)))
     return result
 
 
 def loosening_factors(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
                       covariances: Sequence[FloatArray]) -> dict[str, float]:
-    """Return what standard deviations of stated terms are times what their model states.
+    """Return by how much the standard deviations that a model states of its terms are too small.
 
-    By all images of the model together: a sensor may turn faster than most, in all its images.
-    What they do not show keeps what is stated.
+    All images of the model are taken together, as a sensor may turn faster than most in all of
+    them.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+    parameters, covariances : sequence of ndarray, shapes (p,) and (p, p)
+        Of each image, of the posterior, in units of the present standard deviations.
+
+    Returns
+    -------
+    dict of float
+        By name of each term of `Camera.stated_terms`: the factor by which the model's standard
+        deviation is multiplied; 1 where the images show the term as the model states it, or not at
+        all.
     """
     squares: dict[str, list[float]] = {}
     for camera, mean, covariance in zip(cameras, parameters, covariances, strict=True):
-        values = mean**2 + np.diag(covariance)
-        for name, at in camera.stated.items():
+        # E[x^2] of the posterior: mean^2 + variance.
+        moments = mean**2 + np.diag(covariance)
+        for name, index in camera.stated_terms.items():
             # Back to units of the model's statement, which an earlier round may have loosened.
-            squares.setdefault(name, []).append(float(values[at] * camera.looser[at] ** 2))
-    return {name: float(np.sqrt((sum(image_squares) + OWN) / (len(image_squares) + OWN)))
+            stated_moment = moments[index] * camera.sigma_factors[index] ** 2
+            squares.setdefault(name, []).append(float(stated_moment))
+    # The model's statement, 1, counts as OWN_WEIGHT images do: (sum x^2 + w 1) / (n + w).
+    return {name: float(np.sqrt((sum(image_squares) + OWN_WEIGHT)
+                                / (len(image_squares) + OWN_WEIGHT)))
             for name, image_squares in squares.items()}
 
 

@@ -67,10 +67,10 @@ class Camera(ABC):
     scales : tuple of str
         Of each parameter: those of one scale share a standard deviation while variances are
         unknown.
-    stated : mapping
+    stated_terms : mapping
         Parameters whose prior is what a model says of its terms: name and index.
-    looser : ndarray, shape (p,)
-        What their standard deviations are times what the model says.
+    sigma_factors : ndarray, shape (p,)
+        What the standard deviation of each parameter is times what the model states.
     """
 
     groups: tuple[str, ...]
@@ -79,8 +79,8 @@ class Camera(ABC):
     permanent: frozenset[str] = frozenset()
     fixed_variance: frozenset[str] = frozenset()
     nested = False
-    stated: Mapping[str, int] = MappingProxyType({})
-    looser: FloatArray
+    stated_terms: Mapping[str, int] = MappingProxyType({})
+    sigma_factors: FloatArray
 
     @property
     def scales(self) -> tuple[str, ...]:
@@ -88,8 +88,8 @@ class Camera(ABC):
         return self.groups
 
     @abstractmethod
-    def only(self, keep: BoolArray) -> Camera:
-        """Return the camera with some of its parameters, by a mask (p,)."""
+    def with_parameters(self, keep: BoolArray) -> Camera:
+        """Return the camera with those of its parameters that are true in the mask `keep` (p,)."""
 
     def fixed(self, local: FloatArray) -> Fixed:
         """Return the part of the model at places (n, 3) that no parameter changes, or None.
@@ -224,10 +224,11 @@ class RpcCamera(LinearCamera):
         self.prior_sigma = tuple(guesses[name] for name in self.groups)
         self.min_sigma = (1e-4,) * len(self.groups)
 
-    def only(self, keep: BoolArray) -> RpcCamera:
-        """Return the camera with some of its columns: those that are true in `keep` (2m,).
+    def with_parameters(self, keep: BoolArray) -> RpcCamera:
+        """Return the camera with the columns that are true in the mask `keep` (2m,).
 
-        The mask has the same columns for the line as for the sample.
+        Groups are dropped in the line and in the sample together, so that the mask has the same
+        columns in its second half, and the first tells.
         """
         return RpcCamera(self.rpc, self.frame, [name for name, is_kept in zip(
             self.columns, keep[:len(self.columns)], strict=True) if is_kept])
@@ -322,7 +323,7 @@ class PolynomialCamera(LinearCamera):
         self.min_sigma = tuple(min_sigma[name] * half_image if name in min_sigma else 1e-4
                                for name in self.groups)
 
-    def only(self, keep: BoolArray) -> PolynomialCamera:
+    def with_parameters(self, keep: BoolArray) -> PolynomialCamera:
         """Return the camera with some of its monomials: those that are true in `keep` (2m,).
 
         The mask has the same monomials for the line as for the sample.

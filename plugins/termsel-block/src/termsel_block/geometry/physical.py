@@ -112,15 +112,15 @@ class PhysicalCamera(Camera):
         self.min_sigma = (1e-4,) * len(terms)
         self.permanent = frozenset({self.model.name})
         self.fixed_variance = self.permanent
-        self.stated = {f"{self.model.name} {term}": k
-                       for k, term in enumerate(self.model.terms) if self.has_prior[k]}
-        self.looser = np.ones(len(terms))
+        self.stated_terms = {f"{self.model.name} {term}": k
+                             for k, term in enumerate(self.model.terms) if self.has_prior[k]}
+        self.sigma_factors = np.ones(len(terms))
         local = frame.local(control.points.ground)
         low = local.min(axis=0)
         high = local.max(axis=0)
         self._area = (low + high) / 2, np.maximum((high - low)[:2] / 2, 1.0)
 
-    def only(self, keep: BoolArray) -> PhysicalCamera:
+    def with_parameters(self, keep: BoolArray) -> PhysicalCamera:
         """Return the camera: none of its terms is dropped."""
         return self
 
@@ -174,11 +174,11 @@ class PhysicalCamera(Camera):
             What the standard deviation of each stated term is times that of the model.
         """
         other_camera = copy(self)
-        other_camera.looser = np.ones(parameters.size)
-        for name, at in self.stated.items():
-            other_camera.looser[at] = of_terms[name]
+        other_camera.sigma_factors = np.ones(parameters.size)
+        for name, index in self.stated_terms.items():
+            other_camera.sigma_factors[index] = of_terms[name]
         # Terms stay what they are: a larger unit makes smaller parameters.
-        ratio = other_camera.looser / self.looser
+        ratio = other_camera.sigma_factors / self.sigma_factors
         other_camera.scale = self.scale * ratio
         other_camera.start = self.start / ratio
         return other_camera, np.asarray(parameters / ratio)

@@ -91,12 +91,23 @@ SENSORS: dict[str, Sensor] = {
 
 
 def sensor_named(name: str) -> Sensor:
-    """Return the sensor of a name, or of a JSON file with the fields of `Sensor`.
+    """Return the sensor that the option `sensor` stands for.
+
+    Parameters
+    ----------
+    name : str
+        One of `SENSORS` in upper or lower case, or the path of a JSON file, ending in .json, with
+        the fields of `Sensor`; "" gives `UNKNOWN`, whose constants fit any scanner.
+
+    Returns
+    -------
+    Sensor
 
     Raises
     ------
     TermselError
-        If there is neither, or a field of the file is not known, missing or no number.
+        If there is neither such a sensor nor such a file, or if a field of the file is not known,
+        missing or no number.
     """
     if not name:
         return UNKNOWN

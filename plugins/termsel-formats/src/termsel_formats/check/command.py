@@ -101,15 +101,18 @@ def _largest_distance_text(distances: Apart | None) -> str:
 
 
 def _warn(deviation: Deviation) -> None:
-    """Print a warning if a program takes by default what is far from the model, or nothing.
+    """Print a warning where a program, without any option, puts the image in another place.
 
-    And a note if it has no place for some of the places.
+    That is where what it takes by default is more than WARNING_PX off the model at the points or
+    over the image, or where no distance is known at all. A note follows where it has no ground
+    position for some of the places that were compared, of both kinds. Nothing is printed of what a
+    program takes only if it is told to.
     """
-    compared_distances = [distances for distances in (deviation.at_points, deviation.over_image)
-                          if distances is not None]
-    worst = max(compared_distances, key=lambda distances: distances.largest, default=None)
     if not deviation.by_default:
         return
+    compared = [distances for distances in (deviation.at_points, deviation.over_image)
+                if distances is not None]
+    worst = max(compared, key=lambda distances: distances.largest, default=None)
     if worst is None:
         echo(f"Warning: {deviation.program.strip()}: no distance from the model is known "
              f"({deviation.said or deviation.transformation}).")
@@ -119,5 +122,6 @@ def _warn(deviation: Deviation) -> None:
         echo(f"Warning: {deviation.program} is up to {worst.largest:,.3g} px{metres} off the "
              "model, near "
              f"line {worst.line:,.1f}, sample {worst.sample:,.1f}: {deviation.transformation}.")
-    if worst.lacking:
-        echo(f"Note: {deviation.program} has no place for {worst.lacking} of the places asked for.")
+    lacking = sum(distances.lacking for distances in compared)
+    if lacking:
+        echo(f"Note: {deviation.program} has no place for {lacking} of the places asked for.")

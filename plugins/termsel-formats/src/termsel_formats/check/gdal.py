@@ -132,7 +132,11 @@ def with_fixed_height(transform: Places, height: float = 0.0) -> Places:
 
 
 def taken_by_gdal(path: Path, raster_header: Header) -> Iterator[Taken]:
-    """Yield what GDAL takes of a raster by default, then what it takes with options of gdalwarp."""
+    """Yield what GDAL takes of a raster by default, then what it takes with options of gdalwarp.
+
+    Of the latter `by_default` is False, and `program` is the option, indented below the program.
+    Raises NoAnswer where gdaltransform fails on a raster with GCPs.
+    """
     program = raster_header.version
     transform = transformation_of_gdal(path)
     if not raster_header.kind:
@@ -142,11 +146,14 @@ def taken_by_gdal(path: Path, raster_header: Header) -> Iterator[Taken]:
     elif raster_header.kind == "geolocation":
         yield Taken(program, "geolocation array", raster_header.crs, transform)
     elif raster_header.kind == "rpc":
+        # gdalwarp knows no heights of the ground: without a DEM it takes an RPC at the height 0
+        # (RPC_HEIGHT), whatever the height of the scene.
         yield Taken(program, "RPC at the height 0", WGS84, with_fixed_height(transform))
         yield Taken("  with -to RPC_DEM", "RPC at the heights of the ground", WGS84, transform,
                     False)
     else:
         with_options = dict(_possible_by_gcps(path, raster_header))
+        # Through GCPs the height of a place changes nothing.
         default = with_fixed_height(transform)
         yield Taken(program, _label_of(default, with_options, raster_header.size),
                     raster_header.crs, default)
@@ -161,9 +168,9 @@ def taken_by_gdal(path: Path, raster_header: Header) -> Iterator[Taken]:
 
 def _possible_by_gcps(path: Path, raster_header: Header,
                       ) -> Iterator[tuple[str, tuple[tuple[str, ...], Places]]]:
-    """Yield the words for each transformation that GDAL can compute through the GCPs.
+    """Yield (words, (options, transformation)) for each that GDAL can compute through the GCPs.
 
-    With each come its options and the transformation; those with too few GCPs are left out.
+    Those for which there are too few GCPs are left out.
     """
     for words, options in _BY_GCPS:
         transform = with_fixed_height(transformation_of_gdal(path, *options))

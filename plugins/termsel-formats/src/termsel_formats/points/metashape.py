@@ -55,11 +55,11 @@ class MetashapeMarkers(Reader):
         except (KeyError, ValueError) as error:
             raise TermselError(f"a marker cannot be read: {what_lacks(error)}", file=path,
                                hint=_METASHAPE_HINT) from error
-        if not marks or not ground:
-            raise TermselError("this file has no markers with image and ground positions",
-                               file=path, hint=_METASHAPE_HINT)
         # Markers without a reference say nothing of the ground.
         marks = [mark for mark in marks if mark.marker in ground]
+        if not marks:
+            raise TermselError("this file has no markers with image and ground positions",
+                               file=path, hint=_METASHAPE_HINT)
         camera = image_of(path, (cameras.get(mark.camera, mark.camera) for mark in marks),
                           self.options["image_name"], "image_name=NAME")
         used = [mark for mark in marks if cameras.get(mark.camera, mark.camera) == camera]

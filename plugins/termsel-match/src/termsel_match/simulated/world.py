@@ -129,19 +129,26 @@ class World:
 
     @cached_property
     def rpc(self) -> Rpc:
-        """The vendor's RPC: that of a scanner whose attitude is wrong and drifts."""
+        """The vendor's RPC: that of a scanner whose attitude is wrong and drifts.
+
+        It is `off` px wrong in the middle of the image, in a random direction, and knows none of
+        the fast motions of the attitude.
+        """
         rng = self._rng(1)
         true = self.camera
-        turn = rng.uniform(0, 2 * np.pi)
-        # The attitude that the vendor believes in is off by a constant, and drifts.
+        direction = rng.uniform(0, 2 * np.pi)
+        # Of roll and pitch each: 3 to 8 % of the offset is added up to the first and last line, as
+        # the errors of vendors are nearly a shift of the image. Termsel's own choice.
         share = rng.choice([-1, 1], 2) * rng.uniform(0.03, 0.08, 2)
-        offset = self.off * true.ifov * np.array([np.sin(turn), np.cos(turn)])
+        offset = self.off * true.ifov * np.array([np.sin(direction), np.cos(direction)])
         drift = self.off * true.ifov * share / (true.centre[0] * true.line_period)
         roll, pitch = (Angle((angle.drift[0] + float(constant), float(slope)))
                        for angle, constant, slope in zip((true.roll, true.pitch), offset, drift,
                                                          strict=True))
         nominal = replace(true, roll=roll, pitch=pitch)
-        # An RPC is fitted to a grid in the image at several heights, as vendors do.
+        # An RPC is fitted to a grid in the image at several heights, as vendors do: 405 places
+        # for the 20 coefficients an axis of cubic polynomials, over more heights than the terrain
+        # has.
         steps = np.linspace(0, self.size - 1, 9)
         grid = np.stack(np.meshgrid(steps, steps, _HEIGHT + 2.5 * _RELIEF * np.linspace(-1, 1, 5)),
                         axis=-1).reshape(-1, 3)

@@ -109,7 +109,7 @@ class BoundSpace(NamedTuple):
 class CheckSpace(NamedTuple):
     """Space for a walk by the errors in e rows of the score."""
 
-    upper: FloatArray  # (depths, e + 1): U and tau of `first_closed`; filled in at depth 0
+    upper: FloatArray  # (depths, e + 1): U and tau of `bounds.closed`; filled in at depth 0
     bound: BoundSpace
     block: SubsetBlock
 
@@ -147,8 +147,19 @@ def position_of(depths: int, used: np.uint64, counts: Any) -> WalkPosition:
     return WalkPosition(cursor, ends, mask, counts)
 
 
-def check_space(depths: int, n: int, largest: FloatArray) -> CheckSpace:
-    """Return space for bounds of n columns and e rows of the score; `largest` (e + 1,) of all."""
+def allocate_check_space(depths: int, n: int, largest: FloatArray) -> CheckSpace:
+    """Return the arrays that a walk by check errors writes into, so that no step makes new ones.
+
+    Parameters
+    ----------
+    depths : int
+        Depths of the walk.
+    n : int
+        Columns at most.
+    largest : ndarray, shape (e + 1,)
+        U and tau of `bounds.closed` at depth 0, for e rows of the score. The rest is left
+        unwritten.
+    """
     e = len(largest) - 1
 
     def products() -> Products:
