@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.core.errors import rounded_size_text
 from termsel.results.pictures import with_margins
 
 altair = pytest.importorskip("altair")
@@ -98,7 +99,7 @@ def test_one_blunder_does_not_flatten_all_bars(errors: list[float], broken: set[
     shown = max(rows_of(bars.bars_of_worst(view)).values(), key=len, default=[])
     assert {row["id"] for row in shown if row.get("broken")} == broken
     assert {row["label"] for row in shown if row.get("broken")} == {
-        f"{error:.3g} px" + ", blunder" * (i == 0) for i, error in enumerate(errors)
+        f"{rounded_size_text(error)} px" + ", blunder" * (i == 0) for i, error in enumerate(errors)
         if f"F{i}" in broken}
     ends = [row["end"] for row in shown]
     assert not broken or max(ends) < 12 * float(np.median(ends))

@@ -256,7 +256,7 @@ def test_each_algorithm_of_pymoo_conforms(check: Check) -> None:
     ({"algorithm": "moead"}, "'moead' refuses constraints"),
     ({"algorithm": "rnsga3"}, "'rnsga3' requires reference points; make .*from_pymoo"),
     ({"algorithm": "de"}, "'de' moves real numbers"),
-    ({"algorithm": ["nsga2"]}, "does not accept"),
+    ({"algorithm": ["nsga2", "de"]}, "does not accept"),
     ({"algorithm": "nsga2", "horizon": 5}, "'horizon' is for algorithm=rvea")])
 def test_what_pymoo_cannot_do_here_is_refused_with_the_reason(options: dict[str, Any],
                                                               said: str) -> None:

@@ -89,9 +89,9 @@ def test_sigma_of_a_correction_is_true_beyond_its_points(model: str, width: int)
         sigma = fitted.sigma(ground)
         assert sigma.max() < 1.5
         ratios.append((away / sigma)**2)
-    # The points do not exclude a small misfit, and sigma counts its probability of a tenth; here
-    # there is none, which is most of the little that is left of the errors of a shift.
-    assert 0.25 < np.mean(ratios) < 2.5
+    # No RPC is without a misfit of some hundredths of a pixel, which sigma counts; here there is
+    # none, and it would be most of the little that is left of the errors of a shift.
+    assert 0.1 < np.mean(ratios) < 2.5
 
 
 def test_jitter_is_a_candidate_that_keeps_the_rules_and_finds_it() -> None:

@@ -39,6 +39,9 @@ MIN_CHECK_POINTS = 3
 MIN_POINTS = 5
 """Points below which the interval of the RMSE and the uncertainty are little more than beliefs."""
 
+MAX_PAIRS = 100_000
+"""Pairs of places and control up to which all distances take less time than to import a tree."""
+
 NEGLIGIBLE = 0.01
 """Uncertainty [px] that nobody measures."""
 
@@ -92,7 +95,9 @@ def checked_next_to_control(control: FeatureSet, independent: Points) -> Iterato
 
 def _distances_to_nearest(places: FloatArray, control: FloatArray) -> FloatArray:
     """Return the distance of each place (m, 2) from the nearest control (n, 2), (m,)."""
-    from scipy.spatial import cKDTree  # only now, as it takes long to import
+    if len(places) * len(control) <= MAX_PAIRS:
+        return np.asarray(np.linalg.norm(places[:, None] - control, axis=2).min(axis=1))
+    from scipy.spatial import cKDTree  # only here, as it takes 0.2 s to import
 
     return np.asarray(cKDTree(control).query(places)[0])
 
