@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
@@ -144,6 +145,26 @@ def test_without_pyproj_form_and_known_codes_are_checked() -> None:
     with pytest.raises(TermselError, match="unknown CRS"):
         normalise("Amersfoort / RD New")
     assert normalise("WGS84 UTM 31N") == "EPSG:32631"
+
+
+@pytest.mark.parametrize("crs", ["EPSG:4979", "EPSG:32631"])
+@pytest.mark.parametrize("height", [1_508_000.0, -1_508_000.0, 272_692.3])
+def test_heights_of_no_ground_are_refused(crs: str, height: float) -> None:
+    x, y = (5.0, 44.0) if crs == "EPSG:4979" else (9e5, 4.4e6)
+    everest = 29_032.0  # in feet
+
+    def at(*heights: float) -> FeatureSet:
+        n = len(heights)
+        return FeatureSet(Points(tuple("abc"[:n]), np.zeros((n, 2)),
+                                 np.array([(x, y, z) for z in heights])), crs=crs)
+
+    with pytest.raises(TermselError, match="of c is beyond any ground") as caught:
+        check_ground(at(np.nan, everest, height))
+    assert (caught.value.column, caught.value.ids) == ("z", ("c",))
+    assert f"the height {height:,.10g}" in str(caught.value)
+    assert "metres, not millimetres" in str(caught.value)
+    check_ground(at(np.nan, everest))
+    check_ground(replace(at(np.nan, everest, height), crs="local"))
 
 
 def test_is_geographic() -> None:

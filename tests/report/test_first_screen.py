@@ -177,6 +177,13 @@ def test_notes_that_do_not_fit_are_counted() -> None:
     assert f"{9 - shown} more notes: --verbose" in lines[-1]
 
 
+def test_the_next_command_leaves_out_what_this_one_left_out_too() -> None:
+    """The option of the next run replaces that of this one."""
+    options = {**record()["options"], "data": {"off": "P7, P8"}}
+    found = [outlier("P2", 9.0, False), outlier("P8", 9.0, True)]
+    assert next_step("r", options=options, outliers=found) == "Next: run again with --off P7,P8,P2"
+
+
 @pytest.mark.parametrize(("changed", "folder", "step"), [
     ({}, "", "Not saved: add --out DIR, then termsel report DIR"),
     ({}, "result", "Next: termsel report result"),

@@ -90,13 +90,16 @@ def off_option(record: Record) -> str:
     """Return the --off option for blunders, if any is in use or independent; "" else.
 
     It names rejected ones as well: the next run gives roles anew, and would have them as
-    independent check points.
+    independent check points. It also names what this run was asked to leave out, since the option
+    of the next run replaces that of this one.
     """
     # A possible blunder is no reason to leave a point out; it is shown, and stays.
     wrong = [outlier for outlier in record.outliers if outlier.certainty != "possible"]
     if all(outlier.excluded for outlier in wrong):
         return ""
-    return f"--off {shlex.quote(','.join(outlier.id for outlier in wrong))}"
+    asked = [name.strip() for name in str(record.options.data.get("off") or "").split(",")]
+    names = dict.fromkeys([*filter(None, asked), *(outlier.id for outlier in wrong)])
+    return f"--off {shlex.quote(','.join(names))}"
 
 
 _MANY_OUTLIERS = (5, 0.15)

@@ -36,7 +36,7 @@ def check_ground(features: FeatureSet) -> None:
 
     Longitudes outside -180 to 360 or latitudes outside -90 to 90 degrees in a geographic CRS,
     coordinates that look like degrees in a projected one, and eastings or northings that no UTM
-    zone has; in a geocentric CRS positions far from the surface of the body.
+    zone has; heights of no ground; in a geocentric CRS positions far from the surface of the body.
     """
     crs = normalise(features.crs)
     kind = kind_of(crs)
@@ -56,6 +56,26 @@ def check_ground(features: FeatureSet) -> None:
             _check_range(xy, features, *_UTM_RANGE[utm[1]],
                          f"cannot be easting and northing in {crs} (UTM)",
                          _hint_of_utm(xy, features, int(crs[-2:]), *_UTM_RANGE[utm[1]]))
+    # What is wrong of x and y as well says more.
+    if kind in ("geographic", "projected"):
+        _check_heights(ground[:, 2], features)
+
+
+_HIGHEST = 40_000.0
+"""Number that no height of ground exceeds, in metres or feet: Everest has 29,032 ft."""
+
+
+def _check_heights(heights: FloatArray, features: FeatureSet) -> None:
+    """Raise TermselError for heights beyond any ground; blank ones are NaN."""
+    beyond = np.flatnonzero(np.abs(heights) > _HIGHEST)
+    if not beyond.size:
+        return
+    name, column = _name_vertex(features, int(beyond[0]), 2)
+    raise TermselError(
+        f"the height {heights[beyond[0]]:,.10g} of {name} is beyond any ground",
+        ids=[name], column=column,
+        hint="Give heights in metres, not millimetres; or another column holds them: --columns "
+             "z=NAME.")
 
 
 def _check_distance(ground: FloatArray, features: FeatureSet, crs: str) -> None:
@@ -191,7 +211,7 @@ def _name_vertex(features: FeatureSet, i: int, axis: int) -> tuple[str, str]:
     # Vertices are those of points, then two of each line.
     of_line = i - len(features.points)
     end = "" if of_line < 0 else str(of_line % 2 + 1)
-    return features.ids[int(features.vertex_feature[i])], f"{'xy'[axis]}{end}"
+    return features.ids[int(features.vertex_feature[i])], f"{'xyz'[axis]}{end}"
 
 
 def _feature_in_words(xy: FloatArray, name: str, i: int) -> str:

@@ -499,7 +499,8 @@ def _readings_of_pairs(values: Mapping[int, FloatArray]) -> list[dict[str, int]]
     if len(free) == 5:
         # Image and ground determine each other, a height is nearly free of both. Pairs lie next
         # to each other, so that it is the first, the middle or the last.
-        z = [min(free[::2], key=lambda i: _share_explained(values, i))]
+        low = [i for i in free[::2] if np.nanmax(np.abs(values[i])) <= _HIGHEST]
+        z = [min(low or free[::2], key=lambda i: _share_explained(values, i))]
     pairs = [i for i in free if i not in z]
     # Columns of a pair are next to each other in every format that is known.
     image_first = pairs[:2], [*pairs[2:], *z]
@@ -566,6 +567,9 @@ def _share_explained(values: Mapping[int, FloatArray], i: int) -> float:
     """Return the share of a column's variance that a linear function of the others explains."""
     table = np.column_stack([column for j, column in values.items() if j != i])
     complete = ~np.isnan(np.column_stack([table, values[i]])).any(axis=1)
+    # A function of as many coefficients as there are rows explains anything.
+    if complete.sum() <= table.shape[1] + 1:
+        return 1.0
     y = values[i][complete] - values[i][complete].mean()
     a = table[complete] - table[complete].mean(axis=0)
     # Columns of degrees and of metres side by side would be near singular.
