@@ -580,7 +580,11 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
 
 
 def where_raster_is(surface: Dem, features: FeatureSet) -> str:
-    """Return where a raster is that covers no feature, and the zone of UTM in which it would."""
+    """Return a sentence on where a raster is that covers no feature, for the hint of an error.
+
+    With features in UTM it names another zone in which the raster would cover all of them, if there
+    is one: that of the raster and both neighbours are tried, of either hemisphere.
+    """
     from pyproj import CRS
 
     middle = degrees_of(surface.crs, np.column_stack([surface.extent(), np.zeros(2)]))
@@ -592,11 +596,12 @@ def where_raster_is(surface: Dem, features: FeatureSet) -> str:
         return f"{place}: is it of another place, or have x or y the wrong sign or CRS?"
     xy = features.ground_vertices()[:, :2]
     for zone in _zones_near(middle[0]):
+        # EPSG:326zz is a zone of the north, EPSG:327zz of the south.
         for hemisphere in "67":
-            other = f"EPSG:32{hemisphere}{zone:02}"
-            to_raster = plane_transformer(other, CRS(surface.raster.crs.to_wkt()))
-            if replace(surface, to_raster=to_raster, crs=other).covers(xy).all():
-                return (f"{place}. In {other} the {features.word} would be on it: is {stated[0]} "
+            utm = f"EPSG:32{hemisphere}{zone:02}"
+            to_raster = plane_transformer(utm, CRS(surface.raster.crs.to_wkt()))
+            if replace(surface, to_raster=to_raster, crs=utm).covers(xy).all():
+                return (f"{place}. In {utm} the {features.word} would be on it: is {stated[0]} "
                         "right?")
     return f"{place}: is it of another place?"
 

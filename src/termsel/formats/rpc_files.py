@@ -221,7 +221,21 @@ def note_use(rpc: Rpc) -> None:
 
 
 def _rpc_of_head(path: Path, head: bytes, rpc_name: str) -> Rpc:
-    """Return the RPC of an image, of XML, or of text with names and values."""
+    """Return the RPC of a file, which may be of any known form.
+
+    Parameters
+    ----------
+    path : Path
+    head : bytes
+        How the file begins, which tells an image from XML and from text.
+    rpc_name : str
+        Which of several RPCs in one file to take; "" for the only one.
+
+    Raises
+    ------
+    TermselError
+        If there is no RPC, if one has bad numbers, or if `rpc_name` does not choose one of several.
+    """
     if b"\0" in head and not is_utf16(head):
         items, of_bands, further = _rpc_items_of_image(path)
         if not items and not of_bands:
@@ -235,6 +249,7 @@ def _rpc_of_head(path: Path, head: bytes, rpc_name: str) -> Rpc:
     text = read_text(path)
     entries = {name: (value, line) for name, value, line in _parse_entries(text)}
     gdal_names = {rpb: name for name, rpb in (RPB_NAMES | ERROR_NAMES).items()}
+    # Text of names and values may be an .RPB or GDAL's own; all names become those of GDAL.
     items = {}
     for name, (value, line) in entries.items():
         item = gdal_names.get(name, name)

@@ -140,7 +140,11 @@ def _agree(named: str, counted: str | None) -> bool:
 
 
 def _convert_to_asked_unit(features: FeatureSet, stated: str) -> FeatureSet:
-    """Return features in the unit that is asked for."""
+    """Return features whose CRS has heights in the unit that the option z_unit states.
+
+    Coordinates stay as they are. Raises TermselError for an unknown unit, for coordinates without a
+    CRS, and where the name of the column states another unit.
+    """
     if stated not in Z_UNIT.choices:
         raise TermselError(f"option 'z_unit' does not take {stated!r}",
                            hint=f"It takes: {' | '.join(Z_UNIT.choices)}.")

@@ -140,7 +140,10 @@ def accuracy_tags(result: Result, heights: HeightCaution | None = None) -> dict[
 
 
 def _tags_of_prediction(prediction: Prediction | None) -> dict[str, str]:
-    """Return tags of a predicted accuracy, with the way in which it was found."""
+    """Return tags of a predicted accuracy, with the way in which it was found; {} without one.
+
+    Those in metres are left out in coordinates without a unit.
+    """
     if prediction is None:
         return {}
     tags = {"ACCURACY_PREDICTED_RMSE_PX": f"{prediction.rmse:.4g}",

@@ -40,7 +40,11 @@ def _options_of_other_formats(writer: type[Writer]) -> set[str]:
 
 
 def as_exported(result: Result, final: bool | None) -> Result:
-    """Return the result with the fit that is exported (see `Result.as_exported`), and say so."""
+    """Return the result with the fit that is exported (see `Result.as_exported`).
+
+    Which fit that is, and that none fits the points, is logged when the export has succeeded.
+    `final` is None for the fit to all points where there is one, else for which of both to take.
+    """
     if does_nothing_fit(result):
         log.warning("Warning: no model fits these %s: their RMSE is %s px. What is made of this "
                     "result is as far off.", result.features.word,

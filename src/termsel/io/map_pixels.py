@@ -263,6 +263,7 @@ def warp(raster: Any, output: Path, grid: MapGrid, spec: MapPixels, *, tags: Map
         except (RasterioError, CPLE_BaseError) as error:
             raise _unreadable_source(spec.picture.path, error) from error
         if spec.table:
+            # Values whose colour is transparent are no picture; those without a colour are.
             opaque = np.ones(max(len(spec.table), int(tile[0].max()) + 1), dtype=bool)
             opaque[:len(spec.table)] = [alpha > 0 for *_, alpha in spec.table]
             visible &= opaque[tile[0]]
@@ -427,7 +428,10 @@ def _profile_of_map(grid: MapGrid, spec: MapPixels) -> dict[str, Any]:
 
 
 def _describe(tiled: Any, spec: MapPixels, tags: Mapping[str, str]) -> None:
-    """Set the colours of the map, and the descriptions, units and scales of its bands."""
+    """Set the colours of the map, and the descriptions, units, scales and tags (in place).
+
+    A table of colours that a GeoTIFF cannot have is left out with a warning.
+    """
     from rasterio.enums import ColorInterp
 
     bands = spec.bands
@@ -435,6 +439,7 @@ def _describe(tiled: Any, spec: MapPixels, tags: Mapping[str, str]) -> None:
     tables = [number for number, band in enumerate(bands, 1) if band.table]
     if spec.table and spec.picture.bands[0].type in _WITH_TABLE and tables[0] == 1:
         table = dict(enumerate(spec.table))
+        # White around the image for programs that show the value of --nodata as any other.
         if spec.nodata is not None:
             table.setdefault(int(spec.nodata), _WHITE)
         tiled.write_colormap(1, table)

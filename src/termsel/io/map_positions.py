@@ -244,13 +244,30 @@ def _node_positions(shape: tuple[int, int], step: int) -> tuple[FloatArray, tupl
 
 
 def _part_of(surface: Dem, positions: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Return the pixels of a raster around places, and the first one, (2,); None for too many."""
+    """Return the pixels of a raster around places, and where they begin in it.
+
+    Parameters
+    ----------
+    surface : Dem
+    positions : ndarray, shape (n, 2)
+        Line and sample in the raster; NaN where not known.
+
+    Returns
+    -------
+    pixels : ndarray, shape (lines, samples)
+        With a margin for interpolation; one NaN if no position is known.
+    first : ndarray, shape (2,)
+        Line and sample of the first of them.
+
+    It is None instead where there are more than LARGEST_DEM pixels.
+    """
     from rasterio.windows import Window
 
     finite = positions[np.isfinite(positions).all(axis=1)]
     size = np.array(surface.raster.shape)
     if not len(finite):
         return np.full((1, 1), np.nan), np.zeros(2)
+    # A pixel more on either side, and one for the end that is not included.
     first = np.clip(np.floor(finite.min(axis=0)).astype(int) - 1, 0, size - 1)
     last = np.clip(np.ceil(finite.max(axis=0)).astype(int) + 2, 1, size)
     lines, samples = np.maximum(last - first, 1)

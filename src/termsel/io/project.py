@@ -154,7 +154,18 @@ def _are_off_image(result: Result, image: FloatArray) -> BoolArray:
 
 def _projection_warnings(missed: Sequence[str], hidden: Sequence[str], off_image: Sequence[str],
                          far: Sequence[str], *, encloses: bool, inverse: bool) -> Iterator[str]:
-    """Yield clauses on points that were not projected or located, or only far outside."""
+    """Yield clauses on points that were not projected or located, or only far outside.
+
+    Parameters
+    ----------
+    missed, hidden, off_image, far : sequence of str
+        Ids of points: without a position for no known reason; that the image cannot show; outside
+        the image, and without a position; far outside the control.
+    encloses : bool
+        Whether the control encloses an area.
+    inverse : bool
+        Whether image positions were located on the ground.
+    """
     if not encloses:
         yield "the control encloses no area, so `outside` cannot be computed"
     if hidden:
@@ -247,7 +258,11 @@ def _is_crs_of_control(crs: str, control: str, uses_height: bool) -> bool:
 
 
 def _require_crs_of_control(ids: Sequence[str], ground: FloatArray, crs: str, path: Path) -> None:
-    """Raise TermselError for ground positions that cannot be in the CRS of the control."""
+    """Raise TermselError for ground positions that cannot be in the CRS of the control.
+
+    `ids` and `ground` (n, 3) are of the points of the file `path`, which the error names.
+    """
+    # Ranges and swapped columns are checked as of features; image positions play no part in that.
     try:
         places = FeatureSet(Points(tuple(ids), np.zeros((len(ids), 2)), ground), crs=crs)
     except TermselError as error:

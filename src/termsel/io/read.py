@@ -291,7 +291,15 @@ def parts_of(path: Path, format: str | None = None, **options: Any) -> dict[str,
 
 def features_of(source: Any, crs: str | None = None,
                 columns: str | Mapping[str, Any] | None = None) -> FeatureSet:
-    """Return features, points or lines or both, from a FeatureSet, a file or a table, as `read`."""
+    """Return features, points or lines or both, from a FeatureSet, a file or a table, as `read`.
+
+    A FeatureSet is returned as it is. `crs` and `columns` say what a file or table does not.
+
+    Raises
+    ------
+    TermselError
+        If a file or table cannot be read, or if `crs` or `columns` come with a FeatureSet.
+    """
     if isinstance(source, FeatureSet):
         if crs is not None or columns is not None:
             raise TermselError(f"the features have the CRS {source.crs} already",
@@ -362,7 +370,11 @@ def readers_of(paths: Sequence[Path], formats: Sequence[str]) -> list[type[Reade
 
 def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any],
                 origin: Origin | None = None, swapped: str | None = None) -> FeatureSet:
-    """Return the features of a table in Python, such as a DataFrame."""
+    """Return the features of a table in Python, such as a DataFrame, checked as those of a file.
+
+    `swapped` is what was asked for of columns that are exchanged, None for nothing. Raises
+    TermselError for options that only files have, a missing CRS, and coordinates that cannot be.
+    """
     from termsel.formats.readers.frames import read_frame
 
     for name in options.keys() - {"columns", "decimal"}:
@@ -370,6 +382,7 @@ def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any],
     features = exchange_back(read_frame(frame, **options), swapped)
     if origin is not None:
         features = origin(features, states_own=False)
+    # Messages name a file, and a table has none.
     table_path = Path("the table")
     measured = replace(features, crs=_agreed_crs(
         {table_path: features}, stated_crs(crs)))

@@ -403,7 +403,10 @@ def _origin_line(record: Record) -> str:
 
 
 def _answer_on_repeating(record: Record, view: View | None) -> Iterator[Block]:
-    """Yield how the run is repeated."""
+    """Yield how the run is repeated: the command, its limits, and the versions and checksums.
+
+    Without a `view`, as in a text, one line on the origin of the result is all.
+    """
     if view is None:
         yield Detail(f"{'' if record.strategy else f'Problem {record.problem}. '}"
                      f"{_origin_line(record)}")

@@ -121,7 +121,11 @@ def _facts_html(facts: Sequence[Fact]) -> str:
 
 
 def _block_html(block: Block, specs: dict[str, Any]) -> str:
-    """Return a block as HTML; the specification of a chart goes into `specs`."""
+    """Return a block as HTML, with all text escaped.
+
+    The specification of a chart goes into `specs`, by the name of the chart: the page has all of
+    them at its end.
+    """
     if isinstance(block, Detail):
         return _block_html(block.block, specs)
     if isinstance(block, str):

@@ -50,7 +50,10 @@ SEALS = "checksums"
 
 
 def checksum_of_features(features: FeatureSet) -> str:
-    """Return a checksum of ids, coordinates, roles, standard deviations, CRS and RPC."""
+    """Return a checksum of all that a fit depends on: SHA-256 as 64 hexadecimal digits.
+
+    That is ids, coordinates, roles, standard deviations, CRS and RPC, but no attributes.
+    """
     digest = hashlib.sha256(features.crs.encode())
     if features.rpc is not None:
         digest.update(msgspec.json.encode(features.rpc.numbers()))
@@ -61,6 +64,7 @@ def checksum_of_features(features: FeatureSet) -> str:
     for content in (features.points, features.lines):
         digest.update("\n".join(content.ids).encode())
         digest.update(content.image.tobytes())
+        # NaN has many bit patterns; heights that are not known are one and the same.
         digest.update(np.where(np.isnan(content.ground), np.nan, content.ground).tobytes())
     return digest.hexdigest()
 

@@ -34,7 +34,10 @@ from termsel.models.quotient import guard_points, pole_margin, pole_violation
 
 
 def numbers_of(fitted: Fit) -> dict[str, Any]:
-    """Return the fields of a record that show of the fit whose figures it has, by name."""
+    """Return the fields of a record that say something of one fit, by the name of the field.
+
+    A result may have a second fit, to all points; see `final_fit` for the fields of that one.
+    """
     lines = fitted.control.take(fitted.used).lines
     return {
         "offered": Offered(len(fitted.model.terms), len(fitted.control)),

@@ -110,7 +110,10 @@ def _choice_table(record: Record, strategy: Strategy, view: View | None) -> Iter
 
 
 def _sentences_on_search(record: Record) -> Iterator[Block]:
-    """Yield the size of the selection, and sentences on the search for it."""
+    """Yield sentences on the size of the selection, its parameters, and the search for it.
+
+    Those on stability, parameters, a limit of terms and a local refinement only if there are any.
+    """
     selection = record.selection
     offered = record.offered
     if stability := record.stability:
@@ -130,10 +133,10 @@ def _sentences_on_search(record: Record) -> Iterator[Block]:
     yield (f"Search: {amount_in_words(record.evaluations, 'evaluation')} ({record.lookups:,} from "
            f"the cache), {count_in_words(record.generations, 'generation')}, {record.seconds:.1f} "
            "s")
-    if refined := record.polish:
-        yield (f"Local refinement: {record.criterion} {refined.found:.4g} as "
-               f"{record.solver} found it, {refined.polished:.4g} after it "
-               f"({amount_in_words(refined.evaluations, 'evaluation')})")
+    if refinement := record.polish:
+        yield (f"Local refinement: {record.criterion} {refinement.found:.4g} as "
+               f"{record.solver} found it, {refinement.polished:.4g} after it "
+               f"({amount_in_words(refinement.evaluations, 'evaluation')})")
 
 
 def _max_share(record: Record) -> float:

@@ -18,7 +18,10 @@ STEP = 9
 
 
 def convergence_table(view: View) -> TableBlock:
-    """Return the search, generation by generation."""
+    """Return a table of the search: a row a generation, of long searches of some of them.
+
+    A solver with empires has a column on those that are left.
+    """
     history = evenly_spaced(view.record.history, MAX_GENERATION_ROWS)
     has_empires = any(generation.empires for generation in history)
     rows = []

@@ -87,7 +87,11 @@ def _lines_of_blocks(blocks: Iterable[Block], *, all_rows: bool = False) -> Iter
 
 
 def _lines_of_table(table: TableBlock, *, all_rows: bool) -> Iterator[str]:
-    """Yield the lines of a table; of a long one how many rows it has, unless `all_rows`."""
+    """Yield the lines of a table: its caption, its header and its rows.
+
+    Columns that are for a page only are left out, and an arrow is before the row that is marked.
+    Of a table of more than _LONGEST_TABLE rows only their number is told, unless `all_rows`.
+    """
     if table.caption:
         yield table.caption
     if len(table.rows) > _LONGEST_TABLE and not all_rows:

@@ -83,18 +83,24 @@ class View:
 
     @cached_property
     def on_ground(self) -> list[Row]:
-        """Residuals with their places on the ground: x, y, dx, dy in the unit of the CRS."""
+        """Residuals with their places on the ground: x, y, dx, dy in the unit of the CRS.
+
+        `metres` is the length of dx, dy; None where the CRS has no unit. Residuals that cannot be
+        carried to the ground are left out.
+        """
         offsets = errors_on_ground(self.fit, self._drawn_residuals)
         metres = offsets_in_metres(self.features.crs, self._drawn_residuals.ground, offsets)
         rows = []
-        for i, (r,
-                (dx, dy)) in enumerate(zip(self._drawn_residuals, offsets.tolist(), strict=True)):
+        for i, (r, (dx, dy)) in enumerate(
+                zip(self._drawn_residuals, offsets.tolist(), strict=True)):
             if np.isfinite([dx, dy]).all():
-                away = None if metres is None else _shorten_number(float(np.hypot(*metres[i])), 4)
+                length = None if metres is None else \
+                    _shorten_number(float(np.hypot(*metres[i])), 4)
+                # Twelve digits: of northings in metres a hundredth of a millimetre.
                 rows.append({**self._row_of(r), "x": _shorten_number(r.x, 12),
                              "y": _shorten_number(r.y, 12),
                              "dx": _shorten_number(dx, 4), "dy": _shorten_number(dy, 4),
-                             "metres": away})
+                             "metres": length})
         return rows
 
     @cached_property
@@ -200,7 +206,11 @@ class View:
 
     @cached_property
     def members(self) -> list[Row]:
-        """Residuals in the image by all members of the front: dls, dss [`unit`], one a member."""
+        """Residuals in the image by all members of the front: dls, dss [`unit`], one a member.
+
+        `uses` says by 1 or 0 which members use the feature for control. A feature that any member
+        puts nowhere is left out.
+        """
         unit = self.unit
         rows = []
         for i, r, (line, sample) in zip(self._which, self._drawn_residuals, self._image_positions,

@@ -58,7 +58,10 @@ OUTPUTS = {
 
 
 def run_arguments(session: Session) -> list[str]:
-    """Return the arguments of `termsel run` that repeat the session, called in its folder."""
+    """Return the arguments of `termsel run` that repeat the session, called in its folder.
+
+    Images of a server are left out: a run reads files.
+    """
     features = session.control.features(session.places.crs)
     arguments = ["run"]
     if len(features.points):

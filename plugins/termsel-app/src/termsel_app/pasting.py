@@ -168,7 +168,10 @@ def _records(points: Points, *, has_ids: bool, spaces: Sequence[str]) -> list[Re
 
 
 def _on_page(error: TermselError, path: Path) -> TermselError:
-    """Return an error in the words of the page, which has rows instead of files and options."""
+    """Return an error in the words of the page, which has rows instead of files and options.
+
+    `path` is of the file that the pasted rows were written to; the page does not name it.
+    """
     place = ", ".join(f"{word} {value}" for word, value in (
         ("row", error.line), ("column", error.column)) if value)
     hint = error.hint or ""
@@ -180,6 +183,7 @@ def _on_page(error: TermselError, path: Path) -> TermselError:
         error.what = "the rows have no header that names their columns"
         hint = f"Put one above them, such as {_EXAMPLE}. Rows without one begin with an id: " \
             "A1, 512300.5, 5339520.1."
+    # What can be typed in a shell is no help on the page.
     elif "--" in hint or "termsel " in hint or hint.startswith("Give the image"):
         hint = "Correct the table, and paste it again."
     what = f"{error.what} ({place})" if place else error.what

@@ -245,7 +245,10 @@ def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None
 
 
 def _write_measured(folder: Path, names: Sequence[str], *, overwrite: bool) -> None:
-    """Write measured sets as files, with their description."""
+    """Write measured sets as files into a folder, with their description in Croissant's JSON.
+
+    Raises TermselError where a file would be replaced and `overwrite` is false.
+    """
     from termsel import require_replaceable
     from termsel.toolkit import make_folder, write_text
     from termsel.toolkit.files import refuse_links

@@ -46,7 +46,11 @@ def csv_text(scores: Sequence[Score]) -> str:
 
 
 def ratios_by_kind(scores: Sequence[Score]) -> tuple[list[str], list[list[str]]]:
-    """Return header and rows of the median ratio to the best of each set, best method first."""
+    """Return header and rows of the median ratio to the best of each set, best method first.
+
+    A method without a result has the ratio infinity. Further columns are over all sets: on how many
+    it is within LOSS_RATIO of the best, on how many it has no result, and the median time.
+    """
     best = least_error_by_set(scores)
     kinds = list(dict.fromkeys(score.kind for score in scores))
     titles = dict.fromkeys(score.method.title for score in scores)

@@ -655,19 +655,30 @@ def _with_units_of_row(header: Sequence[str], units: Sequence[str]) -> list[str]
 
 def _join_sides(columns: dict[str, list[str]], column_of: Mapping[str, int],
                 header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Add the side of the equator, or of Greenwich, that a column of N and S or E and W says."""
-    others = {i: [row[i] for row in rows] for i in range(len(header))
-              if i not in column_of.values()}
+    """Give angles the side of the equator, or of Greenwich, that a further column says (in place).
+
+    Parameters
+    ----------
+    columns : dict of list of str
+        Cells by meaning; those of "x" and "y" are replaced, where a column of N and S or E and W
+        belongs to them, and the user is told.
+    column_of : mapping
+        The position of each meaning's column in the header.
+    header, rows : sequence
+        Of the whole table.
+    """
+    unused_columns = {i: [row[i] for row in rows] for i in range(len(header))
+                      if i not in column_of.values()}
     for axis in ("x", "y"):
         if axis not in columns:
             continue
-        place = column_of_sides(axis, columns[axis], others, column_of[axis], header)
-        if place is None:
+        index = column_of_sides(axis, columns[axis], unused_columns, column_of[axis], header)
+        if index is None:
             continue
         columns[axis] = [with_side(cell, side)
-                         for cell, side in zip(columns[axis], others[place], strict=True)]
+                         for cell, side in zip(columns[axis], unused_columns[index], strict=True)]
         log.info("Note: %s says on which side the angles in %s are, and gives them their sign.",
-                 header[place].strip(), header[column_of[axis]].strip())
+                 header[index].strip(), header[column_of[axis]].strip())
 
 
 def _say_remarks(names: Mapping[str, str]) -> None:

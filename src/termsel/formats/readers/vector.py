@@ -187,10 +187,15 @@ def _is_wal(path: Path) -> bool:
 
 
 def _refuse_queries(path: Path) -> None:
-    """Raise TermselError for a GeoPackage with tables that read other files."""
+    """Raise TermselError for a database of SQLite with tables that read other files.
+
+    Other files pass, and so do the indices of a GeoPackage.
+    """
     with path.open("rb") as file:
         if file.read(16) != b"SQLite format 3\0":
             return
+    # Opened here without its journal, so that nothing is written next to it. Virtual tables have
+    # no page of their own: rootpage is 0.
     address = f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1"
     try:
         with closing(sqlite3.connect(address, uri=True)) as database:
@@ -206,7 +211,10 @@ def _refuse_queries(path: Path) -> None:
 
 
 def _refused_driver_error(path: Path) -> TermselError:
-    """Return the error for a file of a driver that is off."""
+    """Return the error for a file of a driver that is off, by what its head looks like.
+
+    It says of text, of rasters and of formats that termsel knows what to give instead.
+    """
     with path.open("rb") as file:
         head = file.read(4096)
     if is_text(head):
@@ -231,7 +239,16 @@ def _unreadable_error(path: Path, error: Exception) -> TermselError:
 
 def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],
                chooser: str | None = "") -> tuple[list[Feature], str]:
-    """Return the features of a layer and its CRS; `open_layer` has the arguments."""
+    """Return the features of a layer, and its CRS; "" if it states none.
+
+    `open_layer` has the arguments; `kinds` are the types of geometry that are expected. Each
+    feature has its properties by name, and a list of vertices for each part of its geometry.
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be read, if the layer is empty, or if a geometry is of another type.
+    """
     meta, shapes, columns = open_layer(path, layer, kinds, chooser=chooser)
     from shapely import get_coordinates, get_parts
 

@@ -46,10 +46,28 @@ class GridWriter(Writer):
         return True
 
     def ground(self, result: Result, lines: FloatArray, samples: FloatArray) -> FloatArray:
-        """Return the ground seen at a grid of image places, shape (lines, samples, 3)."""
+        """Return the ground seen at a grid of image places.
+
+        Parameters
+        ----------
+        result : Result
+        lines, samples : ndarray, shapes (l,) and (s,)
+            Of the nodes of the grid.
+
+        Returns
+        -------
+        ndarray, shape (l, s, 3)
+            In the CRS of the control; NaN where a node shows no ground, which is logged.
+
+        Raises
+        ------
+        TermselError
+            If fewer than three nodes show ground, or the raster of heights cannot be read.
+        """
         fitted = result.fit
         height = self.options["height"]
         if height is None:
+            # The middle height of the control.
             height = float(fitted.ground_box()[0][2])
             if fitted.model.uses_height and self.options["dem"] is None:
                 log.warning("Warning: without a raster of heights (--dem) the ground is taken as "

@@ -243,7 +243,22 @@ class _Kinds:
 
     def _request_of_run(self, strategy: str, specs: Mapping[str, PartSpec | None], data: Data,
                         options: Mapping[str, Any]) -> Request:
-        """Return the request of a run; errors name the place in the study's file."""
+        """Return the request of the run of one cell.
+
+        Parameters
+        ----------
+        strategy : str
+            "auto" for the strategy of that name: then criterion and solver are fixed.
+        specs : mapping
+            What the study names for each role, such as "problem" and "solver"; None for nothing.
+        data : Data
+        options : mapping
+
+        Raises
+        ------
+        TermselError
+            If anything is unknown or does not fit; it names the place in the study's file.
+        """
         problem = specs["problem"]
         assert problem is not None
         self._require_method(specs.get("method"))

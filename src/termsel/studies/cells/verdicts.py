@@ -177,22 +177,25 @@ def _clauses_on_limits(notes: Sequence[str]) -> list[str]:
 
 
 def _contradiction_clauses(row: Mapping[str, Any], usual: float) -> list[str]:
-    """Return clauses on why the figures of an image are doubtful; [] if they are not."""
-    said = []
+    """Return clauses on why the figures of an image are doubtful; [] if they are not.
+
+    `row` is of the table of a study; `usual` is the RMSE of the usual image of the study [px].
+    """
+    clauses = []
     if row["doubt"]:
-        said.append(str(row["doubt"]).rstrip("."))
-    said += clauses_on_unused_data(row["notes"] or ())
-    said += _clauses_on_limits(row["notes"] or ())
+        clauses.append(str(row["doubt"]).rstrip("."))
+    clauses += clauses_on_unused_data(row["notes"] or ())
+    clauses += _clauses_on_limits(row["notes"] or ())
     blunders = len(row["blunders"] or ())
     points = (row["n_control"] or 0) + (row["excluded"] or 0)
     if blunders > MANY_BLUNDERS * max(points, 1):
-        said.append(f"{count_in_words(blunders, 'blunder')} among "
-                    f"{count_in_words(points, 'point')}")
+        clauses.append(f"{count_in_words(blunders, 'blunder')} among "
+                       f"{count_in_words(points, 'point')}")
     high, measured = row["predicted_high"], row["independent"]
     if high is not None and measured is not None and measured > high:
-        said.append(f"independent check points miss it by {rounded_size_text(measured)} px, more "
-                    "than predicted")
+        clauses.append(f"independent check points miss it by {rounded_size_text(measured)} px, "
+                       "more than predicted")
     interval = _rmse_interval(row, "px")
     if interval is not None and interval[1] > UNLIKE * usual:
-        said.append(f"its RMSE is {interval[1] / usual:.0f} times that of the usual image")
-    return said
+        clauses.append(f"its RMSE is {interval[1] / usual:.0f} times that of the usual image")
+    return clauses

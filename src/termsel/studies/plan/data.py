@@ -72,10 +72,14 @@ def data_of(spec: Spec, folder: Path, tables: frozenset[Path] = frozenset()) -> 
 
 @contextmanager
 def _said_once(words: str) -> Iterator[None]:
-    """Let readers of tables say a note with these words of the first file; count the others."""
+    """Let readers of tables log a note with these words for the first file only.
+
+    On leaving, a note tells how many further files it would have been logged for.
+    """
     records = []
 
     def is_first(record: logging.LogRecord) -> bool:
+        """Return whether a record is logged: the first with these words, or one without them."""
         if words not in record.getMessage():
             return True
         records.append(record)

@@ -188,7 +188,11 @@ def _image_in_words(location: str) -> str:
 
 
 def _refuse_unknown_key(message: str, text: str, path: Path) -> None:
-    """Raise TermselError with the nearest known key if a decoder's message is of an unknown one."""
+    """Raise TermselError if the message of a decoder is of an unknown key; else return.
+
+    The error has the line of the key in the text of the file, and the nearest known key. A file of
+    a study, whose keys are others, is told apart.
+    """
     unknown = re.match(r"Object contains unknown field `(.+?)`(.*)", message)
     if unknown is None:
         return

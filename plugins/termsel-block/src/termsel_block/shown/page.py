@@ -185,7 +185,10 @@ def _equal_scales(ground: FloatArray) -> list[tuple[list[float], float]]:
 
 
 def _tie_rmse_chart(record: BlockRecord) -> Any:
-    """Return a chart of the RMSE of ties and the predicted one, the least certain images first."""
+    """Return a chart of two bars an image: the RMSE of its ties, and the predicted one.
+
+    The least certain images come first, and of many only the first _IMAGES are shown.
+    """
     import altair as alt
 
     images = sorted(record.images, key=lambda image: -image.uncertainty)[:_IMAGES]

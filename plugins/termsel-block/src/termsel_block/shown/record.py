@@ -123,12 +123,16 @@ def block_schema() -> dict[str, Any]:
 
 
 def record_of(result: BlockResult) -> BlockRecord:
-    """Return the record of a block: images, ties, blunders, figures and notes, as in block.json."""
+    """Return the record of a block: images, ties, blunders, figures and notes, as in block.json.
+
+    `independent` is None without independent check points on the ground.
+    """
     block = result.block
     adjusted = result.adjusted
     images = [_image_record(result, i) for i in range(len(block.images))]
     space = errors_in_space(result)
     joined_images = connected_images(block.ties.tie, block.ties.image, len(block.images))
+    # A tie in a single image has no place of its own in space.
     east, north, up = np.median(result.sigma_ties[times_seen(result) > 1], axis=0).tolist()
     parts = []
     for indices in joined_images:
@@ -210,13 +214,17 @@ def doubts_about_block(result: BlockResult) -> list[str]:
 
 
 def _image_record(result: BlockResult, i: int) -> ImageRecord:
-    """Return the record of an image."""
+    """Return the record of the image with the index `i`.
+
+    Its independent figures are None and 0 without independent check points.
+    """
     image = result.block.images[i]
     state = result.adjusted.state
     used = state.in_use[i]
     expected = predicted_errors(result, i)
     points = independent_points(result, i)
     residuals = result.adjusted.residuals[i][used]
+    # A feature has a row for each of its measurements, and counts once.
     control = set(np.array(result.control[i].feature)[state.control_in_use[i]].tolist())
     independent = None
     if points is not None:

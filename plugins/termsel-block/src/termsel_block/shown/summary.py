@@ -119,20 +119,23 @@ def _caution_lines(record: BlockRecord) -> Iterator[str]:
 
 
 def _blunder_line(record: BlockRecord) -> str:
-    """Return a line with the number of rejected observations and the worst, or "none detected"."""
+    """Return a line with the number of rejected observations, or "none detected" of how many.
+
+    The first _MAX_REJECTED_NAMED are named with their errors, those of control before ties.
+    """
     ties = len(record.wrong_ties)
     control = len(record.wrong_control)
     if not ties and not control:
         return (f"none detected among {record.measurements} tie and "
                 f"{sum(image.control for image in record.images)} GCP observations")
     rejected: list[WrongControl | WrongTie] = [*record.wrong_control, *record.wrong_ties]
-    worst = rejected[:_MAX_REJECTED_NAMED]
-    named = ", ".join(f"{wrong.id} in {wrong.image} {wrong.error:.1f} px" for wrong in worst)
-    further = f", {ties + control - len(worst)} more" if ties + control > len(worst) else ""
+    first = rejected[:_MAX_REJECTED_NAMED]
+    names = ", ".join(f"{wrong.id} in {wrong.image} {wrong.error:.1f} px" for wrong in first)
+    further = f", {ties + control - len(first)} more" if ties + control > len(first) else ""
     kinds = " and ".join(f"{number} {kind}" for number, kind in (
         (ties, "tie"), (control, "GCP")) if number)
     noun = "observation" if ties + control == 1 else "observations"
-    return f"{kinds} {noun} rejected: {named}{further}"
+    return f"{kinds} {noun} rejected: {names}{further}"
 
 
 def _image_rows(record: BlockRecord, most: int) -> list[str]:

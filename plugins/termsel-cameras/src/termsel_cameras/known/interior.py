@@ -190,7 +190,11 @@ def interior_of_file(path: str) -> Interior:
 
 
 def _camera_of_file(content: Mapping[str, Any], path: str) -> Interior:
-    """Return the interior that the content of a camera file states; `path` is for messages."""
+    """Return the interior that the content of a camera file states; `path` is for messages.
+
+    Only the focal length is needed. Raises TermselError where it is missing or not positive, and
+    for other values that are no numbers, or not as many as expected.
+    """
     values = {name: _numbers_as_text(content.get(name)) for name in (
         "focal", "focal_spread", "principal_point", "distortion")}
     (focal,) = _parse_numbers({f"focal of {path}": values["focal"]}, f"focal of {path}", (1,))

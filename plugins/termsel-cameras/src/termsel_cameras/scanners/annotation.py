@@ -310,7 +310,11 @@ def _parse_orbit(root: ElementTree.Element, start: float, duration: float,
 
 
 def _ground_ranges(root: ElementTree.Element, start: float) -> tuple[GroundRange, ...]:
-    """Return the polynomials from slant to ground range, in the order of time, which must grow."""
+    """Return the polynomials from slant to ground range, in the order of time.
+
+    Their times count from `start` [s]. Raises TermselError if there are none, if one has no
+    coefficients, or if times do not grow.
+    """
     records = root.findall("coordinateConversion/coordinateConversionList/coordinateConversion")
     ranges = []
     for record in records:

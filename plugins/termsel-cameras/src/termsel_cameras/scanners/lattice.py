@@ -57,7 +57,11 @@ class SentinelLattice(Reader):
         return is_annotation(path, head) or is_image(path, head) or bool(images_of(path))
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name the file and the element."""
+        """Return the lattice of points that a product states; errors name file and element.
+
+        `path` is an annotation, a product's folder or zip, or an image. Of an image whose
+        annotation is not there the points of its tags are returned, with a warning.
+        """
         images = images_of(path)
         if not images and is_image(path, _read_head(path)):
             log.warning(WITHOUT, path.name)

@@ -80,20 +80,25 @@ class SheetOptions:
 
 
 def _projection_in_words(ranked: Sequence[Tried], taken: Tried) -> str:
-    """Return sentences on which projection is taken, and how well it and its rivals predict."""
+    """Return sentences on which projection is taken, and how well it and its rivals predict.
+
+    `ranked` are all that were tried, the best first; `taken` is one of them, which need not be the
+    best: of those nearly as good the first of the list is.
+    """
     from termsel_cameras.sheets.choosing import NEARLY
 
-    def named(projections: Sequence[Tried]) -> str:
+    def errors_in_words(projections: Sequence[Tried]) -> str:
+        """Return the names of projections with the RMSE of their predictions."""
         return ", ".join(f"{projection.name} {projection.rmse:.3g} px"
                          for projection in projections)
 
     best = ranked[0]
     if best is taken:
         return (f"{taken.name} predicts the points best: {taken.rmse:.3g} px "
-                f"({named(ranked[1:1 + _NEXT])}).")
+                f"({errors_in_words(ranked[1:1 + _NEXT])}).")
     return (f"{taken.name} is taken: {taken.rmse:.3g} px. Of those that predict within "
-            f"{100 * (NEARLY - 1.0):.0f} % of the best ({named([best])}) it is the first of the "
-            "list.")
+            f"{100 * (NEARLY - 1.0):.0f} % of the best ({errors_in_words([best])}) it is the first "
+            "of the list.")
 
 
 def _sheet_of_series(features: FeatureSet, values: Mapping[str, Any]) -> FeatureSet:

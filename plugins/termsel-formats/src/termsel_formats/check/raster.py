@@ -14,7 +14,11 @@ from termsel_formats.check.gdal import WGS84
 
 
 def taken_by_rasterio(path: Path) -> Iterator[Taken]:
-    """Yield what rasterio takes: the geotransform, else its transformer of GCPs or of RPCs."""
+    """Yield what rasterio takes: the geotransform, else its transformer of GCPs or of RPCs.
+
+    That is one, or one without a transformation for a raster that has none of these. The identity
+    is what rasterio gives for no geotransform.
+    """
     rasterio = require_rasterio()
     from rasterio.transform import AffineTransformer, GCPTransformer, RPCTransformer
 

@@ -240,7 +240,10 @@ def _band_readers(bands: list[tuple[Any, int]], path: Path) -> tuple[Band, ...]:
 
 
 def _line_of(raster: Any, number: int) -> Band:
-    """Return the function that reads lines of a band, with its scale and offset."""
+    """Return the function that gives a line of a band, by its index: a line is read when needed.
+
+    `number` is that of the band, from 1; its scale and offset are applied.
+    """
     from rasterio.windows import Window
 
     def line(index: int) -> FloatArray:

@@ -65,6 +65,7 @@ class GrassPoints(Reader):
                    if name in cells_of}
         table = Table(path, "", _GRASS_HEADINGS, columns, lines)
         ground = table.stack("x", "y", "z")
+        # Zeros alone are taken for heights that are not known.
         if not np.nan_to_num(ground[:, 2]).any():
             ground[:, 2] = np.nan
         return FeatureSet(table.points(table.stack("line", "sample"), ground, None,

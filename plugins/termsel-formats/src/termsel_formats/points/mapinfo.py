@@ -104,6 +104,8 @@ class MapInfoTabWriter(PointsWriter):
         self.require(result, path)
         used = chosen_points(result)
         points, zone = to_wgs84_points(used, result.features.crs)
+        # MapInfo's numbers: 1 is longitude and latitude, 8 transverse Mercator, and 104 WGS84. A
+        # zone n of UTM has its central meridian at 6 n - 183 degrees.
         system, unit = 'Projection 1, 104', "degree"
         if zone is not None:
             number, south = zone

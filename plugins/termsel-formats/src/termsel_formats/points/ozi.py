@@ -50,6 +50,8 @@ class OziMap(Reader):
         rows: list[tuple[int, str, str, str, str, str]] = []
         zones = set()
         kinds = set()
+        # Of a row of 17 cells: pixels in 2 and 3, degrees, minutes and side of the latitude in 6 to
+        # 8 and of the longitude in 9 to 11, or zone, easting, northing and hemisphere in 13 to 16.
         for number, line in enumerate(text, 1):
             match = _OZI_POINT.match(line)
             cells = [cell.strip() for cell in line.split(",")]

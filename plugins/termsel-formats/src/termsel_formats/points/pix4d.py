@@ -71,7 +71,10 @@ class Pix4dMarks(Reader):
         return bool(complete) and all(_MARK.match(line) for line in complete)
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name file, line and column."""
+        """Return the marks that have ground positions in a second file, by their labels.
+
+        Errors name the file of both, line and column.
+        """
         marks = _numbered_rows(path, (4, 5), "image,label,x,y")
         stated = self.options["ground"]
         ground_file = _ground_file(path) if stated is None else Path(stated)
@@ -93,6 +96,7 @@ class Pix4dMarks(Reader):
         table = Table(path, "", {"id": "label", "sample": "x", "line": "y"}, {
             "id": [unguard_cell(row[1]) for row in cells], "sample": [row[2] for row in cells],
             "line": [row[3] for row in cells]}, lines)
+        # A table of its own, so that errors name the file and line of the ground.
         of_ground = [ground_rows[row[1]] for row in cells]
         latitude_first = self.options["latitude_first"]
         if latitude_first is None:

@@ -51,6 +51,7 @@ class GdalGcps(Reader):
         points = points_of(path, [str(gcp.id or "") for gcp in gcps], [
             (gcp.row - corner, gcp.col - corner, gcp.x, gcp.y, np.nan if gcp.z is None else gcp.z)
             for gcp in gcps])
+        # A code says more to people than the same CRS as WKT.
         epsg = crs.to_epsg() if crs else None
         wkt = crs.to_wkt() if crs else ""
         return FeatureSet(points, crs=wkt if epsg is None else f"EPSG:{epsg}", image_size=size)

@@ -36,18 +36,22 @@ def middle_in_words(plane: FloatArray, crs: str) -> str:
 
 
 def require_same_area(references: Sequence[Path], dem: Path | str | None) -> None:
-    """Raise TermselError if a DEM and every reference show different places of the Earth."""
+    """Raise TermselError if a DEM and every reference show different places of the Earth.
+
+    Without a DEM, or where the place of one of the rasters is not known, nothing is refused.
+    """
     if dem is None:
         return
-    of_dem = _grid_in_degrees(Path(dem))
-    of_references = [grid for grid in map(_grid_in_degrees, references) if grid is not None]
-    if of_dem is None or len(of_references) < len(references):
+    dem_grid = _grid_in_degrees(Path(dem))
+    grids = [grid for grid in map(_grid_in_degrees, references) if grid is not None]
+    if dem_grid is None or len(grids) < len(references):
         return
-    if any(_boxes_overlap(grid, of_dem) for grid in of_references):
+    # References may be tiles, of which a DEM need not cover each.
+    if any(_boxes_overlap(grid, dem_grid) for grid in grids):
         return
     raise TermselError(
-        f"the reference {references[0].name} ({middle_in_words(of_references[0], _WGS84)}) and "
-        f"the DEM {Path(dem).name} ({middle_in_words(of_dem, _WGS84)}) do not overlap",
+        f"the reference {references[0].name} ({middle_in_words(grids[0], _WGS84)}) and "
+        f"the DEM {Path(dem).name} ({middle_in_words(dem_grid, _WGS84)}) do not overlap",
         hint="Give a reference and a DEM of the area of the image.")
 
 

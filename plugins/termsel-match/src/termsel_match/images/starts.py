@@ -169,7 +169,10 @@ def start_of(named: str | Path | None, image: Path) -> Start | None:
 
 
 def _start_by_rpc(path: Path) -> Start:
-    """Return the start that is the RPC of a file, at the middle of its heights."""
+    """Return the start that is the RPC of a file, at the middle of its heights.
+
+    Its places are a lattice over the area of the RPC. Raises TermselError if there is no RPC.
+    """
     rpc = read_rpc(path)
     middle = rpc.ground_offset[2]
     half = abs(rpc.ground_scale[2])

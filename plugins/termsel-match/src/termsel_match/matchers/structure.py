@@ -53,7 +53,11 @@ class Structure(Matcher):
     places_exactly = True
 
     def match(self, first: Window, second: Window, search: float) -> Matches:
-        """Return distinct places and where they are in the second (see `Matcher.match`)."""
+        """Return distinct places and where they are in the second (see `Matcher.match`).
+
+        The clearest come first. There are none where a window has too few known pixels, where both
+        have no shift in common, or where no place has known surroundings in both.
+        """
         none = np.empty((0, 2))
         nothing = Matches(none, none, np.empty(0), none)
         image_layers = edge_layers(first)
@@ -70,11 +74,11 @@ class Structure(Matcher):
             positions + shift, reference_layers.known, HALF_WINDOW + SHIFT_REACH)]
         if not len(positions):
             return nothing
-        moved, clear = _offsets_from_shift(
+        offsets, ambiguity = _offsets_from_shift(
             image_layers.values, reference_layers.values, positions, shift)
-        order = np.argsort(clear, kind="stable")
+        order = np.argsort(ambiguity, kind="stable")
         return refine_matches(image_layers, reference_layers, positions[order],
-                              (positions + shift + moved)[order], _MIN_CORRELATION)
+                              (positions + shift + offsets)[order], _MIN_CORRELATION)
 
 
 def edge_layers(window: Window) -> Layers | None:

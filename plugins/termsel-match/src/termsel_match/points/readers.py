@@ -121,6 +121,7 @@ class MatchesCsv(Reader):
             raise TermselError(f"{x} and {y} are beyond {beyond}, and look like map coordinates",
                                file=path, hint=f"If they are, declare the columns: {columns}.")
         if not reference:
+            # Pixels of a reference have a place on the ground only by its file.
             raise TermselError(NEEDS_REFERENCE, file=path, hint=(
                 "Give it with --set reference=ORTHO.tif. If the second places are on the ground, "
                 f"declare the columns: {columns}."))

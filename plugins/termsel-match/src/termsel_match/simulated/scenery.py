@@ -188,7 +188,10 @@ def _random_highways(rng: np.random.Generator, extent: float) -> list[Road]:
 
 
 def _town_streets(rng: np.random.Generator, extent: float) -> list[Road]:
-    """Return the streets of a town, a turned grid."""
+    """Return the streets of a town: a turned grid of two sets of parallels, unevenly spaced.
+
+    `extent` is the side of the square of ground [m]; the town is somewhere in its middle.
+    """
     town = _TOWN * extent
     centre = rng.uniform(0.3, 0.7, 2) * extent
     turn = rng.uniform(0.1, 1.4)
@@ -198,6 +201,7 @@ def _town_streets(rng: np.random.Generator, extent: float) -> list[Road]:
     streets = []
     for way in (0, 1):
         for offset in offsets:
+            # A little over half of the town to either side, so that the outer streets cross.
             vertices = centre + town * 0.52 * np.array([[-1], [1]]) * axes[way]
             streets.append(Road(vertices + offset * axes[1 - way], 6.0))
     return streets
