@@ -390,3 +390,10 @@ def test_runs_that_begin_together_have_one_winner(tmp_path: Path) -> None:
             assert "is at work in this folder" in err or "a result in this folder already" in err
         else:
             assert json.loads(out)["seed"] == termsel.read_result(tmp_path / "out").seed
+
+
+@pytest.mark.parametrize("first", ["gcps.csv", "no/such.points", Path("gcps"), [1, 2], {"x": [1]}])
+def test_points_in_place_of_the_problem_are_told_from_it(first: object) -> None:
+    with pytest.raises(TermselError, match=r"the first argument is a problem") as caught:
+        termsel.run(first)  # type: ignore[arg-type]
+    assert "termsel.run(features=" in str(caught.value)

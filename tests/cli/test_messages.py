@@ -477,3 +477,25 @@ def test_an_option_of_the_command_given_by_set_is_named(call: Callable[..., Simp
 def test_limits_of_numbers_are_written_out(call: Callable[..., SimpleNamespace]) -> None:
     refused = call("run", "--problem", "poly-terms", "--seconds", "-1")
     assert "--seconds is -1, expected a number above 0." in refused.stderr
+
+
+def test_termsel_alone_prints_its_help_without_an_error() -> None:
+    done = CliRunner().invoke(cli, [])
+    assert done.exit_code == 2
+    assert done.stderr.startswith("Usage: ")
+    assert "rectify" in done.stderr
+
+
+@pytest.mark.parametrize(("command", "option"), [("run", ["--points"]), ("run", [])])
+def test_a_pattern_or_a_folder_of_files_is_answered_by_what_it_has(
+        command: str, option: list[str], tmp_path: Path) -> None:
+    for name in ("a.points", "b.points", "a.tif"):
+        (tmp_path / name).write_text("mapX,mapY\n")
+    pattern = f"{tmp_path}/*.points"
+    done = CliRunner().invoke(cli, [command, *option, pattern])
+    assert (f"{pattern}: this is a pattern of 2 files, expected one file. Give one of them, such "
+            f"as {tmp_path}/a.points.") in done.stderr
+    assert f"termsel compare --points '{pattern}' --out DIR" in done.stderr
+    done = CliRunner().invoke(cli, [command, *option, str(tmp_path)])
+    assert f"{tmp_path}: this is a folder, expected a file" in done.stderr
+    assert f"termsel compare --points '{pattern}' --out DIR" in done.stderr

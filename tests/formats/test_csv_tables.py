@@ -344,3 +344,14 @@ def test_a_column_that_is_taken_for_another_meaning_is_named(tmp_path: Path) -> 
         termsel.read(file, crs="local", columns="x=y")
     swapped = termsel.read(file, crs="local", columns="x=y,y=x")
     assert swapped.points.ground[0, :2].tolist() == [4.0, 3.0]
+
+
+def test_columns_may_be_declared_by_other_names_of_their_meaning(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("a,b,c,d,e\n3,4,5,44,7\n8,9,6,45,7\n10,9,6,46,7\n")
+    read = [termsel.read(tmp_path / "a.csv", crs="EPSG:4979", columns=columns) for columns in (
+        "line=1,sample=2,x=3,y=4,z=5", "row=1,col=2,lon=3,lat=4,height=5",
+        "Row=1,pixel=2,longitude=3,Latitude=4,elevation=e")]
+    assert all((one.points.ground == read[0].points.ground).all() for one in read)
+    assert all((one.points.image == read[0].points.image).all() for one in read)
+    with pytest.raises(TermselError, match="the column of line is declared twice"):
+        termsel.read(tmp_path / "a.csv", columns="line=1,row=2")

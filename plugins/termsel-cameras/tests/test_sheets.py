@@ -118,6 +118,12 @@ def test_the_file_of_json_has_no_name_of_a_table(words: list[object], tmp_path: 
     assert "this file is written as JSON, not as .csv. Name it series.json." in done.stderr
 
 
+def test_a_folder_of_sheets_is_answered_by_its_files(tmp_path: Path) -> None:
+    (tmp_path / "a.points").write_text("mapX,mapY\n", encoding="utf-8")
+    assert f"Give its files: termsel map-series {tmp_path}/*.points." in \
+        invoke("map-series", tmp_path).stderr
+
+
 def test_sheets_of_a_series_share_their_projection(tmp_path: Path) -> None:
     sheets = [sheet(10, 2), *(sheet(4, seed, (7.0 + seed / 5, 45.0), 1.5) for seed in range(3))]
     candidates = tmp_path / "mine.txt"

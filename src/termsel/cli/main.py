@@ -179,6 +179,9 @@ class Commands(click.Group):
             for line in _suggested_commands(sys.argv[1:] if args is None else args, error):
                 echo(line, err=True)
             sys.exit(CORRECTABLE)
+        except click.exceptions.NoArgsIsHelpError as error:
+            echo(error.format_message(), err=True)  # the help, and no fault
+            sys.exit(CORRECTABLE)
         except click.ClickException as error:
             if isinstance(error, click.UsageError) and error.ctx is None:
                 error.ctx = self._context_of(sys.argv[1:] if args is None else args)

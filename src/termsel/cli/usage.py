@@ -71,11 +71,20 @@ def _first_sentence(option: click.Option) -> str:
 _EXCHANGES = re.compile(r"--set swapped=(?:xy|line-sample) exchanges them")
 
 
+_OF_MANY = re.compile(r"Of many images, a file each: termsel compare --points '([^'\s]+)' "
+                      r"--out DIR\.")
+
+
 def hint_for(ctx: click.Context, hint: str | None) -> str | None:
     """Return the hint of an error in the words of the command that it ended.
 
-    What reads files for many commands advises --set swapped, which few of them have.
+    What reads files for many commands advises --set swapped, which few of them have, and termsel
+    compare for many files, which some of them take themselves.
     """
+    if hint is not None and any(isinstance(param, click.Argument) and param.nargs == -1
+                                for param in ctx.command.params) and ctx.info_name != "run":
+        # The shell replaces the pattern, so that it stands without quotation marks.
+        hint = _OF_MANY.sub(rf"Give its files: {ctx.command_path} \1.", hint)
     if hint is None or any("--set" in param.opts for param in ctx.command.params):
         return hint
     return _EXCHANGES.sub("exchange the names of the two columns in the header of the file", hint)

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import copy
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
@@ -371,8 +372,7 @@ def read_head(path: Path, expected: str) -> bytes:
     """
     if is_there(path) and path.is_dir():
         # A folder in place of a table may be meant as the tables of many images.
-        of_many = f" Of many images, a file each: termsel compare --points '{path}/*.csv' " \
-            "--out DIR." if "table" in expected else ""
+        of_many = _files_of_points_in_words(path) if "table" in expected else ""
         raise TermselError("this is a folder, expected a file", file=path,
                            hint=f"{expected}{of_many}")
     refuse_pipe(path)
@@ -384,6 +384,22 @@ def read_head(path: Path, expected: str) -> bytes:
     if not head.strip():
         raise TermselError("the file is empty", file=path, hint=expected)
     return head
+
+
+_OF_POINTS = (".csv", ".points", ".txt", ".xlsx", ".geojson", ".json", ".gpkg")
+
+
+def _files_of_points_in_words(folder: Path) -> str:
+    """Return a sentence with the command for the files of points in a folder; "" without any."""
+    try:
+        counts = Counter(file.suffix.lower() for file in folder.iterdir())
+    except OSError:  # that it is a folder is said all the same
+        return ""
+    ending = max(_OF_POINTS, key=lambda ending: counts[ending])
+    if not counts[ending]:
+        return ""
+    pattern = quote(f"{folder}/*{ending}")
+    return f" Of many images, a file each: termsel compare --points {pattern} --out DIR."
 
 
 @contextmanager

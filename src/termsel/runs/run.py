@@ -139,6 +139,7 @@ def run(
     >>> round(result.rmse["independent"].total, 1) > 0
     True
     """
+    _refuse_features_as_problem(problem)
     features, source = find_features(features, source, crs, columns, rpc)
     arguments: dict[str, Any] = {
         "dataset": dataset, "source": source, "model": model, "solver": solver,
@@ -200,6 +201,20 @@ def run(
         return assess(searching, task, memory=memory)
 
     return _run_and_write(result_of_run, out, overwrite, _seconds_of_compilation(task, sole_method))
+
+
+def _refuse_features_as_problem(problem: object) -> None:
+    """Raise TermselError for features, or the name of their file, in place of the problem."""
+    if isinstance(problem, str | Path):
+        # No problem has the name of a file, whether that exists or not.
+        is_file = isinstance(problem, Path) or Path(problem).is_file() or (
+            bool(Path(problem).suffix) and registry().known("problems", problem) is None)
+        if is_file:
+            raise TermselError(f"{str(problem)!r} is a file, and the first argument is a problem",
+                               hint=f"termsel.run(features={str(problem)!r}) fits it.")
+    elif isinstance(problem, FeatureSet | list | dict) or hasattr(problem, "columns"):
+        raise TermselError("the first argument is a problem, not features",
+                           hint="termsel.run(features=...) fits them.")
 
 
 def _warn_of_search(task: Task, words: Sequence[str], *, is_in_place_of_auto: bool) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from termsel.core.errors import TermselError
+from termsel.core.errors import TermselError, count_in_words
 from termsel.core.files.atomic import private_folder
 
 JOURNAL = "journal.jsonl"
@@ -47,6 +47,12 @@ def no_such_file_error(path: Path | str) -> TermselError:
         shown = f"{address[1]}://{str(path)[address.end():]}"
         return TermselError("this is an address on a server, and termsel downloads nothing",
                             file=shown, hint="Download the file, and give its name here.")
+    matching = sorted(glob.iglob(str(path))) if glob.has_magic(str(path)) else []
+    if matching:
+        return TermselError(f"this is a pattern of {count_in_words(len(matching), 'file')}, "
+                            "expected one file", file=path,
+                            hint=f"Give one of them, such as {matching[0]}. Points of many images, "
+                                 f"a file each: termsel compare --points '{path}' --out DIR.")
     return TermselError("this file does not exist", file=path,
                         hint="Check the name and the folder.")
 

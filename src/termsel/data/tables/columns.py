@@ -168,14 +168,23 @@ def columns_text(columns: str | Mapping[str, object]) -> str:
         f"{meaning}={column}" for meaning, column in columns.items())
 
 
+_CALLED = {name: meaning for meaning, names in (LINES | COORDINATES).items() for name in names
+           if meaning != "sigma"}
+"""Meanings by what else they are called: a row is a line, lon2 the x2 of a line's end."""
+
+
 def parse_columns(text: str) -> dict[str, str]:
-    """Return the name or number of a column by its meaning, of pairs "line=Zeile,sample=4"."""
+    """Return the name or number of a column by its meaning, of pairs "line=Zeile,sample=4".
+
+    Meanings may be called as columns are, such as row, col, lon, lat and height.
+    """
     meanings = POINTS | LINES | CORNER
     columns: dict[str, str] = {}
     for pair in filter(None, map(str.strip, text.split(","))):
         # The first : or = parts meaning and name, so that a name may hold either.
         meaning, sign, name = re.sub("[:=]", "\0", pair, count=1).partition("\0")
         meaning = meaning.strip().lower()
+        meaning = _CALLED.get(meaning, meaning)
         name = name.strip()
         if not sign or not name:
             raise TermselError(f"{meaning!r} does not declare a column",
