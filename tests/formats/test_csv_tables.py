@@ -355,3 +355,12 @@ def test_columns_may_be_declared_by_other_names_of_their_meaning(tmp_path: Path)
     assert all((one.points.image == read[0].points.image).all() for one in read)
     with pytest.raises(TermselError, match="the column of line is declared twice"):
         termsel.read(tmp_path / "a.csv", columns="line=1,row=2")
+
+
+def test_all_unknown_roles_are_named_at_once(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("id,role,line,sample,x,y,z\na,control,1,2,3,44,5\n"
+                                    "b,GCP,3,4,5,45,7\nc,CP,8,9,6,45,7\nd,GCP,9,1,6,46,7\n")
+    with pytest.raises(TermselError, match="unknown roles 'GCP', 'CP'") as caught:
+        termsel.read(tmp_path / "a.csv", crs="EPSG:4979")
+    assert caught.value.line == 3
+    assert "A GCP is control" in str(caught.value)

@@ -186,12 +186,15 @@ class Table:
     def roles(self) -> list[str]:
         """Return the role of each row, "off" where it is not enabled."""
         cells = self.columns.get("role", [""] * len(self.lines))
-        role_of_cell = {cell: cell.strip().lower() for cell in set(cells)}  # few, whatever the rows
-        for cell, role in role_of_cell.items():
-            if role not in ("", *ROLES):
-                raise self.error(f"unknown role {cell.strip()!r}", cells.index(cell), "role",
-                                 f"Roles are {', '.join(ROLES)}, or blank. A point that tests the "
-                                 "result is independent; check points choose the model.")
+        # Few, whatever the rows; in their order.
+        role_of_cell = {cell: cell.strip().lower() for cell in dict.fromkeys(cells)}
+        unknown = [cell for cell, role in role_of_cell.items() if role not in ("", *ROLES)]
+        if unknown:
+            named = first_names_in_words([repr(cell.strip()) for cell in unknown])
+            raise self.error(f"unknown role{'s' if len(unknown) > 1 else ''} {named}",
+                             cells.index(unknown[0]), "role",
+                             f"Roles are {', '.join(ROLES)}, or blank. A GCP is control; a point "
+                             "that tests the result is independent; check points choose the model.")
         flags = self.columns.get("enabled", ())
         enabled = {}
         for cell in set(flags):
