@@ -236,6 +236,8 @@ def test_the_images_of_a_list_in_json_are_parts(tmp_path: Path, indent: int | No
     assert "fit each with termsel compare" in (error.value.hint or "")
     assert PointsJson().parts(path) == {"A": {"image_name": "A"}, "B": {"image_name": "B"}}
     assert len(PointsJson(image_name="B").read(path).points) == N // 2
+    with pytest.raises(TermselError, match="no image 'C' is in this file: the file has points of"):
+        PointsJson(image_name="C").read(path)
 
 
 @pytest.mark.parametrize("name", ["line", "x"])

@@ -305,8 +305,9 @@ def image_of(path: Path, images: Iterable[_Image], asked_for: _Image | None, opt
     # Images with names are parts of the file, so that a study takes them all.
     if not any(isinstance(image, float) for image in names_in_file):
         hint += ", or fit each with termsel compare --points FILE --out DIR"
-    raise TermselError(f"the file has points of the images {first_names_in_words(labels)}{note}",
-                       file=path, hint=f"{hint}.")
+    refused = "" if asked_for is None else f"no image {asked_for!r} is in this file: "
+    raise TermselError(f"{refused}the file has points of the images "
+                       f"{first_names_in_words(labels)}{note}", file=path, hint=f"{hint}.")
 
 
 def read_text(path: Path) -> str:
