@@ -144,6 +144,12 @@ def test_a_table_given_as_a_raster_is_called_text(example_files: Path) -> None:
     assert "this is a file of text, not a raster" in refused("run", table, "--image", table)
 
 
+def test_json_is_no_raster_to_convert(tmp_path: Path) -> None:
+    path = tmp_path / "series.json"
+    path.write_text('{"projection": "EPSG:4326"}')
+    assert "this is a file of text, not a raster" in refused("check", str(path))
+
+
 def test_warnings_of_libraries_reach_nobody_who_did_not_ask(
         monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     monkeypatch.delenv("TERMSEL_DEBUG", raising=False)

@@ -161,7 +161,7 @@ def unknown_name_error(
     guess = f"Did you mean {' or '.join(map(repr, near))}?" if near else ""
     remainder = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
     listed = (f"Known: {', '.join(names[:MOST_NAMED])}{remainder}." if names
-              else f"No {kind} is known here.")
+              else f"No {kind} is known here: leave it out.")
     if near and len(names) > MOST_BESIDE_NEAR:
         listed = ""
     return TermselError(f"unknown {kind} {name!r}", name=name,

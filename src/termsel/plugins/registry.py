@@ -41,6 +41,10 @@ if TYPE_CHECKING:
 HEARD = 600.0
 """Seconds that a plugin may take for a finished run, such as to send it somewhere."""
 
+_OPTIONS_OF_KINDS = {"problems": "--problem", "models": "--model", "solvers": "--solver",
+                     "methods": "--method", "criteria": "--criterion"}
+"""Options of the command line that take the names of a kind."""
+
 SESSION = "session"
 """What stands for a distribution with things that are registered in this process."""
 
@@ -206,6 +210,10 @@ class Registry:
             return "auto is a strategy: ask for --strategy auto, the default of rfm-terms."
         if missing := self.missing(name):
             return missing
+        # A camera may be sought among the models, and is a method.
+        others = [kind for kind, _ in self.find(name) if kind in _OPTIONS_OF_KINDS]
+        if kinds and others:
+            return f"{name} is a {KINDS[others[0]].word}: {_OPTIONS_OF_KINDS[others[0]]} {name}."
         if kinds == ("writers",) and "tif" in name.lower():
             return "A rectified image is written by termsel rectify."
         # A name may be unknown because its plugin fails. The names of termsel's own packages are

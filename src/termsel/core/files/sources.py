@@ -182,7 +182,7 @@ def refused_format_error(path: object, head: bytes, of: object = None) -> Termse
     elif not head:
         reason = "the file is empty, expected a raster"
         hint = "Copy or download it again."
-    elif is_text(head):
+    elif is_text(head) or head.lstrip().startswith(b"{"):
         reason = "this is a file of text, not a raster"
         hint = "Give a raster, such as a GeoTIFF. A table of points is given by --points FILE, " \
                "an RPC by --rpc FILE."

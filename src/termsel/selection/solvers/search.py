@@ -333,6 +333,8 @@ def require_able(problem: Problem, solver: Solver,
         hints.append(f"Or set its options otherwise (termsel describe {solver.name}).")
     others_hint = " ".join(hints) or None
     if not objectives_fit:
+        usual = "nsga2" if n_objectives > 1 else "ga, ica or exact"
+        others_hint = others_hint or f"Choose one that can, such as {usual}."
         raise TermselError(
             f"solver {solver.name!r} cannot handle {n_objectives} "
             f"objective{'s' if n_objectives > 1 else ''}: {', '.join(problem.objectives)}",
