@@ -397,3 +397,10 @@ def test_points_in_place_of_the_problem_are_told_from_it(first: object) -> None:
     with pytest.raises(TermselError, match=r"the first argument is a problem") as caught:
         termsel.run(first)  # type: ignore[arg-type]
     assert "termsel.run(features=" in str(caught.value)
+
+
+def test_a_file_of_the_name_of_a_problem_does_not_matter(tmp_path: Path,
+                                                         monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("poly-degree").touch()
+    assert termsel.run("poly-degree", generations=1).record.problem == "poly-degree"

@@ -208,6 +208,13 @@ def test_places_beside_a_wide_map_are_those_next_to_it() -> None:
     assert beyond[0, 1] == pytest.approx(4000 + (289 - 160) * 111.2 / 5, abs=30)
 
 
+@pytest.mark.parametrize("x", [np.inf, -np.inf])
+def test_places_without_coordinates_stay_far_away(x: float) -> None:
+    scaling = termsel.FitData.of(map_of_the_world(PACIFIC, 110.0, 286.0)).scaling
+    assert scaling.x_turn == 360.0
+    assert abs(scaling.ground([[x, 0.0, 0.0]])[0, 0]) > 1e5
+
+
 def test_x_of_cylindrical_projections_goes_on_across_180_degrees() -> None:
     pyproj = pytest.importorskip("pyproj")
     scene = map_of_the_world("+proj=merc +lon_0=180", 170.0, 195.0)

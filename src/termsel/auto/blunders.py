@@ -121,8 +121,10 @@ def _suspects_and_misplaced(control: FitData, auto: Auto) -> Suspects | None:
     probable[~misplaced] = others.probable
     undecided[~misplaced] = others.undecided
     test = Division(control, ~blunders).test()
+    if test is None:
+        return _suspects_of(control, auto)
     everything = np.ones(len(control), dtype=bool)
-    return None if test is None else test.suspects(blunders, probable, undecided, everything)
+    return test.suspects(blunders, probable, undecided, everything)
 
 
 def _points_out_of_place(control: FitData, auto: Auto) -> BoolArray:

@@ -73,8 +73,10 @@ class Scaling:
             # A place is the nearest of those that are whole turns apart, but control that spans
             # more than a turn keeps its places. Rounding must not turn places half a turn away.
             reach = max(self.x_turn / 2, self.ground_scale[0]) * (1 + 1e-9)
-            turns = np.where(np.abs(away[..., 0]) > reach, np.round(away[..., 0] / self.x_turn), 0)
-            away[..., 0] -= turns * self.x_turn
+            x = away[..., 0]
+            # Places without coordinates are infinitely far, whatever turns are taken away.
+            is_turned = (np.abs(x) > reach) & np.isfinite(x)
+            x -= self.x_turn * np.round(np.where(is_turned, x, 0.0) / self.x_turn)
         scaled = away / self.ground_scale
         # Places without coordinates in the CRS of the fit are far outside the image.
         return scaled if np.isfinite(scaled).all() else np.nan_to_num(

@@ -206,10 +206,11 @@ def run(
 def _refuse_features_as_problem(problem: object) -> None:
     """Raise TermselError for features, or the name of their file, in place of the problem."""
     if isinstance(problem, str | Path):
-        # No problem has the name of a file, whether that exists or not.
-        is_file = isinstance(problem, Path) or Path(problem).is_file() or (
-            bool(Path(problem).suffix) and registry().known("problems", problem) is None)
-        if is_file:
+        # A problem is one whatever files lie about; other names with an ending are those of files.
+        is_problem = isinstance(problem, str) \
+            and registry().known("problems", problem) is not None
+        if not is_problem and (Path(problem).suffix or Path(problem).is_file()
+                               or isinstance(problem, Path)):
             raise TermselError(f"{str(problem)!r} is a file, and the first argument is a problem",
                                hint=f"termsel.run(features={str(problem)!r}) fits it.")
     elif isinstance(problem, FeatureSet | list | dict) or hasattr(problem, "columns"):
