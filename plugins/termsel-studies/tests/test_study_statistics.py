@@ -19,7 +19,9 @@ from termsel_studies.claims import size_in_words, valid_claims
 from termsel_studies.fronts import front_figures, front_indicators, non_dominated
 from termsel_studies.groups import Groups, Runs, group
 from termsel_studies.ioh import WORST, ioh_files
+from termsel_studies.ioh import write as write_ioh
 from termsel_studies.pages import study_as_latex, study_as_markdown, tables_of
+from termsel_studies.report import write as write_report
 from termsel_studies.significance import (
     compare_methods,
     critical_difference,
@@ -384,6 +386,22 @@ def test_ioh_data_have_the_runs(study: termsel.Study, tmp_path: Path) -> None:
             mine = rows[start:end]
             assert [row[0] for row in mine] == sorted(row[0] for row in mine)
             assert mine[-1] == (run["evals"], run["best"]["y"])
+
+
+def test_what_an_earlier_form_of_a_study_drew_and_logged_is_removed(
+        study: termsel.Study, tmp_path: Path) -> None:
+    (tmp_path / "figures").mkdir()
+    own = tmp_path / "figures" / "mine.svg"
+    own.write_text("<svg/>")
+    for of in (study, termsel.compare(problems=["poly-terms"], solvers=["random"], seeds=1,
+                                      budget={"evaluations": 20})):
+        written = [*write_report(of, tmp_path), *write_ioh(of, tmp_path)]
+    charts = {path.name for path in written if path.suffix == ".svg"}
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {*charts, own.name}
+    assert "performance-profile.svg" not in charts
+    logs = list((tmp_path / "ioh").rglob("IOHprofiler_f*"))
+    assert {path.relative_to(tmp_path / "ioh").parts[0] for path in logs} == {"random"}
+    assert sorted(path.suffix for path in logs) == [".dat", ".json"]
 
 
 def test_failed_runs_are_among_the_ioh_data(tmp_path: Path) -> None:

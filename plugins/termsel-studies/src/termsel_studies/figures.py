@@ -36,6 +36,10 @@ from termsel_studies.summaries import (
     targets_of,
 )
 
+CHARTS = ("ecdf-evaluations", "ecdf-cpu-seconds", "convergence", "performance-profile",
+          "critical-difference")
+"""Names of all charts that a study may have, as their files have them."""
+
 _DASHES = ([1, 0], [6, 3], [2, 2])
 
 _MOST_PANELS = 12

@@ -49,14 +49,22 @@ def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
 
 def write(study: Study, folder: Path) -> list[Path]:
     """Write the runs of a study below its folder; return [folder of them], [] if nothing searched.
+
+    Runs of an earlier form of the study, which lie there, are removed: an analysis of the folder
+    would take them for methods of this one.
     """
-    if study.spec.strategies == ("auto",):
-        return []
-    files = dict(ioh_files(group(study.rows, study.records, study.spec.measure)))
-    for name, text in files.items():
-        (folder / IOH_FOLDER / name).parent.mkdir(parents=True, exist_ok=True)
-        write_text(folder / IOH_FOLDER / name, text)
-    return [folder / IOH_FOLDER] if files else []
+    ioh_folder = folder / IOH_FOLDER
+    earlier = set(ioh_folder.rglob("IOHprofiler_f*"))
+    written = set()
+    if study.spec.strategies != ("auto",):
+        for name, text in ioh_files(group(study.rows, study.records, study.spec.measure)):
+            path = ioh_folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_text(path, text)
+            written.add(path)
+    for path in earlier - written:
+        path.unlink()
+    return [ioh_folder] if written else []
 
 
 def _improvements_text(records: list[CellRecord]) -> str:

@@ -12,7 +12,7 @@ from termsel import Study, TermselError, read_result
 from termsel.toolkit import count_in_words, write_text
 from termsel.toolkit.charts import Document, Figure, Section, render_page, save, text_of, with_theme
 from termsel.toolkit.studies import IMAGES, folders_of, image_reasons
-from termsel_studies.figures import figures_of
+from termsel_studies.figures import CHARTS, figures_of
 from termsel_studies.pages import remarks_of, study_as_latex, study_as_markdown, tables_of, title_of
 from termsel_studies.small import small_map
 
@@ -135,7 +135,8 @@ def write(study: Study, folder: Path) -> list[Path]:
 
     summary.md and summary.tex are tables for people; report.html is a page of tables and charts,
     and figures/ has the charts, where altair is installed. Tables come first: what cannot be drawn
-    is told by a warning, and takes nothing else along.
+    is told by a warning, and takes nothing else along. Charts that an earlier form of the study had
+    and this one has not are removed.
     """
     written = []
     for name, text in {"summary.md": study_as_markdown(study),
@@ -162,4 +163,8 @@ def write(study: Study, folder: Path) -> list[Path]:
             log.warning("%s", error)
             continue
         written.append(path)
+    for name in CHARTS:
+        path = folder / "figures" / f"{name}.svg"
+        if path not in written:
+            path.unlink(missing_ok=True)
     return written
