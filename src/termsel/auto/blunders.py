@@ -28,7 +28,7 @@ others are termsel's own.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -99,32 +99,67 @@ def find_blunders(control: FitData, auto: Auto | None = None) -> Suspects | None
     """
     choice = auto or Auto()
     suspects: Suspects | None = choice.recall("blunders", control,
-                                              lambda: _suspects_and_misplaced(control, choice))
+                                              lambda: _suspects_of(control, choice))
     return suspects
 
 
-def _suspects_and_misplaced(control: FitData, auto: Auto) -> Suspects | None:
-    """Return blunders, probable ones and open cases, points that an image cannot show first.
+@dataclass(frozen=True, eq=False)
+class _Verdict:
+    """What became of each control feature, as masks (n,), and the test by those in use."""
 
-    These are blunders whatever the others say of them; without them the others are judged.
+    used: BoolArray
+    blunders: BoolArray
+    probable: BoolArray
+    undecided: BoolArray
+    test: Test
+
+    def suspects(self, control: FitData) -> Suspects:
+        """Return the findings, with the least error [px] that would be named at each feature."""
+        everything = np.ones(len(control), dtype=bool)
+        suspects = self.test.suspects(self.blunders, self.probable, self.undecided, everything)
+        # A field predicts little without a point, but the polynomial judged all points before it.
+        # In simulations half of the errors of 1 to 1.4 times the smaller of both limits are found.
+        polynomial = Division(control, self.used).shrunken_test() if self.test.by_field else None
+        if polynomial is None:
+            return suspects
+        limits = polynomial.suspects(self.blunders, self.probable, self.undecided,
+                                     everything).limits
+        return replace(suspects, limits=np.minimum(suspects.limits, limits))
+
+
+def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
+    """Return blunders, probable ones and open cases among features; None if they are too few.
+
+    Points that an image cannot show where they lie are blunders whatever the others say of them.
+    The others are judged without them, or where they are too few for that, with them.
+    """
+    verdict = _verdict_without_misplaced(control, auto) or _verdict_on(control, auto)
+    return None if verdict is None else verdict.suspects(control)
+
+
+def _verdict_without_misplaced(control: FitData, auto: Auto) -> _Verdict | None:
+    """Return the verdict where points lie out of place; None where none does.
+
+    None, too, where the other features are too few for a test.
     """
     misplaced = _points_out_of_place(control, auto)
     if not misplaced.any():
-        return _suspects_of(control, auto)
-    others = _suspects_of(control.take(~misplaced), auto)
+        return None
+    others = _verdict_on(control.take(~misplaced), auto)
     if others is None:
-        return _suspects_of(control, auto)
-    blunders = misplaced.copy()
-    probable = np.zeros(len(control), dtype=bool)
-    undecided = probable.copy()
-    blunders[~misplaced] = others.blunders
-    probable[~misplaced] = others.probable
-    undecided[~misplaced] = others.undecided
-    test = Division(control, ~blunders).test()
+        return None
+
+    def of_all(mask_of_others: BoolArray, value_of_misplaced: bool) -> BoolArray:
+        mask = np.full(len(control), value_of_misplaced)
+        mask[~misplaced] = mask_of_others
+        return mask
+
+    used = of_all(others.used, False)
+    test = Division(control, used).test()
     if test is None:
-        return _suspects_of(control, auto)
-    everything = np.ones(len(control), dtype=bool)
-    return test.suspects(blunders, probable, undecided, everything)
+        return None
+    return _Verdict(used, of_all(others.blunders, True), of_all(others.probable, False),
+                    of_all(others.undecided, False), test)
 
 
 def _points_out_of_place(control: FitData, auto: Auto) -> BoolArray:
@@ -148,18 +183,15 @@ def _points_out_of_place(control: FitData, auto: Auto) -> BoolArray:
     return misplaced
 
 
-def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
-    """Return blunders, probable ones and open cases among features; None if they are too few.
+def _verdict_on(control: FitData, auto: Auto) -> _Verdict | None:
+    """Return what becomes of features whose places the image can show; None if they are too few.
 
-    In four steps: a core without blunders, and all that it predicts; what another model predicts
-    as well; features that are likelier blunders than right; suspects that a camera model clears.
+    In five steps: a core without blunders, and all that it predicts; what another model predicts
+    as well; features that are likelier blunders than right; points that a bend of the image
+    explains, or a central projection; suspects that a camera model clears.
     """
     everything = np.ones(len(control), dtype=bool)
-    # Asked for at several places, if at all.
-    test_of_all = cache(Division(control, everything).shrunken_test)
-    by_majority = None
-    if len(control) >= MIN_POINTS:
-        by_majority = _majority_and_test(control)
+    by_majority = _majority_and_test(control) if len(control) >= MIN_POINTS else None
     if by_majority is not None:
         max_share = MAX_MINORITY
         used, test = by_majority
@@ -168,55 +200,70 @@ def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
     else:
         max_share = MAX_BLUNDER_SHARE
         # A core without blunders first, then all that it predicts: one blunder may hide another.
+        test_of_all = cache(Division(control, everything).shrunken_test)
         core = _agreeing_core(control, test_of_all)
         if core is None:
             return None
         used, test = _judge_by_field(control, *_readmit_predicted(control, *core, test_of_all))
         predictable = everything
-    while not (used.all() or test.by_field) and (
-            choice := auto.choose(control.take(used), with_contained=False)):
-        # Another model, such as an RFM, may predict what the polynomial of the tests does not.
-        extended = used | (predictable & _features_predicted_by(choice.chosen, control.features))
-        if (extended == used).all():
-            break
-        used = extended
-    retained = used
-    # With few points a probable blunder may be half of what there is.
-    if len(control) >= MIN_PROBABLE_POINTS and not len(control.features.lines):
-        # Features that are likelier blunders than right are left out, the likeliest first, and the
-        # others are judged again: without the worst, the next may look innocent.
-        retained = used.copy()
-        while (~retained).sum() < int(max_share * len(control)):
-            worst = Division(control, retained.copy()).likeliest_blunder()
-            if worst is None:
-                break
-            retained[worst] = False
+    if not test.by_field:
+        used = _with_predicted_by_models(control, auto, used, predictable)
+    retained = _without_likely_blunders(control, used, max_share)
     if (retained != used).any():
         test = Division(control, retained).test() or test
     # A random field has followed any bend already.
-    bent = np.zeros_like(used) if test.by_field else _points_on_a_bend(control, retained)
-    if (bent & predictable).any():
-        retained = retained | (bent & predictable)
-        test = Division(control, retained).test() or test
+    if not test.by_field:
+        bent = predictable & _points_on_a_bend(control, retained)
+        if bent.any():
+            retained = retained | bent
+            test = Division(control, retained).test() or test
     by_projection = None if by_majority else _judge_by_projection(control, auto, retained)
     if by_projection is not None:
         retained, test = by_projection
     far = test.beyond_chance(len(control))
     decided = test.beyond_form()
-    blunders = ~retained
     # Beyond chance, but where the prediction is too weak to accuse it.
     undecided = retained & far & ~decided
     # Who is suspected by a polynomial may be right by the geometry of the sensor.
-    cleared = predictable & _points_a_model_explains(control, auto, blunders | undecided)
-    suspects = test.suspects(blunders & ~cleared, blunders & ~cleared & ~(far & decided),
-                             undecided & ~cleared, everything)
-    # A field predicts little without a point, but the polynomial judged all points before it. In
-    # simulations half of the errors of 1 to 1.4 times the smaller of both limits are found.
-    polynomial = Division(control, retained).shrunken_test() if test.by_field else None
-    if polynomial is None:
-        return suspects
-    limits = polynomial.suspects(blunders, blunders, undecided, everything).limits
-    return replace(suspects, limits=np.minimum(suspects.limits, limits))
+    cleared = predictable & _points_a_model_explains(control, auto, ~retained | undecided)
+    blunders = ~retained & ~cleared
+    return _Verdict(retained, blunders, blunders & ~(far & decided), undecided & ~cleared, test)
+
+
+def _with_predicted_by_models(control: FitData, auto: Auto, used: BoolArray,
+                              predictable: BoolArray) -> BoolArray:
+    """Return the features in use, (n,), with those that the model chosen for them predicts.
+
+    Another model, such as an RFM, may predict what the polynomial of the tests does not. Only what
+    is `predictable` is taken in, (n,).
+    """
+    while not used.all():
+        choice = auto.choose(control.take(used), with_contained=False)
+        if choice is None:
+            break
+        extended = used | (predictable & _features_predicted_by(choice.chosen, control.features))
+        if (extended == used).all():
+            break
+        used = extended
+    return used
+
+
+def _without_likely_blunders(control: FitData, used: BoolArray, max_share: float) -> BoolArray:
+    """Return the features in use, (n,), without points that are likelier blunders than right.
+
+    The likeliest goes first, and the others are judged again: without the worst, the next may look
+    innocent. At most `max_share` of all features are out of use.
+    """
+    # With few points a probable blunder may be half of what there is.
+    if len(control) < MIN_PROBABLE_POINTS or len(control.features.lines):
+        return used
+    retained = used.copy()
+    while (~retained).sum() < int(max_share * len(control)):
+        worst = Division(control, retained.copy()).likeliest_blunder()
+        if worst is None:
+            break
+        retained[worst] = False
+    return retained
 
 
 def _majority_and_test(control: FitData) -> tuple[BoolArray, Test] | None:
