@@ -3,8 +3,13 @@
 ``python tests/recorded.py FOLDER`` runs each command below with a fixed seed and keeps what it
 writes: ``python tests/recorded.py FOLDER --against OLD`` then compares every number with those of
 an older folder, to 1e-9 of the larger, and names the keys that differ. It ends with code 1 if any
-does. ``--only TEXT`` takes the commands that hold the text. Times, versions and paths are not
-compared.
+does, or if a command fails. Texts that differ, and keys that only one of both results has, are
+counted; a change of wording or of the schema makes them. ``--only TEXT`` takes the commands that
+hold the text. Times, versions and paths are not compared.
+
+Each command has a folder to itself, as a run looks for results of the same check points next to its
+own. ``--commands`` runs the ``termsel`` of another environment, so that an older program, which may
+have no such file, is recorded by this one.
 """
 
 from __future__ import annotations
@@ -14,9 +19,11 @@ import json
 import math
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -97,18 +104,41 @@ def numbers(value: Any, key: str = "$") -> Iterator[tuple[str, Any]]:
 LEFT_OUT = {"seconds", "versions", "source", "checksums", "plugins", "history"}
 """Keys that differ between two runs or two machines."""
 
+RECORD = Path("result") / "result.json"
+"""The record of a command, in its folder."""
 
-def differences(new: Any, old: Any) -> list[str]:
-    """Return the keys whose values differ: numbers by more than 1e-9 of the larger."""
-    before, now = dict(numbers(old)), dict(numbers(new))
-    found = [f"{key}: only in one" for key in sorted(before.keys() ^ now.keys())]
-    for key in before.keys() & now.keys():
-        first, second = before[key], now[key]
-        same = math.isclose(first, second, rel_tol=1e-9, abs_tol=1e-12) \
-            if isinstance(first, float) and isinstance(second, float) else first == second
-        if not same:
-            found.append(f"{key}: {first!r} before, {second!r} now")
-    return found
+
+@dataclass
+class Comparison:
+    """The keys in which two results differ, with what each has."""
+
+    numbers: list[str] = field(default_factory=list)
+    texts: list[str] = field(default_factory=list)
+    only_in_one: list[str] = field(default_factory=list)
+
+    def __str__(self) -> str:
+        counts = {"numbers differ": len(self.numbers), "texts differ": len(self.texts),
+                  "keys are in one alone": len(self.only_in_one)}
+        return ", ".join(f"{count} {words}" for words, count in counts.items() if count) \
+            or "the same"
+
+
+def compare(new: Any, old: Any) -> Comparison:
+    """Return how two results differ: numbers by more than 1e-9 of the larger."""
+    now = dict(numbers(new))
+    before = dict(numbers(old))
+    comparison = Comparison(only_in_one=sorted(before.keys() ^ now.keys()))
+    for key in sorted(before.keys() & now.keys()):
+        values = (before[key], now[key])
+        if values[0] == values[1]:
+            continue
+        words = f"{key}: {values[0]!r} before, {values[1]!r} now"
+        # A figure that is missing in one of both is a difference of numbers, too.
+        if any(isinstance(value, str) for value in values):
+            comparison.texts.append(words)
+        elif None in values or not math.isclose(*values, rel_tol=1e-9, abs_tol=1e-12):
+            comparison.numbers.append(words)
+    return comparison
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -117,31 +147,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("folder", type=Path, help="where results are kept")
     parser.add_argument("--against", type=Path, help="a folder of an older program")
     parser.add_argument("--only", default="", help="commands that hold this text")
+    parser.add_argument("--commands", type=Path, help="the folder of another termsel")
     options = parser.parse_args(arguments)
+    termsel = "termsel" if options.commands is None else str(options.commands / "termsel")
     options.folder.mkdir(parents=True, exist_ok=True)
     if not (options.folder / "files").exists():
-        subprocess.run(["termsel", "example", "files"], cwd=options.folder, check=True)
-    commands = [command for command in [*SEARCHES, *OTHERS.strip().splitlines()]
-                if options.only in command]
+        subprocess.run([termsel, "example", "files"], cwd=options.folder, check=True)
+    commands = [*SEARCHES, *OTHERS.strip().splitlines()]
     differing = 0
     for number, command in enumerate(commands):
+        if options.only not in command:
+            continue
         name = re.sub(r"\W+", "-", command)[:120]
         out = options.folder / f"{number:02}-{name}"
-        done = subprocess.run(["termsel", *shlex.split(command), "--out", out.name, "--overwrite"],
+        shutil.rmtree(out, ignore_errors=True)
+        out.mkdir()
+        done = subprocess.run([termsel, *shlex.split(command), "--out", f"{out.name}/result"],
                               cwd=options.folder, capture_output=True, text=True, check=False)
         if done.returncode:
-            print(f"{name}: code {done.returncode}: {done.stderr.strip()[-200:]}")
+            print(f"{name}: code {done.returncode}: {done.stderr.strip()[-200:]}", flush=True)
             differing += 1
         elif options.against:
-            old = options.against / out.name / "result.json"
+            old = options.against / out.name / RECORD
             if not old.exists():
-                print(f"{name}: not in {options.against}")
+                print(f"{name}: not in {options.against}", flush=True)
                 continue
-            found = differences(json.loads((out / "result.json").read_text(encoding="utf-8")),
-                                json.loads(old.read_text(encoding="utf-8")))
-            differing += bool(found)
-            print(f"{name}: {'the same' if not found else f'{len(found)} keys differ'}")
-            for line in found[:5]:
+            comparison = compare(json.loads((out / RECORD).read_text(encoding="utf-8")),
+                                 json.loads(old.read_text(encoding="utf-8")))
+            differing += bool(comparison.numbers)
+            print(f"{name}: {comparison}", flush=True)
+            for line in comparison.numbers[:5]:
                 print(f"    {line}")
     return int(differing > 0)
 
