@@ -98,7 +98,13 @@ def is_certificate(path: str | Path) -> bool:
 
 
 def _proven_lines(content: Any) -> tuple[list[str], int]:
-    """Return the lines that say what a certificate proves, and how many selections stay open."""
+    """Return the lines that say what a certificate proves, and how many selections stay open.
+
+    The certificate says of which data it is, what its selection scores on each axis and which parts
+    of the tree of selections are excluded, and why; all of it is computed again here in whole
+    numbers and fractions, by no code of the search. Raises Refused for a certificate that has been
+    changed, or that does not prove its claim.
+    """
     stated = content.pop("sha256")
     if content["schema"] != CERTIFICATE_SCHEMA:
         raise Refused(f"it is a {content['schema']!r:.40}, not a {CERTIFICATE_SCHEMA}; write it "

@@ -82,7 +82,16 @@ def _fill(Q: FloatArray, b: FloatArray, feature: IntArray, blocks: FloatArray) -
 
 @compile_lazily
 def _sum(blocks: FloatArray, features: BoolArray, total: FloatArray) -> None:
-    """Add up the blocks of each individual, in an order that does not depend on the others."""
+    """Add up the blocks of each individual, for the normal equations of a population.
+
+    `blocks` (n + 1, w) are the upper triangles of A_i' A_i of each feature i, and in the last row
+    what counts always, such as a prior; `features` (p, n) says which are in use; the sums are
+    written to `total` (p, w).
+
+    Features are taken in pieces that stay in the cache for all individuals. Each sum runs over the
+    same pieces in the same order whatever the others select, so that an individual has the same
+    fitness in every population.
+    """
     n = len(blocks) - 1
     width = blocks.shape[1]
     selected = np.empty(_CACHED, dtype=np.intp)

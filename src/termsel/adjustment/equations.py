@@ -146,7 +146,13 @@ def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArr
 
 
 def _approximate_image(features: FeatureSet, heights: bool) -> FloatArray:
-    """Fit A x = b of points, dl and ds, and of lines, n'(l, s) = rho; return (l, s) of vertices."""
+    """Return roughly where the vertices of lines are in the image (v, 2), as line and sample.
+
+    Terms of an RFM are weighted by the denominator, which needs image coordinates, and a line has
+    none along itself. A polynomial, quadratic from 20 features on, is fitted to points and lines
+    together, A x = b: for a point dl and ds, for a vertex its distance from the image line, n'(l,
+    s) = rho. `heights` says whether z takes part.
+    """
     def columns(ground: FloatArray, degree: int) -> FloatArray:
         """Return the monomials up to degree 1 or 2 at places (n, 3), (n, 4) or (n, 10)."""
         x, y, z = ground.T if heights else (*ground.T[:2], np.zeros(len(ground)))

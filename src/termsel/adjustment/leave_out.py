@@ -122,7 +122,23 @@ def _leave_out(
     panels: tuple[FloatArray, FloatArray], reflections: Reflections, space: tuple[FloatArray, ...],
     index: tuple[IntArray, IntArray, IntArray], solutions: FloatArray, determined: BoolArray,
 ) -> None:
-    """Fill in the solutions of a population; the rows of feature f begin at first[f]."""
+    """Solve a population of systems, each with every one of its features left out in turn.
+
+    Feature i has the rows A_i of A = Q R, and Q_i are its rows of Q. Without it the solution is x -
+    R^-1 Q_i' (I - Q_i Q_i')^-1 (b_i - A_i x), so that one factorisation of all rows gives the n
+    solutions. `_weigh` replaces columns and residuals of a feature by their products with the
+    inverse's factor.
+
+    Parameters
+    ----------
+    source : [A, b] of all features and terms, shape (rows, k + 1)
+    first : the rows of feature f begin at first[f]
+    terms, features : those in use, (p, k) and (p, n)
+    tolerance : pivots below it, relative to the column, show that terms are not determined
+    panels, reflections, space, index : work space, so that nothing is allocated in the loop
+    solutions : receives x without each feature, (n, p, k)
+    determined : receives whether the terms are determined without any feature, (p,)
+    """
     columns, right, block = space
     selected_terms, selected_features, start = index
     r, q = panels
@@ -218,7 +234,15 @@ def leave_one_out(equations: Equations, terms: BoolArray, features: BoolArray,
 
 def _leave_out_of_one(source: FloatArray, first: IntArray, terms: BoolArray, features: BoolArray,
                       n: int) -> tuple[FloatArray, BoolArray]:
-    """Solve one system through LAPACK: terms (k,), features (n,) and any pseudo-observations."""
+    """Solve one system with each of its features left out in turn, through LAPACK.
+
+    For a single system it is faster than `_leave_out`, whose equations it has, and needs no
+    compilation. `source` (rows, k + 1) is [A, b], `first` the first row of each feature, `terms`
+    (k,) and `features` those in use; features from `n` on are pseudo-observations, which are never
+    left out.
+
+    Returns the solutions (n, 1, k), and whether the terms are determined without any feature, (1,).
+    """
     selected_terms = np.flatnonzero(terms)
     selected_features = np.flatnonzero(features[:n])
     solutions = np.zeros((n, len(terms)))

@@ -178,7 +178,12 @@ def camera_average(points: Points, scaling: Scaling, crs: str,
 @lru_cache(maxsize=2)  # the average asks again
 def _cached_evidence(measurements: Measurements, scaling: Scaling, crs: str,
                      exponents: Exponents) -> PriorEvidence | None:
-    """Return what `prior_evidence` does, None as there; cached for the average, which asks again.
+    """Return what regularised polynomials and cameras say of the points; None without a prior.
+
+    It is `prior_evidence`, kept for the last data, as the average of `camera_average` asks for the
+    same again. The steps build on each other: how the ground moves in the image, the solutions of
+    each kind of camera, and polynomials of degree 2 and 3, whose evidence is made comparable by the
+    prior on what a height does.
     """
     # Each of these steps needs the one before; any of them may say that there is no prior.
     points = measurements.points
@@ -211,7 +216,11 @@ def _cached_evidence(measurements: Measurements, scaling: Scaling, crs: str,
 @lru_cache(maxsize=2)  # a fit, its description and its spread need it
 def _cached_camera_average(measurements: Measurements, scaling: Scaling, crs: str,
                            exponents: Exponents) -> CameraAverage | None:
-    """Return what `camera_average` does; cached, as a fit, its description and its spread need it.
+    """Return the average over cameras and polynomials by their evidence; None without a prior.
+
+    It is `camera_average`, kept for the last data: the fit, its description and its spread need the
+    same one. Each point left out changes the evidence of all members, so that its held-out error is
+    that of an average with the weights of the others.
     """
     points = measurements.points
     evidence = _cached_evidence(measurements, scaling, crs, exponents)

@@ -196,7 +196,12 @@ def _first_option(options: dict[str, Any]) -> str:
 
 
 def _keys_of(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the keys of a study file that options stand for."""
+    """Return the keys of a study file that options stand for.
+
+    `termsel compare` takes either a study file or options, and both become the same table: one
+    option of several names is a list of the file, and what is not given is left out, so that the
+    study's defaults hold. Raises TermselError for options that exclude or need each other.
+    """
     lists = {"problems": "problem", "models": "model", "solvers": "solver",
              "criteria": "criterion", "methods": "method", "strategies": "strategy"}
     keys: dict[str, Any] = {}
@@ -286,7 +291,12 @@ def _list_files(study: Path | None, keys: dict[str, Any]) -> None:
 
 
 def _show_plan(study: Path | None, keys: dict[str, Any], workers: int) -> None:
-    """Print the kinds of cells of a study, with the time that all of them take."""
+    """Print the kinds of cells of a study, with the time that all of them take.
+
+    Nothing is run but one cell of each kind, for its time. `keys` are those of the options, which
+    complete the file `study`. The time is that of `workers` processes, and on a busy machine that
+    of an idle one, too.
+    """
     from termsel.studies.compare import estimate
     from termsel.studies.execution.progress import duration_in_words
 

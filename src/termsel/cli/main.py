@@ -162,7 +162,13 @@ class Commands(click.Group):
 
     def _end_with_code(self, args: Sequence[str] | None, prog_name: str | None,
                        complete_var: str | None, **extra: Any) -> NoReturn:
-        """Run a command, print its errors, and end with its exit code."""
+        """Run a command, print what went wrong and what to type, and end with its exit code.
+
+        Errors that the user can correct end with code 2, as do those of click, whose words are
+        replaced by those of `usage_message`; an interrupt has its own code. Anything else is a
+        fault of the program and keeps its traceback. `extra` are further arguments of
+        `click.Group.main`.
+        """
         try:
             try:
                 value = super().main(args, prog_name, complete_var, False, **extra)

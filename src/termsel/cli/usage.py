@@ -232,7 +232,12 @@ def _remedy_for_unit(name: str, param: click.Parameter, typed: str) -> str:
 
 
 def _bad_value(error: click.BadParameter, param: click.Parameter) -> str:
-    """Return the message for a value that an option cannot take."""
+    """Return the message for a value that an option cannot take.
+
+    click says what is wrong in several forms, which are told apart by patterns: no number, a number
+    out of range, none of some words, a file that is not there or a folder in its place. Each gets
+    its remedy, with what to type; a number with a unit is converted.
+    """
     name = param.opts[0] if isinstance(param, click.Option) else _value_name(param)
     message = error.message
     not_number = _NOT_VALID.match(message)

@@ -165,7 +165,12 @@ def _cross_products(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def _refuse_bad(name: str, ring: FloatArray, space: str) -> None:
-    """Raise a CornerError if a ring, shape (n, 2), bounds no area."""
+    """Raise a CornerError if a ring, shape (n, 2), bounds no area.
+
+    Each test has its reason: fewer than three corners, a corner given twice, corners on one
+    straight line, or edges that cross. Edges of very many corners are not compared with each other,
+    which would take the square of their number. `space` is "image" or "ground", for the message.
+    """
     n = len(ring)
     in_words = "in the image" if space == "image" else "on the ground"
     if n < 3:

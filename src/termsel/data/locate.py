@@ -236,7 +236,25 @@ def _inverse_derivatives(project: Projection, ground: FloatArray, unit: FloatArr
 
 def _intersect_surface(project: Projection, image: FloatArray, surface: Surface, ground: FloatArray,
                        unit: FloatArray, inverse: FloatArray) -> FloatArray:
-    """Return ground points (n, 3) moved along their rays onto the surface."""
+    """Return ground points (n, 3) moved along their rays onto the surface.
+
+    The height h of a ray and the surface above it, s(h), meet where s(h) - h = 0. The secant method
+    finds the root on usual ground. Where the surface is steeper than the ray, it jumps over it, and
+    the interval of all heights tried is halved instead.
+
+    Parameters
+    ----------
+    project : ground to image, scaled
+    image : positions (n, 2), whose rays are followed
+    surface : heights at x and y (n, 2), NaN outside
+    ground : places on the rays (n, 3) to begin with; they are changed
+    unit : steps for derivatives (3,)
+    inverse : derivatives of the plane by the image at these places (n, 2, 2)
+
+    Returns
+    -------
+    ground : (n, 3), NaN where the ray does not meet the surface
+    """
     def moved(rays: IntArray, height: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return places of rays at heights, (r, 3), and how far the surface lies above them, (r,).
         """

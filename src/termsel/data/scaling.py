@@ -140,7 +140,14 @@ def to_fit_crs(ground: FloatArray, crs: str, fit_crs: str) -> FloatArray:
 
 
 def make_scaling(features: FeatureSet) -> Scaling:
-    """Return the scaling that brings these control features to [-1, 1]."""
+    """Return the scaling that brings these control features to [-1, 1].
+
+    Each axis of the ground is shifted to the middle of the features and divided by half of its
+    extent, so that the powers of all terms are of one size. Line and sample have one scale, as a
+    pixel is a pixel in both. Longitudes are continued beyond 180 degrees first; heights of hardly
+    any extent count by a part of that of the plane, lest their errors become terms of full size.
+    With `fit_crs` it is that of the coordinates in which the model is fitted.
+    """
     crs_pair = (features.crs, features.fit_crs) if features.fit_crs else ("", "")
     ground = to_fit_crs(features.ground_vertices(), *crs_pair)
     image = features.image_vertices()

@@ -289,7 +289,14 @@ class Measured:
 
     def descended(self, cameras: Cameras, rows: FloatArray, sigma: float,
                   steps: int = _CAMERA_STEPS) -> tuple[Cameras, FloatArray]:
-        """Return the cameras where damped steps from some cameras end, and their costs (s,)."""
+        """Return the cameras where damped steps from some cameras end, and their costs (s,).
+
+        It is the method of Levenberg (1944) and Marquardt (1963) for many cameras at once: (N + d
+        diag N) x = r, with the damping d of each camera divided by ten after a better step and
+        multiplied by ten after a worse one. `rows` are prior observations (r,) of the nine
+        parameters, `sigma` is the noise in the image [scaled], and `costs` the sums of squares
+        after the last step.
+        """
         costs = self.costs(cameras, rows, sigma)
         damping = np.full(len(cameras), 1e-3)
         for _ in range(steps):

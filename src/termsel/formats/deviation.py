@@ -189,7 +189,13 @@ def _fit_similarity(xy: FloatArray, image: FloatArray) -> Transformation:
 
 
 def _fit_projective(xy: FloatArray, image: FloatArray) -> Transformation:
-    """Return the projective transformation by the direct linear transformation of QGIS."""
+    """Return the projective transformation by the direct linear transformation of QGIS.
+
+    `xy` (n, 2) are ground and `image` (n, 2) image positions. The cross product of a place with its
+    projection is 0, linear in the nine elements of H; both sets of coordinates are normalised
+    before, as Hartley (1997) has it. QGIS minimises the same algebraic error, so that the deviation
+    from its transformation can be told.
+    """
     def normalised(points: FloatArray) -> tuple[FloatArray, FloatArray]:
         # Hartley (1997): the centre at 0 and the mean distance sqrt(2), else the system is
         # ill-conditioned.

@@ -537,7 +537,25 @@ def _far_height_note(features: FeatureSet, project: Projection,
 
 
 def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
-    """Return the features with unknown heights from a raster; `heights` says which datum."""
+    """Return the features with their unknown heights taken from a raster, bilinear.
+
+    Parameters
+    ----------
+    features : FeatureSet
+        Those with heights keep them; the raster is compared with these (`dem_difference`).
+    dem : Path
+        A raster of heights in any CRS, converted to the heights of the features' CRS.
+
+    Returns
+    -------
+    FeatureSet
+        Its `heights` say how many are of which raster, and in which vertical datum.
+
+    Raises
+    ------
+    TermselError
+        Where the raster has no height at a feature, with the names, and where it lies instead.
+    """
     ground = features.ground_vertices()
     unknown = np.isnan(ground[:, 2])
     with open_dem(dem, features.crs) as surface:

@@ -418,7 +418,12 @@ def _number_of_item(text: str, name: str, line: int | None = None) -> float:
 
 
 def _rpc_from_xml(path: Path, name: str) -> Rpc:
-    """Return the RPC of XML by GDAL or a vendor."""
+    """Return the RPC of XML by GDAL or a vendor.
+
+    GDAL writes a PAM file (.aux.xml) without a declaration, DigitalGlobe an .XML with the names of
+    an RPB, Airbus and others DIMAP; some files have an RPC for each band, of which `name` chooses
+    one. Raises TermselError for XML that is damaged or in no known form, with its line.
+    """
     content = read_data(path)
     # Without a declaration it is GDAL's, which writes names of files with the bytes they have.
     declared = content.lstrip().startswith(b"<?xml")
@@ -468,7 +473,12 @@ def _root_of_xml(content: bytes) -> ElementTree.Element:
 
 
 def _rpc_from_dimap(root: ElementTree.Element) -> Rpc:
-    """Return the RPC from ground to image of a DIMAP file, as GDAL takes it."""
+    """Return the RPC from ground to image of a DIMAP file, as GDAL takes it.
+
+    DIMAP counts image coordinates from 1 (in version 3 from a first column that the file states),
+    and the RPC here from 0, so both offsets are shifted. Its errors are of another definition and
+    are left out. Raises TermselError for a file without the model from ground to image.
+    """
     model = root.find(".//Global_RFM")
     domain = root.find(".//RFM_Validity")
     if model is None or domain is None:

@@ -128,7 +128,12 @@ def _write_qgis_points(path: Path, ground: FloatArray, image: FloatArray, crs: s
 
 
 def _write_matches(folder: Path, to_map: Callable[[FloatArray], FloatArray]) -> None:
-    """Write a map of the board, and matches of the image with it; every 7th is wrong."""
+    """Write a map of the board, and matches of the image with it; every 7th is wrong.
+
+    They are written as three programs have them: termsel's CSV, a match file of the Ames Stereo
+    Pipeline and a table of AROSICS, so that the pages show how each is read. `to_map` takes ground
+    positions to the map. Those that are wrong are 8 to 40 px off.
+    """
     to_ground = transformation_between(MAP_CRS, CRS)
     east, north, _ = np.array(to_map(ground_of_corners())).T
     west = np.floor(east.min() / GSD) * GSD - 200.0

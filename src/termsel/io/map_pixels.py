@@ -297,7 +297,13 @@ def _unreadable_source(image: Path | None, error: Exception) -> TermselError:
 
 
 def _interpolate_tile(raster: Any, spec: MapPixels, positions: FloatArray) -> tuple[Values, Mask]:
-    """Return a tile of the map, alpha last, and where it shows the image, from its positions."""
+    """Return a tile of the map, alpha last, and where it shows the image, from its positions.
+
+    `positions` (lines, samples, 2) are where the pixels of the tile are in the image, NaN where
+    nowhere. Only the window of the image that they need is read; where that would be too large, the
+    tile is made in two halves. `spec` says how pixels are resampled and which value stands for
+    none.
+    """
     colours = len(spec.empty)
     bands = colours + spec.alpha
     shape = positions.shape[:2]
@@ -360,6 +366,10 @@ def _pixels_and_mask(raster: Any, spec: MapPixels, window: Any) -> tuple[Values,
 def _warp_tile(raster: Any, spec: MapPixels, shape: tuple[int, int], crs: str, transform: Any,
                options: Mapping[str, Any]) -> tuple[Values, Mask]:
     """Return a tile of the map (bands, lines, samples), alpha last, and where it shows the image.
+
+    GDAL computes the positions itself here, by the RPC of the image, as for `termsel rectify
+    --engine gdal`. `transform` places the tile in `crs`; `options` are further ones of the warper.
+    Bands whose value for "no data" differs are warped one by one.
     """
     import rasterio
     from rasterio.enums import Resampling

@@ -193,7 +193,13 @@ class MapPositions:
         return plane_transformer(self.crs, horizontal_crs(self.fitted.control.crs))
 
     def _heights_of_tile(self, shape: tuple[int, int], transform: Any) -> FloatArray:
-        """Return the heights of the ground at the pixels of a tile, (lines, samples)."""
+        """Return the heights of the ground at the pixels of a tile, (lines, samples).
+
+        PROJ is asked at nodes of a coarse grid alone, as positions in the raster and the offset of
+        its datum are smooth between; the heights of the ground, which are not, are interpolated in
+        the raster for each pixel. Where the tile needs no part of the raster that can be cut out,
+        each pixel is asked by itself.
+        """
         surface = self.surface
         if not isinstance(surface, Dem):
             return np.full(shape, float(surface))

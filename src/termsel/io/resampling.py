@@ -139,7 +139,12 @@ def _stretch(positions: FloatArray) -> FloatArray:
 
 
 def _kernel_weight(distance: float, kernel: int, stretch: float) -> float:
-    """Return the weight of a pixel at a distance from a position [px]."""
+    """Return the weight of a pixel at a distance from a position [px].
+
+    `kernel` is the number of a resampling: 1 triangle, 2 cubic, 3 B-spline, 4 Lanczos, 5 mean over
+    the area. `stretch` is how many pixels of the image one of the map covers, by which the kernel
+    is widened so that nothing is skipped.
+    """
     if kernel == 5:  # the part of the pixel that lies in the interval
         half = 0.5 * stretch
         return max(min(distance + 0.5, half) - max(distance - 0.5, -half), 0.0)
@@ -173,7 +178,21 @@ def _fill_pixels(pixels: Any, has_data: Any, first_line: int, first_sample: int,
                  kernel: int, radius: float, stretch_line: float, stretch_sample: float, lines: int,
                  samples: int, integral: bool, low: float, high: float, values: Any,
                  visible: Any) -> None:
-    """Fill `values` and `visible` (bands, lines, samples), pixel by pixel of the map."""
+    """Fill a tile of the map, pixel by pixel, with weighted means of pixels of the image.
+
+    A value is sum(w p) / sum(w) over the pixels below the kernel that have data, so that holes do
+    not darken their surroundings. The weight is a product of one along lines and one along samples.
+
+    Parameters
+    ----------
+    pixels, has_data : window of the image (bands, rows, columns), which begins at first_line and
+        first_sample
+    positions : of the map's pixels in the image (m, n, 2), NaN for none
+    kernel, radius : resampling and its reach [px], widened by stretch_line and stretch_sample
+    lines, samples : size of the whole image
+    integral, low, high : whether values are rounded, and their range
+    values, visible : receive the tile (bands, m, n), and where it shows the image
+    """
     bands, rows, columns = pixels.shape
     reach_line = radius * stretch_line
     reach_sample = radius * stretch_sample

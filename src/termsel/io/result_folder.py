@@ -273,7 +273,12 @@ def _no_result_error(folder: Path, path: Path) -> TermselError:
 
 
 def _read_features(folder: Path, record: Record) -> FeatureSet:
-    """Return the features of a result; refuse features other than those it was made from."""
+    """Return the features of a result; refuse features other than those it was made from.
+
+    Ids, roles and counts of the tables are compared with those of the record, as anybody can edit a
+    table: figures of a result must not be told of other points. Raises TermselError for files that
+    are missing or differ.
+    """
     data = record.data
     counts = data.counts
     normalise(data.crs)

@@ -43,7 +43,13 @@ def accuracy_of(record: Record) -> str:
 
 
 def accuracy_lines(record: Record) -> list[str]:
-    """Return the accuracy in one to four short lines: the surer figure first."""
+    """Return the accuracy in one to four short lines: the surer figure first.
+
+    There are up to two figures: the RMSE at independent check points, measured but of few, and the
+    prediction by cross-validation. The second line says whether both agree, further ones why either
+    may mislead. Points of a lattice and points that were computed have words of their own, as an
+    RMSE of theirs is no accuracy.
+    """
     accuracy = record.accuracy
     if lattice_of(record) is not None and accuracy is None:
         return _interpolation_sentence(record)

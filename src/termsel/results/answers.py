@@ -118,7 +118,11 @@ def _detail_on_fit_crs(record: Record) -> Iterator[Block]:
 
 
 def _answer_on_accuracy(record: Record) -> Iterator[Block]:
-    """Yield the answer to "How accurate is it?"."""
+    """Yield the answer to "How accurate is it?".
+
+    The statement comes first, then a table for independent check points, with and without outliers
+    among them, and sentences on how the figures were found and of which fit they are.
+    """
     yield Statement(accuracy_statement(record))
     # Of computed points an RMSE would look like an accuracy.
     accuracy = None if are_computed(record) else record.accuracy

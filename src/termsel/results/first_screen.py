@@ -120,7 +120,12 @@ def _lines_of_fact(fact: Fact) -> int:
 
 
 def _facts_on_data(record: Record, brief: int) -> Iterator[Fact]:
-    """Yield the file, its features and its CRS, then the features of each role."""
+    """Yield the file, its features and its CRS, then the features of each role.
+
+    `brief` is how far the screen is shortened: from 1 on the features that were left out, with
+    their reasons, are not named. What a reader would check first stands in the first line: which
+    file, how many features, where on Earth.
+    """
     data = record.data
     names = ", ".join(PurePath(name).name for name in data.source.split(", "))
     read = data.read or _read_by_earlier_versions(record)
@@ -308,7 +313,12 @@ def _count_in_words(outliers: Sequence[Outlier], noun: str) -> str:
 
 
 def _no_outlier_clause(record: Record) -> str:
-    """Return a clause that no outlier was detected, and why this may say little."""
+    """Return a clause that no outlier was detected, and why this may say little.
+
+    A test that finds nothing may be blind: of few points each is fitted exactly, and where nothing
+    fits no point stands out. The clause says so, or the size of an error that would have been
+    found, where that is large against the image.
+    """
     test = record.blunder_test
     accuracy = record.accuracy
     predicted = record.predicted
@@ -371,7 +381,12 @@ def _list_worst(outliers: Sequence[Outlier]) -> str:
 
 
 def _comparison_with_rival(record: Record, rival: BaselineRow) -> Iterator[str]:
-    """Yield how a rival compares, at the independent check points or else in cross-validation."""
+    """Yield how a rival compares, at the independent check points or else in cross-validation.
+
+    Many independent points compare both models best. Few are a matter of chance, so that the errors
+    in cross-validation count. A search is held against the automatic choice, the choice against its
+    best rival, and the sentence ends with what to do.
+    """
     strategy = record.strategy
     by_held_out = strategy is not None and not _points_compare_better(record)
     if strategy is not None and by_held_out:
@@ -547,7 +562,11 @@ def _is_shown(note: str) -> bool:
 
 
 def _urgent_warnings(record: Record) -> Iterator[str]:
-    """Yield warnings that come before any figure, the costliest mistake first."""
+    """Yield warnings that come before any figure, the costliest mistake first.
+
+    Each is what the screen has room for; the notes of the result say more. A warning of data comes
+    before one of figures, as with wrong coordinates all figures are those of other places.
+    """
     # In the order of how much a wrong answer would cost.
     if not record.feasible and TOO_FEW in record.judgement:
         yield ("do not use this fit: a budget of "

@@ -156,7 +156,12 @@ def _proof_of_selection(record: Record) -> Iterator[Block]:
 
 
 def _certificate_sentence(certificate: Certificate, exact: str) -> str:
-    """Return the statement that a certificate proves; `exact` would find the optimum."""
+    """Return the statement that a certificate proves; `exact` would find the optimum.
+
+    It is proven, claimed by a solver, or open with the gap that is left: how far the selection may
+    be above the optimum, in percent of it. Counts and limits are part of the sentence, since the
+    proof holds for selections of that space alone.
+    """
     # In words: how many subsets were decided, of which space, under which limit.
     decided = f"{amount_in_words(certificate.subsets, 'subset')} enumerated"
     proven = f"{decided}, {certificate.space}"

@@ -187,7 +187,11 @@ def _none_detected_in_words(test: BlunderTest | None, errors: float) -> str:
 
 
 def verdict_table(record: Record) -> Iterator[Block]:
-    """Yield all features that contradict the others, and those that were not needed."""
+    """Yield all features that contradict the others, and those that were not needed.
+
+    Sentences after the table say what to do: leave them out, with the option to type, or compare
+    the table with the map where so many contradict the others that rows seem to be shifted.
+    """
     outliers = record.outliers
     if outliers:
         yield TableBlock(

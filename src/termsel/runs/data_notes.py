@@ -153,7 +153,13 @@ def datum_of(groups: TwoGroups, crs: str, position: tuple[float, float]) -> str:
 
 
 def find_two_groups(features: FeatureSet) -> TwoGroups | None:
-    """Return the groups of points that lie as if by two datums, or None."""
+    """Return the groups of points that lie as if by two datums, or None.
+
+    The affine image of all points, with a constant of its own for a second group, is fitted by
+    turns with the division into both groups, as k-means does. The groups count where they leave far
+    less than one group, and lie far apart against their scatter. The shift on the ground is that of
+    the constant, taken back through the affine image.
+    """
     points = features.points
     plan = plan_of(features.crs, points.ground) if len(points) >= LEAST else None
     if plan is None or not np.isfinite(plan).all():
@@ -366,7 +372,11 @@ def _is_narrow(positions: FloatArray) -> bool:
 
 
 def _note_on_flat(control: FitData, points: Points) -> Iterator[str]:
-    """Yield notes if the heights of control do not show their effect, and on other points' heights.
+    """Yield notes where the control hardly shows what a height does in the image.
+
+    That is where it lies on a plane, is too few, or has errors as large as the effect. Other points
+    off that plane are then seen elsewhere than the model says, by as much as usual views lean: the
+    notes give both figures.
     """
     vertices = control.features.ground_vertices()
     carrying = relief_carriers(control)

@@ -62,7 +62,12 @@ def data_of(request: Request, observations: Observations) -> DataRecord:
 
 
 def _what_was_read(request: Request, observations: Observations) -> WhatWasRead:
-    """Return the record of the features read, and of those out of use, except blunders."""
+    """Return the record of the features read, and of those out of use, except blunders.
+
+    It is what the first screen says of the file. Doubts that were warned of while reading are
+    repeated here, so that they are in the record for whoever reads the result later. Each feature
+    that takes no part stands under one reason.
+    """
     read = request.read
     points = request.features.points
     difference = read.dem_difference

@@ -261,7 +261,13 @@ def _noise_free_features(name: str, seed: int | None, roles: tuple[int, int, int
 
 
 def _noise_free_points(scene: Scene, rng: Generator, numbers: tuple[int, int, int]) -> Points:
-    """Return points free of noise, spread over the image as a whole and role by role."""
+    """Return points free of noise, spread over the image as a whole and role by role.
+
+    `numbers` are those of control, check and independent points. Each point is the one of many
+    candidates that is farthest from the others (Mitchell 1991), over all points and over those of
+    its role, as surveyors spread them. The first two control points are at the lowest and the
+    highest place, so that the control spans the relief.
+    """
     count = sum(numbers)
     if count == 0:
         return empty_points()
@@ -319,7 +325,12 @@ class _Placed:
 
 
 def _noise_free_lines(scene: Scene, rng: Generator, count: int) -> Lines:
-    """Return lines free of noise, dense like the streets of towns, sparse elsewhere."""
+    """Return lines free of noise, dense like the streets of towns, sparse elsewhere.
+
+    The image line is measured at two places of the ground line other than its vertices, as an
+    operator does: line and vertices have no point in common, and only the distance across the line
+    is an observation.
+    """
     if count == 0:
         return empty_lines()
     sensor, terrain, _ = _scene_geometry(scene.name)

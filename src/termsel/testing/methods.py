@@ -99,7 +99,11 @@ def fits(subject: Subject) -> None:
 
 
 def holds_out(subject: Subject) -> None:
-    """It gives the squared error of each feature under the same procedure without it."""
+    """It gives the squared error of each feature under the same procedure without it.
+
+    A choice among methods trusts these errors. They are compared with real refits without each of a
+    few features, and only figures that are too good are refused.
+    """
     for control, _ in subject.fits():
         # A method that has no errors of its own is refitted without each feature.
         fitted = validated(subject.method, control)

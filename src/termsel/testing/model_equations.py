@@ -170,7 +170,12 @@ def translation(model: SensorModel) -> None:
 
 
 def fit(model: SensorModel) -> None:
-    """Its method `fit` recovers what it computed, and leaves one out as refits do."""
+    """Its method `fit` recovers what it computed, and leaves one out as refits do.
+
+    Points without noise must be fitted to rounding, in the model's own scaling at least. With a
+    little noise, the errors left out of two points must be those of refits, which fails for a model
+    whose rows for one point depend on others.
+    """
     try:
         scaled, truth, ground = make_experiment(model, 1, 0)
         model.equations(scaled)

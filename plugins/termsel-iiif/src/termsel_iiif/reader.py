@@ -51,7 +51,13 @@ class AnnotationReader(Reader):
             b'"Annotation"' in head and b'"target"' in head and b'"body"' in head)
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points of a map."""
+        """Return the points of a map.
+
+        What else the annotation says, such as its mask, transformation and id, is kept as
+        attributes of the first point, so that it can be written again. The log says which model of
+        termsel is the kind of transformation that viewers draw. Raises TermselError for a map
+        without points, and asks which where there are several.
+        """
         map_ = self._choose_map(self._read_maps(path), path)
         if not map_.features:
             raise TermselError("this map has no control points", file=path,

@@ -55,7 +55,12 @@ class AnnotationWriter(Writer):
         return bool(named and len(result.features.points)) and result.features.crs != LOCAL
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the points as an annotation; raises TermselError without the address of the image.
+        """Write the points that are in use as a Georeference Annotation of the IIIF.
+
+        Outliers that were rejected are left out, as they would bend the map in a viewer. The
+        transformation is the kind that the model is of, where viewers know it. What an annotation
+        that was read said of its mask, source and id is written again. Raises TermselError without
+        the address of the image.
         """
         if not self.accepts(result):
             raise TermselError(

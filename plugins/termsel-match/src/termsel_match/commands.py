@@ -49,7 +49,11 @@ def add_commands(cli: click.Group) -> None:
 
 
 def reference_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of commands that look at a reference."""
+    """Add the options of commands that look at a reference.
+
+    It is a decorator, shared by all commands that match an image with a map or with another image,
+    so that one option has one meaning and one text.
+    """
     # click shows options in the opposite order of their decorators.
     for option in reversed((
             click.option("--dem", metavar="FILE", type=_FILE, help="Raster of heights of the "

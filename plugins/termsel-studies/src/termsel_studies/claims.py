@@ -23,7 +23,13 @@ _SIZES = ((0.71, "large"), (0.64, "medium"), (0.56, "small"))
 
 
 def valid_claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> list[str]:
-    """Return sentences on what may be claimed, and what not; with few instances no comparison."""
+    """Return sentences on what may be claimed, and what not; with few instances no comparison.
+
+    `groups` are runs by instance and method, `comparison` tests over instances, None where these
+    are too few, and `rows` the table of the study. Each sentence is one that a paper could have as
+    it stands: by what was compared, what a test allows to say, and what is missing from the
+    comparison.
+    """
     measure = groups.measure
     if groups.measure == "fitness":
         names = " or ".join(groups.objectives)
@@ -59,7 +65,11 @@ def valid_claims(groups: Groups, comparison: Comparison | None, rows: list[Row])
 
 
 def _claim_of_single(groups: Groups) -> list[str]:
-    """Return sentences on single instances, where they are too few for a test over them."""
+    """Return sentences on single instances, where they are too few for a test over them.
+
+    Runs of one instance differ by their seeds alone, so that Vargha and Delaney's A12 with its
+    interval compares methods on this instance, and says nothing of others.
+    """
     number = len(groups.common)
     total = len(groups.instances)
     if number:

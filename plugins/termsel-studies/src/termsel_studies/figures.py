@@ -74,7 +74,12 @@ def figures_of(study: Study) -> list[Figure]:
 
 
 def running_time_chart(groups: Groups, column: int) -> Figure:
-    """Return the ECDF of evaluations (column 0) or CPU seconds (2) over all targets."""
+    """Return the ECDF of evaluations (column 0) or CPU seconds (2) over all targets.
+
+    A curve is the share of pairs of a run and a target that a method has reached within a budget,
+    over all instances. Targets lie from 100 % to 0.01 % above the optimum, or above the best value
+    of any method where none is proven.
+    """
     rows: list[dict[str, Any]] = []
     last = 0.0
     for method in groups.methods:
@@ -124,7 +129,11 @@ def _share_chart(rows: list[dict[str, Any]], methods: tuple[str, ...], x_field: 
 
 
 def convergence_chart(groups: Groups) -> Figure:
-    """Return the best value by evaluations, median and quartiles, a panel an instance."""
+    """Return the best value by evaluations, median and quartiles, a panel an instance.
+
+    Budgets are even in their logarithm, as most gains come early. Instances beyond `_MOST_PANELS`
+    are left out. Only where all runs of the quartile have a feasible value is one drawn.
+    """
     alt = require_altair()
     rows: list[dict[str, Any]] = []
     for instance in list(groups.instances)[:_MOST_PANELS]:
@@ -176,7 +185,11 @@ def profile(groups: Groups) -> Figure:
 
 
 def critical_differences(comparison: Comparison) -> Figure:
-    """Return the mean ranks, with bars over methods that cannot be distinguished."""
+    """Return the mean ranks, with bars over methods that cannot be distinguished.
+
+    It is figure 1 of Demšar (2006): methods on one axis of mean ranks, with bars over those whose
+    ranks differ by less than Nemenyi's critical difference.
+    """
     alt = require_altair()
     assert comparison.difference is not None
     order = np.argsort(comparison.ranks, kind="stable")

@@ -101,7 +101,12 @@ def _image_table(rows: list[Row]) -> TableBlock:
 
 
 def _table_of_instance(groups: Groups, name: str, figures: list[Summary]) -> TableBlock:
-    """Return the figures of all methods on an instance; effect sizes are those of the best one."""
+    """Return the figures of all methods on an instance; effect sizes are those of the best one.
+
+    Quartiles are of the measure that the study compares by. Columns on the optimum are there where
+    one is proven, and that of independent check points where the measure is another. The effect
+    size is the chance that the best method beats the one in the row.
+    """
     optimum = figures[0].optimum
     shows_independent = groups.measure != "independent"  # else the quartiles are theirs
     header = ["method", "runs", "best", "lower quartile", "median", "upper quartile", "worst",

@@ -287,7 +287,13 @@ class GaussianProcess:
         return np.asarray(image)
 
     def spread(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the variance of the prediction, shape (m, 2), and that of the noise, (2,)."""
+        """Return the variance of the prediction, shape (m, 2), and that of the noise, (2,).
+
+        `ground` are scaled places (m, 3). Under each solution of the grid a place has the variance
+        of a prediction, and between the knots that of a field which they do not span. By the law of
+        total variance the whole is the mean of these variances plus the variance of the
+        predictions, both weighted by the solutions' probabilities.
+        """
         n_affine = len(self.to_image)
         columns = evaluate_monomials(ground, self.exponents)
         positions = columns[:, :n_affine] @ self.to_image

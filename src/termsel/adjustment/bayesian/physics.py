@@ -316,7 +316,13 @@ class CameraSolutions:
         return np.asarray(2 * N_FREE + (self.share * explained).sum(axis=1))
 
     def spread(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return variances of the prediction at places (m, k), (p, m, 2), and of noise, (p,)."""
+        """Return variances of the prediction at places (m, k), (p, m, 2), and of noise, (p,).
+
+        `columns` (m, k) are the monomials at the places and p counts the priors. The free
+        coefficients, of an affine image, have a variance by the noise alone; of the others the
+        prior covariance is lessened by what the points explain of it. Noises of the grid are
+        averaged, with the variance of their means.
+        """
         equations = self._equations
         priors = self.priors
         noise = self.share @ self.noise**2

@@ -261,7 +261,13 @@ def decimal_signs(columns: Mapping[str, Sequence[str]], stated: str = "", *,
 
 
 def _decimal_sign(name: str, cells: Sequence[str], points_only: bool) -> str | None:
-    """Return the decimal sign of a column, or how open it is; None where it has no such sign."""
+    """Return the decimal sign of a column, or how open it is; None where it has no such sign.
+
+    POINT or COMMA is certain; "" stands for commas or points of which nothing says whether they
+    separate thousands, and `_THREE` for points with three digits in every row, which other columns
+    may decide. With `points_only` a table without commas has decimal points. Raises BadCell where
+    two cells disagree.
+    """
     joined = "".join(cells)
     commas = COMMA in joined
     if not commas and (points_only or POINT not in joined):
@@ -344,7 +350,13 @@ def _number_of_cell(row: int, cell: str, sign: str, may_be_blank: bool, angle: s
 
 
 def _parse_degrees(row: int, text: str, angle: str) -> float | None:
-    """Return an angle in degrees, such as of 10°59'28.7"E; None where the text is none."""
+    """Return an angle in degrees, such as of 10°59'28.7"E; None where the text is none.
+
+    Degrees, minutes and seconds are separated by their marks or by spaces, with a hemisphere before
+    or after, or a sign. `row` is that of the cell and `angle` its axis, "x" or "y", for errors.
+    Raises BadCell for 60 minutes or seconds and more, a latitude among longitudes, and a hemisphere
+    that is ambiguous.
+    """
     match = _ANGLE.fullmatch(text)
     if match is None:
         return None

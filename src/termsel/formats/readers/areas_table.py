@@ -27,7 +27,12 @@ class AreasCsv(TableReader):
                                 "one feature; or their centroids as points.", choices=FORMS))
 
     def features(self, table: Table) -> FeatureSet:
-        """Return the areas as lines or points; errors name file, line and column."""
+        """Return the areas as lines or points; errors name file, line and column.
+
+        The rows of one area are its corners in their order. An area becomes its centroid, measured
+        once, or the lines of its boundary, by the option `areas_as`. Errors of corners name the row
+        of the file.
+        """
         rows = _rows_of_areas(table)
         image = table.stack("line", "sample")
         ground = table.stack("x", "y", "z")

@@ -263,7 +263,12 @@ def _delimiter_of_lines(lines: tuple[str, ...], items: tuple[tuple[str, tuple[st
 
 
 def _rows_of_text(path: Path, text: str, delimiter: str) -> Cells:
-    """Return the rows of a text with the lines they begin on, and its comments."""
+    """Return the rows of a text with the lines they begin on, and its comments.
+
+    A row may go over several lines within quotation marks, so that its number is that of the line
+    it begins on. Lines that begin with # between rows are comments, which may declare the CRS.
+    Without a `delimiter` cells are separated by any number of blanks.
+    """
     rows: list[list[str]] = []
     lines: list[int] = []
     comments: dict[int, str] = {}

@@ -37,7 +37,12 @@ def read_frame(frame: Any, columns: str = "", decimal: str | None = None) -> Fea
 
 
 def _table_records(frame: Any) -> tuple[list[dict[str, Any]], str]:
-    """Return the rows of a table, with the positions of its geometry, and its CRS."""
+    """Return the rows of a table, with the positions of its geometry, and its CRS.
+
+    Taken are a dict of columns, a list of dicts, polars, pandas and GeoPandas, none of which has to
+    be installed: each is known by what it can do. Points of a GeoDataFrame become x, y and z.
+    Raises TermselError for anything else, with what could be given.
+    """
     # A dict of columns: all values have a length, and are no text.
     if isinstance(frame, Mapping) and all(_is_column(column) for column in frame.values()):
         sizes = {name: len(column) for name, column in frame.items()}

@@ -99,7 +99,12 @@ def read_geojson(path: Path, kinds: Mapping[str, int]) -> tuple[list[Feature], s
 
 
 def _parse_feature(path: Path, number: int, item: Any, kinds: Mapping[str, int]) -> Feature:
-    """Return a feature of the collection with its properties and vertices."""
+    """Return a feature of the collection with its properties and vertices.
+
+    `kinds` has the geometries that are taken, by how deep their coordinates are nested: 0 for a
+    point, 1 for a line, 2 for several lines. Every kind becomes lists of vertices, with NaN for a
+    height that is missing. Errors name the feature by its number.
+    """
     item = item if isinstance(item, dict) else {}
     # What is no object has no properties, and is refused by its geometry.
     properties = item.get("properties")

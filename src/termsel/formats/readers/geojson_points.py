@@ -138,7 +138,13 @@ def _images_of(features: Sequence[Feature]) -> dict[str, dict[str, Any]]:
 
 
 def _table_of_features(path: Path, features: list[Feature], options: Mapping[str, Any]) -> Table:
-    """Return the properties and vertices of the features of one image, by their meaning."""
+    """Return the properties and vertices of the features of one image, by their meaning.
+
+    One image is read, that of the option `image_name` where there are several. Image coordinates
+    are those of Orthority's property `ji` (sample and line) unless `columns` says otherwise, ground
+    coordinates those of the geometry, with the height from a property where the geometry has none.
+    Errors name the feature by its number, as GeoJSON has no lines.
+    """
     names = [feature.text("filename") for feature in features]
     image = image_of(path, names, options["image_name"], "image_name=NAME")
     features = [feature for feature, name in zip(features, names, strict=True) if name == image]

@@ -94,7 +94,19 @@ def _no_join_error(path: Path, join: str, names: list[str], has_image_lines: boo
 
 def _join_image_lines(path: Path, features: list[Feature], crs: str, image_lines: str | None,
                       join: str) -> FeatureSet:
-    """Return ground lines with the image lines of their ids; pieces of a feature share its id."""
+    """Return the lines of a GIS together with the image lines of their ids, piece by piece.
+
+    Parameters
+    ----------
+    path, features : the file of ground lines, and its features
+    crs : str
+    image_lines : the table of lines measured in the image; None where features have them (`ji`)
+    join : the property whose value is the id in that table
+
+    A feature with several lines has as many pieces, which share its id. Raises TermselError where
+    the property is missing, or an image line has no ground; ground lines that were not measured are
+    counted in the log.
+    """
     if not any(join in feature.properties for feature in features):
         names = list(dict.fromkeys(chain.from_iterable(
             feature.properties for feature in features)))

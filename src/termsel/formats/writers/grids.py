@@ -173,7 +173,13 @@ class GeolocationVrt(GridWriter):
         self.write_picture(result, path, picture_for(result, self.options["image"]))
 
     def write_picture(self, result: Result, path: Path, picture: Picture) -> None:
-        """Write the VRT of a picture, whose bands need not be those of the image."""
+        """Write the VRT of a picture, whose bands need not be those of the image.
+
+        The ground positions of a grid over the image are written as a geolocation array beside the
+        VRT, which GDAL warps the picture by. The bands of `picture`, an image or a tile of one, are
+        those of the VRT. A VRT that is being replaced keeps its own array until the new one is in
+        place.
+        """
         rasterio = require_rasterio()
         step = self.options["step"] or max(1, round(max(picture.size) / 500))
         # Places beyond the edges, so that the outermost half pixels are inside.

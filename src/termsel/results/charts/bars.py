@@ -37,7 +37,12 @@ FLATTENED = 12.0
 
 
 def bars_of_worst(view: View) -> Any:
-    """Return the largest residuals as bars, the largest first; those beyond the axis are broken."""
+    """Return the largest residuals as bars, the largest first; those beyond the axis are broken.
+
+    Each has the colour of its role and the label of its blunder test. A bar longer than the axis,
+    which ends where most residuals do, ends in two strokes with its length beside it, as one
+    blunder would make all others invisible. A click marks the feature in the other charts, too.
+    """
     alt = require_altair()
     end = axis_end(view)
     rows = []
@@ -103,7 +108,12 @@ def caption_on_breaks(view: View) -> str:
 
 
 def baseline_bars(view: View) -> Any:
-    """Return the RMSE of this result and of all fits without a search, with intervals."""
+    """Return the RMSE of this result and of all fits without a search, with intervals.
+
+    This result stands first, then the others by their RMSE, with a symbol for each role and its 90
+    % interval. Hollow symbols are points that the fit was made with, which say nothing of its
+    accuracy.
+    """
     alt = require_altair()
     rows, _ = rows_of_fits(view)
     roles = {row["role"]: ROLE_COLOURS[row["role"]] for row in rows}

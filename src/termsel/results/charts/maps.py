@@ -200,7 +200,12 @@ def ground_map(view: View) -> Any:
 
 
 def sigma_map(view: View) -> Any:
-    """Return the predicted standard deviation over the image, with the hull of the control."""
+    """Return the predicted standard deviation over the image, with the hull of the control.
+
+    Beyond the dashed hull the model extrapolates. The scale spans a factor of SIGMA_SPREAD at
+    least, so that a map that is equally sure everywhere does not look as if it had dark corners.
+    Line numbers grow downwards, as in the image.
+    """
     alt = require_altair()
     top, left_sample, bottom, right_sample = view.image_box
     cells = view.sigma

@@ -32,7 +32,11 @@ _IN_PIXELS = ("check-rmse", "kfold", "press", "median", "huber")
 
 
 def front_chart(view: View) -> Any:
-    """Return the front: RMSE of check and independent points against terms or features."""
+    """Return the front: RMSE of check and independent points against terms or features.
+
+    Each member of the front is one selection, its size along x. The recommended one has a ring. A
+    click on a member shows its selection in the other charts of the page.
+    """
     alt = require_altair()
     rows = front_rows(view)
     # The axis of sizes has whole numbers only.
@@ -94,7 +98,12 @@ def _recommended_row(view: View) -> int:
 
 
 def convergence_chart(view: View) -> Any:
-    """Return a chart of the population's best and median, and of its infeasible share."""
+    """Return a chart of the population's best and median, and of its infeasible share.
+
+    Values have a logarithmic scale where they span powers of ten. The grey area is the share of the
+    population that breaks a condition, on a scale of its own; steps, as nothing is known between
+    generations.
+    """
     alt = require_altair()
     history = evenly_spaced(view.record.history, MAX_GENERATIONS_SHOWN)
     criterion = view.record.criterion

@@ -23,7 +23,12 @@ ROW = 15
 
 
 def term_bars(view: View) -> Any:
-    """Return the significance of each term in use, and its share of the front's members."""
+    """Return the significance of each term in use, and its share of the front's members.
+
+    A term is significant where |t|, its coefficient by its standard deviation, is beyond the
+    dashed line. Terms that all members of a front share are there for a reason other than chance,
+    so the share stands at the right edge.
+    """
     alt = require_altair()
     rows = term_rows(view)
     kinds = [f"significant ({100 * SIGNIFICANT:.0f} %)", "not significant"]
@@ -123,7 +128,11 @@ def why_no_frequencies(view: View) -> str:
 
 
 def correlation_map(view: View) -> Any:
-    """Return the correlations of the coefficients of the terms in use."""
+    """Return the correlations of the coefficients of the terms in use.
+
+    Orange and purple are strong correlations of either sign: the terms say nearly the same of the
+    control, so that their coefficients are uncertain though their sum is not.
+    """
     alt = require_altair()
     names = list(view.record.coefficients)
     rows = [{**row, "correlation": float(f"{row['correlation']:.3f}")}

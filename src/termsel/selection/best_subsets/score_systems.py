@@ -171,7 +171,13 @@ class ScoreSystems:
         return replace(node, room=int(np.append(-1, open_rooms)[-1]))
 
     def walk(self, node: SubtreeNode, best: FloatArray, masks: Masks) -> NodeResult:
-        """Decide the subsets of a node, given the best ones so far."""
+        """Decide the subsets of a node, given the best ones so far.
+
+        `best` (s,) are the least scores so far of each size, `masks` their subsets, both copied.
+        Which kernel walks the subtree depends on the criterion and on whether branches may be cut
+        by bounds. Returns the scores and masks after it, and how many subsets were excluded without
+        being fitted.
+        """
         if self.kind == RSS and self.branches and node.count > _ENUMERATED:
             return self._walk_residuals(node, best.copy(), masks.copy())
         prepared = self._vectors_of_node(node)

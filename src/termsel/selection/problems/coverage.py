@@ -10,7 +10,11 @@ from termsel.data.features import BoolArray, FloatArray
 
 @compile_lazily
 def _fill_hull_areas(x: FloatArray, y: FloatArray, masks: BoolArray, areas: FloatArray) -> None:
-    """Write the area of the hull of each selection of points in ascending order of x, then y."""
+    """Write the area of the hull of each selection of points in ascending order of x, then y.
+
+    `x` and `y` are (n,), `masks` (p, n) the selections, and `areas` (p,) receives the areas, 0 of
+    fewer than three points. In ascending order the points need no sorting for each selection.
+    """
     hull = np.empty(2 * len(x) + 1, dtype=np.intp)
     for individual in range(len(masks)):
         size = 0

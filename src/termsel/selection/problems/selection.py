@@ -220,7 +220,13 @@ class SelectionProblem(Problem):
         return self._evaluate(genes, self.masks(near[None])[1])
 
     def _evaluate(self, genes: Genes, near: BoolArray | None = None) -> Evaluation:
-        """Fit, judge by the criterion, and add up what is violated (see `evaluate`)."""
+        """Fit, judge by the criterion, and add up what is violated (see `evaluate`).
+
+        Least squares for all individuals at once come first, then what each violates: terms beyond
+        the equations, axes without terms, poles in the scene, features that leave a part of it
+        uncovered, terms without those they need. Only what violates nothing is scored. `near` are
+        individuals that these are neighbours of, whose solutions are corrected instead of computed.
+        """
         inputs = self.inputs
         terms, features = self.masks(genes)
         model = _iterated_model(inputs)

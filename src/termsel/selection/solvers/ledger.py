@@ -152,7 +152,13 @@ class Ledger(ProblemAround):
         return [_genes_of_key(keys[row], self.genome) for row in front_rows]
 
     def _look_up(self, genes: Genes, near: Genes | None) -> Evaluation:
-        """Evaluate individuals that are not known yet, and return the evaluation of all."""
+        """Evaluate individuals that are not known yet, and return the evaluation of all.
+
+        A solver may ask for the same individual many times; each is evaluated once, twins within a
+        population included, and counts each time, so that budgets mean the same for all solvers.
+        The table of known individuals is emptied when it is full. Raises PluginFault where a
+        problem returns anything but finite values of the right shape.
+        """
         # A front is made of all individuals; of one objective the best is remembered apart.
         if len(self.objectives) == 1 and len(self._row_of) > _KNOWN:
             self._row_of = {}

@@ -119,7 +119,13 @@ def _data_of_problem(spec: Spec, problem: PartSpec | None) -> Data:
 
 def _cells_of_data(spec: Spec, kinds: _Kinds, problem: PartSpec | None, name: str | None,
                    data: Data, alternatives: list[Data], split: int) -> Iterator[Cell]:
-    """Yield the cells of one problem and one data set, by strategy, parts and seed."""
+    """Yield the cells of one problem and one data set, by strategy, parts and seed.
+
+    `alternatives` are all data of the study that the problem could be run on, by which a kind of
+    cell is checked once. Splits that would change nothing, and seeds of solvers without chance,
+    give no further cells. Raises TermselError where a problem that the user names fits none of the
+    data.
+    """
     problem_spec: PartSpec | None = problem or (PartSpec(name, name) if name else None)
     for strategy in spec.strategies:
         # Auto, or a method in its place; else each model with each criterion and each solver.
@@ -199,7 +205,13 @@ class _Kinds:
 
     def _check_kind(self, strategy: str, specs: Mapping[str, PartSpec | None],
                     data: list[Data]) -> _Kind:
-        """Return the values that all cells of a kind share, checked on the first data that fit."""
+        """Return the values that all cells of a kind share, checked on the first data that fit.
+
+        A kind is a problem with its model, criterion and solver, or a method. Whether they go
+        together depends on data, so the first that can be read and allow it decide. Checksums of
+        the code are part of what identifies a cell: a plugin that has changed makes its cells run
+        again. Where no data allow the kind, it has the reason.
+        """
         spec = self._spec
         first = None
         measures = _measures_of(spec)
@@ -302,7 +314,12 @@ class _Kinds:
 
     def _options_by_part(self, strategy: str, specs: Mapping[str, PartSpec | None],
                          request: Request) -> dict[str, Any]:
-        """Return the options of each part, and those for every cell that some part has."""
+        """Return the options of each part, and those for every cell that some part has.
+
+        An option in the study's own table is for every part that has one of that name; one next to
+        a part is for this part first, else for all parts of its cells, as with --set. What is used
+        nowhere is noticed by `_used`.
+        """
         declared: dict[str, tuple[Option, ...]] = {"data": DATA_OPTIONS}
         if strategy != "auto":
             declared |= {"problem": tuple(request.recipe.options),
@@ -358,7 +375,12 @@ def _resolve_method(method: PartSpec | None) -> Any:
 
 def _make_cell(spec: Spec, strategy: str, specs: Mapping[str, PartSpec | None], kind: _Kind,
                data: Data, split: int, seed: int) -> Cell:
-    """Return a cell: its labels, its call, and the key by which the journal finds it."""
+    """Return a cell: its labels, its call, and the key by which the journal finds it.
+
+    `split` and `seed` are those of the roles and of the search. The key is a checksum of all that
+    the result depends on, so that a finished cell is found again; that of the instance leaves out
+    the solver and its limits, as runs that differ in these alone have one optimum.
+    """
     problem = specs["problem"]
     # What tables call the cell; of auto the method is not known before it has run.
     labels = {

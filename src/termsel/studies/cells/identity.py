@@ -57,7 +57,12 @@ def _identifying_words(value: Any, above: set[int]) -> Iterator[str]:
 
 
 def _parts_of_value(value: Any) -> Iterator[Any]:
-    """Yield the values that a value consists of, in an order that lasts."""
+    """Yield the values that a value consists of, in an order that lasts.
+
+    The checksum of a cell must be the same in another process and on another day: mappings and sets
+    are sorted, functions stand for their code and what they close over, objects for their options
+    or fields. Caches of an object are left out.
+    """
     if isinstance(value, Mapping):
         # Sets and mappings have no order that lasts.
         yield from sorted(value.items(), key=str)

@@ -15,7 +15,12 @@ IMAGES = "images"
 
 
 def folders_of(labels: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
-    """Return the names of the folders of all images of auto, by the keys of their cells."""
+    """Return the names of the folders of all images of auto, by the keys of their cells.
+
+    A folder is named by its image, by its split where that is not the first, and by problem and
+    method where several have the same data. Raises TermselError where two images would share a
+    folder on a disk that ignores capitals.
+    """
     labels = {key: cell for key, cell in labels.items() if cell["strategy"] == "auto"}
     # How many problems have the same data and split.
     labels_of_data: dict[tuple[str, int], list[Mapping[str, Any]]] = {}

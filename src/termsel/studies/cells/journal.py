@@ -174,7 +174,12 @@ class Journal:
 
 
 def read_journal(folder: Path) -> Journal:
-    """Return the journal of a folder, empty if there is none; nothing is changed on the disk."""
+    """Return the journal of a folder, empty if there is none; nothing is changed on the disk.
+
+    Each line of the journal is a finished cell. A crash may tear the last line, which is cut off
+    later; damage in the middle costs the cells of these lines, which are run again. Raises
+    TermselError for a file that is no journal, or of another version of its schema.
+    """
     journal = Journal(path_inside(folder, JOURNAL))
     try:
         content = read_data(journal.path)

@@ -83,7 +83,13 @@ def batch_of(settings: Mapping[str, Mapping[str, Any]]) -> Batch:
 
 def _far_image_sentences(
         settings: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, dict[str, str]]]:
-    """Return sentences on images far from most others, each with the doubt about every image."""
+    """Return sentences on images far from most others, each with the doubt about every image.
+
+    A batch is usually of one area, so that an image somewhere else has a wrong CRS, exchanged axes
+    or another sign. Images are grouped by their distances; where one group has most of them, each
+    other group gets a sentence with the likely reason, and each of its images the doubt. Without a
+    clear majority nothing is said.
+    """
     placed = {name: setting for name, setting in settings.items() if setting.get("place")}
     # Of two images nobody can say which one is elsewhere.
     if len(placed) < 3:

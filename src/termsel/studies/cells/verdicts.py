@@ -90,7 +90,13 @@ def _median_rmse(rows: Sequence[Mapping[str, Any]]) -> float:
 
 def _verdict_on_image(
         row: Mapping[str, Any], accept: Accept | None, usual: float) -> tuple[str, str]:
-    """Return whether the model of an image is fit for use, and why."""
+    """Return whether the model of an image is fit for use, and why.
+
+    `row` is that of the image in the table, `accept` the RMSE that the user asks for, and `usual`
+    the median over the batch. An interval of the RMSE that spans the accepted size leaves the image
+    in doubt; without one asked for, anything that contradicts its figures does. Other rows than
+    those of auto have no verdict, ("", "").
+    """
     if row["strategy"] != "auto" or row["state"] == "waiting":
         return "", ""
     if row["state"] != "done":

@@ -152,7 +152,12 @@ class _Trace:
 
 def _search_as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
         State, dict[str, Any], list[list[float]], dict[str, bytes]]:
-    """Return state, figures, front and files of a cell's search."""
+    """Return state, figures, front and files of a cell's search.
+
+    Blunders are left out before the search, as in a run; what a run does besides, such as comparing
+    with plain models, is not, as it is the same for all seeds and takes longer than most searches.
+    Raises KeyboardInterrupt for an interrupted search, which is no result of a study.
+    """
     call = cell.call
     names = {role: cell.things.get(role, call[role])
              for role in ("problem", "model", "criterion", "solver") if call[role] is not None}

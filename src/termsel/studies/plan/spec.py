@@ -87,7 +87,26 @@ def read_spec(file: Path) -> Spec:
 
 
 def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
-    """Return the checked spec of a table of names, options and budgets."""
+    """Return the checked spec of a table of names, options and budgets.
+
+    Parameters
+    ----------
+    table : mapping
+        The keys of a study file (`KEYS`), or the same from Python with objects in place of names.
+    places : Places, optional
+        Where each key stands in the file, for errors.
+
+    Returns
+    -------
+    Spec
+        With usual values where keys are missing: searches where one of their parts is named,
+        else auto.
+
+    Raises
+    ------
+    TermselError
+        For unknown keys and parts that nobody would use, at their line of the file.
+    """
     # From Python there are no lines to name.
     at = places or Places()
     # From here on a study from Python is as one from a file.
@@ -175,7 +194,11 @@ def _parts_of_kind(at: Places, kind: str, listed: Any) -> tuple[PartSpec, ...]:
 
 
 def _part_of_study(at: Places, path: Keys, declared: Any) -> PartSpec:
-    """Return a part by its name, by a table with options, or by an object from Python."""
+    """Return a part by its name, by a table with options, or by an object from Python.
+
+    `path` says where it stands in the study, for errors. The label, which tables of the study show,
+    has the options that are not at their defaults, unless the table gives one.
+    """
     if isinstance(declared, str):
         return PartSpec(declared, declared, path=path)
     if isinstance(declared, Configurable):
@@ -208,7 +231,12 @@ def _value_text(value: Any) -> str:
 
 
 def _parse_sources(at: Places, listed: Any) -> list[Source]:
-    """Return the sources of data that a study lists."""
+    """Return the sources of data that a study lists.
+
+    Each is a data set by its name, files by patterns with the options of reading them, or, from
+    Python alone, features by their label. Raises TermselError at the line of what is neither, or of
+    unknown keys.
+    """
     if isinstance(listed, Mapping) and listed and all(
             isinstance(item, FeatureSet) for item in listed.values()):
         return [Source(features=listed, path=("data",))]  # from Python, by label

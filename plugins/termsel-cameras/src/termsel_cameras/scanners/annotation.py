@@ -211,7 +211,12 @@ def lattice_of(path: Path) -> tuple[LatticePoint, ...]:
 
 
 def _annotation_from_xml(root: ElementTree.Element, name: str) -> Annotation:
-    """Return the annotation of a Sentinel-1 product."""
+    """Return the annotation of a Sentinel-1 product.
+
+    `root` is that of the XML, `name` of its file. Images in ground range (GRD) have polynomials to
+    slant range, those in slant range (SLC) bursts. Raises TermselError for other XML, and for
+    intervals, sizes or orbits that cannot be.
+    """
     mission = (root.findtext("adsHeader/missionId") or "").strip()
     if root.tag != "product" or not mission.startswith("S1"):
         raise TermselError("it is no annotation of a Sentinel-1 product")

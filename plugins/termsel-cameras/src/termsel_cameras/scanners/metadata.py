@@ -99,7 +99,13 @@ def _read(path: Path, _changed: int) -> Metadata:
 
 
 def _metadata_of_dimap(root: ElementTree.Element, name: str) -> Metadata:
-    """Return the metadata of a SPOT scene of level 1A; raises TermselError for anything else."""
+    """Return the metadata of a SPOT scene of level 1A.
+
+    Times count from that of the centre line. Positions and velocities, attitude and look angles are
+    cut to what the scene needs, with the neighbours by which they are interpolated; of thousands of
+    look angles some are enough, as they vary smoothly. Raises TermselError for other files and
+    levels, and where orbit or attitude do not cover the scene.
+    """
     strip = root.find("Data_Strip")
     if root.tag != "Dimap_Document" or strip is None:
         raise TermselError("it is no DIMAP file with a Data_Strip",

@@ -242,7 +242,13 @@ class RobustFit(Estimator):
 
     def fit(self, model: Any, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Fit a camera (see `Estimator.fit`) with all its terms."""
+        """Fit a camera (see `Estimator.fit`) with all its terms.
+
+        The camera is not linear in its terms: iterated first, then taken as linear about the
+        solution for the errors without each point. Terms under a prior count by what the points
+        determine of them, so that `effective` is no whole number. Raises Undetermined for lines,
+        and where the iteration does not converge.
+        """
         ready = model.prepared(scaling, control.crs)
         used_features = control.take(used)
         if len(used_features.lines):

@@ -72,7 +72,13 @@ class Scanner(Physical):
         return starts
 
     def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return scaled image positions (p, n, 2) by values of terms (p, k)."""
+        """Return scaled image positions (p, n, 2) by values of terms (p, k).
+
+        `ground` are scaled positions (n, 3). Terms are multiples of what is known of the sensor,
+        such as 1 for one standard deviation of the heading. The line is the time at which the place
+        passes the plane of view, by the period of a line; the sample is the tangent across the
+        track by the field of view of a pixel.
+        """
         scaling = require_scaling(self.scaling)
         sensor = self.sensor
         middle = self.geographic(np.zeros((1, 3)))

@@ -79,7 +79,12 @@ class TrackedScanner(Physical):
         return np.zeros((1, len(TRACKED_TERMS)))
 
     def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return scaled image positions (p, n, 2) by values of terms (p, k)."""
+        """Return scaled image positions (p, n, 2) by values of terms (p, k).
+
+        `ground` are scaled positions (n, 3). Terms are corrections of the delivered orbit and
+        attitude, in their standard deviations. The secant method finds the time at which a place is
+        in the scan line; its look angle then gives the sample. NaN where no time is found.
+        """
         metadata = self.metadata
         target = to_geocentric(self.geographic(ground))
         x = dict(zip(TRACKED_TERMS, values.T[..., None],

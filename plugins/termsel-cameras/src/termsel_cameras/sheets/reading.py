@@ -50,7 +50,13 @@ class SheetOptions:
 
     def read(self, features: FeatureSet, options_given: Mapping[str, Any],
              image: Path | str | None) -> FeatureSet:
-        """Return features with longitudes from Greenwich, and the projection of the map."""
+        """Return features with longitudes from Greenwich, and the projection of the map.
+
+        `options_given` are those of `SHEET_OPTIONS` that the user gave, `image` is not looked at.
+        The projection becomes `fit_crs`: coordinates stay as they are read, and the model is fitted
+        in the map's own plane. A series knows both from its grid; "auto" chooses by
+        cross-validation among candidates. Raises TermselError for options that do not go together.
+        """
         values = {option.name: option.parse(options_given[option.name]) for option in SHEET_OPTIONS
                   if options_given.get(option.name) is not None}
         if "prime_meridian" in values:

@@ -40,7 +40,12 @@ class ResidualsGeopackage(Writer):
         return True
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the layers residuals and vectors, with their styles; needs the extra `gis`."""
+        """Write the layers residuals and vectors, with their styles.
+
+        The GeoPackage is made in a folder of its own and moved when it is complete, as its driver
+        writes in place. Vectors are exaggerated by a round factor, which their style names. Raises
+        TermselError without the extra `gis`, and where the disk is full.
+        """
         with require_import("this format requires", "pyogrio and shapely", GIS, path):
             import shapely
             from pyogrio import read_info

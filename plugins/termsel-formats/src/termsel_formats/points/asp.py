@@ -169,7 +169,11 @@ class AspGcpWriter(PointsWriter):
                                     "not in the control of termsel.", float, 0.0, 1e6))
 
     def write(self, result: Result, path: Path) -> None:
-        """Write a row for each point; raises TermselError without heights or a standard deviation.
+        """Write a row for each point, in WGS84 with ellipsoidal heights.
+
+        Ames Stereo Pipeline has no check points: theirs get a standard deviation so large that
+        `bundle_adjust` does not hold them. It takes numbers as ids, so that other ids stand in
+        comments. Raises TermselError without heights or a standard deviation.
         """
         self.require(result, path)
         sigma_ground = float(self.options["ground_sigma"])

@@ -40,7 +40,12 @@ class ErdasGcps(Reader):
             head.startswith(_BINARY) and path.suffix.lower() == ".gcc")
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name file, line and column."""
+        """Return the points; errors name file, line and column.
+
+        The separator is the commonest of the header, whose words are compared without case and
+        signs. Where the image has no map coordinates, IMAGINE counts lines upwards, all negative,
+        and they are turned back. The format states no CRS. Errors name file, line and column.
+        """
         if path.suffix.lower() == ".gcc" and read_data(path).startswith(_BINARY):
             raise TermselError("this .gcc file of ERDAS IMAGINE is binary", file=path,
                                hint="Export the points from IMAGINE's table of points as text.")

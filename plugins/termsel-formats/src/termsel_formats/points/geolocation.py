@@ -177,7 +177,12 @@ def _bands_by_name(raster: Any) -> list[int] | None:
 
 
 def _arrays_of_domain(path: Path, raster: Any, domain: dict[str, str], stack: ExitStack) -> Arrays:
-    """Return the arrays that the metadata of an image name, by GDAL's RFC 4."""
+    """Return the arrays that the metadata of an image name, by GDAL's RFC 4.
+
+    `domain` is the metadata domain GEOLOCATION of the image, and arrays are opened on `stack`. They
+    may be in other files, relative to the image or not, and have their own steps and offsets,
+    counted from corners or middles of pixels. Raises TermselError for a domain that is incomplete.
+    """
     bands = []
     for axis in "XYZ":
         name = domain.get(f"{axis}_DATASET")

@@ -65,7 +65,13 @@ class ArcgisLinks(Reader):
                     and _SMALLEST < size < LARGEST_IMAGE)
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name file, line and column."""
+        """Return the points; errors name file, line and column.
+
+        A file of links has no header, and four numbers in a row, or five with a number first,
+        sometimes residuals after them. Lines count upwards in ArcGIS and from the corner of the
+        upper-left pixel. As nothing says so in the file, the first link is shown as it is read.
+        Errors name file and line.
+        """
         rows = _numbered_rows(read_text(path))
         if rows and not all(map(is_number, rows[0][1])):
             rows = rows[1:]

@@ -41,7 +41,12 @@ class MetashapeMarkers(Reader):
         return b"<markers" in head and b"<document" in head
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the markers that one camera sees; errors name the file."""
+        """Return the markers that one camera sees; errors name the file.
+
+        Marks are on one camera, which `image_name` chooses where there are several. A marker whose
+        reference is switched off tests the adjustment in Metashape, so its point is independent.
+        Errors name the file, as XML of it has one line.
+        """
         root = xml_root(path, _METASHAPE_HINT)
         try:
             cameras = _labels_by_id(root, "camera")
@@ -151,7 +156,12 @@ class MetashapeMarkersWriter(PointsWriter):
     declared_options: ClassVar[tuple[Option, ...]] = (IMAGE_OPTION,)
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the points as markers of one camera; check points are not enabled."""
+        """Write the points as markers of one camera; check points are not enabled.
+
+        A marker without an enabled reference is a check point in Metashape. The CRS is written
+        without that of heights, which Metashape takes as they are. `result` has the points and
+        their roles; the image's name is that of the option, or of the file.
+        """
         self.require(result, path)
         checked = points_for_others(result)
         require_points(checked, path, self.needs)

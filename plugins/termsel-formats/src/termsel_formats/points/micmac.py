@@ -174,7 +174,11 @@ class MicmacXmlWriter(PointsWriter):
         return path, _ground_file(path)
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the file of measures and that of the ground; raises TermselError without control.
+        """Write the file of measures in the image and, beside it, that of the ground.
+
+        MicMac has no check points, so independent ones are left out: they would become control.
+        Both files are put in place together or not at all. Raises TermselError where no control
+        would be left, or heights are missing.
         """
         self.require(result, path)
         checked = points_for_others(result, with_heights=True)

@@ -45,7 +45,13 @@ class OziMap(Reader):
         return head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(_OZI_TITLE)
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name file, line and column."""
+        """Return the points; errors name file, line and column.
+
+        Points are in degrees and minutes with their side, or in a grid with a zone for each; all
+        must be of one kind. OziExplorer writes thirty lines for points whether they are used or
+        not, so those without pixels are skipped. The datum in line 5 gives the CRS. Errors name
+        file, line and column.
+        """
         text = read_text(path).splitlines()
         rows: list[tuple[int, str, str, str, str, str]] = []
         zones = set()

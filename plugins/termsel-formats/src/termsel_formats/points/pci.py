@@ -54,7 +54,13 @@ class PciGcp(Reader):
             for row in rows)
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name file, line and column."""
+        """Return the points; errors name file, line and column.
+
+        Fields have no names: the option `layout` says them, else the number of fields in the first
+        row. A layout that puts points outside any image is refused, as pixels and ground
+        coordinates were taken for each other. G, C and I in the field of status are control, check
+        and unused. The format states no CRS. Errors name file and line.
+        """
         rows = _numbered_rows(read_text(path))
         if not rows:
             raise TermselError("this file has no points", file=path,

@@ -279,7 +279,11 @@ class Georeferenced:
     bounds: tuple[float, float, float, float] | None = None
 
     def text(self) -> str:
-        """Return the report as text: start, candidates, model, accuracy, remarks and reasons."""
+        """Return the report as text: start, candidates, model, accuracy, remarks and reasons.
+
+        The remarks are for whoever uses the map; the reasons, if any, are why it is not accepted.
+        Distances are in px of the image unless another unit is named.
+        """
         selected = self.selected
         points = self.candidates.points
         agree = self.selected.agrees

@@ -18,7 +18,12 @@ _x = Writing()
 
 
 def fgdc_xml(report: Quality) -> str:
-    """Return the report as an XML document whose root is `metadata`."""
+    """Return the report as an XML document whose root is `metadata`.
+
+    The standard is the Content Standard for Digital Geospatial Metadata of the FGDC. Only errors on
+    the ground are positional accuracy there, so that figures in px are left out. What it requires
+    and termsel does not know is "Unknown".
+    """
     # Dates of the FGDC have no dashes.
     date = report.made[:10].replace("-", "")
     west, east, south, north = map(decimal_text, report.bounds)

@@ -49,7 +49,13 @@ _ROUNDING = 1e-6  # of a minimum, relative
 
 @_inlined
 def held_out_score(kind: int, vectors: Vectors, depth: int, c: int, limits: Limits) -> float:
-    """Return the sum of squared held-out errors with column c, or infinity without any."""
+    """Return the sum of squared held-out errors with column c, or infinity without any.
+
+    `vectors` hold the orthogonal columns of each fold at a `depth` of the tree. For PRESS, the
+    error of row i without it is e_i / (1 - h_i), with the leverage h_i, to which column c adds
+    v_i^2 / |v|^2. For folds it is the remainder of the vectors of the held-out rows. A row that the
+    others do not determine has no error, which makes the score infinite.
+    """
     n = vectors.square.shape[2] - 1
     r = vectors.share.shape[3]
     total = limits.offset

@@ -104,7 +104,12 @@ def branch_residuals(tree: Tree, limits: Limits, records: Records, counts: IntAr
 
 @_compiled
 def _drop_column(tree: Tree, d: int, position: int) -> None:
-    """Drop a column, those before it in the order joining the columns in use, to the next depth."""
+    """Drop a column of the triangle R; those before it in the order are fixed from there on.
+
+    The child at depth d + 1 is the subtree without that column. Taking a column out of R leaves one
+    entry below the diagonal in each later column; Givens rotations of two rows bring it to zero,
+    and Q'y with it. What ends in the row that became zero adds to the residual sum of squares.
+    """
     n = tree.count[d]
     x = tree.order[d, position]
     child = d + 1

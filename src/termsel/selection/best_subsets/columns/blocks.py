@@ -97,7 +97,13 @@ def _write_products(rows: FloatArray, height: int, weighted: bool, first: int, n
 
 @_compiled
 def eliminate(i: int, level: int, count: int, b: SubsetBlock) -> None:
-    """Remove column i from those to its right and from the target, from one level to the next."""
+    """Remove column i from those to its right and from the target, from one level to the next.
+
+    Gram-Schmidt by products alone: with v = column i, each later column becomes x - (x'v / v'v) v,
+    and so does the target, in the control, which decides, and likewise in the errors. No vector is
+    touched, so that the cost does not depend on the number of points. `count` columns are left at
+    the level.
+    """
     control = b.control
     errors = b.errors
     below = level + 1

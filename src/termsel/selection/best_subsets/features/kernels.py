@@ -283,7 +283,12 @@ def _invert(normal: FloatArray, k: int, factor: FloatArray, inverse: FloatArray)
 @_compiled
 def _fill_products(rows: FeatureRows, state: WalkState, space: EntrySpace,
                    depth: int, p: int, first: int) -> None:
-    """Fill h, q, e and g of a part at a depth, for the rows of the features from `first` on."""
+    """Fill h, q, e and g of a part at a depth, for the rows of the features from `first` on.
+
+    With M = (A'A)^-1 of the features in use, h = a M a' and q = a M M a' of the rows a to come say
+    what entering them does, e = b - a y is their error, and g = a M y. `space` has the inverse
+    factor L^-1 and the solution y of the part p.
+    """
     k = rows.columns[p]
     inverse = space.inverse[p]
     y = space.y[p]
@@ -374,7 +379,12 @@ def _enter_feature(rows: FeatureRows, state: WalkState, space: EntrySpace,
 @_compiled
 def _carry_to_next_depth(rows: FeatureRows, state: WalkState, space: EntrySpace, depth: int,
                          i: int) -> None:
-    """Set h, q, e, g and y'y of the next depth: those of this one after feature i has entered."""
+    """Set h, q, e, g and y'y of the next depth: those of this one after feature i has entered.
+
+    Entering feature i changes M by a term of the rank of its rows (Woodbury's formula), so that h
+    and q change by products of two vectors, which `_enter_feature` leaves in `space`. Rows of the
+    feature are taken one after the other.
+    """
     for p in range(len(rows.columns)):
         state.square[depth + 1, p] = _enter_feature(rows, state, space, depth, p, i)
         start = rows.start[p, i + 1]

@@ -217,7 +217,12 @@ class Selections:
                            bits=_feature_masks(len(self.free)))
 
     def _walk_state(self, branch: Branch) -> tuple[WalkState, EntrySpace]:
-        """Return the arrays of a walk, with the normal equations of its first selection."""
+        """Return the arrays of a walk, with the normal equations of its first selection.
+
+        All levels of the walk are allocated here, as the kernel allocates nothing. `branch` has the
+        features that are in use at the beginning; rows of systems with fewer terms are padded, so
+        that arrays hold several systems.
+        """
         rows = self._padded_rows
         n_systems, height, width = rows.design.shape
         room = min(self.max_size - int(self.on.sum()), len(self.free)) - len(branch.used)
