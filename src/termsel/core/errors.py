@@ -34,6 +34,11 @@ class TermselError(Exception):
         The features concerned, from which a reader finds the line of its file.
     name : str
         Of the option, model, solver or other thing that it is about, as far as there is one.
+    code : str
+        What is wrong, for programs, where one of them does something about it: "column-missing",
+        "crs-unknown", "format-unknown", "ground-alone", "header-missing", "height-missing",
+        "image-alone", "reference-missing", "rpc-alone", "text", or "model-unknown" and the like
+        of any other kind of name. Messages may change their words, codes do not.
 
     Attributes
     ----------
@@ -66,6 +71,7 @@ class TermselError(Exception):
         column: str | int | None = None,
         ids: Iterable[str] = (),
         name: str = "",
+        code: str = "",
     ) -> None:
         super().__init__(message)
         self.what = message
@@ -75,6 +81,7 @@ class TermselError(Exception):
         self.column = column
         self.ids = tuple(ids)
         self.name = name
+        self.code = code
         self.options: dict[str, str] = {}
         self.guesses: list[str] = []
         self.first_points: list[str] = []
@@ -164,7 +171,7 @@ def unknown_name_error(
               else f"No {kind} is known here: leave it out.")
     if near and len(names) > MOST_BESIDE_NEAR:
         listed = ""
-    return TermselError(f"unknown {kind} {name!r}", name=name,
+    return TermselError(f"unknown {kind} {name!r}", name=name, code=f"{kind}-unknown",
                         hint=" ".join(text for text in (guess, listed, hint) if text))
 
 

@@ -157,7 +157,8 @@ class Option:
                 raise wrong
             return text in _TRUE
         if self.type is str:
-            parsed = _listed_text(value)
+            is_list = isinstance(value, list | tuple)
+            parsed = ",".join(map(str, value)) if is_list else str(value)
         else:
             try:
                 parsed = self._number(value)
@@ -186,13 +187,6 @@ class Option:
             if number != int(number):
                 raise ValueError from None
             return int(number)
-
-
-def _listed_text(value: Any) -> str:
-    """Return the text of a value; of a list or tuple its members, separated by commas."""
-    if isinstance(value, list | tuple):
-        return ",".join(map(str, value))
-    return str(value)
 
 
 def _plain_number(bound: float) -> str:

@@ -16,7 +16,7 @@ from termsel.fitting.fit import Fit
 from termsel.fitting.next_places import rank_places
 from termsel.fitting.scene import scene_grid
 from termsel.formats.readers.csv_tables import table_text
-from termsel.io.project import HEIGHT_MISSING, read_ground
+from termsel.io.project import read_ground
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
@@ -77,7 +77,7 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
         try:
             named, positions = read_ground(result, candidates)
         except TermselError as error:
-            if error.what.endswith(HEIGHT_MISSING):
+            if error.code == "height-missing":
                 error.hint = "Give heights in the file. termsel project with --dem FILE, or " \
                     "--height H, writes a table that has them."
             raise

@@ -36,8 +36,6 @@ from termsel.formats.z_unit import refuse_other_units
 if TYPE_CHECKING:
     from termsel.results.result import Result
 
-HEIGHT_MISSING = "the height is blank, but the model requires it"
-"""What is wrong with a ground position without a height."""
 
 log = logging.getLogger(__name__)
 
@@ -80,7 +78,8 @@ def project_table(
         try:
             table = _read_table(path, columns, "line", "sample", layer=layer)
         except TermselError as error:
-            if _lacks_a_column(error) and _has_columns(path, columns, "x", "y", layer=layer):
+            if error.code == "column-missing" \
+                    and _has_columns(path, columns, "x", "y", layer=layer):
                 error.hint = ("These are ground positions: leave --inverse out for their positions "
                               "in the image.")
             raise
@@ -103,7 +102,7 @@ def project_table(
         try:
             ids, ground = read_ground(result, path, columns, dem, height, layer)
         except TermselError as error:
-            if _lacks_a_column(error) \
+            if error.code == "column-missing" \
                     and _has_columns(path, columns, "line", "sample", layer=layer):
                 error.hint = ("These are image positions: add --inverse, with --dem FILE or "
                               "--height H, for ground positions.")
@@ -196,7 +195,22 @@ def _control_ground(result: Result) -> FloatArray:
 def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None = None,
                 height: float | None = None, layer: str | None = None,
                 ) -> tuple[list[str], FloatArray]:
-    """Return ids and ground positions, shape (n, 3), of a table, as `project_table` reads it."""
+    """Return ids and ground positions, shape (n, 3), of a table in the CRS of a result's control.
+
+    Parameters
+    ----------
+    result : Result
+        Its model says whether heights are needed, its control the CRS.
+    path, columns, layer : optional
+        As for `project_table`.
+    dem, height : optional
+        Where heights that are blank come from, a raster or one number.
+
+    Raises
+    ------
+    TermselError
+        For a table without ground positions, of another CRS or unit, or lacking heights.
+    """
     model = result.fit.model
     crs = result.fit.control.crs
     names = ("x", "y", "z") if model.uses_height else ("x", "y")
@@ -209,7 +223,8 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
         table = _read_table(path, columns, *names, layer=layer,
                             flat=fills and model.uses_height)
     except TermselError as error:
-        if _lacks_a_column(error) and _has_columns(path, columns, "line", "sample", layer=layer):
+        if error.code == "column-missing" \
+                and _has_columns(path, columns, "line", "sample", layer=layer):
             error.hint = f"These are image positions; ground positions {','.join(names)} are " \
                 "needed. termsel project --inverse computes them."
         raise
@@ -245,8 +260,10 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
     elif height is not None:
         ground[blank, 2] = height
     elif blank.size:
-        raise table.error(HEIGHT_MISSING, int(blank[0]), "z",
-                          "Give heights by --dem FILE or --height H, or in the file.")
+        missing = table.error("the height is blank, but the model requires it", int(blank[0]), "z",
+                              "Give heights by --dem FILE or --height H, or in the file.")
+        missing.code = "height-missing"
+        raise missing
     return ids, ground
 
 
@@ -275,11 +292,6 @@ def _require_crs_of_control(ids: Sequence[str], ground: FloatArray, crs: str, pa
         error.hint = f"{swapped}The points must be in the CRS of the control, " \
             f"{short_crs_name(crs)}: transform them to it."
         raise
-
-
-def _lacks_a_column(error: TermselError) -> bool:
-    """Return whether an error says that a table lacks a column."""
-    return error.what.startswith(("there is no column", "there are no columns"))
 
 
 def _has_columns(path: Path, columns: str, *coordinates: str, layer: str | None) -> bool:

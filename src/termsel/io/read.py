@@ -23,7 +23,7 @@ from termsel.core.isolation.parts import missing_package_error, values_of_slot
 from termsel.core.options import Option
 from termsel.data.coordinates.crs import LOCAL, WGS84, normalise, short_crs_name
 from termsel.data.coordinates.crs_columns import note_on_other_crs
-from termsel.data.coordinates.earth import UNKNOWN_CRS, say_turned, unknown_crs_error
+from termsel.data.coordinates.earth import say_turned, unknown_crs_error
 from termsel.data.coordinates.plausible import check_ground, note_on_mixed
 from termsel.data.coordinates.true_lengths import note_on_scale, with_degrees
 from termsel.data.features import FeatureSet, empty_lines, empty_points
@@ -219,7 +219,7 @@ def read(
                                      formats=formats, options=of_readers, origin=origin,
                                      swapped=swapped)
         except TermselError as error:
-            if image is not None and error.what == UNKNOWN_CRS:
+            if image is not None and error.code == "crs-unknown":
                 _propose_prj_of(Path(image), error)
             raise
         features = _with_image_size(features, image, size, off)
@@ -424,6 +424,7 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
         return recognising
     if any(name in head for name in (b"LINE_NUM_COEFF", b"lineNumCoef", b"Global_RFM")):
         raise TermselError("this file contains an RPC and no control points", file=path,
+                           code="rpc-alone",
                            hint="Give control with --points and the RPC with --rpc; auto then "
                                 "corrects it. " + registry().missing("rpc-gcps"))
     if is_utf16(head) and _reader_that_recognises(
@@ -436,8 +437,8 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
     binary = b"\0" in head
     rasters = registry().missing("gdal-gcps") if binary or b"<VRTDataset" in head else ""
     raise TermselError(f"this {'binary file' if binary else 'file'} is in no format that termsel "
-                       "knows",
-                       file=path, hint=f"{EXPECTED} If it is a raster with control points, "
+                       "knows", file=path, code="format-unknown",
+                       hint=f"{EXPECTED} If it is a raster with control points, "
                        f"gdal-gcps reads it. {rasters}" if rasters else EXPECTED)
 
 
@@ -453,7 +454,12 @@ def _refuse_own_folder(path: Path) -> None:
 
 
 def _refuse_other_content(path: Path, head: bytes) -> None:
-    """Raise TermselError for a web page, other XML, GeoJSON of other geometry, and damaged JSON."""
+    """Raise TermselError for a web page, other XML, GeoJSON of other geometry, and damaged JSON.
+
+    No reader recognises the file, and a general message would help nobody: what it is shows in its
+    first bytes, `head`. A failed download is a web page, metadata of an image are JSON or XML, and
+    GeoJSON may have polygons. Nothing is raised where nothing shows.
+    """
     text = head.decode("utf-8-sig", errors="replace").lstrip()
     if path.suffix.lower() == ".toml":
         raise TermselError("this is a file of settings, expected points or lines", file=path,
@@ -611,7 +617,12 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
                        crs: str | None, readers: Sequence[type[Reader]], formats: Sequence[str],
                        options: Mapping[str, Any], either: bool,
                        origin: Origin | None, swapped: str | None) -> FeatureSet:
-    """Return the features of all files in one CRS; the arguments are those of `read_features`."""
+    """Return the features of all files in one CRS, checked; arguments as of `read_features`.
+
+    In this order, as each step needs the one before: the reader of each file, its features with
+    axes exchanged and counted from the upper left, their kinds, the CRS in which all agree, units
+    of columns, and positions that the CRS can have. Every error names the file.
+    """
     if points is None and lines is None and areas is None:
         raise TermselError("no file of points or lines is given",
                            hint="Give --points FILE, --lines FILE or --areas FILE.")
@@ -631,7 +642,7 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
         try:
             sets[path] = exchange_back(reader.read(path), swapped)
         except TermselError as error:
-            if formats and error.what.startswith(("there is no column", "there are no columns")):
+            if formats and error.code == "column-missing":
                 error.hint = f"{error.hint} Without --format the content tells the format."
             raise
     # Counted from the centre of the upper-left pixel from here on.
@@ -764,7 +775,12 @@ def _check_kinds(path: Path, counts: dict[str, int], expected: dict[str, bool]) 
 
 
 def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
-    """Return the CRS of all files: that which is stated, or that in which they agree."""
+    """Return the CRS of all files: that which is stated, or that in which they agree.
+
+    `sets` are the features by their file, and `stated` is what the user says. A .prj file beside a
+    table counts where neither says anything. EPSG:4326 and EPSG:4979 agree where only one of them
+    has heights. Raises TermselError where two files, or a file and the user, contradict each other.
+    """
     agreed = stated
     source = "--crs"
     for path, features in sets.items():

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
-from itertools import chain
 from pathlib import Path
 
 from termsel.core.errors import TermselError
+from termsel.core.files.endings import EXPECTED
 from termsel.core.files.names import is_there
 from termsel.data.rasters import open_raster
 from termsel.io.result_folder import files_of_result
@@ -20,11 +20,6 @@ _APPENDED = (".aux.xml", ".ovr", ".msk", ".points")
 
 _ENDINGS = {"CSV": (".csv", ".txt"), "JSON": (".json",)}
 """Endings of what termsel writes, by its kind; the first is the usual one."""
-
-_ENDINGS_OF_OTHERS = (
-    ".dbf", ".docx", ".fgb", ".geojson", ".gpkg", ".htm", ".html", ".jp2", ".jpeg", ".jpg", ".kml",
-    ".ods", ".parquet", ".pdf", ".png", ".points", ".shp", ".svg", ".tif", ".tiff", ".toml", ".tsv",
-    ".vrt", ".xls", ".xlsx", ".xml", ".zip")
 
 
 def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
@@ -99,7 +94,7 @@ def _refuse_other_ending(file: Path, written_as: str) -> None:
     """Raise TermselError for a name that says another kind of file than is written."""
     suffix = file.suffix.lower()
     own = _ENDINGS[written_as]
-    if suffix not in own and suffix in (*_ENDINGS_OF_OTHERS, *chain(*_ENDINGS.values())):
+    if suffix not in own and suffix in EXPECTED:
         raise TermselError(f"this file is written as {written_as}, not as {suffix}", file=file,
                            hint=f"Name it {file.with_suffix(own[0]).name}.")
 

@@ -7,7 +7,7 @@ import os
 import re
 import time
 import traceback
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cache, partial, wraps
@@ -183,17 +183,23 @@ class Loader:
     def load_all(self) -> None:
         """Import every plugin."""
         for slot in self.slots:
-            self._load(slot)
+            if not slot.loaded:
+                self._load(slot)
 
     def slots_of(self, hook: str) -> list[Slot]:
         """Return the plugins that implement a hook, the built-in one first; import no others."""
         for slot in self.slots:
-            if slot.may_have(hook):
+            if not slot.loaded and slot.may_have(hook):
                 self._load(slot)
         return [slot for slot in self.slots if hook in slot.hooks]
 
     def _usable_entry_points(self) -> list[EntryPoint]:
-        """Return the entry points of the installed plugins that may be used."""
+        """Return the entry points of the installed plugins that may be used.
+
+        The variable TERMSEL_PLUGINS may name those that count. A distribution whose metadata cannot
+        be read, or that is named and not installed, is noted as missing, with the reason; the
+        others go on.
+        """
         chosen_names = chosen_packages()
         # termsel's own entry point serves other programs; `builtin` is loaded without it, so
         # that termsel works from a source folder that is not installed.
@@ -221,9 +227,10 @@ class Loader:
         return points
 
     def _load(self, slot: Slot) -> None:
-        """Import a plugin once and register its hooks; note why that fails."""
-        if slot.loaded:
-            return
+        """Import a plugin and register its hooks, once; note why that fails.
+
+        A plugin that fails counts as loaded, without hooks: nothing is tried twice.
+        """
         slot.loaded = True
         plugin = slot.plugin
         manager = new_manager()
@@ -382,7 +389,7 @@ Taken = Callable[[Any], list[Any]]
 """Takes what a plugin returned; returns the things that it gives."""
 
 
-def call(hook: str, slots: Iterable[Slot], accept: Taken, arguments: Arguments | None = None,
+def call(hook: str, slots: Sequence[Slot], accept: Taken, arguments: Arguments | None = None,
          seconds: float | None = None) -> Answers:
     """Call a hook of all plugins that implement it, the slots, through pluggy.
 
@@ -390,13 +397,15 @@ def call(hook: str, slots: Iterable[Slot], accept: Taken, arguments: Arguments |
     seconds, by default as long as an import.
     """
     answers = Answers()
+    if not slots:
+        return answers
     givers = _Givers()
     arguments = arguments or {}
     # ``tryfirst``, ``trylast`` and wrappers work as pluggy documents them. Without them the
     # built-in plugin is called first, and others follow by distribution and name.
     manager = new_manager()
     # pluggy calls first what is registered last.
-    for slot in reversed(list(slots)):
+    for slot in reversed(slots):
         is_wrapper = slot.hooks[hook].wrapper or slot.hooks[hook].hookwrapper
         guard = _guard_wrapper if is_wrapper else _guard_implementation
         function = guard(slot, slot.hooks[hook], arguments, accept, answers=answers,
@@ -464,7 +473,13 @@ def _guard_implementation(
 def _guard_wrapper(slot: Slot, implementation: pluggy.HookImpl, arguments: Arguments,
                    _accept: Taken,
                    answers: Answers, givers: _Givers, seconds: float | None) -> Callable[..., Any]:
-    """Return a wrapper that never raises; if it fails, the inner answers stand."""
+    """Return a wrapper that never raises; if it fails, the inner answers stand.
+
+    pluggy runs a wrapper up to its `yield`, then the others, then the rest of it. Each part is
+    attempted by itself, so that an exception, or a wait of more than `seconds`, is noted as a fault
+    of the plugin and costs the others nothing. Wrappers of the old kind (`hookwrapper`) get a
+    result object.
+    """
     @wraps(implementation.function)
     def wrap(*_args: Any, **_keywords: Any) -> Generator[None, Any, Any]:
         """Run a plugin's wrapper around the others; if it fails, their answers stand."""

@@ -194,7 +194,8 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
     uncertain_places = [*uncertain_between_points(choice.chosen, predicted),
                         *uncertain_corners(fitted, predicted.rmse)] \
         if predicted and is_judged else []
-    rpc_unused, rpc_correction = _notes_on_rpc(request, data, auto, choice.chosen)
+    rpc_unused, rpc_correction = ("", "") if data.features.rpc is None else \
+        _notes_on_rpc(request, data, auto, choice.chosen)
     strategy = _strategy_record(choice, errors, predicted, data, clean, rpc_unused)
     interrupted = INTERRUPTED.format(min(watch.count, watch.methods), watch.methods) \
         if outcome.interrupted else ""
@@ -250,7 +251,13 @@ NO_SEARCH = {"feasible": True, "lookups": 0, "hit_rate": 0.0, "generations": 0, 
 
 
 def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chosen:
-    """Return the choice from control and check without blunders, and its repetition in folds."""
+    """Return the choice from control and check without blunders, and its repetition in folds.
+
+    In this order: enough features, the choice by their held-out errors, a view where the points
+    determine nothing else, lines selected by OWDIS, and the whole choice repeated without each
+    fold, whose errors are those of the procedure, not of the winner alone. An interrupted choice is
+    the best method so far. Raises TermselError where no method is determined.
+    """
     data = clean.pool
     features = data.features
     is_enough = len(features) >= auto.fewest(data)
@@ -363,8 +370,6 @@ def _final_fit(fitted: Fit, points: Points, heights: bool, auto: Auto,
 def _notes_on_rpc(request: Request, data: FitData, auto: Auto, fitted: Fit) -> tuple[str, str]:
     """Return a first note on the RPC that is given, and a note on its correction; "" for neither.
     """
-    if data.features.rpc is None:
-        return "", ""
     method = method_of(fitted)
     if method.from_one:
         return ("" if request.rpc_part is None else request.rpc_part.sentence(),

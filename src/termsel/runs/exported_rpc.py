@@ -44,9 +44,23 @@ def rpc_of_model(model: SensorModel) -> Rpc | None:
                                      if name in numbers}, RpcNumbers))
 
 
-def refuse_makers(rpc: Rpc | None, observations: Observations) -> None:
-    """Refuse points that an RPC was fitted to: they can neither correct nor test it."""
-    if rpc is None or not rpc.control_digests:
+def refuse_makers(rpc: Rpc, observations: Observations) -> None:
+    """Refuse points that an RPC was fitted to: they can neither correct nor test it.
+
+    Parameters
+    ----------
+    rpc : Rpc
+        Of a file or of the model. One that termsel exported has digests of its control.
+    observations : Observations
+        Its control, selection and independent points are compared with the digests; where only
+        points that are off made it, its use is noted.
+
+    Raises
+    ------
+    TermselError
+        If it was fitted to some of the points, naming these, or seems to be from the rest of them.
+    """
+    if not rpc.control_digests:
         return
     features = observations.together
     features = features.with_(points=features.points.join_unchecked(observations.independent))

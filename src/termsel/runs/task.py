@@ -403,7 +403,9 @@ def observe(request: Request, fewest: int = MIN_CONTROL) -> Observations:
         split=split_of(of_data),
         fractions=parse_shares(of_data["fractions"], criterion.needs_check),
         rng=np.random.default_rng(of_data["split"]))
-    refuse_makers(request.features.rpc or rpc_of_model(request.model), observations)
+    rpc = request.features.rpc or rpc_of_model(request.model)
+    if rpc is not None:
+        refuse_makers(rpc, observations)
     # Where no criterion needs judges, selection points are control as well.
     if _check_as(request, observations) == "control":
         observations = check_as_control(observations)

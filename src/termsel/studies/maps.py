@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 from shlex import quote
 
 from termsel.core.errors import TermselError, count_in_words, first_names_in_words
+from termsel.core.files.endings import RASTERS
 from termsel.core.files.names import JOURNAL, is_there
 from termsel.core.files.texts import csv_table
 from termsel.io.result_folder import RECORD, read_result
@@ -29,9 +30,6 @@ is older than the result of its image."""
 TABLE = "maps.csv"
 """The table in the folder of the maps: what was written, what not or with doubt, and why."""
 _HEADER = ("image", "verdict", "state", "map", "why")
-
-_PICTURES = frozenset((".tif", ".tiff", ".jp2", ".jpg", ".jpeg", ".png", ".img", ".ntf", ".vrt",
-                       ".gif", ".bmp", ".bil"))
 
 
 @dataclass(frozen=True)
@@ -155,7 +153,7 @@ def _with_picture(planned: ImageMap, folder: Path, pictures_of: Mapping[str, Seq
 
 def _pictures_in(folder: Path) -> list[Path]:
     """Return the pictures in a folder, in the order of their names."""
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in _PICTURES)
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in RASTERS)
 
 
 def _pictures_of(label: str, files: Sequence[Path]) -> list[Path]:
@@ -234,7 +232,11 @@ def count_of_maps(maps: Sequence[ImageMap]) -> str:
 
 
 def next_command(study: Study, folder: Path) -> str:
-    """Return the next step after a batch as a command: maps, or where to measure more points."""
+    """Return the next step after a batch as a command: maps, or where to measure more points.
+
+    It begins with "Next: " and can be typed. Where an image or a DEM that the maps need is not
+    known, it is the page of the least certain image instead. "" where nothing is left to do.
+    """
     rows = [row for row in study.rows if row["state"] == "done"]
     names = folders_of(study.cells)
     fit = [row for row in rows if row["verdict"] == FIT]

@@ -34,7 +34,6 @@ _WITHOUT_HEADER = {3: ("id", "x", "y"), 4: ("id", "x", "y", "z"),
                    6: ("id", "line", "sample", "x", "y", "z")}
 """What the columns of rows without a header are, where the first has ids."""
 
-_UNKNOWN = "no format that termsel knows"
 _LEFT_OUT = ("has no column of ids", "its heights are unknown")
 """What notes say that does not hold on the page: it gives ids, and has heights of a DEM."""
 
@@ -64,7 +63,12 @@ def read_pasted(text: str, crs: str, size: tuple[int, int] | None,
 
 
 def _records_of_table(path: Path, crs: str, size: tuple[int, int] | None) -> list[Record]:
-    """Return the points of a file as records; see `read_pasted`."""
+    """Return the points of a file as records; see `read_pasted`.
+
+    Rows may have no header where their width says what they are. Where a table has one pair of
+    coordinates alone, the other one is clicked on the page: such points have `ground` or `image`
+    alone. Raises TermselError for what is no table of points.
+    """
     rows = read_cells(path, POINTS, {}).rows
     if not rows:
         raise TermselError("nothing was pasted")
@@ -79,12 +83,11 @@ def _records_of_table(path: Path, crs: str, size: tuple[int, int] | None) -> lis
     try:
         features = termsel.read(path, crs=crs, columns=columns or None)
     except TermselError as error:
-        # The words of a table whose other pair of coordinates is missing.
-        if "ground coordinates alone" in error.what or (
-                _UNKNOWN in error.what and {"x", "y"} <= set(names)):
+        # Rows of one pair of coordinates get the other one by clicks.
+        is_unknown = error.code == "format-unknown"
+        if error.code == "ground-alone" or (is_unknown and {"x", "y"} <= set(names)):
             return _ground_records(path, columns, names, crs)
-        if "image coordinates alone" in error.what or (
-                _UNKNOWN in error.what and set(_IMAGE) <= set(names)):
+        if error.code == "image-alone" or (is_unknown and set(_IMAGE) <= set(names)):
             return _image_records(path, names, size)
         raise
     if not len(features.points):
@@ -179,7 +182,7 @@ def _on_page(error: TermselError, path: Path) -> TermselError:
         readings = [f"{_header_of(guess)} (the first point would be {first})"
                     for guess, first in zip(error.guesses, error.first_points, strict=True)]
         hint = f"Put a line of names above the rows, if this is right: {'; or '.join(readings)}."
-    elif _UNKNOWN in error.what or "no header" in error.what:
+    elif error.code in ("format-unknown", "header-missing"):
         error.what = "the rows have no header that names their columns"
         hint = f"Put one above them, such as {_EXAMPLE}. Rows without one begin with an id: " \
             "A1, 512300.5, 5339520.1."

@@ -532,7 +532,7 @@ def _read_features(files: Files) -> FeatureSet:
     try:
         return termsel.read(files.points, files.lines, crs=files.crs)
     except TermselError as error:
-        if "has ground coordinates alone" in error.what:
+        if error.code == "ground-alone":
             error.hint = ("The page begins with measured points. Give the list as a map, and click "
                           "each of its points there and in the image: --map FILE.gpkg. QGIS saves "
                           "a table as such a layer (Add Delimited Text Layer, then Export).")

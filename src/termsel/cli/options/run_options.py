@@ -16,6 +16,7 @@ from termsel.cli.options.shared import Command, progress_option, remote_option
 from termsel.cli.report import REPORT
 from termsel.cli.topics import Whole
 from termsel.core.errors import TermselError
+from termsel.core.files.endings import PAGES, RASTERS
 from termsel.core.options import SEED
 
 if TYPE_CHECKING:
@@ -287,7 +288,13 @@ class RunOptions:
             say_written([page])
 
     def read(self) -> tuple[FeatureSet | None, dict[str, str]]:
-        """Return the features of the files, None without files, and the options that remain."""
+        """Return the features of the files, None without files, and the options that remain.
+
+        All options that are not of the command line itself stand under --set, whosever they are.
+        Those of reading and of the readers of these files are taken out here; the others are for
+        the run. Raises TermselError for an option that is given twice, or that is nearly the name
+        of one.
+        """
         from termsel.io.read import read, read_options, readers_of, refuse_misspelt
         from termsel.plugins.registry import registry
 
@@ -346,9 +353,9 @@ class RunOptions:
         return shlex.join([*words, "--allow-remote"] if remote_allowed() else words)
 
 
-_IMAGES = {".tif", ".tiff", ".jp2", ".img", ".png", ".jpg", ".jpeg", ".vrt", ".ntf", ".dim"}
+_SCENES = {".dim"}
+"""Endings of metadata that stand for the image of a scene."""
 _RPCS = {".rpb", ".rpc"}
-_PAGES = {".html", ".htm", ".pdf", ".svg"}
 _COMMENTS = 20
 """Lines at the head of a table among which its header is looked for, below comments."""
 
@@ -363,7 +370,7 @@ def with_files(files: Sequence[Path], arguments: Mapping[str, Any]) -> dict[str,
     """
     options = dict(arguments)
     for path in files:
-        if path.suffix.lower() in _PAGES:
+        if path.suffix.lower() in PAGES:
             raise TermselError("this is the name of a page, and a run reads points, lines, images "
                                "and RPCs", file=path,
                                hint="--report takes no name: it writes report.html into the folder "
@@ -415,7 +422,7 @@ def _holds_heights(path: Path) -> bool:
 def _kind_of(path: Path) -> str:
     """Return which option a file is for, by its name, and of a table by its header."""
     suffix = path.suffix.lower()
-    if suffix in _IMAGES:
+    if suffix in RASTERS | _SCENES:
         return "image"
     if suffix in _RPCS or path.stem.lower().endswith("_rpc"):
         return "rpc"

@@ -167,8 +167,14 @@ def foreign_format(head: bytes) -> str:
 
 
 def refused_format_error(path: object, head: bytes, of: object = None) -> TermselError:
-    """Return the error for a file of a driver that is off."""
+    """Return the error for a file that GDAL is not let open as a raster, with what to do about it.
+
+    Drivers that read code, other files or databases are off (see `RASTER_DRIVERS`), and GDAL itself
+    would only say that the file is in no supported format. The first bytes of the file, `head`, say
+    what it is. `of` is the file that refers to it, where the user named that one.
+    """
     name = foreign_format(head)
+    code = ""
     # What is known is named, so that whoever trusts the file can turn its driver on.
     hint = f"Convert it: gdal_translate {path if len(str(path)) < 100 else 'FILE'} map.tif."
     if head.startswith(_DATABASE):
@@ -184,14 +190,16 @@ def refused_format_error(path: object, head: bytes, of: object = None) -> Termse
         hint = "Copy or download it again."
     elif is_text(head) or head.lstrip().startswith(b"{"):
         reason = "this is a file of text, not a raster"
+        code = "text"
         hint = "Give a raster, such as a GeoTIFF. A table of points is given by --points FILE, " \
                "an RPC by --rpc FILE."
     else:
         reason = "this is no raster of a format that termsel opens"
         hint = f"If a GIS shows it, convert it: {hint[len('Convert it: '):]}"
     if of is not None and str(of) != str(path):
-        return TermselError(f"it refers to {cut(str(path), 100)!r}: {reason}", file=of, hint=hint)
-    return TermselError(reason, file=path, hint=hint)
+        return TermselError(f"it refers to {cut(str(path), 100)!r}: {reason}", file=of, hint=hint,
+                           code=code)
+    return TermselError(reason, file=path, hint=hint, code=code)
 
 
 _DATABASE = b"SQLite format 3\0"
@@ -241,7 +249,14 @@ class _Chain:
         return max(self.require(path, name, depth) for path in dict.fromkeys(candidates))
 
     def require(self, name: str, stated: str, depth: int = 0) -> int:
-        """Require that a file may be opened; return the number of sources that it reads."""
+        """Require that a file and all it refers to may be opened; return how many sources it reads.
+
+        A virtual raster names files, which may name further ones, anything on the disk or on a
+        server. `name` is as GDAL would open it, `stated` as the file before it in the chain has it,
+        for messages; `depth` counts the files up to it. Raises TermselError for remote sources,
+        unless these are allowed, for drivers that are off, and for chains that never end or
+        multiply.
+        """
         if name in self.reads:
             return self.reads[name]
         if depth > _DEEPEST:
@@ -406,7 +421,13 @@ class _Chain:
 
     def _require_named_in_text(self, text: str, folder: str, depth: int,
                                expected: str = "vrtdataset") -> int:
-        """Require all that a virtual raster or auxiliary XML names; return the reads."""
+        """Require all that a virtual raster or auxiliary XML names; return the reads.
+
+        `text` is the XML, `folder` that of its file, from which relative names count, and
+        `expected` the name of its root; "" takes any. Code of Python, entities and grids of PROJ
+        are refused, as GDAL would run or open them. The number of reads is that of pixels of
+        sources for one pixel of the raster.
+        """
         # Entities can expand to any size, and name files.
         if "<!DOCTYPE" in text or "<!ENTITY" in text:
             raise self._not_plain_error()

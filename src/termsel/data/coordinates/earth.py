@@ -33,7 +33,6 @@ from termsel.data.record.chances import median_of
 
 log = logging.getLogger(__name__)
 
-UNKNOWN_CRS = "the CRS of the ground coordinates is unknown"
 _TELLING = 4  # points from which on a mirror image shows, or half as many again lines
 MIRRORED = 3  # points from which on it shows next to other images
 _UNLIKE = 0.2  # share of the image coordinates' variance that relief and distortion may leave
@@ -69,7 +68,12 @@ def say_turned(features: FeatureSet) -> None:
 
 
 def note_on_turned(features: FeatureSet) -> str:
-    """Return a note where axes look swapped or are counted the other way; "" where they are not."""
+    """Return a note where axes look swapped or are counted the other way; "" where they are not.
+
+    An image taken from above shows the ground turned by any angle but not mirrored, so that the
+    sign of the determinant of the affine fit tells lines or samples that are counted the other way.
+    The sentence ends with the option that exchanges the axes.
+    """
     if doubt := find_swapped_axes(features):
         exchanging, exchanging_others = _exchange_option(doubt)
         location = place_of(features)
@@ -103,7 +107,8 @@ def unknown_crs_error(features: FeatureSet, may_turn: bool) -> TermselError:
 
     Where axes look swapped and `may_turn`, it says which option exchanges them, too.
     """
-    error = TermselError(UNKNOWN_CRS, hint=f"State it with --crs: {EXAMPLES}.")
+    error = TermselError("the CRS of the ground coordinates is unknown", code="crs-unknown",
+                         hint=f"State it with --crs: {EXAMPLES}.")
     ground = features.ground_vertices()
     plane = ground[:, :2]
     column, said = crs_of_columns(features)

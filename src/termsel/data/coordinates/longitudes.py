@@ -91,8 +91,8 @@ def turn_of(crs: str) -> float:
 
 def has_longitude_jump(features: FeatureSet) -> bool:
     """Return whether x jumps by a full turn between control and check features."""
-    decides = _deciding_vertices(features)
-    if not decides.any() or not turn_of(features.crs):
+    decides = _deciding_vertices(features) if _may_jump(features) else np.zeros(0, dtype=bool)
+    if not decides.any():
         return False
     lon = features.ground_vertices()[decides, 0]
     return bool((_continuous_longitudes(features) != lon).any())
@@ -103,12 +103,13 @@ def without_jump(features: FeatureSet) -> FeatureSet:
 
     It is the same object if none jump.
     """
+    if not _may_jump(features):
+        return features
     points = features.points
     lines = features.lines
     all_longitudes = features.ground_vertices()[:, 0]
-    decides = _deciding_vertices(features)
     turn = turn_of(features.crs)
-    if not decides.any() or not turn:
+    if not _deciding_vertices(features).any():
         return features
     # Control and check points say where the scene is; the others follow, by whole turns.
     lon = _continuous_longitudes(features)
@@ -123,6 +124,17 @@ def without_jump(features: FeatureSet) -> FeatureSet:
     of_lines[..., 0] = moved[len(points):].reshape(-1, 2)
     return features.with_(points=replace(points, ground=of_points),
                           lines=replace(lines, ground=of_lines))
+
+
+def _may_jump(features: FeatureSet) -> bool:
+    """Return whether x goes round the Earth, and features span more than half of a turn.
+
+    Within half a turn nothing jumps, as in nearly all scenes.
+    """
+    turn = turn_of(features.crs)
+    if not turn or not len(features):
+        return False
+    return bool(np.ptp(features.ground_vertices()[:, 0]) > turn / 2)
 
 
 def _continuous_longitudes(features: FeatureSet) -> FloatArray:

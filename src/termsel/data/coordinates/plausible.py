@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -46,7 +47,8 @@ def check_ground(features: FeatureSet) -> None:
         return
     if kind == "geographic":
         _check_range(xy, features, *_DEGREE_RANGE,
-                     f"cannot be longitude and latitude in {crs}", _hint_of_degrees(xy, features))
+                     f"cannot be longitude and latitude in {crs}",
+                     lambda: _hint_of_degrees(xy, features))
     elif kind == "geocentric":
         _check_distance(ground, features, crs)
     elif kind == "projected":
@@ -55,7 +57,7 @@ def check_ground(features: FeatureSet) -> None:
         if utm:
             _check_range(xy, features, *_UTM_RANGE[utm[1]],
                          f"cannot be easting and northing in {crs} (UTM)",
-                         _hint_of_utm(xy, features, int(crs[-2:]), *_UTM_RANGE[utm[1]]))
+                         lambda: _hint_of_utm(xy, features, int(crs[-2:]), *_UTM_RANGE[utm[1]]))
     # What is wrong of x and y as well says more.
     if kind in ("geographic", "projected"):
         _check_heights(ground[:, 2], features)
@@ -155,7 +157,11 @@ def _hint_of_utm(xy: FloatArray, features: FeatureSet, zone: int, low: tuple[flo
 
 
 def _check_metres(xy: FloatArray, features: FeatureSet, crs: str) -> None:
-    """Refuse features in degrees under a projected CRS: all of them, or some far from the rest."""
+    """Refuse features in degrees under a projected CRS: all of them, or some far from the rest.
+
+    Whether a few small coordinates are degrees, the distance of the others shows: near the origin
+    of a CRS metres are as small. Raises TermselError with the first feature at fault.
+    """
     # Metres of a projected CRS are almost never so small.
     degrees: BoolArray = np.all(np.abs(xy) <= (180, 90), axis=1)
     if not degrees.any():
@@ -185,23 +191,27 @@ def _check_metres(xy: FloatArray, features: FeatureSet, crs: str) -> None:
 
 
 def _check_range(xy: FloatArray, features: FeatureSet, low: tuple[float, float],
-                 high: tuple[float, float], problem: str, hint: str) -> None:
-    """Refuse coordinates outside a range; say so if exchanged columns would be inside."""
-    def beyond(values: FloatArray) -> BoolArray:
-        return np.asarray((values < low) | (values > high))
+                 high: tuple[float, float], problem: str, hint_of: Callable[[], str]) -> None:
+    """Refuse coordinates (n, 2) outside a range; say so if exchanged columns would be inside.
 
-    def outside(values: FloatArray) -> BoolArray:
-        return np.asarray(beyond(values).any(axis=1))
-
-    is_outside = outside(xy)
+    `problem` ends the sentence on the first of them, and `hint_of` says what is likely wrong: it is
+    asked only where something is.
+    """
+    beyond: BoolArray = np.asarray((xy < low) | (xy > high))
+    is_outside = beyond.any(axis=1)
     if not is_outside.any():
         return
-    first = int(np.argmax(is_outside))
-    if not outside(xy[:, ::-1]).any():
+    exchanged = xy[:, ::-1]
+    is_outside_exchanged: BoolArray = np.asarray(
+        ((exchanged < low) | (exchanged > high)).any(axis=1))
+    if not is_outside_exchanged.any():
         hint = "x and y look swapped: --set swapped=xy exchanges them."
-    elif not outside(xy[is_outside][:, ::-1]).any():
-        hint = f"Perhaps x and y are swapped there. {hint}"
-    name, column = _name_vertex(features, first, int(np.argmax(beyond(xy)[first])))
+    elif not is_outside_exchanged[is_outside].any():
+        hint = f"Perhaps x and y are swapped there. {hint_of()}"
+    else:
+        hint = hint_of()
+    first = int(np.argmax(is_outside))
+    name, column = _name_vertex(features, first, int(np.argmax(beyond[first])))
     raise TermselError(f"{_feature_in_words(xy, name, first)} {problem}", hint=hint, ids=[name],
                        column=column)
 
@@ -282,8 +292,9 @@ def note_on_mixed(features: FeatureSet) -> str:
                     "pixels.")
     if len(points) < MIN_AFFINE_POINTS or not features.crs:
         return ""
-    return (_note_on_kilometres(features) or _two_zones_note(features) or _note_on_minutes(features)
-            or _note_on_heights_in_kilometres(features))
+    in_plan = _note_on_minutes(features) if is_in_degrees(features.crs) else \
+        _note_on_kilometres(features) or _two_zones_note(features)
+    return in_plan or _note_on_heights_in_kilometres(features)
 
 
 def _note_on_kilometres(features: FeatureSet) -> str:
@@ -358,12 +369,17 @@ def _note_on_heights_in_kilometres(features: FeatureSet) -> str:
 
 
 def _two_zones_note(features: FeatureSet) -> str:
-    """Return a note on points that look as if they were in the next zone of UTM; "" if none do."""
+    """Return a note on points that look as if they were in the next zone of UTM; "" if none do.
+
+    Their eastings are far from those of the others. Read in the zone beside, all points together
+    must be a far better affine image than as they stand.
+    """
     crs = normalise(features.crs)
-    match = UTM.fullmatch(crs)
+    if UTM.fullmatch(crs) is None:
+        return ""
     ground = features.points.ground
     far = _far_group(ground[:, 0])
-    if match is None or far is None:
+    if far is None:
         return ""
     as_it_stands = _rms_of_affine_fit(features.points.image, ground)
     zone = int(crs[-2:])
@@ -404,9 +420,11 @@ def _far_group(eastings: FloatArray) -> BoolArray | None:
 
 
 def _note_on_minutes(features: FeatureSet) -> str:
-    """Return a note that degrees and minutes, or seconds too, look typed as decimals; or ""."""
-    if not is_in_degrees(features.crs):
-        return ""
+    """Return a note that degrees and minutes, or seconds too, look typed as decimals; or "".
+
+    The features are in degrees. Read as minutes, 47.30 of 34.4730 is larger than as decimals, so
+    that only one of the readings is an affine image, once the points span more than a degree.
+    """
     ground = features.points.ground
     image = features.points.image
     size = np.abs(ground[:, :2])

@@ -84,7 +84,9 @@ def unit_of_text(word: str) -> str:
 def unit_of_image_in_name(name: str) -> str:
     """Return in words the unit that the name of a column of the image states; "" for pixels."""
     match = _IN_BRACKETS.search(name) or re.search(r"[\s_.-](mm|cm|um|µm|μm)$", name.lower())
-    word = match[1].strip().lower() if match else ""
+    if match is None:
+        return ""
+    word = match[1].strip().lower()
     unit = unit_of_text(word)
     return _NO_PIXELS.get(word, UNIT_WORDS.get(unit, "") if unit not in (FOOT, US_FOOT) else "")
 
@@ -102,6 +104,8 @@ def counts_against_axis(name: str, axis: str) -> bool:
 def unknown_remark(name: str) -> str:
     """Return what stands in brackets in the name of a column, if nobody knows it; else ""."""
     match = _IN_BRACKETS.search(name)
-    text = match[1] if match else ""
+    if match is None:
+        return ""
+    text = match[1]
     is_known = _PLAIN.fullmatch(text.strip("°º +")) or unit_of_text(text)
     return "" if is_known else text

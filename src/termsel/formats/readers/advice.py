@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel.core.errors import TermselError
+from termsel.core.files.endings import SPREADSHEETS
 from termsel.data.coordinates.crs import short_crs_name
 from termsel.data.features import FloatArray
 from termsel.data.tables.columns import (
@@ -60,8 +61,6 @@ _SCORES = frozenset((
 _NAMES_OF_SAMPLE = frozenset(("x", "col", "column", "cols"))
 _DOWN = frozenset(("y", "row", "rows"))
 """Words in names of columns that say along which axis they run."""
-
-_SPREADSHEETS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 
 def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Sequence[str]],
@@ -222,7 +221,13 @@ def with_both_readings(error: TermselError, header: Sequence[str], rows: Sequenc
 def _with_readings(error: TermselError, header: Sequence[str], rows: Sequence[Sequence[str]],
                    readings: Sequence[dict[str, int]], known_columns: Mapping[str, int],
                    aliases: Aliases, fixed: Collection[int]) -> TermselError:
-    """Return an error with readings as texts of --columns; what is not known are guesses."""
+    """Return an error with readings as texts of --columns; what is not known are guesses.
+
+    A reading says which column has which meaning. Where all readings share columns that are named,
+    they are certain; others are guesses, shown with the first point as each takes it, as only the
+    user knows. Where too few columns are left, the table lacks the image coordinates, and the error
+    says so.
+    """
     # One column has one meaning.
     single = [reading for reading in readings
               if len(set(reading.values())) == len(reading.values())]
@@ -236,6 +241,7 @@ def _with_readings(error: TermselError, header: Sequence[str], rows: Sequence[Se
         if texts[0].count("=?") == 2 and "line=?,sample=?" in texts[0]:
             error.what = "this table has ground coordinates alone: columns for line and sample " \
                 "are missing"
+            error.code = "ground-alone"
             error.column = None
             error.hint = f"Add the image coordinates of each point. {TO_MEASURE}"
         return error
@@ -287,12 +293,18 @@ def _read_so(row: Sequence[str], columns: Mapping[str, int]) -> str:
 
 
 def unknown_table_error(path: Path, expected: str, columns: str) -> TermselError | None:
-    """Return the error for a file without a reader, None unless it is a table of numbers."""
+    """Return the error for a file without a reader, None unless it is a table of numbers.
+
+    `expected` are the formats that could be given, `columns` what the option says of columns
+    already. A table without a header, with one in unknown words, or with one pair of coordinates
+    alone is told apart here, so that the user gets a text of --columns to type and not a list of
+    formats.
+    """
     stated = parse_columns(columns)
     try:
         cells = read_cells(path, POINTS, stated)
     except TermselError as error:
-        is_table = isinstance(error, BadText) or path.suffix.lower() in _SPREADSHEETS
+        is_table = isinstance(error, BadText) or path.suffix.lower() in SPREADSHEETS
         return error if is_table else None
     rows = [row for row in cells.rows[:_ROWS] if len(row) == len(cells.rows[-1]) <= WIDEST
             and not counts_columns(row)]
@@ -301,7 +313,7 @@ def unknown_table_error(path: Path, expected: str, columns: str) -> TermselError
             missing := _missing_pair_error(path, rows[0], list(values), expected)):
         return missing
     if len(rows) < 3 or len(values) < 4:
-        return None if path.suffix.lower() not in _SPREADSHEETS else TermselError(
+        return None if path.suffix.lower() not in SPREADSHEETS else TermselError(
             "no visible sheet has a table of points"
             if read_head(path, expected)[:4] in _SHEETS else
             "this is text, not a spreadsheet, and has no table of points", file=path,
@@ -314,7 +326,8 @@ def unknown_table_error(path: Path, expected: str, columns: str) -> TermselError
                if columns}
     message = "this table has no header that names its columns" if bare else \
         f"the header names too few columns that are known: {', '.join(map(str.strip, header))}"
-    unnamed = TermselError(message, file=path, hint=expected)
+    unnamed = TermselError(message, file=path, hint=expected,
+                           code="header-missing" if bare else "")
     # Some programs write the CRS into the first line, without a #.
     if crs := _crs_of(cells.comments):
         unnamed.what += f", and its first line is the CRS {crs}"
@@ -342,6 +355,7 @@ def _missing_pair_error(path: Path, header: Sequence[str], numeric: Sequence[int
             return TermselError(
                 f"this table has {present} coordinates alone: columns for {names} are missing. Its "
                 f"columns are {', '.join(map(str.strip, header))}", file=path,
+                code=f"{present}-alone",
                 hint=f"Add the {other} coordinates of each point. "
                      f"{TO_MEASURE if other == 'image' else expected}")
     return None

@@ -37,6 +37,9 @@ def joined_angles(header: Sequence[str], rows: list[list[str]],
     joined = [list(row) for row in rows]
     said = []
     parts = [_PART_OF_ANGLE.fullmatch(name.strip()) for name in header]
+    # Without minutes or seconds there is nothing to join.
+    if not any(part and (part[3] or part[4]) for part in parts):
+        return names, rows, []
     for axis in "xy":
         degrees = next((i for i in range(len(header)) if _is_degrees(header, i, axis)
                         and _are_all(_WHOLE, rows, i)), None)

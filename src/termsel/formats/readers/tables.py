@@ -184,7 +184,12 @@ class Table:
                           "Delete the copies: a point that is there twice would weigh twice.")
 
     def roles(self) -> list[str]:
-        """Return the role of each row, "off" where it is not enabled."""
+        """Return the role of each row, "off" where it is not enabled.
+
+        A table of QGIS has a column `enabled` in place of roles, other programs write 1.0 for 1. A
+        blank cell is "", so that roles can be assigned by place. Raises TermselError, at line and
+        column, for a role or flag that is unknown.
+        """
         cells = self.columns.get("role", [""] * len(self.lines))
         # Few, whatever the rows; in their order.
         role_of_cell = {cell: cell.strip().lower() for cell in dict.fromkeys(cells)}
@@ -237,7 +242,14 @@ class Table:
                                 for meaning in meanings])
 
     def _column_numbers(self, meaning: str, may_be_blank: bool) -> FloatArray:
-        """Return the numbers of a column by its meaning, (n,); errors name line and column."""
+        """Return the numbers of a column by its meaning, (n,); errors name line and column.
+
+        In this order: the unit of the image must be pixels; numbers are read with the decimal sign
+        of the column, angles in degrees, minutes and seconds; -9999 and the like are no heights;
+        numbers that count west or south change their sign; and units in the name, such as km,
+        become metres. A blank cell is NaN where it `may_be_blank`. A table without a column of
+        heights has NaN for all.
+        """
         # A table without heights has none for any row.
         if meaning not in self.columns and meaning[0] == "z":
             return np.full(len(self.lines), np.nan)
@@ -498,6 +510,7 @@ def _missing_column_error(path: Path | None, line: int | None, header: Sequence[
     blank = " Its cells may be blank." if meaning[0] == "z" else ""
     return TermselError(
         f"there is no column for {meaning}", file=path, line=line, column=meaning,
+        code="column-missing",
         hint=f"The columns here are: {_list_header(header)}. "
              f"Accepted names: {', '.join(names)}, and others.{blank}")
 
@@ -672,6 +685,8 @@ def _join_sides(columns: dict[str, list[str]], column_of: Mapping[str, int],
     """
     unused_columns = {i: [row[i] for row in rows] for i in range(len(header))
                       if i not in column_of.values()}
+    if not unused_columns:
+        return
     for axis in ("x", "y"):
         if axis not in columns:
             continue

@@ -21,6 +21,7 @@ from termsel.core.errors import GIS, TermselError, require_import
 from termsel.core.files.apart import call_apart
 from termsel.core.files.atomic import private_folder
 from termsel.core.files.drivers import DRIVER_HINT, WORKING_DRIVERS, gdal_options, vector_drivers
+from termsel.core.files.endings import SINGLE_VECTORS
 from termsel.core.files.names import is_there, refuse_grids, require_regular
 from termsel.core.files.sources import foreign_format, is_text
 from termsel.formats.base import read_head, read_text
@@ -30,10 +31,6 @@ from termsel.formats.readers.tables import COLUMNS
 log = logging.getLogger(__name__)
 
 LAYER = next(option for option in COLUMNS if option.name == "layer")
-
-_SINGLE_FILES = (".gpkg", ".fgb", ".geojson", ".json", ".geojsonl", ".kml", ".kmz", ".gml", ".gpx",
-                 ".xml", ".zip", ".shz")
-"""Endings of formats of one file."""
 
 _INDEX = re.compile(
     r"""CREATE\s+VIRTUAL\s+TABLE\s+(IF\s+NOT\s+EXISTS\s+)?("([^"]|"")*"|'([^']|'')*'|\w+)"""
@@ -159,7 +156,7 @@ def _link_into_folder(path: Path, folder: Path) -> Path:
     # pyogrio cannot pass on names that are no UTF-8.
     name = folder / path.name.encode(errors="replace").decode()
     files = [path]
-    if path.suffix.lower() not in _SINGLE_FILES:
+    if path.suffix.lower() not in SINGLE_VECTORS:
         # A Shapefile is several files of one stem.
         files += [file for file in path.parent.glob(f"{glob.escape(path.stem)}.*") if file != path]
     for file in files:

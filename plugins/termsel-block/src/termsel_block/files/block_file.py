@@ -327,7 +327,7 @@ def _check_model(stated: _Image, options: Mapping[str, Any], has_rpc: bool, path
     except TermselError as error:
         hint = hint_for_block(error.hint)
         # Most of the known ones have no priors.
-        if error.what.startswith("unknown model"):
+        if error.code == "model-unknown":
             hint = f"{hint.partition('Known:')[0]}{MODELS}"
         raise TermselError(f"image {stated.name!r}: {error.what}", file=path,
                            hint=hint) from error

@@ -62,7 +62,7 @@ def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) ->
     try:
         deviations, answers = compare_programs(file, result, final=final)
     except TermselError as error:
-        if "a file of text" in error.what:
+        if error.code == "text":
             error.hint = ("Give an image, or a file beside one, such as a world file, an RPC or an "
                           ".aux.xml. Points are for termsel run.")
         raise

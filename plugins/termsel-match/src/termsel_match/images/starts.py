@@ -160,9 +160,9 @@ def start_of(named: str | Path | None, image: Path) -> Start | None:
         return start_by_points(read(path), f"the points of {path.name}")
     except TermselError as error:
         # But one that cannot be read.
-        if "contains an RPC" in error.what:
+        if error.code == "rpc-alone":
             raise reason from error
-        if error.what == "the CRS of the ground coordinates is unknown":
+        if error.code == "crs-unknown":
             raise TermselError(error.what, file=path, hint="Write it above the header of the file, "
                                "for example # crs: EPSG:32633.") from error
         raise

@@ -15,7 +15,7 @@ from termsel_match.images.rasters import open_picture
 from termsel_match.images.starts import start_of
 from termsel_match.images.warps import crs_of, references_of
 from termsel_match.points.candidates import LEAST_CANDIDATES, Candidates
-from termsel_match.points.readers import NEEDS_REFERENCE, MatchesCsv
+from termsel_match.points.readers import MatchesCsv
 
 log = logging.getLogger("termsel.match")
 
@@ -57,8 +57,8 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
     try:
         features = read(path, dem=dem, **options)
     except TermselError as error:
-        unplaced = error.what == "the CRS of the ground coordinates is unknown"
-        if crs is None and (unplaced or error.what == NEEDS_REFERENCE):
+        unplaced = error.code == "crs-unknown"
+        if crs is None and (unplaced or error.code == "reference-missing"):
             raise TermselError(error.what, file=path,
                                hint="Give the georeferenced image by --reference.") from error
         if crs is None or not unplaced:

@@ -122,7 +122,7 @@ class MatchesCsv(Reader):
                                file=path, hint=f"If they are, declare the columns: {columns}.")
         if not reference:
             # Pixels of a reference have a place on the ground only by its file.
-            raise TermselError(NEEDS_REFERENCE, file=path, hint=(
+            raise TermselError(NEEDS_REFERENCE, file=path, code="reference-missing", hint=(
                 "Give it with --set reference=ORTHO.tif. If the second places are on the ground, "
                 f"declare the columns: {columns}."))
         inside = are_in_image(positions[:, :2], self.options["raster"], lines)
@@ -171,7 +171,7 @@ def with_ground(path: Path, ids: Sequence[str], image: FloatArray, at: FloatArra
     comes twice is taken once. Raises TermselError without a reference or matches.
     """
     if not reference:
-        raise TermselError(NEEDS_REFERENCE, file=path,
+        raise TermselError(NEEDS_REFERENCE, file=path, code="reference-missing",
                            hint="Give it with --set reference=ORTHO.tif. If the second places are "
                                 "on the ground, declare the columns: --format points-csv --columns "
                                 "sample=NAME,line=NAME,x=NAME,y=NAME.")
