@@ -1,10 +1,20 @@
-"""Types of the arrays that all rooms pass to each other."""
+"""Types of the arrays that all rooms pass to each other, and how those of users become them."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
+
+
+def numbers_or_nan(values: ArrayLike) -> FloatArray:
+    """Return values as an array of numbers, with NaN where a masked array of numpy masks them.
+
+    What is below a mask is no value, such as the -9999 of a hole in a DEM.
+    """
+    if np.ma.isMaskedArray(values):
+        return np.asarray(np.ma.filled(np.ma.asarray(values, dtype=np.float64), np.nan))
+    return np.asarray(values, dtype=np.float64)

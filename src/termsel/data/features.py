@@ -14,6 +14,7 @@ from termsel.core.errors import TermselError, count_in_words
 from termsel.data.arrays import BoolArray as BoolArray
 from termsel.data.arrays import FloatArray as FloatArray
 from termsel.data.arrays import IntArray as IntArray
+from termsel.data.coordinates.crs import crs_text
 from termsel.data.dem_difference import DemDifference
 from termsel.data.rpc import Rpc
 from termsel.data.tables.tabular import (
@@ -278,6 +279,8 @@ class FeatureSet(Glance):
     named_units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        # The class is frozen; nobody has seen the object yet.
+        object.__setattr__(self, "crs", crs_text(self.crs))
         # Selections, results and messages name a feature by its id alone.
         shared_ids = set(self.points.ids) & set(self.lines.ids)
         if shared_ids:

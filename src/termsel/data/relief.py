@@ -11,7 +11,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from termsel.core.errors import count_in_words
-from termsel.data.arrays import BoolArray, FloatArray
+from termsel.data.arrays import BoolArray, FloatArray, numbers_or_nan
 from termsel.data.locate import Projection, Surface, visible_places
 
 log = logging.getLogger(__name__)
@@ -57,6 +57,13 @@ class _Sampled:
     def spacing(self) -> float:
         """Return the lesser distance of neighbouring places."""
         return float(min(side[1] - side[0] for side in self._sides))
+
+
+def unmasked(surface: Surface) -> Surface:
+    """Return a surface whose heights are NaN where it returns a masked array of numpy."""
+    if isinstance(surface, Relief):  # which states its holes as NaN
+        return surface
+    return lambda places: numbers_or_nan(surface(places))
 
 
 def visible_ground(project: Projection, holds: Callable[[FloatArray], BoolArray],

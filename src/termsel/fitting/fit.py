@@ -17,11 +17,12 @@ from termsel.adjustment.solve import ROUNDING, Adjustment
 from termsel.core.display import Glance
 from termsel.core.errors import TermselError
 from termsel.core.threads import one_blas_thread
+from termsel.data.arrays import numbers_or_nan
 from termsel.data.extent import image_extent, reach
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Lines, Points
 from termsel.data.locate import Surface, locate
 from termsel.data.record.figures import Rmse, Settings
-from termsel.data.relief import visible_ground
+from termsel.data.relief import unmasked, visible_ground
 from termsel.data.scaling import Scaling, make_scaling
 from termsel.data.view import CentralView, view_of
 from termsel.fitting.extrapolation import variance_by_heights
@@ -564,7 +565,7 @@ class Fit(Glance):
 
     def _ground_points(self, ground: ArrayLike) -> FloatArray:
         """Return ground points (n, 3); a plane model also takes them without heights."""
-        points = np.asarray(ground, dtype=np.float64)
+        points = numbers_or_nan(ground)
         if points.shape[1:] == (2,) and not self.model.uses_height:
             # A plane model does not look at heights, so that they may be missing.
             return np.pad(points, ((0, 0), (0, 1)), constant_values=np.nan)
@@ -608,12 +609,15 @@ class Fit(Glance):
         # size.
         scale = np.maximum(scale, reach(
             self.control, self.model.options, self.model.known_image()))
-        ground = locate(self.project, image, heights, centre=centre, scale=scale)
+        image = numbers_or_nan(image)
+        if not callable(heights):
+            return locate(self.project, image, numbers_or_nan(heights), centre=centre, scale=scale)
+        surface = unmasked(heights)
+        ground = locate(self.project, image, surface, centre=centre, scale=scale)
         # A plane model sees all heights at one place, so that nothing hides anything.
-        if not callable(heights) or not self.model.uses_height:
+        if not self.model.uses_height:
             return ground
-        return visible_ground(self.project, self.holds, np.asarray(image, dtype=np.float64),
-                              ground, heights, self.ground_box())
+        return visible_ground(self.project, self.holds, image, ground, surface, self.ground_box())
 
     def ground_box(self) -> tuple[FloatArray, FloatArray]:
         """Return middle and half-range of the control, shapes (3,), in its own CRS."""

@@ -21,7 +21,14 @@ from termsel.core.files.names import JOURNAL, is_there
 from termsel.core.isolation.faults import PluginFault, is_own, name_of
 from termsel.core.isolation.parts import missing_package_error, values_of_slot
 from termsel.core.options import Option
-from termsel.data.coordinates.crs import LOCAL, WGS84, normalise, short_crs_name
+from termsel.data.coordinates.crs import (
+    LOCAL,
+    WGS84,
+    CrsLike,
+    crs_text,
+    normalise,
+    short_crs_name,
+)
 from termsel.data.coordinates.crs_columns import note_on_other_crs
 from termsel.data.coordinates.earth import say_turned, unknown_crs_error
 from termsel.data.coordinates.plausible import check_ground, note_on_mixed
@@ -90,7 +97,7 @@ def read(
     lines: Path | str | None = None,
     *,
     areas: Path | str | None = None,
-    crs: str | None = None,
+    crs: CrsLike | None = None,
     format: str | Sequence[str] = (),
     dem: Path | str | None = None,
     columns: str | Mapping[str, Any] | None = None,
@@ -114,11 +121,11 @@ def read(
     lines, areas : path-like, optional
         Files; at least one of the three is given. Areas become lines or, with
         ``areas_as="centroid"``, points.
-    crs : str, optional
-        CRS of the ground coordinates, where no file declares it: "EPSG:n", "WGS84 UTM 16N", WKT, a
-        string of PROJ, "local", or a file that has it: WKT, a raster or a layer; "auto" for degrees
-        on an old map, whose projection is chosen (termsel-cameras). By default that
-        in a file NAME.prj next to the points.
+    crs : str, int or CRS, optional
+        CRS of the ground coordinates, where no file declares it: "EPSG:n" or the number n, "WGS84
+        UTM 16N", WKT, a string of PROJ, a CRS of pyproj or rasterio, "local", or a file that has
+        it: WKT, a raster or a layer; "auto" for degrees on an old map, whose projection is chosen
+        (termsel-cameras). By default that in a file NAME.prj next to the points.
     format : str or sequence of str, optional
         Names of the readers, in the order of the files; by default judged by the content.
     dem : path-like, optional
@@ -175,6 +182,7 @@ def read(
     given_options = {key: value for key, value in options.items() if value is not None}
     of_packages = {option.name: given_options.pop(option.name) for option in read_options()
                    if option.name in given_options} if given_options else {}
+    crs = None if crs is None else crs_text(crs)
     if crs is not None and crs.strip().lower() == CHOSEN:
         if not any(option.name == PROJECTION for option in read_options()):
             raise missing_package_error(PROJECTION, f"--crs {CHOSEN} requires")
@@ -289,7 +297,7 @@ def parts_of(path: Path, format: str | None = None, **options: Any) -> dict[str,
     return find_reader(path, readers, format, options).parts(path)
 
 
-def features_of(source: Any, crs: str | None = None,
+def features_of(source: Any, crs: CrsLike | None = None,
                 columns: str | Mapping[str, Any] | None = None) -> FeatureSet:
     """Return features, points or lines or both, from a FeatureSet, a file or a table, as `read`.
 
@@ -305,6 +313,7 @@ def features_of(source: Any, crs: str | None = None,
             raise TermselError(f"the features have the CRS {source.crs} already",
                                hint="Give crs and columns with a file or a table alone.")
         return source
+    crs = None if crs is None else crs_text(crs)
     if not isinstance(source, str | Path):
         return read(source, crs=crs, columns=columns)
     with read_once(Path(source)) as path:

@@ -18,6 +18,8 @@ from termsel.data.archives import raster_in
 from termsel.data.cog import require_tiff_name
 from termsel.data.coordinates.crs import (
     UTM,
+    CrsLike,
+    crs_text,
     has_ellipsoidal_metres,
     horizontal_crs,
     plane_transformer,
@@ -69,7 +71,7 @@ def rectify(
     *,
     dem: Path | str | None = None,
     height: float | None = None,
-    crs: str | None = None,
+    crs: CrsLike | None = None,
     resolution: float | None = None,
     resampling: str | None = None,
     nodata: float | None = None,
@@ -98,9 +100,9 @@ def rectify(
         it is converted to that.
     height : float, optional
         Of the ground, where no raster is given; that of the middle of the control by default.
-    crs : str, optional
-        Of the map; by default that of the control where it is in metres, else the zone of UTM, or
-        on another body than the Earth a transverse Mercator projection.
+    crs : str, int or CRS, optional
+        Of the map, as for `termsel.read`; by default that of the control where it is in metres,
+        else the zone of UTM, or on another body than the Earth a transverse Mercator projection.
     resolution : float, optional
         Size of a pixel of the map [units of its CRS]; that of the image on the ground by default.
     resampling : str, optional
@@ -154,7 +156,7 @@ def rectify(
     for name, value in (("height", height), ("resolution", resolution)):
         if value is not None and not np.isfinite(value):
             raise TermselError(f"the {name} of a map cannot be {value}", hint="Give a number.")
-    target = map_crs(result, crs)
+    target = map_crs(result, None if crs is None else crs_text(crs))
     # In this order: names and numbers first, then files, then long work.
     result = as_exported(result, final)
     picture = picture_for(result, image)

@@ -15,6 +15,7 @@ from termsel.auto.memory import Memory
 from termsel.core.errors import TermselError
 from termsel.core.files.names import CERTIFICATE
 from termsel.core.threads import one_blas_thread
+from termsel.data.coordinates.crs import CrsLike
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
 from termsel.data.rpc import Rpc
@@ -54,7 +55,7 @@ def run(
     problem: str | Recipe | Task | None = None,
     *,
     features: Any = None,
-    crs: str | None = None,
+    crs: CrsLike | None = None,
     columns: str | Mapping[str, Any] | None = None,
     rpc: Rpc | Path | str | None = None,
     dataset: str | DatasetSpec | None = None,

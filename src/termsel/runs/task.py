@@ -14,7 +14,7 @@ from termsel.auto.auto import Auto
 from termsel.core.display import Glance
 from termsel.core.errors import TermselError, count_in_words, unknown_name_error
 from termsel.core.isolation.faults import attribute_errors_to
-from termsel.data.coordinates.crs import LOCAL, normalise, to_wgs84
+from termsel.data.coordinates.crs import LOCAL, CrsLike, normalise, to_wgs84
 from termsel.data.coordinates.height_units import FOOT, UNITS
 from termsel.data.coordinates.places import lattice_of
 from termsel.data.datasets import DatasetSpec
@@ -300,7 +300,7 @@ def prepare(
     problem: str | Recipe,
     *,
     features: Any = None,
-    crs: str | None = None,
+    crs: CrsLike | None = None,
     columns: str | Mapping[str, Any] | None = None,
     dataset: str | DatasetSpec | None = None,
     source: str | None = None,
@@ -352,7 +352,7 @@ def prepare(
         solver=solver, criterion=criterion, options=options))
 
 
-def find_features(features: Any, source: str | None, crs: str | None,
+def find_features(features: Any, source: str | None, crs: CrsLike | None,
                   columns: str | Mapping[str, Any] | None, rpc: Rpc | Path | str | None = None,
                   ) -> tuple[FeatureSet | None, str | None]:
     """Return the features given or read, with their RPC, and their source; None without features.

@@ -15,7 +15,7 @@ from contextlib import closing
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
@@ -38,6 +38,18 @@ WGS84 = frozenset({"EPSG:4326", "EPSG:4979"})
 
 Transformation = Callable[[FloatArray], FloatArray]
 """From ground coordinates to others, shapes (n, 3)."""
+
+
+@runtime_checkable
+class _WithWkt(Protocol):
+    """A CRS of pyproj, rasterio or geopandas."""
+
+    def to_wkt(self) -> str:
+        """Return the CRS as WKT."""
+
+
+CrsLike = str | int | _WithWkt
+"""A CRS as programs have it: text as of `normalise`, the number of EPSG, or an object of pyproj."""
 
 _WRONG_CRS = "Check the ground coordinates and the CRS that is stated for them."
 _NO_TRANSFORMATION = ("State another CRS, or transform the coordinates with another program; "
@@ -86,6 +98,20 @@ _NO_CRS = re.compile(r"\+?(proj=pipeline|init=|step\b)|grids=\S*[/\\]|\.\.", re.
 # The code of the whole CRS is last, in WKT's outermost bracket.
 _AUTHORITY = re.compile(r'(?:ID|AUTHORITY)\s*\[\s*"EPSG"\s*,\s*"?(\d{1,9})"?\s*\]\s*\]\s*$',
                         re.IGNORECASE)
+
+
+def crs_text(crs: CrsLike) -> str:
+    """Return a CRS as text: that of an EPSG number, or the WKT of an object such as pyproj's.
+
+    Raises TermselError for what is none of these.
+    """
+    if isinstance(crs, str):
+        return crs
+    if isinstance(crs, int | np.integer) and not isinstance(crs, bool):
+        return f"EPSG:{crs}"
+    if isinstance(crs, _WithWkt):
+        return normalise(crs.to_wkt())
+    raise TermselError(f"crs={crs!r} is no CRS", hint=f"Examples: {EXAMPLES}.")
 
 
 def normalise(crs: str) -> str:

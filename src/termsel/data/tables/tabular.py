@@ -23,7 +23,7 @@ from termsel.core.errors import (
     require_import,
     unknown_name_error,
 )
-from termsel.data.arrays import FloatArray
+from termsel.data.arrays import FloatArray, numbers_or_nan
 from termsel.data.coordinates.crs import horizontal_crs
 from termsel.data.tables.columns import TAKEN
 
@@ -45,7 +45,7 @@ _CORRECT = "Correct the values or remove the feature."
 
 def read_only_array(values: ArrayLike, shape: tuple[int, ...], content: str) -> FloatArray:
     """Return values as an array that cannot be written to; refuse another shape."""
-    array = np.array(values, dtype=np.float64)
+    array = np.array(numbers_or_nan(values))  # a copy, which nobody else can change
     if array.shape != shape:
         raise TermselError(f"{content} has shape {array.shape}, expected {shape}")
     array.setflags(write=False)

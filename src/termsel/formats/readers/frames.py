@@ -58,20 +58,35 @@ def _table_records(frame: Any) -> tuple[list[dict[str, Any]], str]:
     if not hasattr(frame, "to_dict") or not hasattr(frame, "columns"):
         raise TermselError(f"features cannot be read from the type {type(frame).__name__}",
                            hint=f"Give {ACCEPTED}.")
+    repeated = [str(name) for name in frame.columns[frame.columns.duplicated()]]
+    if repeated:
+        raise TermselError(f"the table has several columns named {repeated[0]!r}",
+                           hint="Rename or drop all but one.")
     # An index with a name is a column that was taken aside; without one it counts rows.
     records = (frame.reset_index() if frame.index.name else frame).to_dict("records")
     shapes = list(frame.geometry) if hasattr(frame, "geom_type") else []
-    if not shapes or any(shape is None or shape.geom_type != "Point" for shape in shapes):
+    if not any(_is_point(shape) for shape in shapes):
         return records, ""
     name = frame.geometry.name
     rows = []
-    for record, shape in zip(records, shapes, strict=True):
+    for number, (record, shape) in enumerate(zip(records, shapes, strict=True), 1):
+        if not _is_point(shape):
+            kind = "no geometry" if shape is None or shape.is_empty else f"a {shape.geom_type}"
+            raise TermselError(f"row {number} has {kind} where others have a point", column=name,
+                               hint="Give it the geometry of a point, or drop the row.")
+        point = shape.geoms[0] if shape.geom_type == "MultiPoint" else shape
         row = {key: value for key, value in record.items() if key != name}
-        row |= {_GROUND["x"]: shape.x, _GROUND["y"]: shape.y}
+        row |= {_GROUND["x"]: point.x, _GROUND["y"]: point.y}
         if shape.has_z:  # a geometry without a height leaves that to a column of heights
-            row[_GROUND["z"]] = shape.z
+            row[_GROUND["z"]] = point.z
         rows.append(row)
     return rows, "" if frame.crs is None else frame.crs.to_wkt()
+
+
+def _is_point(shape: Any) -> bool:
+    """Return whether a geometry is one point, also one of a layer of multipoints."""
+    return shape is not None and not shape.is_empty and (
+        shape.geom_type == "Point" or (shape.geom_type == "MultiPoint" and len(shape.geoms) == 1))
 
 
 def _is_column(column: Any) -> bool:
