@@ -101,6 +101,25 @@ def test_a_mirrored_scan_is_seen_as_one() -> None:
     assert rmse(KNOWN_CAMERA.fit(FitData.of(control)), ground, image) < 4.0
 
 
+def test_the_principal_point_of_a_photo_of_unknown_size_is_an_unknown(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    control, _, _ = photo(5, noise=6.0, camera_focal=FOCAL)
+    for size, unknowns in ((SIZE, 6), (None, 8)):
+        fitted = KNOWN_CAMERA.fit(FitData.of(replace(control, image_size=size)))
+        assert KNOWN_CAMERA.estimator.experience(fitted).unknowns == unknowns
+        # Residuals tell the noise by what the unknowns leave of them.
+        assert fitted.effective == pytest.approx(unknowns, abs=1.5)
+    rows = [",".join(map(str, (name, *place, *where))) for name, place, where in zip(
+        control.points.ids, control.points.image, control.points.ground, strict=True)]
+    table = tmp_path / "photo.csv"
+    table.write_text("\n".join(["id,line,sample,x,y,z", *rows]), encoding="utf-8")
+    termsel.read(table, crs=CRS, camera_focal="3500")
+    assert "nothing shows the size of the image" in caplog.text
+    caplog.clear()
+    termsel.read(table, crs=CRS, camera_focal="3500", camera_principal_point="1499.5,1999.5")
+    assert "the size of the image" not in caplog.text
+
+
 def test_one_wild_point_hardly_moves_the_camera() -> None:
     control, ground, image = photo(8, camera_focal=FOCAL)
     measured = control.points.image.copy()

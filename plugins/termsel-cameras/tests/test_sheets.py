@@ -232,6 +232,36 @@ def test_independent_points_take_no_part() -> None:
     assert rank_projections([other], candidates) == rank_projections([mine], candidates)
 
 
+def with_blunder(features: FeatureSet, place: int, shift: tuple[float, float]) -> FeatureSet:
+    """Return points of which one is clicked elsewhere in the image."""
+    image = features.points.image.copy()
+    image[place] += shift
+    return features.with_(points=replace(features.points, image=image))
+
+
+@pytest.mark.parametrize("place", [0, 3, 9])
+@pytest.mark.parametrize("shift", [(-40.0, 60.0), (900.0, 400.0)])
+def test_a_map_with_a_blunder_takes_the_projection_of_its_other_points(
+        place: int, shift: tuple[float, float]) -> None:
+    candidates = candidate_projections(np.array([[2.0, 41.8], [14.0, 50.2]]), 19)
+    features = sheet(10, 5)
+    others = features.with_(points=features.points.take(np.arange(10) != place))
+    wrong = rank_projections([with_blunder(features, place, shift)], candidates)
+    right = rank_projections([others], candidates)
+    taken = first_of_the_best(wrong, candidates)
+    assert taken == first_of_the_best(right, candidates)
+    assert taken.rmse < 5.0
+
+
+def test_a_blunder_on_a_sheet_is_not_taken_for_its_paper() -> None:
+    features = paper_sheet(8, 3)[0]
+    series = series_of([features, with_blunder(features, 2, (300.0, -200.0)),
+                        features.with_(points=features.points.take(np.arange(8) != 2))], "")
+    right, wrong, without = series.sheets
+    assert wrong.values == without.values
+    assert wrong.noise == without.noise < 2.0 * right.noise
+
+
 def test_projections_that_predict_alike_are_the_first_one() -> None:
     small = sheet(8, 4, extent=0.05)
     candidates = candidate_projections(np.array([[7.95, 45.97], [8.05, 46.03]]))

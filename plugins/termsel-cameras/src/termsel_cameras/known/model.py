@@ -56,6 +56,10 @@ SOMEWHERE = 0.3
 where nothing shows it."""
 
 UNKNOWNS = 6
+"""Of a camera whose interior is known: its place and its turn."""
+
+UNKNOWNS_OF_MIDDLE = 2
+"""Of a principal point that nothing shows: points determine it wholly, unlike one that is known."""
 
 APART = 0.05
 """Part of its distance by which two places of a camera differ, if they are two."""
@@ -191,6 +195,11 @@ class KnownFrame(SensorModel):
         return SOMEWHERE if stated is None else stated / self.scaling.image_scale
 
     @property
+    def _unknowns(self) -> int:
+        """How many numbers the points determine."""
+        return UNKNOWNS if self.options["reach"] is not None else UNKNOWNS + UNKNOWNS_OF_MIDDLE
+
+    @property
     def focal(self) -> float:
         """Focal length that is known, scaled."""
         assert self.scaling is not None
@@ -230,7 +239,7 @@ class KnownFrame(SensorModel):
             ground, self.without_lens(points.image), weights,
             self.scaling.image(self.principal), self.reach, self.focal, np.ones(3),
             LEAST / scale, focal_spread=float(self.options["focal_spread"]), place=position,
-            place_spread=spread, tilt=TILT, tails=TAILS, unknowns=UNKNOWNS,
+            place_spread=spread, tilt=TILT, tails=TAILS, unknowns=self._unknowns,
             usual=(USUAL if stated is None else stated) / scale,
             experience=EXPERIENCE if stated is None else STATED_EXPERIENCE)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -15,6 +16,8 @@ from termsel.toolkit import with_dataset
 from termsel.toolkit.coordinates import LOCAL, transformation_between
 from termsel_cameras.known.cameras import CAMERAS
 from termsel_cameras.known.interior import INTERIOR_NAMES, INTERIOR_OPTIONS, interior_of
+
+log = logging.getLogger(__name__)
 
 DIAGONAL = float(np.hypot(36.0, 24.0))
 """Of film of 36 mm by 24, to which equivalent focal lengths refer [mm]."""
@@ -54,12 +57,18 @@ class CameraOptions:
         # What somebody types is refused where it cannot be understood; the choice of a model would
         # only pass over this camera.
         given = [name for name in INTERIOR_NAMES if options_given.get(name) is not None]
-        if given and interior_of(described) is None:
+        interior = interior_of(described)
+        if given and interior is None:
             raise TermselError(
                 f"{', '.join(given)} {'is' if len(given) == 1 else 'are'} of a camera whose focal "
                 "length nothing states",
                 hint="Add camera_focal, or camera with its name or file; or leave "
                      f"{'it' if len(given) == 1 else 'them'} out.", name=given[0])
+        if interior is not None and not np.isfinite(interior.line):
+            log.warning("Note: nothing shows the size of the image, so the principal point is "
+                        "taken to be somewhere about the middle of the points, and a photo of few "
+                        "points is less accurate. --image FILE or --set "
+                        "camera_principal_point=LINE,SAMPLE shows it.")
         return described
 
 

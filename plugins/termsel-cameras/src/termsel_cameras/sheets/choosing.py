@@ -11,6 +11,7 @@ from termsel import FeatureSet, FitData, TermselError
 from termsel.toolkit.models import Auto
 from termsel_cameras.roles import without_independent
 from termsel_cameras.sheets.candidates import Projection
+from termsel_cameras.sheets.sound import blunders_in
 
 NEARLY = 1.1
 """RMSE by that of the best, up to which the first of several projections is taken: they predict
@@ -27,6 +28,9 @@ NEGLIGIBLE = 0.005
 
 MIN_POINTS_OF_SHEET = 4
 """Points from which on a sheet distinguishes projections."""
+
+MOST = 0.5
+"""Share of the projections beyond which a point that is a blunder in them is one of the map."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +58,12 @@ def rank_projections(sheets: Sequence[FeatureSet], candidates: Sequence[Projecti
 
     Each candidate has a `name` and a `crs`. Independent points take no part. Sheets of a series
     were drawn in one projection, so that the product of their squared errors counts, each to the
-    power of its number of points: a sheet of few points borrows from the others.
+    power of its number of points: a sheet of few points borrows from the others. Blunders take no
+    part either, as one of them is more than all that projections differ by.
     """
     used_sheets = [without_independent(sheet) for sheet in sheets]
-    used_sheets = [sheet for sheet in used_sheets if len(sheet.points) >= MIN_POINTS_OF_SHEET]
+    used_sheets = [_without_blunders(sheet, candidates) for sheet in used_sheets
+                   if len(sheet.points) >= MIN_POINTS_OF_SHEET]
     if not used_sheets:
         raise TermselError(f"no map has the {MIN_POINTS_OF_SHEET} points that a choice of its "
                            "projection requires",
@@ -101,6 +107,20 @@ def _is_worse_on_sheets(projection: Tried, best: Tried) -> bool:
     logs = np.log(projection.of_sheets) - np.log(best.of_sheets)
     standard_error = logs.std(ddof=1) / np.sqrt(len(logs))
     return bool(logs.mean() > max(CLEARLY * standard_error, NEGLIGIBLE))
+
+
+def _without_blunders(sheet: FeatureSet, candidates: Sequence[Projection]) -> FeatureSet:
+    """Return a sheet without the points that are blunders in most of the projections.
+
+    A right point may look like a blunder in a projection that is not the map's, but hardly in most
+    of them; and all projections are judged by the same points.
+    """
+    votes = [vote for candidate in candidates
+             if (vote := blunders_in(sheet, candidate.crs)) is not None]
+    if not votes:
+        return sheet
+    is_blunder = np.mean(votes, axis=0) > MOST
+    return sheet.with_(points=sheet.points.take(~is_blunder))
 
 
 def _predicted_rmse(features: FeatureSet, crs: str) -> float:

@@ -16,6 +16,7 @@ from termsel.toolkit.coordinates import normalise
 from termsel_cameras.roles import without_independent
 from termsel_cameras.sheets.paper import PAPER_NAMES, Paper, Sheet, marks_of, paper_of, sheet_of
 from termsel_cameras.sheets.series import with_paper
+from termsel_cameras.sheets.sound import blunders_in
 
 
 @dataclass(frozen=True)
@@ -47,11 +48,19 @@ class Series:
 def series_of(sheets: Sequence[FeatureSet], projection: str) -> Series:
     """Return the series of sheets in their projection, "" for their own CRS.
 
-    Sheets that show nothing are left out; independent check points take no part.
+    Sheets that show nothing are left out; independent check points and blunders take no part.
     """
-    fitted = [replace(sheet, fit_crs=projection) if projection else sheet for sheet in sheets]
-    sheets_that_tell = [sheet_of(without_independent(sheet)) for sheet in fitted]
+    sound = [_without_blunders(without_independent(sheet), projection) for sheet in sheets]
+    fitted = [replace(sheet, fit_crs=projection) if projection else sheet for sheet in sound]
+    sheets_that_tell = [sheet_of(sheet) for sheet in fitted]
     return Series(projection, tuple(sheet for sheet in sheets_that_tell if sheet is not None))
+
+
+def _without_blunders(sheet: FeatureSet, projection: str) -> FeatureSet:
+    """Return a sheet without the points that are blunders in the projection of its series."""
+    is_blunder = blunders_in(sheet, projection)
+    return sheet if is_blunder is None \
+        else sheet.with_(points=sheet.points.take(~is_blunder))
 
 
 def read_series(path: Path | str) -> Series:
