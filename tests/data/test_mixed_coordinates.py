@@ -188,3 +188,31 @@ def test_a_bend_along_a_slope_is_no_sign_of_kilometres() -> None:
     ground = np.column_stack([5e5 + 5000 * u, 5e6 - 5000 * v, heights])
     points = Points(tuple(map(str, range(30))), image, ground)
     assert not note_on_mixed(FeatureSet(points, crs="EPSG:32632"))
+
+
+@pytest.mark.parametrize(("crs", "x", "y"), [
+    # Toises of a city, metres of another continent, and a site grid, under the CRS of a project.
+    ("EPSG:2154", (-400.0, 200.0), (1400.0, 1800.0)),
+    ("EPSG:2154", (432_000.0, 434_000.0), (178_000.0, 180_000.0)),
+    ("EPSG:27700", (650_000.0, 655_000.0), (6_860_000.0, 6_863_000.0)),
+    ("EPSG:31370", (1_000.0, 1_500.0), (-2_000_000.0, -1_999_000.0))])
+def test_coordinates_of_another_grid_than_the_crs_are_named(
+        crs: str, x: tuple[float, float], y: tuple[float, float]) -> None:
+    [sample], [line] = np.random.default_rng(1).uniform(0, 2000, (2, 1, 14))
+    found = features(np.column_stack([line, sample]), x[0] + sample * (x[1] - x[0]) / 2000,
+                     y[1] - line * (y[1] - y[0]) / 2000, crs)
+    note = note_on_mixed(found)
+    assert f"{crs} is for the area from" in note
+    assert "of another grid" in note
+    assert note_on_mixed(features(found.points.image, *found.points.ground[:, :2].T, "local")) == ""
+
+
+@pytest.mark.parametrize(("crs", "lon", "lat"), [
+    ("EPSG:2154", 2.0, 47.0), ("EPSG:2154", 12.0, 44.0), ("EPSG:32631", 9.0, 40.0),
+    ("EPSG:3857", 175.0, -40.0), ("EPSG:3035", 10.0, 52.0), ("EPSG:2193", 178.0, -38.0),
+    ("EPSG:3031", -60.0, -75.0), ("+proj=laea +lat_0=10 +lon_0=-50", 60.0, 40.0)])
+def test_points_in_or_next_to_the_area_of_their_crs_are_not(
+        crs: str, lon: float, lat: float) -> None:
+    lons, lats = places(lon, lat, 0.4, 0.3)
+    x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lons, lats)
+    assert note_on_mixed(features(seen(lons, lats), x, y, crs)) == ""

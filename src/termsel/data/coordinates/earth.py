@@ -40,7 +40,7 @@ _FLAT = 0.05  # ratio of the axes of what a matrix makes of a circle, below whic
 _NO_DEGREES = 360.0  # beyond which no longitude is
 _WIDE = 20.0  # degrees that a scene may be wide
 _SENSOR = "sensor"  # column that names what took the image
-_AREA_MARGIN = 5.0  # degrees outside the area of a CRS at which features may still be
+AREA_MARGIN = 5.0  # degrees outside the area of a CRS at which features may still be
 
 
 def place_of(features: FeatureSet) -> str:
@@ -155,7 +155,7 @@ def find_swapped_axes(features: FeatureSet) -> str:
         exchanged = degrees_of(features.crs, ground[:, [1, 0, 2]])
     # Scenes may reach beyond the area, so one that is near it is not outside.
     if area is not None and exchanged is not None and is_inside(exchanged, area, 0.0) \
-            and (as_they_stand is None or not is_inside(as_they_stand, area, _AREA_MARGIN)):
+            and (as_they_stand is None or not is_inside(as_they_stand, area, AREA_MARGIN)):
         return (f"x and y look swapped: exchanged, they lie in the area of "
                 f"{short_crs_name(features.crs)}, and not as they stand")
     # A mirror image of the ground about a diagonal: exchanging makes it the view from above.
@@ -248,7 +248,7 @@ def zone_of_utm_instead(crs: str, features: FeatureSet) -> str:
     """
     area = area_of_use(crs)
     middle = degrees_of(features.crs, features.ground_vertices())
-    if area is None or middle is None or is_inside(middle, area, _AREA_MARGIN) \
+    if area is None or middle is None or is_inside(middle, area, AREA_MARGIN) \
             or not -80 <= middle[1] <= 84:
         return ""
     west, south, east, north = area

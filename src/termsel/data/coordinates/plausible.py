@@ -18,7 +18,12 @@ from termsel.data.coordinates.crs import (
     short_crs_name,
     transformation_between,
 )
-from termsel.data.coordinates.earth import degrees_of, is_inside
+from termsel.data.coordinates.earth import (
+    AREA_MARGIN,
+    degrees_of,
+    is_inside,
+    position_in_words,
+)
 from termsel.data.coordinates.metres import is_in_degrees
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
 
@@ -293,7 +298,7 @@ def note_on_mixed(features: FeatureSet) -> str:
     if len(points) < MIN_AFFINE_POINTS or not features.crs:
         return ""
     in_plan = _note_on_minutes(features) if is_in_degrees(features.crs) else \
-        _note_on_kilometres(features) or _two_zones_note(features)
+        _note_on_kilometres(features) or _two_zones_note(features) or _note_on_area(features)
     return in_plan or _note_on_heights_in_kilometres(features)
 
 
@@ -319,6 +324,25 @@ def _note_on_kilometres(features: FeatureSet) -> str:
             f"{short_crs_name(crs)}. "
             "Write them in metres, or end the names of their columns in km, such as x_km and "
             "y_km.")
+
+
+def _note_on_area(features: FeatureSet) -> str:
+    """Return a note that the points are far outside the area of their projected CRS; "" if not.
+
+    Such are the coordinates of another grid, or of a local one, under the CRS of a project: they
+    have a place on the Earth, but not theirs, and lengths there may be of another unit.
+    """
+    crs = normalise(features.crs)
+    area = area_of_use(crs) if kind_of(crs) == "projected" else None
+    if area is None or _is_in_area(features.points.ground, crs, area, AREA_MARGIN):
+        return ""
+    middle = degrees_of(crs, features.points.ground)
+    place = "nowhere on the Earth" if middle is None else f"at {position_in_words(middle)}"
+    west, south, east, north = area
+    return (f"By their CRS these points are {place}, but {short_crs_name(crs)} is for the area "
+            f"from {position_in_words((west, south))} to {position_in_words((east, north))}: the "
+            "coordinates are of another grid, and what is stated in metres may be of another unit. "
+            "State their own CRS with --crs, or --crs local for a grid without one.")
 
 
 def _is_in_area(ground: FloatArray, crs: str, area: tuple[float, float, float, float],
