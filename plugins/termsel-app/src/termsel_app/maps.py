@@ -100,7 +100,7 @@ class MapRaster:
         dataset = self.raster.dataset
         transform = dataset.transform
         # North up and in the same CRS: a tile is a window of the raster.
-        upright = transform.b == transform.d == 0 and transform.e < 0
+        upright = transform.b == transform.d == 0 and transform.a > 0 > transform.e
         if upright and transformer_between(self.crs, crs) is None:
             return self.raster.pixels(((transform.f - north) / -transform.e,
                                        (west - transform.c) / transform.a,
@@ -129,18 +129,17 @@ def resample_tile(raster: Raster, lines: Any, samples: Any) -> Pixels:
                             & (samples > -0.5) & (samples < raster.width - 0.5))
     if not len(inside):
         return tile.reshape(TILE, TILE, 4)
-    first_line = lines[inside].min() + 0.5
-    first_sample = samples[inside].min() + 0.5
-    size = np.array([lines[inside].max() + 0.5 - first_line,
-                     samples[inside].max() + 0.5 - first_sample])
+    # Positions from the outer corner of the image, in whose whole numbers pixels begin. A window
+    # of whole pixels is read: of another GDAL takes the nearest ones, and all is shifted.
+    positions = np.column_stack([lines[inside], samples[inside]]) + 0.5
+    first = np.floor(positions.min(axis=0))
+    size = np.floor(positions.max(axis=0)) + 1.0 - first
     # No more pixels are read than twice those of the tile: of a finer image the rest would be for
     # nothing.
-    shape = np.clip(np.ceil(size), 1, 2 * TILE).astype(int)
-    pixels = raster.pixels((float(first_line), float(first_sample), float(max(size[0], 1.0)),
-                            float(max(size[1], 1.0))), (int(shape[0]), int(shape[1])))
-    steps = np.maximum(size, 1.0) / shape
-    row = np.clip((lines[inside] + 0.5 - first_line) / steps[0], 0, shape[0] - 1)
-    column = np.clip((samples[inside] + 0.5 - first_sample) / steps[1], 0, shape[1] - 1)
+    shape = np.minimum(size, 2 * TILE).astype(int)
+    pixels = raster.pixels((float(first[0]), float(first[1]), float(size[0]), float(size[1])),
+                           (int(shape[0]), int(shape[1])))
+    row, column = np.clip((positions - first) * (shape / size), 0, shape - 1).T
     tile[inside] = pixels[row.astype(np.intp), column.astype(np.intp)]
     return tile.reshape(TILE, TILE, 4)
 

@@ -1,0 +1,40 @@
+"""Tiles of maps that lie askew in the CRS shown, pixel by pixel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from termsel_app.maps import MapRaster
+from termsel_app.rasters import TILE
+
+rasterio = pytest.importorskip("rasterio")
+
+
+@pytest.mark.parametrize(("angle", "first", "pixel"), [
+    (0.0, (0.0, 0.0), 1.0), (17.0, (0.3, 0.8), 1.0), (-64.0, (31.7, 12.2), 0.06),
+    (180.0, (0.5, 0.5), 0.4), (33.0, (5.1, 2.9), 2.0)])
+def test_a_tile_shows_the_pixel_of_the_map_that_is_there(
+        tmp_path: Path, angle: float, first: tuple[float, float], pixel: float) -> None:
+    values = np.random.default_rng(3).integers(1, 255, (300, 400), dtype=np.uint8)
+    values[0, :2] = 0, 255  # so that grey is shown as it is
+    transform = rasterio.Affine.rotation(angle) @ rasterio.Affine.translation(40, 70)
+    path = tmp_path / "askew.tif"
+    with rasterio.open(path, "w", driver="GTiff", height=300, width=400, count=1, dtype="uint8",
+                       crs="EPSG:32631", transform=transform) as dataset:
+        dataset.write(values, 1)
+    west, north = transform @ (200.0 + first[0], 150.0 + first[1])
+    extent = TILE * pixel
+    raster = MapRaster(path)
+    tile = raster.tile((west, north - extent, west + extent, north), "EPSG:32631")
+    raster.close()
+    steps = (np.arange(TILE) + 0.5) * pixel
+    columns, rows = ~transform @ (np.tile(west + steps, (TILE, 1)),
+                                  np.tile(north - steps, (TILE, 1)).T)
+    inside = (rows > 0) & (rows < 300) & (columns > 0) & (columns < 400)
+    expected = values[rows[inside].astype(int), columns[inside].astype(int)]
+    assert inside.any()
+    np.testing.assert_array_equal(tile[inside][:, 0], expected)
+    assert not tile[~inside].any()
