@@ -106,7 +106,9 @@ def test_the_principal_point_of_a_photo_of_unknown_size_is_an_unknown(
     control, _, _ = photo(5, noise=6.0, camera_focal=FOCAL)
     for size, unknowns in ((SIZE, 6), (None, 8)):
         fitted = KNOWN_CAMERA.fit(FitData.of(replace(control, image_size=size)))
-        assert KNOWN_CAMERA.estimator.experience(fitted).unknowns == unknowns
+        experience = KNOWN_CAMERA.estimator.experience(fitted)
+        assert experience is not None
+        assert experience.unknowns == unknowns
         # Residuals tell the noise by what the unknowns leave of them.
         assert fitted.effective == pytest.approx(unknowns, abs=1.5)
     rows = [",".join(map(str, (name, *place, *where))) for name, place, where in zip(
