@@ -141,7 +141,12 @@ def _proven_lines(content: Any) -> tuple[list[str], int]:
 
 
 def _claim_lines(content: dict[str, Any], axes: Sequence[Axis]) -> list[str]:
-    """Return the claim in lines: its data, columns and selections, and its limits."""
+    """Return the claim in lines: its data, columns and selections, and its limits.
+
+    The reader sees what is claimed before what is proven: the data by their checksum, the terms on
+    offer, those that every selection has, how many it may have, and the limit. Raises ValueError
+    for a checksum that is none.
+    """
     stated = content.get("data")
     if stated is not None and not (type(stated) is str and stated.isalnum() and len(stated) == 64):
         raise ValueError("a checksum of data")

@@ -226,7 +226,13 @@ def _solve(panels: FloatArray, reflections: Reflections, source: FloatArray, tri
            feature: IntArray, rows: UintArray, columns: UintArray, heights: IntArray,
            terms: BoolArray, features: BoolArray, tolerance: float, longest: float,
            coefficients: FloatArray, violation: IntArray) -> None:
-    """Solve a population; rows, columns and heights are work space."""
+    """Solve a population; rows, columns and heights are work space.
+
+    Each individual selects columns by `terms` (p, k) and rows by the features of `features` (p, n).
+    The selected system is copied into panels and factored by Householder reflections; `violation`
+    receives how many terms are dependent, and where none is, `coefficients` the solution. `longest`
+    and `tolerance` say what counts as dependent; all other arrays are work space.
+    """
     k = terms.shape[1]
     for individual in range(len(terms)):
         n = 0
@@ -323,8 +329,7 @@ def solve_many(equations: Equations, terms: BoolArray | None, features: BoolArra
                ) -> tuple[FloatArray, IntArray]:
     """Solve a population of masked least-squares systems.
 
-    A term is dependent if it keeps no more than `termsel.adjustment.solve.TOLERANCE` of
-    its length
+    A term is dependent if it keeps no more than `termsel.adjustment.solve.TOLERANCE` of its length
     over the selected rows once the selected terms before it are removed. Masks that occur several
     times are solved once. The result does not depend on the other individuals. What is computed
     from the equations alone is kept as long as the object lives, so its arrays must not be changed

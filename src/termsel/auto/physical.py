@@ -346,7 +346,12 @@ class Physical(Estimator):
         return fit_of(self, model, control, scaling, used, average)
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
-        """Return the mean square errors of a fit at scaled places, under all priors."""
+        """Return the mean square errors of a fit at scaled places, under all priors.
+
+        By the law of total variance the mean square error at a place is the mean over all members,
+        cameras and polynomials, of their variance and of the square of their distance from the
+        average. The noise is averaged likewise.
+        """
         assert isinstance(fitted.model, Polynomial)
         average = camera_average_of(fitted)
         predictions = []

@@ -292,7 +292,11 @@ def _plugin_command(name: str) -> click.Command | None:
 
 
 def _blame_plugin(command: click.Command) -> click.Command:
-    """Return a command of a plugin whose faults name the plugin; it may choose its exit code."""
+    """Return a command of a plugin whose faults name the plugin; it may choose its exit code.
+
+    What plugins raise on purpose, such as TermselError, passes; any other exception becomes a fault
+    that names the distribution and its version, so that nobody reports it to termsel.
+    """
     invoke = command.invoke
 
     def blaming(ctx: click.Context) -> Any:

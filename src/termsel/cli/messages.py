@@ -124,6 +124,9 @@ class _OnStderr(logging.Handler):
 @contextmanager
 def say_once() -> Iterator[None]:
     """Print of alike messages about many images the first, and at the end how many more there are.
+
+    Messages of a kind have the attribute ONCE, such as a doubt about a DEM that all images of a
+    batch share. Nobody reads the same sentence a hundred times.
     """
     told: Counter[str] = Counter()
 

@@ -141,7 +141,12 @@ def _fill_words(source: str, words: dict[str, str]) -> str:
 
 def _require_free(name: str, package: str, bare: str, kind: str, module: str,
                   plugin_name: str) -> None:
-    """Refuse a name of a package that cannot be one, or that something else has already."""
+    """Refuse a name of a package that cannot be one, or that something else has already.
+
+    `name` is that of the distribution, `package` its import name, `bare` the name without
+    "termsel-", and `plugin_name` what the plugin would register of its `kind`. Raises TermselError
+    with a name that could be taken.
+    """
     if not _DISTRIBUTION_NAME.fullmatch(name) or keyword.iskeyword(package) or not bare:
         # What remains of the name without forbidden characters is the nearest that can be.
         near = "-".join(re.findall(r"[A-Za-z0-9]+", name)).lstrip("-0123456789")

@@ -99,7 +99,11 @@ def _write(maps: list[ImageMap], quiet: bool, options: Mapping[str, Any]) -> lis
 
 
 def _show(maps: list[ImageMap]) -> None:
-    """Print what comes of the map of each image, and why some have none."""
+    """Print what comes of the map of each image, and why some have none.
+
+    The table has one row an image, and reasons follow it, as they are too long for a column. Of
+    very many reasons the first are printed, and the rest is in the table of the folder.
+    """
     from termsel.studies.maps import (
         FAILED,
         KEPT,

@@ -348,7 +348,11 @@ def asked_roles(off: str | None, role: str | None) -> dict[str, str]:
 
 
 def with_roles(features: FeatureSet, named: Mapping[str, str]) -> FeatureSet:
-    """Return the features with the roles that are named; lines that are off are not among them."""
+    """Return the features with the roles that are named; lines that are off are not among them.
+
+    `named` has a role for each id, as of --off and --role. Raises TermselError for ids that no
+    feature has, with the nearest, and for lines in a role that lines cannot have.
+    """
     if not named:
         return features
     points = features.points

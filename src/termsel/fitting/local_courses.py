@@ -434,7 +434,13 @@ def _groups_around(positions: FloatArray, centre: FloatArray, reach: float) -> l
 def _variation_within_groups(positions: FloatArray, deviations: FloatArray,
                              relative_variances: FloatArray,
                              groups: list[IntArray]) -> Groups:
-    """Return how the points of groups vary about their means."""
+    """Return how the points of groups vary about their means.
+
+    `positions` (n, 2) and `deviations` (n, 2) are of points, `relative_variances` (n,) of their
+    errors; a group is an array of rows. Of large groups some members stand for all, as pairs grow
+    with the square. The sum of squares about the weighted means, one for either axis, estimates the
+    noise without what neighbours have in common.
+    """
     squares = np.zeros(2)
     from_middle = [np.empty((0, 2))]
     apart = [np.empty((0, 2))]

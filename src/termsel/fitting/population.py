@@ -172,7 +172,12 @@ class Fits:
 
     def _squared_errors(self, image: FloatArray, denominators: FloatArray | None,
                         features: IntArray) -> FloatArray:
-        """Return squared errors [px^2], (p, f), from image positions and denominators of vertices.
+        """Return squared errors [px^2] of features, (p, f), by the positions of their vertices.
+
+        `image` (p, v, 2) and `denominators` (p, v, 2) are those of points, then of both vertices of
+        each line; `features` are the rows wanted, in order. A point has the square of its distance,
+        a line the sum of the squared distances of its vertices from the image line. Beyond a pole
+        it is infinite.
         """
         n = len(self.control)
         point_rows = features[features < n]

@@ -511,7 +511,12 @@ def _hole_note(features: FeatureSet, project: Projection, surface: Dem) -> Heigh
 
 def _far_height_note(features: FeatureSet, project: Projection,
                      height: float) -> HeightCaution | None:
-    """Return that a height is farther from the control's than these are from each other."""
+    """Return that a height is farther from the control's than these are from each other.
+
+    A height that is given by hand is often in another unit or datum. It is compared with the
+    heights of the control, and counts where a model that uses heights would move by several px.
+    None where there is nothing to say.
+    """
     heights = features.ground_vertices()[:, 2]
     heights = heights[np.isfinite(heights)]
     if not len(heights):
@@ -529,11 +534,9 @@ def _far_height_note(features: FeatureSet, project: Projection,
     side = "above" if above > 0 else "below"
     return HeightCaution(
         f"the height {height * unit:,.0f} m is {rounded_size_text(beyond * unit)} m {side} the "
-        "control "
-        f"({lowest * unit:,.0f} to {highest * unit:,.0f} m): {rounded_size_text(pixels)} px in "
-        "the image, "
-        "where the model was not tested. Give the height of the ground, in the unit of the "
-        "control.", pixels)
+        f"control ({lowest * unit:,.0f} to {highest * unit:,.0f} m): {rounded_size_text(pixels)} "
+        "px in the image, where the model was not tested. Give the height of the ground, in the "
+        "unit of the control.", pixels)
 
 
 def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:

@@ -214,8 +214,8 @@ def _ids_if_few(features: FeatureSet, outside: BoolArray) -> str:
     return f": {', '.join(ids)}" if len(ids) <= min(MAX_NAMED, len(features) // 3) else ""
 
 
-def other_image_error(size: tuple[
-        int, int], reason: str, image: Path | str | None, hint: str = "") -> TermselError:
+def other_image_error(size: tuple[int, int], reason: str, image: Path | str | None,
+                      hint: str = "") -> TermselError:
     """Return the error for an image that is not the one in which features were measured."""
     return TermselError(f"the image has {size[0]} lines and {size[1]} samples, {reason}",
                         file=image,

@@ -188,7 +188,11 @@ def _find_dictionaries(tree: object, path: tuple[str, ...],
 
 
 def _items_by_gdal_name(values: Mapping[str, Any]) -> Items:
-    """Return the numbers of an RPC by GDAL's names, in whatever spelling they come."""
+    """Return the numbers of an RPC by GDAL's names, in whatever spelling they come.
+
+    Names are compared by their letters alone. Coefficients come as a list, as a text, or numbered
+    one by one, which are joined in their order; errors that a file states as unknown are left out.
+    """
     items: Items = {}
     for key, value in values.items():
         # "lineNumCoef", "LINE_NUM_COEFF" and "line num coeff" have the same letters.

@@ -62,10 +62,9 @@ def project_table(
     The CSV is headed id,line,sample,x,y,z,uncertainty_line,uncertainty_sample,outside: standard
     deviations of what the model predicts (`termsel.Fit.sigma`), and how far a place is outside the
     control that the model was fitted to (`termsel.fitting.extrapolation.distance_outside_control`).
-    Warned is of points
-    without a place, by name and with the reason where it is known, and of those outside. Raises
-    TermselError for tables that cannot be read, a CRS other than that of the control, and heights
-    that are missing.
+    Warned is of points without a place, by name and with the reason where it is known, and of those
+    outside. Raises TermselError for tables that cannot be read, a CRS other than that of the
+    control, and heights that are missing.
     """
     model = result.fit.model
     crs = result.fit.control.crs

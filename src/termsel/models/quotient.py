@@ -142,7 +142,11 @@ class RationalModel(SensorModel):
 
     @cached_property
     def _layout(self) -> tuple[tuple[str, slice, int, tuple[str, ...]], ...]:
-        """(block, its columns among the terms, its axis, its term names) in order."""
+        """Return of each block its name, columns among the terms, axis and names of terms.
+
+        Blocks of numerators and denominators stand in one row of terms, in the order of `_LAYOUT`.
+        Raises PluginFault for a model that names more or fewer columns than it has, or two alike.
+        """
         # The columns at any one place show how many there are.
         sample = self.blocks(np.zeros((1, 3)))
         layout = []

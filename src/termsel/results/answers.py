@@ -169,7 +169,12 @@ def _scope_of_choice(accuracy: Accuracy) -> str:
 
 
 def accuracy_statement(record: Record) -> str:
-    """Return the accuracy as a statement that can be pasted, the surer figure first."""
+    """Return the accuracy as a statement that can be pasted, the surer figure first.
+
+    It stands alone: which RMSE, by what points or by which prediction, its interval, and whether
+    anything verifies it. Of computed points it is their agreement with the model, as an RMSE would
+    look like an accuracy.
+    """
     accuracy = record.accuracy
     expected = expected_rmse(record)
     sentences = []
@@ -321,7 +326,11 @@ def _legend_of_fits(record: Record, view: View | None) -> Iterator[str]:
 
 
 def _table_of_fits(record: Record) -> TableBlock:
-    """Return the RMSE of this result and of all fits without a search."""
+    """Return the RMSE of this result and of all fits without a search.
+
+    A mark says that selection points took part in a fit. Columns of roles without features are left
+    out; the interval of the selection points is on the page alone, as a terminal is too narrow.
+    """
     rows = []
     keys = []
     for name, fitted_to_check, n_terms, rmse in fits_of(record):
@@ -358,7 +367,11 @@ def _rmse_as_cell(rmse: RoleRmse) -> str:
 
 
 def _answer_on_bad_points(record: Record, view: View | None) -> Iterator[Block]:
-    """Yield the answer to "Which points are bad?"."""
+    """Yield the answer to "Which points are bad?".
+
+    The verdict of the blunder test comes first, then the largest residuals as a chart and as a
+    folded table. Of a line the vertex with the larger residual on the ground counts.
+    """
     yield from map(Detail, verdict_table(record)) if are_all_named(record) \
         else verdict_table(record)
     if view is None:

@@ -220,7 +220,12 @@ def _shift_of(record: Record) -> str:
 
 
 def _model_lines(record: Record) -> str:
-    """Return the model, and how it was chosen or selected."""
+    """Return the model, and how it was chosen or selected.
+
+    For the automatic choice that is among how many methods, and whether the chosen one is the best
+    of them; for a search how many of the terms and features on offer are selected, and by which
+    solver.
+    """
     title = title_of(record)
     strategy = record.strategy
     if strategy:
@@ -264,7 +269,11 @@ def share_in_words(selected: int, offered: int) -> str:
 
 
 def outlier_lines(record: Record) -> list[str]:
-    """Return the worst outliers of each kind: rejected, in use, and independent check points."""
+    """Return the worst outliers of each kind: rejected, in use, and independent check points.
+
+    Each line names the worst few with their errors. Where nothing contradicts the others it says
+    so, and why this may mean little; points of a lattice are never tested.
+    """
     # An outlier that is in use weakens the model, one that was rejected does not.
     rejected, used, independent = groups = _group_outliers(record)
     if lattice_of(record) is not None:
@@ -452,7 +461,11 @@ def _conventional_rmse(record: Record, row: BaselineRow) -> Iterator[str]:
 
 
 def _facts_on_search(record: Record) -> Iterator[str]:
-    """Yield the proof, if there is one, and the size of the Pareto front."""
+    """Yield the proof, if there is one, and the size of the Pareto front.
+
+    A proof that a solver merely claims is left out here: the details say who claims it. Without a
+    proof it is the gap that remains, where that means anything.
+    """
     certificate = record.certificate
     if certificate is not None and not certificate.claimed_by:
         # A claim of another program is not repeated as a proof.

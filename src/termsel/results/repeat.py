@@ -36,7 +36,12 @@ def why_not_by_command(record: Record) -> str:
 
 
 def _command_arguments(record: Record) -> Iterator[str]:
-    """Yield the arguments of the command that repeats a run."""
+    """Yield the arguments of the command that repeats a run.
+
+    Data are the files in the result's own folder, with the roles as they were, so that the command
+    repeats the same run elsewhere. Only what differs from the problem's own parts and options is
+    named.
+    """
     counts = record.data.counts
     # The problem stands first, as all else depends on it.
     yield f"--problem {shlex.quote(_full_name(record, 'problem'))}"

@@ -60,7 +60,11 @@ def _blocks_shown(blocks: Iterable[Block], with_details: bool) -> Iterator[Block
 
 
 def _lines_of_blocks(blocks: Iterable[Block], *, all_rows: bool = False) -> Iterator[str]:
-    """Yield the lines of blocks, with an empty one around each table."""
+    """Yield the lines of blocks, with an empty one around each table.
+
+    With `all_rows` tables are not cut. A fact has its label in a column of its own; notes, names
+    and statements are wrapped to the width of a terminal.
+    """
     after_table = False
     for i, block in enumerate(blocks):
         is_table = isinstance(block, TableBlock | Code)

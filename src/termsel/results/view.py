@@ -171,8 +171,8 @@ class View:
     def control(self) -> list[Row]:
         """Control in use as measured in the image: line, sample [px]."""
         step = max(1, len(self._control_in_image) // DRAWN)
-        return [{"line": line, "sample": sample} for line,
-                sample in self._control_in_image[::step].tolist()]
+        return [{"line": line, "sample": sample}
+                for line, sample in self._control_in_image[::step].tolist()]
 
     @cached_property
     def hull(self) -> list[Row]:

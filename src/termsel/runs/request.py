@@ -403,7 +403,12 @@ def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None =
 
 def _named_parts(recipe: Recipe, model: Any, solver: Any, criterion: Any,
                  settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return model, criterion and solvers, asked for or the problem's own, by class or instance."""
+    """Return model, criterion and solvers, asked for or the problem's own, by class or instance.
+
+    A model that interpolates has no terms to select, so that its solver is "all-terms"; several
+    objectives need a solver that can handle them. Keys are "model", "criterion", "solver", and
+    "then" where a second step has its own solver.
+    """
     names = registry()
     model_part = names.taken("models", recipe.model if model is None else model)
     if recipe.name == "poly-terms" and class_of(model_part).name == "rfm":
@@ -480,7 +485,12 @@ def require_type(function: Callable[..., Any], name: str, value: Any, expected: 
 
 def _options_of_problem(recipe: Recipe, settings: Mapping[str, Any], criterion: Criterion,
                         solver: Solver) -> dict[str, Any]:
-    """Return the options of a problem, those decided that depend on criterion and solver."""
+    """Return the options of a problem, those decided that depend on criterion and solver.
+
+    `settings` are those given. Defaults that depend on the criterion or the solver, such as the
+    rule by which one of a front is recommended, are decided here, so that the record states what
+    was used. Raises TermselError for a rule that the criterion does not allow.
+    """
     undeclared = {option.name: option for option in undeclared_options(recipe)}
     options = resolve([*recipe.options, *(option for name, option in undeclared.items()
                                           if name in settings)], settings)

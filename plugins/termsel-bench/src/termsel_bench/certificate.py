@@ -185,8 +185,8 @@ def tree_of(axis: dict[str, Any], max_steps: int,
             if closed:
                 continue
         # Beyond the path the column that leaves least open.
-        j = way[0][
-            0] if way else columns.names[_branching_column(columns, checker.room - len(node.used))]
+        j = way[0][0] if way else \
+            columns.names[_branching_column(columns, checker.room - len(node.used))]
         i = columns.names.index(j)
         steps.append(["split", j])
         without, using = checker.halves(node, j)

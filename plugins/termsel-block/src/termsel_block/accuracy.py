@@ -172,8 +172,8 @@ def errors_in_space(result: BlockResult) -> InSpace | None:
     return InSpace(float(east), float(north), float(up), len(names))
 
 
-def _intersect_rays(result: BlockResult, rays: Sequence[
-        Sequence[tuple[int, FloatArray]]], near: FloatArray) -> FloatArray:
+def _intersect_rays(result: BlockResult, rays: Sequence[Sequence[tuple[int, FloatArray]]],
+                    near: FloatArray) -> FloatArray:
     """Return where the rays of each point meet, shape (n, 3) [m].
 
     `rays` holds for each of n points the number of each image and the point's position there;

@@ -53,9 +53,8 @@ def without_wrong_sensor(block: Block, adjusted: Adjusted,
         return None
     sensor = sensors[worst]
     name = _sensor_in_words(block, sensors[worst])
-    named_images = [f"{block.images[i].name}{_terms_in_words(contradiction)}" for i,
-                    contradiction in suspects.items()
-                    if sensors[i] == sensor]
+    named_images = [f"{block.images[i].name}{_terms_in_words(contradiction)}"
+                    for i, contradiction in suspects.items() if sensors[i] == sensor]
     n_images = sum(sensor_of(block, i) == sensor for i in range(len(block.images)))
     note = (f"Points and ties of {', '.join(named_images)} contradict the sensor {name!r}. "
             + ("The image is adjusted as one of an unknown sensor." if n_images == 1 else

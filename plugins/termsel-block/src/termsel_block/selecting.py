@@ -128,8 +128,8 @@ class OwdisBlock(Problem):
             min_equations=1)
         # Normal equations of a selection are the sums of those of its candidates.
         self._normal = np.stack([design_rows.T @ design_rows for design_rows in designs])
-        self._right = np.stack([design_rows.T @ aim for design_rows,
-                                aim in zip(designs, targets, strict=True)])
+        self._right = np.stack([design_rows.T @ aim
+                                for design_rows, aim in zip(designs, targets, strict=True)])
         self._prior = design.T @ design, design.T @ target
 
     def evaluate(self, genes: BoolArray) -> Evaluation:

@@ -155,7 +155,11 @@ class LocalRpc(CorrectedRpc):
     """
 
     def fit(self, control: FitData) -> Fit:
-        """Return the fit of the field; raises Undetermined if a correction alone predicts as well.
+        """Return the fit of a correction with a random field.
+
+        The field is compared with a correction alone by the mean logarithm of the ratio of their
+        squared held-out errors, so that no single point decides. Raises Undetermined without an
+        RPC, and where the correction predicts as well.
         """
         rpc = control.features.rpc
         if rpc is None:

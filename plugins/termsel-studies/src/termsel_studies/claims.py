@@ -125,7 +125,12 @@ def size_in_words(value: float) -> str:
 
 
 def _claims_over_instances(comparison: Comparison) -> list[str]:
-    """Return sentences on what may be claimed over all instances, by corrected tests."""
+    """Return sentences on what may be claimed over all instances, by corrected tests.
+
+    Friedman's test over all methods comes first; only if that finds a difference do pairs count, by
+    Wilcoxon's test with Holm's correction. What is not proven is said, too, with the reminder that
+    it is no proof of the opposite.
+    """
     sentences = []
     if comparison.p is not None:
         verdict = "differ" if comparison.p < SIGNIFICANCE else "cannot be distinguished"

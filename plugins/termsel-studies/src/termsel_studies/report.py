@@ -83,8 +83,8 @@ def study_summary(study: Study) -> str:
     return text_of(_study_document(study, [], {}, brief=True))
 
 
-def _study_document(study: Study, charts: list[
-        Figure], pictures: dict[str, str], *, brief: bool = False) -> Document:
+def _study_document(study: Study, charts: list[Figure], pictures: dict[str, str], *,
+                    brief: bool = False) -> Document:
     """Return the page of a study; `pictures` are drawings of images by the key of their cell.
 
     If brief, its tables are short, and it has the reasons of images.

@@ -325,7 +325,12 @@ class GaussianProcess:
 
     @cached_property
     def _coefficients(self) -> tuple[FloatArray, list[tuple[tuple[float, float], FloatArray]]]:
-        """Averaged coefficients (k, 2) of monomials, and the lengths and (knots, 2) of each field.
+        """Return averaged coefficients of monomials and fields, by which positions are computed.
+
+        Coefficients of monomials are (k, 2), and each field has its two lengths and values (knots,
+        2) at the knots. Prediction is linear in them, so that solutions are averaged once and not
+        at each place. Affine terms are not shrunken: theirs are those of least squares to what the
+        other terms leave.
         """
         lead = len(self.to_image)
         terms = len(self.exponents)

@@ -261,7 +261,11 @@ class SharedShrinkage:
             np.maximum(redundancies.T, MIN_REDUNDANCY, order="C")
 
     def solutions(self, target: FloatArray, solution_of_cell: IntArray) -> AxisSolutions:
-        """Return the solutions for the measurements of one axis (see `Shrinkage.solutions`)."""
+        """Return the solutions for the measurements of one axis, `target` (n,).
+
+        They are those of `Shrinkage.solutions`, by the equation of the class: W y less W C (I + C'W
+        C)^-1 C'W y, with the inverse from its Cholesky factor. All solutions are computed at once.
+        """
         design = self._design
         redundancies = self.all_redundancies
         assert redundancies is not None

@@ -312,7 +312,13 @@ class _Choice:
 
     def at(self, eigenvectors: FloatArray, null_diagonal: FloatArray, null_target: FloatArray,
            n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return w, the diagonal of M and the criterion without each of some points, (s, m)."""
+        """Return w, the diagonal of M and the criterion without each of some points, (s, m).
+
+        Points are given by their rows of the eigenvectors (k, m) and what the null space adds: a
+        diagonal (m,) and a target (m,). w_i / M_ii is the error of point i without it. The
+        criterion, restricted likelihood or generalised cross-validation, is that of the smoothing s
+        without the point, so that its own measurement does not choose how it is predicted.
+        """
         w = ((self.eigenvalues * self.projections) @ eigenvectors
              + self.null_eigenvalue * null_target)
         diagonal = self.eigenvalues @ eigenvectors**2 + self.null_eigenvalue * null_diagonal

@@ -124,7 +124,11 @@ def private_folder(parent: Path | None = None) -> Iterator[Path]:
 
 @contextmanager
 def new_folder(folder: Path) -> Iterator[Path]:
-    """Yield a private folder that becomes `folder` in the end, completely or not at all."""
+    """Yield a private folder that becomes `folder` in the end, completely or not at all.
+
+    Whoever fails or is interrupted within leaves nothing behind, neither half a folder nor the
+    private one. Raises TermselError where the name is taken, or its parent is missing or full.
+    """
     if os.path.lexists(folder):
         raise TermselError("this folder exists already" if folder.is_dir() else
                            "a file of this name exists already", file=folder,

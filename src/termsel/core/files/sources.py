@@ -394,6 +394,10 @@ class _Chain:
 
     def _require_members_near(self, name: str, archive: Path, member: str, depth: int) -> None:
         """Require the files of an archive that GDAL would open next to one in it, as on the disk.
+
+        `name` is how GDAL calls the file, `archive` the archive on the disk, and `member` the file
+        in it, "" for its only one. GDAL opens overviews, masks and auxiliary XML beside a raster
+        without being asked, in an archive as on the disk, and these may name further sources.
         """
         members = _list_archive(name, archive)
         if members is None:  # a single file, next to which are those of the disk

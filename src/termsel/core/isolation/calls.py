@@ -38,8 +38,8 @@ class Guarded:
 
     A subclass that is defined outside termsel gets each of its `guards` wrapped when it is made.
     What the method raises becomes a `termsel.core.isolation.faults.PluginFault`, which names the
-    plugin and
-    the line; what it returns is checked. Calls from within the same package are not guarded again.
+    plugin and the line; what it returns is checked. Calls from within the same package are not
+    guarded again.
     """
 
     kind: ClassVar[str] = ""
@@ -111,7 +111,12 @@ def _check_returned(check: Check | None, plugin_object: Any, name: str, value: A
 
 def _guard_of_iterator(name: str, function: Callable[..., Any],
                        check: Check | None) -> Callable[..., Any]:
-    """Return the guard of a method that returns an iterator, each step of which is guarded."""
+    """Return the guard of a method that returns an iterator, each step of which is guarded.
+
+    A generator runs between its steps as well, so that each `next` is guarded by itself: exceptions
+    become PluginFaults that name the method `name`, and `check` looks at each value. Calls from the
+    plugin's own package pass as they are.
+    """
     @wraps(function)
     def call(self: Any, *args: Any, **options: Any) -> Any:
         needs_no_guard = _off.get() or running_package() == package_of(type(self))

@@ -118,7 +118,12 @@ def _names_by_meaning(aliases: tuple[tuple[str, tuple[str, ...]], ...],
 
 
 def columns_by_meaning(header: Sequence[str], aliases: Aliases) -> dict[str, list[int]]:
-    """Return the columns that could hold each meaning, by their names."""
+    """Return the columns that could hold each meaning, by their names.
+
+    A meaning has plain names, such as line, and further ones of other programs and languages, which
+    count only where no column has a plain name. Several columns of one meaning are all returned:
+    whoever asks decides whether that is an error. A number in a header is no name.
+    """
     names_of, all_names = _names_by_meaning(tuple(
         (meaning, tuple(names)) for meaning, names in aliases.items()))
     # Most rows that are asked about hold numbers, none of which is a name.

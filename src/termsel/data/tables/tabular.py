@@ -306,8 +306,8 @@ def stack_columns(tables: Sequence[Attributes], rows: Sequence[int], name: str) 
     if name.casefold() not in map(str.casefold, names):
         raise unknown_name_error("column of attributes", name, names,
                                  "It is a further column of the file of the features.")
-    return np.concatenate([_column_text(table, name, n) for table,
-                           n in zip(tables, rows, strict=True)])
+    return np.concatenate([_column_text(table, name, n)
+                           for table, n in zip(tables, rows, strict=True)])
 
 
 def as_numbers(cells: TextArray, ids: Sequence[str], name: str) -> FloatArray:

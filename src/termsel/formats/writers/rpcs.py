@@ -63,7 +63,13 @@ class RpcWriter(Writer):
         return normalise(result.fit.control.crs) != LOCAL
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the RPC of a result, after it was read back and found the same."""
+        """Write the RPC of a result, after it was read back and found the same.
+
+        Image sizes and heights are the user's or the control's, since an RPC holds within its box
+        alone. The file is private until it has been read back as the same RPC. Then the log says
+        how far it deviates from the model. Raises TermselError where the RPC cannot follow the
+        model.
+        """
         image = self.options["image"]
         if image is not None:
             # An RPC is scaled to the size of its image, which files of points do not state.
@@ -110,7 +116,11 @@ class RpcWriter(Writer):
         """Return the content of the file."""
 
     def written(self, rpc: Rpc, path: Path) -> None:
-        """Warn if GDAL does not use the file that was written."""
+        """Warn if GDAL does not use the file that was written.
+
+        An RPB beside the image, or a name that is not the image's, makes GDAL ignore the file
+        without a word: the user would rectify by another RPC than the one just written.
+        """
         image = self.options["image"]
         vendors = []
         # GDAL looks for an RPB first, and takes it.

@@ -147,7 +147,12 @@ def refinement_remark(view: View) -> str:
 
 
 def empires_chart(view: View) -> Any:
-    """Return how many countries each empire of the ICA has, as bands of the population."""
+    """Return how many countries each empire of the ICA has, as bands of the population.
+
+    An empire of the imperialist competition loses its weakest country to another one, so that bands
+    get thinner until one is left. Generations are thinned out, as a browser draws few thousand
+    areas at once.
+    """
     alt = require_altair()
     counted = [generation for generation in view.record.history if generation.empires]
     # A chart of more areas than AREAS takes a browser seconds to draw.

@@ -23,12 +23,11 @@ class Ebic(Criterion):
     """Extended Bayesian information criterion of the control residuals; not in px.
 
     n ln(RSS / n) + k ln n + 2 gamma ln C(P, j), added up over line and sample if they are
-    independent: n equations, k terms in use, j of them chosen from the P that may be chosen, RSS
-    of the linearised, weighted residuals in the scaled image unit, at least that of rounding.
-    Terms that are forced on are no choice, and those forced off are not offered. Plain BIC lacks
-    the last part: the more selections of a size there are, the better one of them fits by chance.
-    Terms of line and
-    sample that are switched together are one choice and one system with a common variance.
+    independent: n equations, k terms in use, j of them chosen from the P that may be chosen, RSS of
+    the linearised, weighted residuals in the scaled image unit, at least that of rounding. Terms
+    that are forced on are no choice, and those forced off are not offered. Plain BIC lacks the last
+    part: the more selections of a size there are, the better one of them fits by chance. Terms of
+    line and sample that are switched together are one choice and one system with a common variance.
 
     The criterion is valid for n much larger than k. As k nears n, ln(RSS / n) falls without
     bound, and a meaningless term lowers n ln(RSS / n) by about n / (n - k) instead of 1.

@@ -35,10 +35,9 @@ def enumerable_parts(inputs: ProblemData, equations: Equations, genome: Genome,
                      pairs: tuple[IntArray, IntArray] | None) -> tuple[EnumerablePart, ...]:
     """Return the parts of a term selection from control points, by the equations of the control.
 
-    The genome is of terms alone.
-    Denominators must reach the margin at the scaled ground points of the guard (g, 3). Pairs are of
-    terms, and for each a parent that must be selected with it. Raises TermselError if the axes are
-    coupled, or criterion or model do not allow an enumeration.
+    The genome is of terms alone. Denominators must reach the margin at the scaled ground points of
+    the guard (g, 3). Pairs are of terms, and for each a parent that must be selected with it.
+    Raises TermselError if the axes are coupled, or criterion or model do not allow an enumeration.
     """
     model = inputs.model
     criterion = inputs.criterion

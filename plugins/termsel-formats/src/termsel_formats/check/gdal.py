@@ -98,8 +98,8 @@ def transformation_of_gdal(path: Path, *options: str) -> Places:
     def places(image: FloatArray, heights: FloatArray) -> FloatArray:
         """Return ground positions (n, 2) of image positions at heights, by gdaltransform."""
         # GDAL counts pixels from the corner of the first one.
-        rows = (f"{sample + 0.5!r} {line + 0.5!r} {height!r}" for (line, sample), height
-                in zip(image.tolist(), heights.tolist(), strict=True))
+        rows = (f"{sample + 0.5!r} {line + 0.5!r} {height!r}"
+                for (line, sample), height in zip(image.tolist(), heights.tolist(), strict=True))
         text = answer([program, *options, str(path.absolute())], "\n".join(rows) + "\n")
         pairs = [_parse_pair(row) for row in text.splitlines()]
         if len(pairs) != len(image):

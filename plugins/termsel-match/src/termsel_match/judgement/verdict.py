@@ -122,8 +122,8 @@ def evidence_of(candidates: Candidates, selected: SelectedCandidates, heights: H
     return Evidence(
         sigma=float(sigma.max()), covered=_share_covered(agree.image, overlap, size),
         bare=unsupported_share(agree.image, overlap, size),
-        structure=residual_structure(points.image[
-            near], residuals[near], 2 * selected.limit, size, np.random.default_rng([seed, 2])),
+        structure=residual_structure(points.image[near], residuals[near], 2 * selected.limit, size,
+                                     np.random.default_rng([seed, 2])),
         other_place=find_other_place(points.image[far], residuals[far], AGREEING_PX, size),
         correction=correction, pixel=_pixel_size(agree, candidates.crs),
         along_lines=drift_along(selected, agree, size[0]), repetition=repetition)

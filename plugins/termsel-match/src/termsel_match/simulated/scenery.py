@@ -209,7 +209,12 @@ def _town_streets(rng: np.random.Generator, extent: float) -> list[Road]:
 
 def _houses_along_roads(rng: np.random.Generator, extent: float, roads: tuple[Road, ...],
                         ) -> tuple[list[FloatArray], list[float], list[int]]:
-    """Return footprints, heights [m] and brightness of houses along the roads."""
+    """Return footprints, heights [m] and brightness of houses along the roads.
+
+    `extent` is the side of the square [m]. Houses stand at both sides of a road and turned like it,
+    closer to each other in towns; their corners are what a matcher finds in both images, and their
+    heights what it must not take for ground.
+    """
     footprints = []
     heights = []
     roofs = []

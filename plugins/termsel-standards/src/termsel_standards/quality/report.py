@@ -184,7 +184,10 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
 
 
 def _tested_measures(result: Result) -> tuple[Measure, ...]:
-    """Return the figures of the independent points, each with its meaning; () without such points.
+    """Return the figures of the independent points, each with its meaning.
+
+    Each has the name and the unit that a standard of metadata asks for. () without such points, as
+    figures of others are no test.
     """
     if result.accuracy is None:
         return ()

@@ -1,10 +1,9 @@
 """Every selection of features, each of which has rows of a least-squares system.
 
 The walk of `termsel.selection.best_subsets.features.kernels` scores a selection by its squared
-errors at the
-check points, to rounding. It does not have the last word: what is within a margin of the best of
-its size remains, and so does what is too badly conditioned to be scored; the caller evaluates
-these.
+errors at the check points, to rounding. It does not have the last word: what is within a margin of
+the best of its size remains, and so does what is too badly conditioned to be scored; the caller
+evaluates these.
 
 Error of a score: with u = 1.1e-16 and the condition of N at most 1e5 where products begin to
 be carried, h has an absolute error of about 1e5 k u and q of 1e10 k u, in units in which N is that

@@ -42,8 +42,8 @@ class Nsga2(Solver):
 
     Start, two-point crossover, bit flips and repair are those of all algorithms of pymoo here;
     genes that are not bits have operators of their own
-    (`termsel.selection.solvers.genetic.operators`).
-    The violation is a constraint, so that feasible selections come first.
+    (`termsel.selection.solvers.genetic.operators`). The violation is a constraint, so that feasible
+    selections come first.
     """
 
     name = "nsga2"

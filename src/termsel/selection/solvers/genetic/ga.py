@@ -69,11 +69,11 @@ class GeneticAlgorithm(Solver):
 
     Chromosome, selection and crossover are those of Akhoundi Khezrabad et al. 2020, table 2. Size
     and start of the population are those that did best on twelve scenes
-    (docs/evidence/short-budgets.md). Genes
-    that are not bits have operators of their own (`termsel.selection.solvers.genetic.operators`).
-    The operators act on the whole population at once and are registered in a DEAP toolbox,
-    where they can be replaced. DEAP's own operators are not used, as they draw one individual
-    at a time from the global random state. Infeasible individuals rank behind all feasible ones.
+    (docs/evidence/short-budgets.md). Genes that are not bits have operators of their own
+    (`termsel.selection.solvers.genetic.operators`). The operators act on the whole population at
+    once and are registered in a DEAP toolbox, where they can be replaced. DEAP's own operators are
+    not used, as they draw one individual at a time from the global random state. Infeasible
+    individuals rank behind all feasible ones.
 
     Examples
     --------
