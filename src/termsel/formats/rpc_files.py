@@ -258,8 +258,8 @@ def _rpc_of_head(path: Path, head: bytes, rpc_name: str) -> Rpc:
                 _number_of_item(number, name, line)
             items[item] = value
     if items.keys() & (RPB_NAMES.keys() | {"LINE_NUM_COEFF_1"}):
-        return with_control(from_items(items), {name: value for name, (value, _)
-                                                in entries.items()})
+        values = {name: value for name, (value, _) in entries.items()}
+        return with_control(from_items(items), values)
     is_json = text.lstrip()[:1] in ("{", "[")
     tree = tree_of_json(text) if is_json else tree_of_yaml(text)
     if (of_result := rpc_of_result(tree)) is not None:

@@ -247,15 +247,15 @@ class Registry:
 
         One that fails is left out, with a warning.
         """
-        return [_failsafe_observer(plugin, observe) for plugin,
-                observe in self._provided_without_names("observers", list_hook_values)]
+        provided = self._provided_without_names("observers", list_hook_values)
+        return [_failsafe_observer(plugin, observe) for plugin, observe in provided]
 
     def parts(self) -> list[parts.Part]:
         """Return the parts that plugins have; a plugin that fails is told."""
         # Asked once: plugins are imported for it.
         if self._parts is None:
-            self._parts = [extension for _,
-                           extension in self._provided_without_names("parts", _require_parts)]
+            provided = self._provided_without_names("parts", _require_parts)
+            self._parts = [extension for _, extension in provided]
         return self._parts
 
     def _provided_without_names(self, plural: str, accept: Taken) -> list[tuple[Plugin, Any]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -39,7 +39,7 @@ from termsel.runs.finding import Finding, plugins_of
 from termsel.runs.judgement import best_conventional, judge_choice
 from termsel.runs.request import Request
 from termsel.runs.task import LEAST
-from termsel.runs.verdict import judge_features, judge_independent
+from termsel.runs.verdict import Verdict, judge_features, judge_independent
 from termsel.selection.problems.base import Evaluation, Selection
 from termsel.selection.problems.recipes import Recipe
 from termsel.selection.solvers.base import Generation
@@ -157,16 +157,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
     comparison = compare(clean, Auto(memory=auto.memory)) if auto.is_one_method \
         else compare(clean, auto, choice)
     # 3. What the errors held out predict of new points: the RMSE with its interval.
-    errors = outcome.errors
-    if errors is not None and not len(choice.chosen.control.lines):
-        # What lines were predicted to be says nothing.
-        errors = errors[:len(data.features.points)]
-    predicted = outcome.between
-    if errors is not None and clean.lattice is None:
-        predicted = predict_rmse_of_fit(
-            choice.chosen, errors, len(observations.independent), observations.independent.ground)
-    if predicted is not None:
-        predicted = changed(predicted, pixel=pixel_on_ground(choice.chosen))
+    errors, predicted = _held_out_accuracy(outcome, clean, observations.independent)
     # 4. The fit in the roles that the points play, and the verdict on independent points. No
     # choice is made from here on.
     played = with_lines(clean, observations.control.lines)
@@ -177,6 +168,14 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
                        contradicting.blunders)
     predicted_final = None if final is None or predicted is None else predict_rmse_of_all(
         choice.chosen, predicted, agreeing.independent.ground)
+    # 6. What the record says of the choice, and the notes for its reader.
+    rpc_notes = ("", "") if data.features.rpc is None else \
+        _notes_on_rpc(request, data, auto, choice.chosen)
+    strategy = _strategy_record(choice, errors, predicted, data, clean, rpc_notes[0])
+    notes = _Assessed(request, observations, clean, auto, outcome, verdict=verdict, fitted=fitted,
+                      errors=errors, predicted=predicted, rpc_notes=rpc_notes).notes(
+        INTERRUPTED.format(min(watch.count, watch.methods), watch.methods)
+        if outcome.interrupted else "", contradicting.notes)
 
     @cache  # they are asked for by who judges and by who writes
     def baselines(in_roles: Observations) -> tuple[Baseline, ...]:
@@ -190,40 +189,6 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
                             request.features.noise, held_out=own.get(method.name), among=len(own),
                             is_asked_for=auto.is_one_method)
 
-    is_judged = predicted is not None and not method.from_one and clean.lattice is None
-    uncertain_places = [*uncertain_between_points(choice.chosen, predicted),
-                        *uncertain_corners(fitted, predicted.rmse)] \
-        if predicted and is_judged else []
-    rpc_unused, rpc_correction = ("", "") if data.features.rpc is None else \
-        _notes_on_rpc(request, data, auto, choice.chosen)
-    strategy = _strategy_record(choice, errors, predicted, data, clean, rpc_unused)
-    interrupted = INTERRUPTED.format(min(watch.count, watch.methods), watch.methods) \
-        if outcome.interrupted else ""
-    heights_are_known = auto.fewest(observations.pool) == 1 or (
-        fitted.model.uses_height and not data.heights)
-    lattice = clean.lattice
-    # Heights off a plane are no blunders: a model with heights would use them.
-    high = [f"{outlier.id} ({rounded_size_text(outlier.error)} px)" for outlier in verdict.outliers
-            if outlier.id in verdict.high]
-    heights = "its height" if len(high) == 1 else "their heights"
-    left_out_for_height = [f"Left out for {heights}: {', '.join(high)}."] if high else []
-    lines = len(fitted.control.lines.features)
-    lines_in_use = fitted.used[len(fitted.control.points):].any()
-    without_lines = [f"None of the {count_in_words(lines, 'line')} is used: the points alone "
-                     "predict better."] if lines and not lines_in_use else []
-    notes = (
-        *([doubt] if (doubt := rpc_correction and doubt_of_rpc(clean)) else []),
-        *_notes_on_stated_geometry(data, auto, choice.chosen),
-        *notes_on_dem(request.features, fitted),
-        *filter(None, (rpc_unused, rpc_correction)),
-        *notes_on_data(request.features, observations, heights=not heights_are_known,
-                       blank=request.blank, clean=clean),
-        *_notes_on_choice(request.model, clean, errors, interrupted,
-                          plane=not fitted.model.uses_height,
-                          determined=outcome.exact,
-                          has_geometry=method.from_one), *uncertain_places,
-        *([] if lattice is None else [lattice.sentence(known=method.from_one)]),
-        *left_out_for_height, *verdict.notes, *without_lines, *contradicting.notes, *auto.notes)
     # The objective of the record is what the rule of the choice compares.
     rmse = choice.chosen.held_out_rmse
     stated = {
@@ -243,6 +208,96 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
         judgement=judgement, stated=stated,
         selection=Selection(select(fitted.model.terms, fitted.terms),
                             select(played.control.ids, fitted.used)))
+
+
+def _held_out_accuracy(outcome: _Chosen, clean: Observations,
+                       independent: Points) -> tuple[FloatArray | None, Predicted | None]:
+    """Return the errors of a choice at held-out points (n, 2) [px], and the RMSE they predict.
+
+    Of points and lines under a fit to points alone, those of the points count: what lines were
+    predicted to be says nothing. The prediction is that for the independent points, which may lie
+    otherwise than the control, or without any for places like the control's. None where nothing was
+    held out.
+    """
+    chosen = outcome.choice.chosen
+    errors = outcome.errors
+    if errors is not None and not len(chosen.control.lines):
+        errors = errors[:len(clean.pool.features.points)]
+    predicted = outcome.between
+    if errors is not None and clean.lattice is None:
+        predicted = predict_rmse_of_fit(chosen, errors, len(independent), independent.ground)
+    if predicted is not None:
+        predicted = changed(predicted, pixel=pixel_on_ground(chosen))
+    return errors, predicted
+
+
+@dataclass(frozen=True, eq=False)
+class _Assessed:
+    """All that is known of a choice when the notes for its reader are written.
+
+    `clean` are the observations without blunders, `fitted` is the fit to control alone, `errors`
+    (n, 2) are those held out and `predicted` is the RMSE that they predict; `rpc_notes` say why the
+    RPC is not used, and how it was corrected.
+    """
+
+    request: Request
+    observations: Observations
+    clean: Observations
+    auto: Auto
+    outcome: _Chosen
+    verdict: Verdict
+    fitted: Fit
+    errors: FloatArray | None
+    predicted: Predicted | None
+    rpc_notes: tuple[str, str]
+
+    def notes(self, interrupted: str, on_independent: Iterable[str]) -> tuple[str, ...]:
+        """Return the notes in the order in which a reader acts on them.
+
+        The RPC and other geometry that is stated come first, then the data, the figures, the
+        features that were left out, and the independent points.
+        """
+        clean = self.clean
+        fitted = self.fitted
+        chosen = self.outcome.choice.chosen
+        method = self.outcome.choice.method
+        rpc_unused, rpc_correction = self.rpc_notes
+        doubt = doubt_of_rpc(clean) if rpc_correction else ""
+        heights_are_known = self.auto.fewest(self.observations.pool) == 1 or (
+            fitted.model.uses_height and not clean.pool.heights)
+        lattice = clean.lattice
+        uncertain_places: list[str] = []
+        if self.predicted is not None and not method.from_one and lattice is None:
+            uncertain_places = [*uncertain_between_points(chosen, self.predicted),
+                                *uncertain_corners(fitted, self.predicted.rmse)]
+        return (
+            *filter(None, [doubt]),
+            *_notes_on_stated_geometry(clean.pool, self.auto, chosen),
+            *notes_on_dem(self.request.features, fitted),
+            *filter(None, (rpc_unused, rpc_correction)),
+            *notes_on_data(self.request.features, self.observations, heights=not heights_are_known,
+                           blank=self.request.blank, clean=clean),
+            *_notes_on_choice(self.request.model, clean, self.errors, interrupted,
+                              plane=not fitted.model.uses_height, determined=self.outcome.exact,
+                              has_geometry=method.from_one),
+            *uncertain_places,
+            *([] if lattice is None else [lattice.sentence(known=method.from_one)]),
+            *self._notes_on_left_out(), *on_independent, *self.auto.notes)
+
+    def _notes_on_left_out(self) -> Iterator[str]:
+        """Yield which points were left out for their heights, why others were, and unused lines."""
+        # Heights off a plane are no blunders: a model with heights would use them.
+        high = [f"{outlier.id} ({rounded_size_text(outlier.error)} px)"
+                for outlier in self.verdict.outliers if outlier.id in self.verdict.high]
+        if high:
+            heights = "its height" if len(high) == 1 else "their heights"
+            yield f"Left out for {heights}: {', '.join(high)}."
+        yield from self.verdict.notes
+        fitted = self.fitted
+        lines = len(fitted.control.lines.features)
+        if lines and not fitted.used[len(fitted.control.points):].any():
+            yield (f"None of the {count_in_words(lines, 'line')} is used: the points alone predict "
+                   "better.")
 
 
 NO_SEARCH = {"feasible": True, "lookups": 0, "hit_rate": 0.0, "generations": 0, "history": (),
@@ -443,7 +498,12 @@ def _why_rpc_unused(data: FitData, auto: Auto, fitted: Fit | None = None) -> str
 def _notes_on_choice(model: SensorModel, observations: Observations, errors: FloatArray | None,
                      interrupted: str = "", *, plane: bool, determined: bool,
                      has_geometry: bool) -> list[str]:
-    """Return notes on the control and on the figures of a choice; [] if all is as usual."""
+    """Return notes on the control and on the figures of a choice; [] if all is as usual.
+
+    `model` is that of the request, which the user may compare; `plane` is whether the chosen one
+    is, `determined` whether the features leave it no freedom, and `has_geometry` whether it knows
+    the view. At most one note is on why no accuracy is known.
+    """
     features = observations.together
     in_use = np.ones(len(features), dtype=bool)
     notes = [] if has_geometry else [*warnings_of(features, in_use, empty_points())]

@@ -70,10 +70,9 @@ def compare(
         more shows the progress.
     **keys
         Keys of a study file, in place of `study` or of what it says: problems, models, solvers,
-        criteria, strategies, data, seeds, splits, budget, options, exports, measure,
-        measures, title.
-        Problems, models, solvers and criteria may be objects, as in `run`; data may be a mapping
-        of feature sets by name.
+        criteria, strategies, data, seeds, splits, budget, options, exports, measure, measures,
+        title. Problems, models, solvers and criteria may be objects, as in `run`; data may be a
+        mapping of feature sets by name.
 
     Returns
     -------
@@ -155,8 +154,8 @@ LONG_CELL_SECONDS = 20.0
 FINISHING = "The runs under way are being finished. Ctrl-C once more ends at once."
 
 
-def requested_study(study: Path | str | Mapping[
-        str, Any] | None, keys: Mapping[str, Any] ) -> tuple[Spec, Path]:
+def requested_study(study: Path | str | Mapping[str, Any] | None,
+                    keys: Mapping[str, Any]) -> tuple[Spec, Path]:
     """Return the spec of a study, and the folder that its file names are relative to.
 
     Raises TermselError for keys next to a study file.
@@ -244,8 +243,8 @@ def _probe(cell: Cell) -> Cell:
 def _reasons_not_to_run(cells: list[Cell]) -> str:
     """Return why cells cannot run: the first reason, and how many cells have others."""
     further = len({cell.data.reason for cell in cells}) - 1
-    return cells[
-        0].data.reason + (f" And {count_in_words(further, 'other reason')}." if further else "")
+    others = f" And {count_in_words(further, 'other reason')}." if further else ""
+    return f"{cells[0].data.reason}{others}"
 
 
 def _cells_of_all_sizes(cells: list[Cell], sizes: list[int]) -> list[Cell]:

@@ -60,9 +60,12 @@ def map_of(study: Study) -> gpd.GeoDataFrame:
         hulls[key] = horizontal_crs(features.crs), shapely.multipoints(positions).convex_hull
     # Where some images have a CRS, those without one have no place on the map.
     has_crs = any(crs for crs, _ in hulls.values())
-    outlines = {key: gpd.GeoSeries([outline], crs=crs).to_crs(LONGITUDE_LATITUDE)[0]
-                if has_crs else outline for key,
-                (crs, outline) in hulls.items() if crs or not has_crs}
+    outlines = {}
+    for key, (crs, outline) in hulls.items():
+        if not has_crs:
+            outlines[key] = outline
+        elif crs:
+            outlines[key] = gpd.GeoSeries([outline], crs=crs).to_crs(LONGITUDE_LATITUDE)[0]
     rows_with_outline = [row for row in rows if row["cell"] in outlines]
     columns: dict[str, list[Any]] = {}
     for name in study.columns:

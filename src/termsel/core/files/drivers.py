@@ -108,8 +108,8 @@ def allow_driver(*names: str) -> Iterator[None]:
     ...     pass  # read files here that you trust
     """
     # GDAL takes names in any case; the list has them as it writes them.
-    driver_names = {name.casefold(): name for name in
-                    (*RASTER_DRIVERS, *VECTOR_DRIVERS, *WORKING_DRIVERS, *_OTHERS)}
+    all_drivers = (*RASTER_DRIVERS, *VECTOR_DRIVERS, *WORKING_DRIVERS, *_OTHERS)
+    driver_names = {name.casefold(): name for name in all_drivers}
     for name in names:
         if name.casefold() not in driver_names:
             raise TermselError(f"GDAL has no driver {name!r}",

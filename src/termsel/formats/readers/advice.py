@@ -211,8 +211,8 @@ def with_both_readings(error: TermselError, header: Sequence[str], rows: Sequenc
     first, as x with y and lon with lat.
     """
     if not {"line", "sample", "x", "y"} <= {meaning for meaning in named if named[meaning]}:
-        return with_advice(error, header, rows, {meaning: columns[0] for meaning, columns
-                                                 in named.items() if columns}, aliases, fixed)
+        first = {meaning: columns[0] for meaning, columns in named.items() if columns}
+        return with_advice(error, header, rows, first, aliases, fixed)
     readings = [{meaning: columns[min(k, len(columns) - 1)]
                  for meaning, columns in named.items() if columns} for k in (0, 1)]
     return _with_readings(error, header, rows, readings, {}, aliases, fixed)
@@ -321,9 +321,8 @@ def unknown_table_error(path: Path, expected: str, columns: str) -> TermselError
     # A header has no numbers above columns of numbers.
     bare = any(i in _number_columns(rows[:1]) for i in values)
     header = [str(i + 1) for i in range(len(rows[0]))] if bare else rows[0]
-    by_name = {meaning: columns[0] for meaning,
-               columns in columns_by_meaning(header, POINTS).items()
-               if columns}
+    by_name = {meaning: columns[0]
+               for meaning, columns in columns_by_meaning(header, POINTS).items() if columns}
     message = "this table has no header that names its columns" if bare else \
         f"the header names too few columns that are known: {', '.join(map(str.strip, header))}"
     unnamed = TermselError(message, file=path, hint=expected,

@@ -135,8 +135,8 @@ class Table:
     def ids(self) -> list[str]:
         """Return the ids, P1, P2, ... where the format has none."""
         if "id" not in self.columns:
-            return [f"P{number}" for number in (
-                range(1, len(self.lines) + 1) if self.row_name == "line" else self.lines)]
+            numbers = range(1, len(self.lines) + 1) if self.row_name == "line" else self.lines
+            return [f"P{number}" for number in numbers]
         # Spreadsheets guard text against being read as a formula; that is taken off again.
         names = [unguard_cell(cell.strip()) for cell in self.columns["id"]]
         for row, name in enumerate(names):

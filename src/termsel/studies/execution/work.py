@@ -193,8 +193,8 @@ def _search_as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
         "generations": search.generations,
         "notes": [*search.notes, *cell.data.warnings], **times}
     if call.get("measures"):
-        figures[
-            "measures"] = _measures_by_name(cell, result_of_search(task, search), figures["notes"])
+        result = result_of_search(task, search)
+        figures["measures"] = _measures_by_name(cell, result, figures["notes"])
     front = [_member_objectives(task, genes) for genes in search.front]
     return DONE if feasible else INFEASIBLE, figures, front, {}
 

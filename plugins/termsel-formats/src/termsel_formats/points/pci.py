@@ -47,8 +47,9 @@ class PciGcp(Reader):
         # Rows of numbers alone could be anything: the ending has to show.
         if path.suffix.lower() != ".gcp":
             return False
-        rows = [row for _,
-                row in _numbered_rows(head.decode("utf-8", "replace").rpartition("\n")[0])]
+        # The last line of the head may be cut.
+        complete_lines = head.decode("utf-8", "replace").rpartition("\n")[0]
+        rows = [row for _, row in _numbered_rows(complete_lines)]
         return bool(rows) and all(
             len(row) - (row[-1] in _ROLES) in _USUAL_COLUMNS and _are_numbers(row[1:5])
             for row in rows)

@@ -82,9 +82,8 @@ class Pix4dMarks(Reader):
             raise TermselError("the marks have image coordinates only", file=path,
                                hint="Name the file of their ground coordinates, "
                                     "--set ground=FILE.")
-        ground_rows = {row[0]: (number, row) for number,
-                       row in _numbered_rows(ground_file, (3, 4, 5, 6),
-                                             "label,x,y,z")}
+        numbered_rows = _numbered_rows(ground_file, (3, 4, 5, 6), "label,x,y,z")
+        ground_rows = {row[0]: (number, row) for number, row in numbered_rows}
         image = image_of(path, (row[0] for _, row in marks if row[1] in ground_rows),
                          self.options["image_name"], "image_name=NAME") \
             if any(row[1] in ground_rows for _, row in marks) else None

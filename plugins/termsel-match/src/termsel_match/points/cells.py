@@ -146,9 +146,11 @@ def _windows_of_block(size: tuple[int, int], across: int, block: tuple[int, int]
     window_size = [min(extent, largest) for extent in extents]
     windows = []
     for share in _WINDOW_PLACES if extents != window_size else _WINDOW_PLACES[:1]:
-        first_line, first_sample = (start + int((extent - wanted_extent) * fraction)
-                                    for start, extent, wanted_extent,
-                                    fraction in zip(low, extents, window_size, share, strict=True))
+        # Along either axis, a share of what the window leaves free comes before it.
+        first_line, first_sample = (
+            start + int((extent - window_extent) * fraction)
+            for start, extent, window_extent, fraction in zip(
+                low, extents, window_size, share, strict=True))
         windows.append((first_line, first_sample, window_size[0], window_size[1]))
     return windows
 

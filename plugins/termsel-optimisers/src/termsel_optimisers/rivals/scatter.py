@@ -79,8 +79,9 @@ class ScatterMatrix(TermRegression):
                 if (worst == best or not np.isfinite(loss[worst])
                         or selection.sum() <= regression.least):
                     break
-                if self._partial_f(regression, scatter, loss[
-                        worst], selection, smaller, entering=False) >= f_out:
+                f_of_worst = self._partial_f(regression, scatter, loss[worst], selection, smaller,
+                                             entering=False)
+                if f_of_worst >= f_out:
                     break
                 scatter = sweep_pivot(scatter, worst)
                 selection = smaller
