@@ -25,6 +25,7 @@ from termsel.data.record.figures import Rmse, Settings
 from termsel.data.relief import unmasked, visible_ground
 from termsel.data.scaling import Scaling, make_scaling
 from termsel.data.view import CentralView, view_of
+from termsel.fitting.camera_courses import CameraCourses, camera_courses
 from termsel.fitting.extrapolation import variance_by_heights
 from termsel.fitting.local_courses import LocalCourses, local_courses
 from termsel.fitting.misfit import MISFIT_BATCH, Misfit, NoisePrior, misfit_of, mixed_misfit
@@ -499,17 +500,17 @@ class Fit(Glance):
         return courses.squares(scaled_ground, image), np.full(2, courses.noise)
 
     @cached_property
-    def local_courses(self) -> LocalCourses | None:
-        """The error of the model between control points in a plane, as they show it, or None.
+    def local_courses(self) -> LocalCourses | CameraCourses | None:
+        """The error of the model between control points, as they show it, or None.
 
-        None with heights, lines or too few points, and for a projection of a view: it is no field
-        about a polynomial, and is judged by its residuals.
+        None with lines or too few points, with heights of very many points, and for a projection of
+        a view: it is no field about a polynomial, and is judged by its residuals.
         """
         is_polynomial = self.model.polynomial_degree is not None
-        if self.model.uses_height or len(self._scaled_used.lines) \
-                or not (is_polynomial or self.interpolation is not None):
+        if len(self._scaled_used.lines) or not (is_polynomial or self.interpolation is not None):
             return None
-        return local_courses(self._scaled_used.points, 1.0 / self.scaling.image_scale)
+        courses_of = camera_courses if self.model.uses_height else local_courses
+        return courses_of(self._scaled_used.points, 1.0 / self.scaling.image_scale)
 
     def missed_at(self, ground: FloatArray) -> FloatArray:
         """Return the mean square of the model's own error at places (m, 3), scaled, (m, 2).

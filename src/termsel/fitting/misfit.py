@@ -35,8 +35,8 @@ residuals do not show them. So what is no field of any size is beforehand a smal
 size in px is known, not that by the noise.
 
 Of a local model, which fits fields itself, r are its errors of points held out, of the size of the
-noise that it sees; in a plane, from 20 points on, it and polynomials are judged by
-`termsel.fitting.local_courses` instead.
+noise that it sees; from 20 points on it and polynomials are judged by
+`termsel.fitting.local_courses` and, with heights, `termsel.fitting.camera_courses` instead.
 
 References
 ----------
@@ -145,11 +145,15 @@ class NoisePrior:
         logs = -0.5 * (excess / deviation) ** 2
         return np.asarray(logs - np.logaddexp.reduce(logs))
 
-    def ratio_probabilities(self, noises: FloatArray) -> FloatArray:
+    def ratio_probabilities(self, noises: FloatArray,
+                            of_field: float = MISFIT_PROBABILITY) -> FloatArray:
         """Return probabilities of MISFIT_RATIOS next to noises (s,), (r, s); the rest is no field.
+
+        All ratios are as likely, those of a small misfit likelier, where the probability of a
+        field is that `of_field`.
         """
         ratios = np.array(MISFIT_RATIOS)
-        probabilities = np.full((len(ratios), len(noises)), MISFIT_PROBABILITY / len(ratios))
+        probabilities = np.full((len(ratios), len(noises)), of_field / len(ratios))
         if self.small_misfit == 0.0:
             return probabilities
         # Each ratio stands for an octave, the last one for all that is greater.
@@ -158,7 +162,7 @@ class NoisePrior:
         beyond = np.log(sizes / self.small_misfit) / SMALL_MISFIT_LOG_DEVIATION
         below = 0.5 + 0.5 * np.vectorize(erf)(beyond / np.sqrt(2.0))
         return np.asarray(
-            probabilities + (1.0 - MISFIT_PROBABILITY) * np.diff(below, axis=0))
+            probabilities + (1.0 - of_field) * np.diff(below, axis=0))
 
     def relative_variances(self, n: int) -> FloatArray:
         """Return the variances of n measurements by that of a usual one, (n,)."""

@@ -1,0 +1,308 @@
+"""How far a model with heights may be from the truth, which may be rougher or smoother than it.
+
+An image of a camera is, in line and in sample of places (X, Y, Z),
+
+    z = F b + g + e,    g ~ (ratio s)^2 K,  e ~ s^2,
+
+with the monomials F of the place up to cubic ones, and a field g of where it lies in the image.
+Affine coefficients b may be anything, those of higher degree are N(0, (size rule_k s)^2): they are
+shrunken as `termsel.auto.shrunken` says. The covariance K has an unknown smoothness and length.
+Half of all fields are those of a scanner, which shakes in time: all along a line, or a column, is
+displaced alike. Sizes, ratios and the noise s are unknown, too, and all are averaged with their
+restricted likelihood. With S = I + ratio^2 K, the diagonal D of 1 / (size rule_k)^2, 0 for the a
+affine columns, and A = F' S^-1 F + D, it is
+
+    p(z | ...) ~ |S|^-1/2 |A|^-1/2 |D|^1/2 s^-(n - a) exp(-z' P z / 2 s^2),
+    P = S^-1 - S^-1 F A^-1 F' S^-1,
+
+|D| of the shrunken columns alone. With c = (ratio^2 k, f) the covariances to the control and the
+monomials of a place, and M = [[S, F], [F', -D]], a solution has there
+
+    the mean c' M^-1 (z, 0) and the variance s^2 (ratio^2 - c' M^-1 c).
+
+The mean square error of any model at the place is this variance and the square of the distance of
+the model from the mean, averaged over all solutions. In a plane `termsel.fitting.local_courses`
+does the same.
+
+References
+----------
+Matheron 1969 for universal kriging; Stein 1999 for the smoothness of the Matern covariance. The
+prior is termsel's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from termsel.core.threads import one_blas_thread
+from termsel.data.features import FloatArray, Points
+from termsel.data.monomials import evaluate_monomials, graded_exponents
+from termsel.fitting.local_courses import LENGTHS, LOCAL_MIN_POINTS, SMOOTHNESSES
+from termsel.fitting.misfit import (
+    MISFIT_BATCH,
+    MISFIT_MAX_POINTS,
+    MISFIT_RATIOS,
+    NEGLIGIBLE_SHARE,
+    Course,
+    NoisePrior,
+    matern_correlations,
+)
+
+EXPONENTS = graded_exponents(3, 3)
+AFFINE_COLUMNS = 4
+
+CAMERA_FIELD_PROBABILITY = 0.5
+"""Probability of a field of any of MISFIT_RATIOS, as in the model of a field with heights."""
+
+TIME_PROBABILITY = 0.5
+"""Probability among fields that a camera shakes in time."""
+
+TIME_LENGTHS = tuple(pair for length in (0.015, 0.05, 0.1, 0.2, 0.4, 0.8)
+                     for pair in ((length, 20.0), (20.0, length)))
+"""Lengths of line and sample, by the half-range of the image, of what shakes in time."""
+
+SIZES = (1e-6, 1.0, 3.2, 10.0, 32.0, 100.0, 1000.0)
+"""Standard deviations of quadratic coefficients by that of the noise; the first is affine."""
+
+AFFINE_PROBABILITY = 0.25
+TYPICAL_SIZE = 10.0
+"""Of sizes beyond the typical one larger ones are ever less likely, in proportion."""
+
+FALLS, RELIEFS = (0.03, 0.3), (0.1, 1.0)
+"""Cubic coefficients by quadratic ones, and those of one power of Z more: each with each."""
+
+LEAST_NOISE, LARGE_NOISE = 1e-4, 2.0
+"""Noise that counts as none, and what is tried in any case [px]."""
+
+NOISE_STEP = 0.2
+"""Distance of noises that are tried, in natural logarithms."""
+
+
+@dataclass(frozen=True, eq=False)
+class CameraCourses:
+    """What points with heights show of the truth, in scaled coordinates."""
+
+    to_image: FloatArray  # (4, 2): affine map of the ground
+    positions: FloatArray  # (n, 2): of the control, as this map sees it
+    courses: tuple[Course, ...]
+    noise: float  # variance of a measurement of unit weight
+
+    @one_blas_thread
+    def squares(self, ground: FloatArray, image: FloatArray) -> FloatArray:
+        """Return the mean square errors, (m, 2), of a model that sees places in the image."""
+        total = np.full((len(ground), 2), np.nan)
+        finite = np.flatnonzero(np.isfinite(ground).all(axis=1) & np.isfinite(image).all(axis=1))
+        # In batches, as covariances between all places would fill the memory.
+        for batch in np.array_split(finite, len(finite) // MISFIT_BATCH + 1):
+            monomials, positions = self._seen(ground[batch])
+            total[batch] = 0.0
+            for course in self.courses:
+                columns = course.columns(positions, self.positions, monomials)
+                total[batch] += course.squares(columns, image[batch] - positions)
+        return total
+
+    def covariance(self, ground: FloatArray, image: FloatArray, axis: int) -> FloatArray:
+        """Return the mean products of such errors among places, (m, m), on one axis."""
+        monomials, positions = self._seen(ground)
+        total = np.zeros((len(ground), len(ground)))
+        for course in self.courses:
+            columns = course.columns(positions, self.positions, monomials)
+            total += course.second_moments(positions, columns, axis, (image - positions)[:, axis])
+        return total
+
+    def _seen(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the monomials of places, (m, f), and where the affine map sees them, (m, 2)."""
+        monomials = evaluate_monomials(ground, EXPONENTS)
+        return monomials, monomials[:, :AFFINE_COLUMNS] @ self.to_image
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """A field's lengths of line and sample, and its smoothness."""
+
+    probability: float  # of it among fields
+    lengths: tuple[float, float]
+    smoothness: float
+
+
+@dataclass(frozen=True, eq=False)
+class Shrinkages:
+    """How far monomials are shrunken: q rules, each with z sizes."""
+
+    precisions: FloatArray  # (q, z, f): 1 / variance by that of the noise, 0 of affine columns
+    log_probabilities: FloatArray  # (q, z): those of a rule add up to one
+
+    @classmethod
+    def of_all(cls) -> Shrinkages:
+        """Return all of them."""
+        exponents = np.array(EXPONENTS[AFFINE_COLUMNS:])
+        order = exponents.sum(axis=1)
+        rules = np.array([fall**(order - 2.0) * relief**exponents[:, 2]
+                          for fall in FALLS for relief in RELIEFS])
+        sizes = np.array(SIZES)
+        precisions = np.zeros((len(rules), len(sizes), len(EXPONENTS)))
+        precisions[:, :, AFFINE_COLUMNS:] = 1.0 / np.multiply.outer(sizes, rules).swapaxes(0, 1)**2
+        # The tail of a half-Cauchy distribution.
+        curved = 1.0 / np.sqrt(1.0 + (sizes[1:] / TYPICAL_SIZE)**2)
+        logs = np.log(np.append(AFFINE_PROBABILITY,
+                                (1.0 - AFFINE_PROBABILITY) * curved / curved.sum()))
+        return cls(precisions, np.broadcast_to(logs, precisions.shape[:2]))
+
+    def log_determinants(self) -> FloatArray:
+        """Return the logarithms of |D|^1/2, of the shrunken columns, (q, z)."""
+        return np.asarray(0.5 * np.log(self.precisions[:, :, AFFINE_COLUMNS:]).sum(axis=2))
+
+
+@dataclass(frozen=True, eq=False)
+class Control:
+    """Control points, and what is tried on them, in scaled coordinates."""
+
+    monomials: FloatArray  # (n, f)
+    to_image: FloatArray  # (4, 2)
+    positions: FloatArray  # (n, 2)
+    deviations: FloatArray  # (n, 2): from the positions
+    relative_variances: FloatArray  # (n,): of measurements by that of a usual one
+    noises: FloatArray  # (s,)
+    shrinkages: Shrinkages
+
+    @classmethod
+    def of(cls, points: Points, pixel: float, prior: NoisePrior) -> Control | None:
+        """Return that of points; None where they determine no affine map."""
+        monomials = evaluate_monomials(points.ground, EXPONENTS)
+        affine = monomials[:, :AFFINE_COLUMNS]
+        if np.linalg.matrix_rank(affine) < AFFINE_COLUMNS:
+            return None
+        to_image = np.asarray(np.linalg.lstsq(affine, points.image)[0])
+        positions = affine @ to_image
+        deviations = points.image - positions
+        least = deviations - monomials @ np.linalg.lstsq(monomials, deviations)[0]
+        low = np.clip(0.03 * np.sqrt((least**2).mean()), LEAST_NOISE * pixel, 0.02 * pixel)
+        high = max(LARGE_NOISE * pixel, float(np.sqrt((deviations**2).mean())))
+        count = int(np.ceil(np.log(high / low) / NOISE_STEP)) + 1
+        return cls(monomials, to_image, positions, deviations,
+                   prior.relative_variances(len(points)), np.geomspace(low, high, count),
+                   Shrinkages.of_all())
+
+    def correlations(self, field: Field) -> FloatArray:
+        """Return those of a field among the control, (n, n)."""
+        return matern_correlations(self.positions, self.positions, field.lengths, field.smoothness)
+
+    @cached_property
+    def _scaled_columns(self) -> FloatArray:
+        """Monomials and deviations by the standard deviations of the measurements, (n, f + 2)."""
+        scale = 1.0 / np.sqrt(self.relative_variances)
+        return np.asarray(scale[:, None] * np.column_stack([self.monomials, self.deviations]))
+
+    def log_likelihoods(self, field: Field, ratios: tuple[float, ...]) -> FloatArray:
+        """Return log p(z, size | rule, ratio, s) of a field for both axes, (q, z, r, 2, s)."""
+        scale = 1.0 / np.sqrt(self.relative_variances)
+        # With N^-1/2 K N^-1/2 = V diag(values) V', S = N + ratio^2 K is whitened for any ratio.
+        values, vectors = np.linalg.eigh(self.correlations(field) * np.outer(scale, scale))
+        variances = 1.0 + np.multiply.outer(np.square(ratios), np.maximum(values, 0.0))  # (r, n)
+        whitened = (vectors.T @ self._scaled_columns) / np.sqrt(variances)[..., None]
+        products = whitened.swapaxes(1, 2) @ whitened                        # (r, f + 2, f + 2)
+        n, f = self.monomials.shape
+        precisions = self.shrinkages.precisions
+        systems = products[:, :f, :f] + precisions[:, :, None, :, None] * np.eye(f)
+        lower = np.linalg.cholesky(systems)                                  # (q, z, r, f, f)
+        toward = np.broadcast_to(products[:, :f, f:], (*lower.shape[:4], 2))
+        explained = (np.linalg.solve(lower, toward)**2).sum(axis=3)          # (q, z, r, 2)
+        squares = np.maximum(np.diagonal(products[:, f:, f:], axis1=1, axis2=2) - explained, 0.0)
+        # |S|^1/2, but for what all have in common, and |A|^1/2.
+        determinants = 0.5 * np.log(variances).sum(axis=1) \
+            + np.log(np.diagonal(lower, axis1=3, axis2=4)).sum(axis=3)       # (q, z, r)
+        of_prior = self.shrinkages.log_determinants() + self.shrinkages.log_probabilities
+        by_solution = of_prior[:, :, None] - determinants
+        return np.asarray(by_solution[..., None, None]
+                          - (n - AFFINE_COLUMNS) * np.log(self.noises)
+                          - 0.5 * squares[..., None] / self.noises**2)
+
+    def course(self, field: Field, ratios: tuple[float, ...], shares: FloatArray) -> Course:
+        """Return the solutions of a field; their shares (q, z, r, 2, s) are those of all."""
+        noise = shares @ self.noises**2                                      # (q, z, r, 2)
+        probabilities = shares.sum(axis=4)
+        likely = probabilities.max(axis=3) > NEGLIGIBLE_SHARE                # (q, z, r)
+        n, f = self.monomials.shape
+        explained = np.zeros((2, n + f, n + f))
+        means = []
+        for i in np.flatnonzero(likely.any(axis=(0, 1))):
+            squared_ratio = ratios[i]**2
+            inverse = np.asarray(np.linalg.inv(
+                np.diag(self.relative_variances) + squared_ratio * self.correlations(field)),
+                dtype=np.float64)
+            scale = np.append(np.full(n, squared_ratio), np.ones(f))
+            for rule, size in np.argwhere(likely[:, :, i]).tolist():
+                scaled = scale[:, None] * _inverse_with_prior(
+                    inverse, self.monomials, self.shrinkages.precisions[rule, size])
+                means.append(scaled[:, :n] @ self.deviations)
+                scaled *= scale
+                for axis in (0, 1):
+                    explained[axis] += noise[rule, size, i, axis] * scaled
+        # In the order of the means: ratios first.
+        weights = np.moveaxis(probabilities, 2, 0)[np.moveaxis(likely, 2, 0)].T        # (2, w)
+        of_ratios = (noise * likely[..., None]).sum(axis=(0, 1))                       # (r, 2)
+        return Course(float(shares[:, :, :, 0].sum()), field.lengths, field.smoothness,
+                      np.square(ratios) @ of_ratios, explained, weights, np.array(means), f)
+
+
+def camera_courses(points: Points, pixel: float) -> CameraCourses | None:
+    """Return the courses of the error between scaled points with heights, as the points show them.
+
+    A `pixel` is in scaled coordinates. None with few points or very many, and where their heights
+    lie in a plane.
+    """
+    if not LOCAL_MIN_POINTS <= len(points) <= MISFIT_MAX_POINTS:
+        return None
+    prior = NoisePrior.of(pixel, points.sigma, with_heights=True)
+    control = Control.of(points, pixel, prior)
+    if control is None:
+        return None
+    # Of each ratio and noise, and of no field at all.
+    by_ratio = prior.ratio_probabilities(control.noises, CAMERA_FIELD_PROBABILITY)     # (r, s)
+    without = np.maximum(1.0 - by_ratio.sum(axis=0, keepdims=True), np.finfo(float).tiny)
+    logs = []
+    grids = []
+    for field, ratios, probabilities in [
+            (Field(1.0, LENGTHS[0], SMOOTHNESSES[0]), (0.0,), without),
+            *((field, MISFIT_RATIOS, field.probability * by_ratio) for field in _fields())]:
+        # The noise is that of both axes, and so is whether there is a field.
+        of_field = probabilities.sum(axis=0)
+        likelihoods = control.log_likelihoods(field, ratios) \
+            + np.log(probabilities / of_field)[None, None, :, None]
+        by_noise = np.logaddexp.reduce(likelihoods, axis=(1, 2))                       # (q, 2, s)
+        logs.append(np.log(of_field / len(by_noise)) + prior.log_probability(control.noises)
+                    + by_noise.sum(axis=1))
+        grids.append((field, ratios, np.exp(likelihoods - by_noise[:, None, None])))
+    shares = np.exp(np.array(logs) - np.logaddexp.reduce(logs, axis=None))             # (c, q, s)
+    if not np.isfinite(shares).all():
+        return None
+    courses = tuple(
+        control.course(field, ratios, share[:, None, None, None] * likelihoods)
+        for share, (field, ratios, likelihoods) in zip(shares, grids, strict=True)
+        if share.sum() > NEGLIGIBLE_SHARE)
+    return CameraCourses(control.to_image, control.positions,
+                         tuple(course for course in courses if len(course.means)),
+                         float(shares.sum(axis=(0, 1)) @ control.noises**2))
+
+
+def _fields() -> Iterator[Field]:
+    """Yield all fields: of what shakes in time, and of what is alike in line and sample."""
+    for probability, lengths in ((TIME_PROBABILITY, TIME_LENGTHS),
+                                 (1.0 - TIME_PROBABILITY, LENGTHS)):
+        each = probability / (len(lengths) * len(SMOOTHNESSES))
+        for pair in lengths:
+            for smoothness in SMOOTHNESSES:
+                yield Field(each, pair, smoothness)
+
+
+def _inverse_with_prior(inverse: FloatArray, columns: FloatArray,
+                        precisions: FloatArray) -> FloatArray:
+    """Return [[S, F], [F', -D]]^-1 from S^-1 (n, n), F (n, f) and the diagonal of D (f,)."""
+    toward = inverse @ columns
+    of_columns = np.linalg.inv(columns.T @ toward + np.diag(precisions))
+    gain = toward @ of_columns
+    return np.block([[inverse - gain @ toward.T, gain], [gain.T, -of_columns]])
