@@ -14,8 +14,8 @@ def test_walks_grow_no_longer(tmp_path: Path) -> None:
     option = option_to_use(tmp_path)
     assert len(option.functions) <= 60
     assert list(option.holders) == ["RunOptions", "GeneticAlgorithm"]
-    assert len(chromosome_to_fitness().functions) <= 60
-    assert len(model_to_fit().functions) <= 83
+    assert len(chromosome_to_fitness().functions) <= 30
+    assert len(model_to_fit().functions) <= 72
     table = table_to_summary(tmp_path)
-    assert len(table.functions) <= 850
-    assert len(table.modules) <= 111
+    assert len(table.functions) <= 848
+    assert len(table.modules) <= 112

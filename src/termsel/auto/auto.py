@@ -569,6 +569,7 @@ def minimal_view(data: FitData, choice: Choice, auto: Auto) -> Choice:
     if len(data) != EXACT_PROJECTIVE_POINTS or len(
             data.features.points) != EXACT_PROJECTIVE_POINTS or choice.method.from_one:
         return choice
+    # Four points have eight coordinates: as many as the terms of a projective transformation.
     plane = replace(data, heights=False)
     projective = named("projective")
     try:
@@ -585,6 +586,7 @@ def minimal_view(data: FitData, choice: Choice, auto: Auto) -> Choice:
             _without_redundancy(camera, camera_fit), choice.compared,
             f"{EXACT_PROJECTIVE_POINTS} points leave one equation of it. An affine polynomial "
             f"leaves {residuals.total:.3g} px of them, more than a map or a vertical photo does.")
+    # A point with a denominator of the other sign would be behind the camera.
     denominators = fitted.model.denominators(fitted.adjustment.coefficients,
                                              fitted.scaled_control.points.ground)
     assert denominators is not None

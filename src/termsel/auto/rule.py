@@ -271,6 +271,7 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
     chosen = min(rivals, key=beyond_rounding)
     if not explained:
         return Choice(chosen, compared, "")
+    # Both, as the reason compares them; once, where the base itself is chosen.
     descriptions = [description for fitted in dict.fromkeys((chosen, base))
                     if (description := describe(fitted))]
     return Choice(chosen, compared,
@@ -364,6 +365,7 @@ def _reason_for_choice(chosen: Fit, base: Fit, reasons: Sequence[str], alternati
     """
     sentences = list(reasons)
     if alternatives:
+        # Where the base wins, the reader wants to know what came closest to it.
         nearest = chosen if chosen is not base else max(
             alternatives, key=lambda fitted: gain(fitted, base))
         margin = required_gain(nearest, base)

@@ -44,6 +44,7 @@ def rectify_batch(folder: Path, pictures: Path, out: Path, *, doubtful: bool, dr
     _require_options(options)
     maps = plan_maps(folder, pictures, out, with_doubtful=doubtful,
                      overwrite=options["overwrite"])
+    # Before the first of hundreds of maps, not at the one that needs heights.
     if options["dem"] is None and options["height"] is None and (
             planned := first_map_needing_heights(maps)) is not None:
         dem = dem_of_batch(folder)
@@ -57,6 +58,7 @@ def rectify_batch(folder: Path, pictures: Path, out: Path, *, doubtful: bool, dr
     if not dry_run:
         write_text(out / TABLE, table_of_maps(maps))
         say_written([out / TABLE])
+    # The others are written all the same; scripts see by the exit code that some are not.
     if any(item.state == FAILED for item in maps):
         sys.exit(_FAILED)
 

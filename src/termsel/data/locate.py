@@ -186,10 +186,12 @@ def _iterate_newton(project: Projection, image: FloatArray, ground: FloatArray, 
                 break
             before = error[going]
             at = ground[going]
+            # Newton's step d = (dp/dx)^-1 (image - p(x)); derivatives are renewed now and then.
             moves = (_inverse_derivatives(project, at, unit) if step and not step % _STARTS_KEPT
                      else inverse[going])
             ground[going, :2] += np.einsum("nij,nj->ni", moves, before)
             error[going] = image[going] - project(ground[going])
+            # A step that makes things worse, or ends where nothing projects (NaN), was too long.
             oblique[going] |= ~(np.abs(error[going]).max(axis=1)
                                 <= _WORSE * np.abs(before).max(axis=1))
             wrong = oblique[going]

@@ -360,6 +360,7 @@ def with_roles(features: FeatureSet, named: Mapping[str, str]) -> FeatureSet:
     for name, role in named.items():
         if name not in features.ids:
             near = get_close_matches(name, features.ids, n=3)
+            # P1-P9 may be meant as a range, but may be an id as well: it is never expanded.
             is_range = RANGE.search(name) or set(name.split("-")) <= set(features.ids)
             raise TermselError(
                 f"{'--off' if role == 'off' else '--role'} names {name!r}, an id that the files "

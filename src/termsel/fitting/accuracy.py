@@ -55,16 +55,21 @@ def chances_if_normal(errors: FloatArray) -> tuple[float, float] | None:
     if n not in NUMBERS or not np.ptp(errors, axis=0).all():
         return None
     normal = NormalDist()
+    # Blom (1958): about the expected order statistics of n normal numbers.
     expected = np.array([normal.inv_cdf((i - 0.375) / (n + 0.25)) for i in range(1, n + 1)])
+    # Royston (1995), equation for the two outermost weights by polynomials in u = 1 / sqrt(n); the
+    # inner ones keep their ratios, so that the squares of all add up to one.
     u = n**-0.5
     inner = expected[2:-2]
     ends = expected[-2:] / np.sqrt(expected @ expected) + (
         np.polyval([-3.582633, 5.682633, -1.752461, -0.293762, 0.042981, 0.0], u),
         np.polyval([-2.706056, 4.434685, -2.071190, -0.147981, 0.221157, 0.0], u))
     inner = inner * np.sqrt((1 - 2 * ends @ ends) / (inner @ inner))
+    # log(1 - W): W is the squared correlation of sorted errors with their weights.
     central = np.sort(errors, axis=0) - errors.mean(axis=0)
     log_unexplained = np.log1p(-(np.concatenate([-ends[::-1], inner, ends]) @ central) ** 2
                                / (central**2).sum(axis=0))
+    # Normal after a transformation whose constants depend on n; small samples have another one.
     if n < 12:
         statistic = -np.log(0.459 * n - 2.273 - log_unexplained)
         mean = np.polyval([-6.714e-4, 0.025054, -0.39978, 0.5440], n)

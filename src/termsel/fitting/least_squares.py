@@ -315,6 +315,8 @@ def require_determined(fitted: Fit) -> Fit:
         raise Undetermined(f"the fit of model {name!r} did not converge (it ended after "
                            f"{count_in_words(adjustment.steps or 0, 'step')})",
                            hint="Give more control, or choose a plainer model.")
+    # Too few equations, or enough of them that say the same: more control helps the one, other
+    # control the other.
     if adjustment.n_equations < adjustment.n_terms:
         raise Undetermined(
             f"{fitted.used.sum()} control features give {adjustment.n_equations} equations for the "

@@ -450,9 +450,11 @@ def _variation_within_groups(positions: FloatArray, deviations: FloatArray,
         if len(rows) < 2:
             from_middle.append(np.zeros((1, 2)))
             continue
+        # Neighbours share the model's error, so that about their mean only noise remains.
         weights = 1.0 / relative_variances[rows]
         mean = weights @ deviations[rows] / weights.sum()
         squares += weights @ (deviations[rows] - mean)**2
+        # Every k-th, k = ceil(n / MEMBERS), so that the members spread over the group.
         members = positions[rows[:: -(-len(rows) // MEMBERS)]]
         first, second = np.triu_indices(len(members), 1)
         from_middle.append(members - members.mean(axis=0))

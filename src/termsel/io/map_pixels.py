@@ -195,6 +195,7 @@ def _prepare_for_resampling(picture: Picture, resampling: str | None) -> tuple[P
         raise unknown_name_error("resampling", resampling, RESAMPLING)
     if not picture.category:
         return picture, resampling or "bilinear"
+    # Indices of a table are names, not amounts: between red and blue is no index of violet.
     mixed = (resampling or "nearest") != "nearest"
     bands = [band for band in picture.bands if band.category]
     if mixed and any(band.thematic for band in bands):

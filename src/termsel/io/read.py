@@ -412,6 +412,7 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
     value, the file is missing, empty, a folder or not readable, or no reader recognises it.
     """
     usable = []
+    # A reader gets its own options alone: those of others are no fault of this file.
     for reader_class in readers:
         declared = {option.name for option in reader_class.declared_options}
         usable.append(reader_class(**{name: value for name, value in (options or {}).items()
@@ -425,12 +426,14 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
         if of_folder is not None:
             return of_folder
         _refuse_own_folder(path)
+    # Also where a format is named: a file that is missing or empty is said to be so first.
     head = read_head(path, EXPECTED)
     if named:
         return named[0]
     recognising = _reader_that_recognises(path, head, usable)
     if recognising is not None:
         return recognising
+    # No reader knows the content: what it seems to be decides what helps, the surest first.
     if any(name in head for name in (b"LINE_NUM_COEFF", b"lineNumCoef", b"Global_RFM")):
         raise TermselError("this file contains an RPC and no control points", file=path,
                            code="rpc-alone",
@@ -649,7 +652,8 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
     sets: dict[Path, FeatureSet] = {}
     for path, reader in reader_of.items():
         try:
-            sets[path] = exchange_back(reader.read(path), swapped)
+            features = reader.read(path)
+            sets[path] = features if swapped is None else exchange_back(features, swapped)
         except TermselError as error:
             if formats and error.code == "column-missing":
                 error.hint = f"{error.hint} Without --format the content tells the format."

@@ -127,6 +127,7 @@ def _sentences_on_search(record: Record) -> Iterator[Block]:
         yield "Parameters: " + ", ".join(
             f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"
             for name, value in parameters.items())
+    # A limit that the user did not ask for may be what kept a term out.
     max_share = _max_share(record)
     if max_share < 1:
         yield f"Limit: {max_share:.2g} terms per equation; --set max_share=1 removes it"

@@ -263,6 +263,7 @@ class _Assessed:
         method = self.outcome.choice.method
         rpc_unused, rpc_correction = self.rpc_notes
         doubt = doubt_of_rpc(clean) if rpc_correction else ""
+        # A camera that is known needs no heights of the control to use heights.
         heights_are_known = self.auto.fewest(self.observations.pool) == 1 or (
             fitted.model.uses_height and not clean.pool.heights)
         lattice = clean.lattice

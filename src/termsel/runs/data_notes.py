@@ -38,7 +38,7 @@ from termsel.data.fit_data import (
 )
 from termsel.data.record.cautions import EXTRAPOLATION, ON_ONE_LINE, TWO_DATUMS
 from termsel.data.roles import Observations, find_twins, twin_groups
-from termsel.data.rpc import CHECK_HEIGHTS
+from termsel.data.rpc import CHECK_HEIGHTS, Rpc
 from termsel.fitting.extrapolation import corners_of
 from termsel.fitting.fit import Fit
 from termsel.formats.heights import pixels_of
@@ -262,7 +262,8 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     without_blunders = clean or observations
     yield from checked_next_to_control(without_blunders.together, without_blunders.independent)
     yield from _note_on_one_line(without_blunders.together)
-    yield from _note_on_rpc_heights(features)
+    if features.rpc is not None:
+        yield from _note_on_rpc_heights(features, features.rpc)
     missing = features.without_height()
     if heights and not blank and 0 < len(missing) < len(features):
         yield (f"{len(missing)} of {len(features)} {features.word} have no height, so the heights "
@@ -333,10 +334,9 @@ def _note_on_two_groups(features: FeatureSet) -> Iterator[str]:
            "to the CRS of the others.")
 
 
-def _note_on_rpc_heights(features: FeatureSet) -> Iterator[str]:
+def _note_on_rpc_heights(features: FeatureSet, rpc: Rpc) -> Iterator[str]:
     """Yield a note if the heights of the features are far outside those of their RPC."""
-    rpc = features.rpc
-    if rpc is None or normalise(features.crs) == LOCAL:
+    if normalise(features.crs) == LOCAL:
         return
     ground = features.ground_vertices()
     outside = rpc.heights_outside(

@@ -23,7 +23,13 @@ from termsel.data.coordinates.crs import (
     transformation_between,
 )
 from termsel.data.coordinates.longitudes import unwrap_longitudes
-from termsel.data.coordinates.metres import is_in_degrees, is_polar, metric_crs, polar_crs
+from termsel.data.coordinates.metres import (
+    POLAR_LATITUDE,
+    is_in_degrees,
+    is_polar,
+    metric_crs,
+    polar_crs,
+)
 from termsel.data.features import FeatureSet, FloatArray
 from termsel.data.fit_data import FitData
 from termsel.data.roles import Observations
@@ -135,6 +141,9 @@ def note_on_pole(features: FeatureSet, control: FeatureSet) -> str:
     """Return that control lies around a pole, and how it is fitted better; "" elsewhere."""
     crs = normalise(features.crs)
     if features.fit_crs or not is_in_degrees(features.crs) or kind_of(crs) != "geographic":
+        return ""
+    # Of another datum latitudes differ by far less than a degree.
+    if np.abs(control.ground_vertices()[:, 1]).max(initial=0.0) < POLAR_LATITUDE - 1.0:
         return ""
     geodetic = _control_on_globe(control)
     if not is_polar(geodetic):

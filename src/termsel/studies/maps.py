@@ -74,6 +74,7 @@ def plan_maps(folder: Path, pictures: Path, out: Path, *, with_doubtful: bool, o
         or has a table of this name that is another one.
     """
     study = read_study(folder)
+    # A study of solvers has many results on one image, none of which is the map.
     if study.noun != "image":
         raise TermselError("this is a study of searches, of which no map can be made", file=folder,
                            hint="Give the folder of one result, or of a batch of images.")

@@ -135,6 +135,7 @@ def screen(study: Study) -> str:
     if study.spec.accept is None and any(row["verdict"] == FIT for row in rows):
         caption = f"{caption}; --accept 5m would set a limit"
     reasons = image_reasons(rows, _MOST_ALIKE)
+    # Rows and reasons share the screen: few images leave room for more reasons.
     room = _MOST_REASONS + _MOST_ROWS - len(shown)
     remedy = [SWAPPED_IN_SHORT] if any("swapped" in reason for reason in reasons) else []
     lines = [*(shorten(_first_sentence(reason), _SCREEN_WIDTH, placeholder=" ...")

@@ -178,6 +178,7 @@ def propose_points(session: Session) -> list[dict[str, Any]]:
     They lie where the model expects them; which of them are right the user sees.
     """
     prediction = require(session)
+    # The points so far are the start: matching looks near where they put a place.
     with session.lock:
         features = session.control.features(session.places.crs)
     write_control_tables(features, session.folder)
@@ -192,12 +193,14 @@ def propose_points(session: Session) -> list[dict[str, Any]]:
     points = candidates.points
     plane = transform_places(
         transformer_between(candidates.crs, session.maps.shown), points.ground[:, :2])
+    # What lies farther from its prediction than this may be by chance is a mismatch.
     away = np.hypot(*(prediction.to_image(plane) - points.image).T)
     sigma = np.hypot(*prediction.sigma(plane).T)
     score = candidates.numbers("score") if "score" in points.attributes else np.zeros(len(points))
     size = np.asarray(session.size or (1, 1))
     used: set[tuple[int, ...]] = set()
     proposals: list[dict[str, Any]] = []
+    # The best of each cell, so that the proposals do not crowd where the image is clearest.
     for i in np.argsort(-score, kind="stable"):
         cell = tuple((points.image[i] * CELLS // size).astype(int).tolist())
         if cell in used or not away[i] <= FAR * sigma[i] or len(proposals) == PROPOSED:

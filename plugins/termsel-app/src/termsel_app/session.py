@@ -331,6 +331,7 @@ class Session:
         """
         with self.lock:
             name = values.get("id")
+            # Two pages may show one session: what one has deleted the other cannot change.
             before = self.control.records.get(name) if isinstance(name, str) else None
             if before is None and name is not None:
                 raise TermselError(f"there is no feature {name!r} any more", ids=[str(name)])
@@ -352,6 +353,7 @@ class Session:
             if after.get("ground") and kind == "point" and after["ground"][2] is None \
                     and values.get("ground") is not None:
                 after["ground"] = self._with_height(after["ground"])
+            # A click that changes nothing is no step to undo.
             if after != before:
                 self.change([Patch(before, after)])
             return str(after["id"])

@@ -51,6 +51,7 @@ def texts_of(scored: Sequence[Score]) -> dict[str, str]:
     frozen = _frozen_checksums()
     files = {}
     for method in dict.fromkeys(score.method.title for score in scored):
+        # Figures of sets that may change could not be compared later.
         of_method = [score for score in scored if score.method.title == method
                      and score.set_name in frozen]
         if not of_method:

@@ -56,6 +56,7 @@ def ratios_by_kind(scores: Sequence[Score]) -> tuple[list[str], list[list[str]]]
     titles = dict.fromkeys(score.method.title for score in scores)
     rows = []
     for title in titles:
+        # Ratios and not errors: these differ between sets by factors of ten.
         of_title = [score for score in scores if score.method.title == title]
         ratios: dict[str, list[float]] = {kind: [] for kind in kinds}
         for score in of_title:

@@ -177,6 +177,7 @@ def _choose_grid(result: Result, like_map: Path | str | None, bounds: Sequence[f
                            hint="Give a positive number.")
     if like_map is not None:
         with open_raster(like_map) as raster:
+            # Off-diagonal terms of the transform turn the map: its rows are then no parallels.
             if raster.crs is None or raster.transform.b or raster.transform.d:
                 why = "has no CRS" if raster.crs is None else "does not have north up"
                 raise TermselError(f"this raster {why}, so it is no map to take pixels from",
@@ -195,6 +196,7 @@ def _choose_grid(result: Result, like_map: Path | str | None, bounds: Sequence[f
     if not (all(map(isfinite, bounds)) and west < east and south < north):
         raise _no_area_error(bounds)
     if resolution is None:
+        # One digit, so that pixels have a size that people would choose.
         resolution = float(f"{max(east - west, north - south) / _USUAL:.1g}")
     samples, lines = (max(round(extent / resolution), 1) for extent in (east - west, north - south))
     if max(samples, lines) > _LARGEST:

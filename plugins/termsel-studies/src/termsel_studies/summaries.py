@@ -71,6 +71,7 @@ def _summarise_method(instance: str, method: str, runs: Runs, optimum: float | N
     expected = None
     interval = (0.0, 0.0)
     if optimum is not None:
+        # To rounding: solvers add up in other orders.
         target = reachable_value(optimum)
         reached = sum(value <= target for value in runs.values)
         interval = wilson_interval(reached, len(runs.values))

@@ -35,6 +35,8 @@ def crs_of_columns(features: FeatureSet) -> tuple[str, str]:
 def note_on_other_crs(features: FeatureSet) -> str:
     """Return a sentence on a column of zones or codes that contradicts the CRS, or itself; or "".
     """
+    if not features.points.attributes:
+        return ""
     utm = UTM.fullmatch(normalise(features.crs)) if features.crs else None
     for name, crs_of_cell in _stating(features).items():
         cells = sorted(crs_of_cell)

@@ -179,7 +179,7 @@ def _kind_and_units(crs: str) -> tuple[bool, bool, float | None, float]:
 SOUTH_POLAR, NORTH_POLAR = "EPSG:3031", "EPSG:3413"
 """Polar stereographic projections in metres of the Antarctic and the Arctic."""
 
-POLAR, TURNING = 60.0, 10.0
+POLAR_LATITUDE, TURNING = 60.0, 10.0
 """Latitude beyond which, and difference of longitudes [deg] from which on, a scene is polar."""
 
 
@@ -239,7 +239,8 @@ def is_polar(positions: FloatArray) -> bool:
     """Return whether positions, as longitudes and latitudes [deg], lie around a pole.
 
     There meridians turn by much within a scene, so that degrees are no plane coordinates: by more
-    than `TURNING` from one end to the other, next to a pole (beyond `POLAR`); or UTM has no zone.
+    than `TURNING` from one end to the other, next to a pole (beyond `POLAR_LATITUDE`); or UTM has
+    no zone.
     """
     lon = positions[:, 0]
     lat = positions[:, 1]
@@ -247,7 +248,7 @@ def is_polar(positions: FloatArray) -> bool:
         return False
     nearest = np.abs(lat).min()
     turning = np.ptp(lon) > TURNING
-    return bool(nearest > POLAR and turning) or bool(lat.max() > 84.0 or lat.min() < -80.0)
+    return bool(nearest > POLAR_LATITUDE and turning) or bool(lat.max() > 84.0 or lat.min() < -80.0)
 
 
 def ground_for_warping(ground: FloatArray, crs: str) -> tuple[FloatArray, str]:

@@ -261,6 +261,7 @@ def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],
         properties = {name: _number_or_text(values[number - 1])
                       for name, values in zip(names, columns, strict=True)}
         feature = Feature(path, number, properties, [])
+        # A layer may mix kinds, and have features without any.
         kind = "missing" if shape is None or shape.is_empty else shape.geom_type
         if kind not in kinds:
             raise feature.error(f"its geometry is {kind}, expected " + " or ".join(kinds))

@@ -194,6 +194,7 @@ def candidate_bars(view: View) -> Any:
          "effective": float(f"{model.effective:.4g}"),
          "state": "chosen" if model.name == strategy.chosen else "other model"}
         for model in strategy.candidates if model.predicted is not None]
+    # Logarithmic where the worst is far off: the best ones would look alike.
     scale, kind = spread_scale([row["rmse"] for row in rows], zero=True)
     order = [row["fit"] for row in sorted(rows, key=lambda row: row["rmse"])]
     colour = alt.Color("state:N", scale=alt.Scale(domain=["chosen", "other model"],

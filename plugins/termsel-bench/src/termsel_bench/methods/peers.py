@@ -106,6 +106,7 @@ def fit_opencv_pose(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG
         from pyproj import Transformer
     if len(features.points) < 4:
         raise TermselError("OpenCV's pose requires 4 points")
+    # A camera needs a rectangular frame; about its middle, so that no digits are lost.
     geocentric = Transformer.from_crs(features.crs, "EPSG:4978", always_xy=True)
     origin = np.column_stack(geocentric.transform(*features.points.ground.T)).mean(axis=0)
 
@@ -116,6 +117,7 @@ def fit_opencv_pose(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG
     focal = float(stated[0])
     camera = np.array([[focal, 0, (samples - 1) / 2], [0, focal, (lines - 1) / 2], [0, 0, 1]])
     control = places(features.points.ground)
+    # OpenCV has samples before lines.
     image = np.ascontiguousarray(features.points.image[:, ::-1])
     try:
         _, turn, shift = cv2.solvePnP(control, image, camera, None, flags=cv2.SOLVEPNP_SQPNP)

@@ -139,6 +139,7 @@ def read_measured_set(name: str) -> MeasuredSet:
     meta = _read_meta(source.folder)
     content = _read_source_text(source.folder, file)
     checksum = hashlib.sha256(content.encode()).hexdigest()
+    # Scores are compared with published ones, which are of these very points.
     if checksum != meta["sha256"][file]:
         raise TermselError(f"the SHA-256 of {file} is {checksum}, not that of the published file",
                            hint="Install termsel-bench again.")

@@ -127,6 +127,7 @@ def read_block(path: Path | str) -> Block:
     images = tuple(_read_image(image, folder, crs, dem, path) for image in stated.image)
     files = [stated.ties] if isinstance(stated.ties, str) else list(stated.ties)
     ties, notes = read_ties([folder / file for file in files], names)
+    # An image without ties or control hangs in the air, and one given twice would count double.
     _refuse_alone(images, ties, path)
     _refuse_copies(names, ties, path)
     files += [stated.dem] if stated.dem else []

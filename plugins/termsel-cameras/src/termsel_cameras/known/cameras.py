@@ -111,6 +111,7 @@ def camera_named(name: str) -> SurveyCamera | dict[str, Any]:
     if not isinstance(content, dict) or "focal" not in content:
         raise TermselError("this camera file has no field 'focal', the focal length [px]",
                            file=path, hint=fields)
+    # A misspelt field would be left out in silence, and the camera be another one.
     for name_of_field in content:
         if name_of_field not in FIELDS:
             raise TermselError(f"the field {name_of_field!r} is unknown in camera files",

@@ -300,6 +300,7 @@ def _focal_spread(text: str, name: str, focal: float, *, is_relative: bool = Fal
     except TermselError as error:
         error.hint = f"Write 0.3% or 5px, or {FIXED}."
         raise
+    # 0 is said of a calibrated camera; a variance of 0 would make the adjustment singular.
     if number == 0.0:
         return FIXED_SPREAD
     if not unit and not is_relative:

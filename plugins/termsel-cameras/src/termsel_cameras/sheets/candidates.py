@@ -41,8 +41,10 @@ def candidate_projections(ground: FloatArray, century: int | None = None) -> lis
     """
     west, south = ground.min(axis=0)
     east, north = ground.max(axis=0)
+    # Back to -180 to 180: longitudes may go on beyond the meridian.
     lon = ((west + east) / 2.0 + 180.0) % 360.0 - 180.0
     lat = (south + north) / 2.0
+    # Of a single place the extent is 0, and both parallels would be one.
     sixth = max((north - south) / 6.0, 1e-3)
     first_parallel = lat - 2.0 * sixth
     second_parallel = lat + 2.0 * sixth

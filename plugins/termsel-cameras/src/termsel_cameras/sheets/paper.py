@@ -136,10 +136,12 @@ def sheet_of(features: FeatureSet) -> Sheet | None:
     matrix = coefficients[1:].T
     if np.linalg.det(matrix) <= 0.0:
         return None
+    # Two equations a point, less the six coefficients of an affine transformation.
     freedom = 2 * count - 6
     residuals = measured - columns @ coefficients
     noise = max(float(np.sqrt((residuals**2).sum() / freedom)), LEAST_NOISE)
     covariance = np.kron(np.eye(2), np.linalg.inv(columns.T @ columns)[1:, 1:])
+    # Propagation of variances, J C J'; the noise is kept apart.
     slopes = _matrix_derivatives(matrix)
     variances = np.diag(slopes @ covariance @ slopes.T)
     return Sheet(tuple(values_of(matrix).tolist()), tuple(variances.tolist()), noise, freedom,

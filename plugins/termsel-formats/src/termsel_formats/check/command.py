@@ -53,6 +53,7 @@ def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) ->
     from termsel_formats.check.comparison import compare_programs
 
     show_messages()
+    # A certificate is no raster: it is checked by integers, and no program is asked.
     if is_certificate(file):
         if folder is not None or as_json or final is not None:
             raise TermselError("a certificate is checked by itself", file=file,

@@ -68,7 +68,6 @@ def taken_by_programs(path: Path | str) -> Answers:
     except NoAnswer as error:
         raster_header = None
         failed = [str(error)]
-        failed = [str(error)]
     if raster_header is None:
         return Answers(tuple(answers), () if failed else ("GDAL (gdalinfo, gdaltransform)",),
                        tuple(failed))

@@ -93,6 +93,7 @@ def _read_rows(path: Path) -> tuple[list[list[str]], list[int], str]:
                 raise TermselError("these points relate two images and have no ground "
                                    "coordinates", file=path, line=number,
                                    hint="Give points of the type image to map.")
+            # Comments of ENVI hold what its own programs read again, such as the projection.
             projection = _PROJECTION.search(text)
             if projection and (end := text.rfind("}", projection.end())) >= 0:
                 crs = _crs_of_projection(text[projection.end():end])

@@ -56,6 +56,7 @@ class ArcgisLinks(Reader):
         if not np.isfinite(table).all():
             return False
         first = _column_of_x(len(rows[0]))
+        # A first column that does not count is a coordinate, and the file another one.
         if first and not np.array_equal(table[:, 0], np.arange(len(table)) + table[0, 0]):
             return False
         column = table[:, first]

@@ -43,6 +43,7 @@ class OrthorityGeojson(Writer):
         image = self.options["image"]
         features = []
         for i, name in enumerate(points.ids):
+            # Orthority's ji is sample before line, and so are its residuals.
             line, sample = points.image[i].tolist()
             features.append({
                 "type": "Feature",

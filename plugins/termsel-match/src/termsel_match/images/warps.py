@@ -275,6 +275,7 @@ def open_reference(path: Path | str, start: Start, dem: Path | str | None, size:
         crs = crs_of(picture)
         picture = replace(picture, excluded=mask_from_ground(masks, crs, picture.raster.transform))
         heights: list[Heights] = []
+        # Heights are asked in both: the start projects from its CRS, the reference lies in its own.
         for of_crs in (start.crs, crs):
             if dem is None:
                 heights.append(start.height)

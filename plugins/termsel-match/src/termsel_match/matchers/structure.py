@@ -64,6 +64,7 @@ class Structure(Matcher):
         reference_layers = edge_layers(second)
         if image_layers is None or reference_layers is None:
             return nothing
+        # One shift for the whole window first: each place then searches a few px only.
         shift = common_shift(image_layers.values, reference_layers.values,
                              np.subtract(first.origin, second.origin),
                              search, whitened=False)

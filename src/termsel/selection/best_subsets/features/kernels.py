@@ -437,6 +437,7 @@ def _score_extensions(rows: FeatureRows, state: WalkState, space: EntrySpace,
         e = state.e[depth, p]
         g = state.g[depth, p]
         if i >= 0:
+            # Rows still to come change by the feature that enters; without one they stay.
             square = _enter_feature(rows, state, space, depth, p, i)
             e = space.e
             g = space.g
