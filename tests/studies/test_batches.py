@@ -178,7 +178,7 @@ def test_the_time_of_a_batch_is_that_of_images_of_all_sizes(
 
     monkeypatch.setattr("termsel.studies.compare.do", done)
     data = {f"{i}": image(11.0, 46.0, size, seed=i) for i, size in enumerate(sizes)}
-    (_, number, seconds, _), = estimate(data=data)
+    (_, number, seconds, _, _), = estimate(data=data)
     assert number == len(sizes)
     assert len(set(timed)) <= 3
     assert number * seconds == pytest.approx(sum(sizes), rel=0.2)
@@ -195,12 +195,13 @@ def test_a_busy_machine_is_said_with_the_time(
     monkeypatch.setattr(compare, "time", SimpleNamespace(
         perf_counter=lambda: next(clock), process_time=lambda: next(cpu)))
     monkeypatch.setattr("termsel.studies.compare.estimate", lambda *_, **__: iter(
-        [(("rfm-terms", "auto", "", "press", "auto"), 10, 4.0, "")]))
+        [(("rfm-terms", "auto", "", "press", "auto"), 10, 4.0, "", 2.5 * wait)]))
     monkeypatch.setattr(compare, "_list_files", lambda *_: None)
     compare._show_plan(None, {}, 1)
     shown = capsys.readouterr().out
-    assert "10 runs; about 40 s with 1 worker." in shown
-    assert ("with a machine as busy as now; about 10 s on an idle one" in shown) == is_said
+    # The start and what the first run loads come on top: 1.5 and 2.5 s on an idle one.
+    assert f"10 runs; about {40 + 4 * wait:.0f} s with 1 worker." in shown
+    assert ("with a machine as busy as now; about 14 s on an idle one" in shown) == is_said
 
 
 def test_one_other_image_is_not_others() -> None:

@@ -223,6 +223,8 @@ def test_the_time_of_a_cell_is_that_without_compilation(monkeypatch: pytest.Monk
     kinds = list(compare.estimate(problems=["poly-terms"], solvers=["random", "ga"], seeds=7))
     # A cell that takes long is not run twice.
     assert [kind[1:3] for kind in kinds] == [(7, 0.25), (7, 25.0)]
+    # What it loads is no time of a cell, but one of the batch.
+    assert [kind.loading for kind in kinds] == [7.75, 0.0]
 
 
 @pytest.mark.parametrize("option", ["--seeds", "--splits"])

@@ -364,6 +364,12 @@ def test_without_independent_points_the_prediction_is_stated_and_called_one(
     assert "ASPRS: not stated, as no independent check points were measured" in text
     stated = json.loads(invoke("accuracy", tmp_path / "out", "--json").stdout)
     assert stated["rmse"] == result.predicted.rmse
+    done = invoke("export", tmp_path / "out", "--to", "fgdc-xml", "-o", tmp_path / "quality.xml")
+    assert done.exit_code == 0, done.stderr
+    metadata = (tmp_path / "quality.xml").read_text("utf-8")
+    # Two sentences, each with its own full stop.
+    assert "predicted those. Predicted, not tested" in metadata
+    assert ".." not in metadata
     assert stated["low_ground"] < stated["rmse_ground"] < stated["high_ground"]
     report = quality_of(result)
     assert {measure.unit for measure in report.measures} == {"px", "m"}

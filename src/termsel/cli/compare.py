@@ -261,7 +261,9 @@ def _show_status(folder: Path) -> None:
 _BUSY = 1.5
 """Time by the clock by that of the processor from which on a machine is busy with other work."""
 _LONG = 5.0
-"""Seconds of a study that are worth a word on that."""
+"""Seconds of a study, on an idle machine, that are worth a word on that."""
+_STARTING = 1.5
+"""Seconds of the processor that a study takes to start, and to write its tables."""
 
 MOST_LISTED = 100
 """Files that a dry run lists."""
@@ -308,22 +310,25 @@ def _show_plan(study: Path | None, keys: dict[str, Any], workers: int) -> None:
     ended_early = False
     clock = time.perf_counter()
     cpu = time.process_time()
-    for kind, number, seconds, reason in estimate(study, **keys):
+    loaded = 0.0
+    for kind, number, seconds, reason, loading in estimate(study, **keys):
         ended_early |= reason.startswith("out of time")
         rows.append((*kind, str(number), "-" if seconds is None else f"{seconds:.2f}", reason))
         total += (seconds or 0.0) * number
+        loaded += loading
         cells += number
     print_table(("problem", "strategy", "model", "criterion", "solver", "runs", "s each", ""),
                 rows)
     about = "more than" if ended_early else "about"
-    echo(f"\n{count_in_words(cells, 'run')}; {about} {duration_in_words(total / workers)} with "
-         f"{count_in_words(workers, 'worker')}.")
     # Runs wait while other programs have the processor; those tried have waited likewise.
     wait = (time.perf_counter() - clock) / max(time.process_time() - cpu, 1e-6)
-    if wait > _BUSY and total / workers > _LONG:
+    # A batch starts, and loads what the first run of each kind needs.
+    lasting = total / workers + loaded + wait * _STARTING
+    echo(f"\n{count_in_words(cells, 'run')}; {about} {duration_in_words(lasting)} with "
+         f"{count_in_words(workers, 'worker')}.")
+    if wait > _BUSY and lasting / wait > _LONG:
         echo("That is with a machine as busy as now; about "
-             f"{duration_in_words(total / workers / wait)} on "
-             "an idle one.")
+             f"{duration_in_words(lasting / wait)} on an idle one.")
     if workers == 1 and total > 60:
         echo("--workers N runs N of them at a time.")
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -195,14 +195,27 @@ def works_of(cells: list[Cell]) -> tuple[list[Cell], dict[str, FeatureSet]]:
                    if cell.data.features is not None}
 
 
-def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
-             ) -> Iterator[tuple[tuple[str, ...], int, float | None, str]]:
+class Estimate(NamedTuple):
+    """How long the cells of one kind take: seconds are the mean of all, None if none of them ended.
+
+    `loading` is what the first run of a kind takes longer than a further one [s].
+    """
+
+    kind: tuple[str, ...]
+    number: int
+    seconds: float | None
+    reason: str
+    loading: float = 0.0
+
+
+def estimate(study: Path | str | Mapping[str, Any] | None = None,
+             **keys: Any) -> Iterator[Estimate]:
     """Yield each kind of cell: its labels, its number, seconds of one, and why that failed.
 
     Arguments as for `compare`. Cells with the fewest, middling and most features are run, and the
-    time of the others is interpolated: seconds are the mean of all, None if none of them ended. The
-    first is run twice, unless it takes `LONG_CELL_SECONDS`. A cell is ended after `PROBE_SECONDS`,
-    which then is the least that it takes, and the reason says so.
+    time of the others is interpolated. The first is run twice, unless it takes
+    `LONG_CELL_SECONDS`. A cell is ended after `PROBE_SECONDS`, which then is the least that it
+    takes, and the reason says so.
     """
     spec, folder = requested_study(study, keys)
     # Before anything is run: the first cell would otherwise count the compilation.
@@ -213,23 +226,27 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None, **keys: Any
     for kind, cells in kinds.items():
         works, features = works_of(cells)
         if not works:
-            yield kind, len(cells), None, _reasons_not_to_run(cells)
+            yield Estimate(kind, len(cells), None, _reasons_not_to_run(cells))
             continue
         sizes = [len(features[cell.data.key]) for cell in works]
         sample = _cells_of_all_sizes(works, sizes)
         sample = [_probe(cell) for cell in sample]
         records = [do(cell, features[cell.data.key]).record for cell in sample]
+        loading = 0.0
         if cold or records[0].figures.get("seconds", LONG_CELL_SECONDS) < LONG_CELL_SECONDS:
             # The first run of a kind also loads or compiles what it needs.
+            first = records[0].figures.get("seconds", 0.0)
             records[0] = do(sample[0], features[sample[0].data.key]).record
+            # A batch compiles nothing that is compiled here, but loads it again.
+            loading = 0.0 if cold else max(first - records[0].figures.get("seconds", first), 0.0)
         seconds = {len(features[cell.data.key]): record.figures["seconds"]
                    for cell, record in zip(sample, records, strict=True)
                    if "seconds" in record.figures}
         for cell, record in zip(sample, records, strict=True):
             if record.reason == OUT_OF_TIME.format(PROBE_SECONDS):
                 seconds[len(features[cell.data.key])] = PROBE_SECONDS
-        yield (kind, len(cells), _mean_time(sizes, seconds),
-               next((record.reason for record in records if record.reason), ""))
+        yield Estimate(kind, len(cells), _mean_time(sizes, seconds),
+                       next((record.reason for record in records if record.reason), ""), loading)
 
 
 def _probe(cell: Cell) -> Cell:

@@ -43,7 +43,8 @@ def fgdc_xml(report: Quality) -> str:
         "dataqual",
         _x("logic", "Not applicable to an image"), _x("complete", "Not applicable to an image"),
         _x("posacc", _x(
-            "horizpa", _x("horizpar", ". ".join((report.method, *report.statements)) + "."),
+            "horizpa", _x("horizpar", " ".join(f"{sentence.rstrip('.')}." for sentence in (
+                report.method, *report.statements))),
             *figures)),
         _x("lineage", *sources, _x("procstep", _x("procdesc", _process(report)), *sources_used,
                                    _x("procdate", date))))
