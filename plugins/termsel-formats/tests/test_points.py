@@ -326,6 +326,20 @@ def test_a_point_without_a_line_is_named(tmp_path: Path) -> None:
         termsel.read(tmp_path / "a.aux.xml")
 
 
+@pytest.mark.parametrize("separator", [",", ", ", ";", "\t", " ", "   "])
+@pytest.mark.parametrize("header", [[], ["Label", "Easting", "Northing", "Height"]])
+def test_the_ground_of_pix4d_has_the_separators_that_it_takes(
+        separator: str, header: list[str], tmp_path: Path) -> None:
+    marks = tmp_path / "marks.csv"
+    marks.write_text("a.jpg,g1,10.5,20.5\na.jpg,g2,30.5,25.5\n", encoding="utf-8")
+    rows = [["g1", "690010.5", "5334020.25", "512.75"], ["g2", "690030.5", "5334007", "508"]]
+    ground = tmp_path / "ground.txt"
+    ground.write_text("".join(separator.join(row) + "\n" for row in [header, *rows] if row),
+                      encoding="utf-8")
+    read = termsel.read(marks, crs="EPSG:32632", ground=ground)
+    assert read.points.ground.tolist() == [[690010.5, 5334020.25, 512.75], [690030.5, 5334007, 508]]
+
+
 def test_marks_of_pix4d_need_the_ground(tmp_path: Path) -> None:
     (tmp_path / "marks.csv").write_text(MARKS)
     with pytest.raises(TermselError, match="the marks have image coordinates only"):

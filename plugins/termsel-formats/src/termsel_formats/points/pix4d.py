@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -127,8 +128,22 @@ def _is_header(cells: list[str]) -> bool:
 
 def _names_latitude(path: Path) -> bool:
     """Return whether a header of the ground file says that latitudes come first."""
-    cells = [cell.strip().lower() for cell in read_text(path).partition("\n")[0].split(",")]
-    return len(cells) > 1 and cells[1] in _LATITUDE
+    first = next(_rows_of(path), [])
+    return len(first) > 1 and first[1].lower() in _LATITUDE
+
+
+def _rows_of(path: Path) -> Iterator[list[str]]:
+    """Yield the cells of each line; commas, semicolons, tabs or spaces are between them.
+
+    Raises csv.Error where a quotation does not end.
+    """
+    lines = read_text(path).splitlines()
+    first = next((line for line in lines if line.strip()), "")
+    separator = next((mark for mark in ",;\t" if mark in first), " ")
+    # Several spaces may align a column.
+    for row in csv.reader(lines, delimiter=separator, skipinitialspace=separator == " "):
+        cells = [cell.strip() for cell in row]
+        yield [cell for cell in cells if cell] if separator == " " else cells
 
 
 def _numbered_rows(path: Path, widths: tuple[int, ...], form: str) -> list[tuple[int, list[str]]]:
@@ -139,8 +154,7 @@ def _numbered_rows(path: Path, widths: tuple[int, ...], form: str) -> list[tuple
     """
     rows: list[tuple[int, list[str]]] = []
     try:
-        for number, row in enumerate(csv.reader(read_text(path).splitlines()), 1):
-            cells = [cell.strip() for cell in row]
+        for number, cells in enumerate(_rows_of(path), 1):
             if not any(cells) or (not rows and _is_header(cells)):
                 continue
             if len(cells) not in widths:
