@@ -283,6 +283,14 @@ def test_auto_fits_in_a_polar_projection_around_a_pole(
     assert np.abs(predicted - features.points.image).max() < 0.01
 
 
+def test_longitudes_around_a_pole_are_of_one_turn() -> None:
+    result = termsel.run(features=around_pole("EPSG:3413", (0.0, 0.0), size=10_000.0))
+    image = np.random.default_rng(2).uniform(491.0, 509.0, (300, 2))
+    places = result.locate(image, 0.0)
+    np.testing.assert_allclose(result.project(places), image, atol=1e-5)
+    assert np.abs(places[:, 0]).max() <= 180.0
+
+
 @pytest.mark.parametrize("blunder", [False, True])
 def test_around_a_pole_blunders_are_looked_for_in_the_polar_projection(*, blunder: bool) -> None:
     # A strip across the pole: next to it a degree of longitude is a few hundred metres.

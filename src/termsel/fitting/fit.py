@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, is_dataclass, replace
 from functools import cached_property
 from typing import ClassVar, Protocol
@@ -18,12 +18,13 @@ from termsel.core.display import Glance
 from termsel.core.errors import TermselError
 from termsel.core.threads import one_blas_thread
 from termsel.data.arrays import numbers_or_nan
+from termsel.data.coordinates.crs import is_geocentric
 from termsel.data.extent import image_extent, reach
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Lines, Points
 from termsel.data.locate import Surface, locate
 from termsel.data.record.figures import Rmse, Settings
 from termsel.data.relief import unmasked, visible_ground
-from termsel.data.scaling import Scaling, make_scaling
+from termsel.data.scaling import Scaling, make_scaling, to_fit_crs
 from termsel.data.view import CentralView, view_of
 from termsel.fitting.camera_courses import CameraCourses, camera_courses
 from termsel.fitting.extrapolation import variance_by_heights
@@ -605,20 +606,36 @@ class Fit(Glance):
         TermselError
             If an array has another shape.
         """
+        image = numbers_or_nan(image)
+        surface = unmasked(heights) if callable(heights) else numbers_or_nan(heights)
+        ground = self._where_rays_meet(image, surface)
+        # A plane model sees all heights at one place, so that nothing hides anything.
+        if callable(surface) and self.model.uses_height:
+            ground = visible_ground(self.project, self.holds, image, ground, surface,
+                                    self.ground_box())
+        return ground
+
+    def _where_rays_meet(self, image: FloatArray, surface: FloatArray | Surface) -> FloatArray:
+        """Return a ground place (n, 3) for each image point, as `locate` without what hides it."""
         centre, scale = self.ground_box()
+        fit_crs = self.scaling.fit_crs
+        if fit_crs and not is_geocentric(fit_crs):
+            # In the plane of the fit: around a pole no search in degrees finds its way.
+            def to_control(places: FloatArray) -> FloatArray:
+                plan = to_fit_crs(places * [1.0, 1.0, 0.0], fit_crs, self.control.crs)
+                return np.column_stack([plan[:, :2], places[:, 2]])
+
+            centre[:2] = self.scaling.ground_offset[:2]
+            scale[:2] = self.scaling.ground_scale[:2]
+            return to_control(locate(
+                lambda places: self.project(to_control(places)), image,
+                _surface_in_plane(surface, to_control) if callable(surface) else surface,
+                centre=centre, scale=scale))
         # At least as far as the image reaches, so that the search for a place begins with the right
         # size.
         scale = np.maximum(scale, reach(
             self.control, self.model.options, self.model.known_image()))
-        image = numbers_or_nan(image)
-        if not callable(heights):
-            return locate(self.project, image, numbers_or_nan(heights), centre=centre, scale=scale)
-        surface = unmasked(heights)
-        ground = locate(self.project, image, surface, centre=centre, scale=scale)
-        # A plane model sees all heights at one place, so that nothing hides anything.
-        if not self.model.uses_height:
-            return ground
-        return visible_ground(self.project, self.holds, image, ground, surface, self.ground_box())
+        return locate(self.project, image, surface, centre=centre, scale=scale)
 
     def ground_box(self) -> tuple[FloatArray, FloatArray]:
         """Return middle and half-range of the control, shapes (3,), in its own CRS."""
@@ -776,3 +793,8 @@ def _errors_by_refitting(fitted: Fit) -> tuple[tuple[FloatArray, ...], bool]:
     refits = list(fitted.estimator.without_each(fitted))
     return (tuple(refit.control_errors(fitted.used & ~refit.used) for refit in refits),
             all(refit.determined for refit in refits))
+
+
+def _surface_in_plane(surface: Surface, to_control: Callable[[FloatArray], FloatArray]) -> Surface:
+    """Return a surface that takes the coordinates of a fit, which become those of the control."""
+    return lambda plan: surface(to_control(np.pad(plan, ((0, 0), (0, 1))))[:, :2])
