@@ -74,6 +74,32 @@ BROKEN = {
         @hookimpl
         def termsel_models(): return [Mine]""",
         "Mine with declared_options that hold {'name': 'degree'}, which is no Option"),
+    "default out of its range": ("""
+        from termsel import Affine, Option, hookimpl
+        class Mine(Affine):
+            name = 'mine'
+            declared_options = (Option('powers', 9, 'Powers.', int, 1, 5),)
+        @hookimpl
+        def termsel_models(): return [Mine]""",
+        ", whose option 'powers' has the default 9 and accepts: whole number from 1 to 5"),
+    "default that is no choice": ("""
+        from termsel import Affine, Option, hookimpl
+        class Mine(Affine):
+            name = 'mine'
+            declared_options = (Option('way', 'up', 'Way.', choices=('left', 'right')),)
+        @hookimpl
+        def termsel_models(): return [Mine]""",
+        "whose option 'way' has the default 'up' and accepts: left | right"),
+    "default of a problem": ("""
+        from dataclasses import replace
+        from termsel import Option, hookimpl
+        from termsel.plugins.registry import built_in
+        @hookimpl
+        def termsel_problems():
+            recipe = built_in().get('problems', 'poly-terms')
+            option = Option('share', 2.0, 'Share.', float, 0.0, 1.0)
+            return [replace(recipe, name='mine', options=(option,))]""",
+        "mine, whose option 'share' has the default 2.0 and accepts: number from 0 to 1"),
     "option of no type": ("""
         from termsel import Affine, Option, hookimpl
         class Mine(Affine):

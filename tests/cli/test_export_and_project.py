@@ -420,6 +420,17 @@ def test_places_in_one_of_several_layers(folder: Path, tmp_path: Path) -> None:
     ("id,line,sample\na,1,2\n", ["--inverse", "--dem", "no.tif"],
      "no.tif: this file does not exist"),
     ("# crs: EPSG:32640\nid,x,y,z\na,1,2,3\n", [], "declares the CRS EPSG:32640"),
+    ("# crs: EPSG:32640\nid,mapX,mapY\na,270000,3854000\n", [],
+     "but the control is in EPSG:4979; and there is no column for z, and the model requires "
+     "heights. Transform the points to the CRS of the control: gdaltransform -s_srs EPSG:32640 "
+     "-t_srs EPSG:4979 does it, a point in each line. Give heights by --dem FILE or --height H"),
+    ("id,lo,la\na,59,36\n", [], "there are no columns for x and y. The columns here are: id, lo, "
+     "la. Accepted names: x, lon, longitude, easting; y, lat, latitude, northing, and others. Name "
+     "them: --columns x=NAME,y=NAME,z=NAME. Without z: --dem FILE or --height H."),
+    ("id,lo,la\na,59,36\n", ["--columns", "x=lo,y=la"],
+     "column 'z': there is no column for z, and the model requires heights. Give heights by --dem"),
+    ("id,down,across\na,59,36\n", ["--inverse", "--height", "1"],
+     "Name them: --columns line=NAME,sample=NAME."),
     ("id,x,y,z\na,270000,3854000,3\n", [], "table.csv, column 'x': 'a' with x = 270000"),
     ('{"type": "Feature", "geometry": {"type": "Point", "coordinates": [59, 36]}}', [],
      "this is not a GeoJSON FeatureCollection"),

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
 import pytest
 
+import termsel
 from termsel.core.errors import TermselError
 from termsel.data.coordinates.crs import (
     height_reference,
@@ -20,7 +23,7 @@ from termsel.data.coordinates.crs import (
     to_wgs84,
 )
 from termsel.data.coordinates.metres import ground_for_warping, offsets_in_metres
-from termsel.data.coordinates.plausible import check_ground
+from termsel.data.coordinates.plausible import check_ground, note_on_mixed
 from termsel.data.features import FeatureSet, Lines, Points, empty_points
 
 
@@ -147,24 +150,57 @@ def test_without_pyproj_form_and_known_codes_are_checked() -> None:
     assert normalise("WGS84 UTM 31N") == "EPSG:32631"
 
 
+def _at_heights(crs: str, heights: Sequence[float]) -> FeatureSet:
+    x, y = (9e5, 4.4e6) if crs == "EPSG:32631" else (5.0, 44.0)
+    names = tuple("abcdefghij"[:len(heights)])
+    return FeatureSet(Points(names, np.zeros((len(names), 2)),
+                             np.array([(x, y, z) for z in heights])), crs=crs)
+
+
 @pytest.mark.parametrize("crs", ["EPSG:4979", "EPSG:32631"])
-@pytest.mark.parametrize("height", [1_508_000.0, -1_508_000.0, 272_692.3])
-def test_heights_of_no_ground_are_refused(crs: str, height: float) -> None:
-    x, y = (5.0, 44.0) if crs == "EPSG:4979" else (9e5, 4.4e6)
-    everest = 29_032.0  # in feet
+@pytest.mark.parametrize(("heights", "unit"), [
+    ((1_508_000.0, 2_176_000.0), "They look like millimetres, 1,508 to 2,176 m: divide them"),
+    ((-150_800.0, 97_600.0), "They look like centimetres, -1,508 to 976 m: divide them by 100"),
+    ((29_032.0, 12_100.0), "They look like feet, 3,688 to 8,849 m: state it: --set z_unit=ft"),
+    ((1e25, 1e24), "Give heights in metres; or another column has the heights: --columns z=NAME."),
+    ((900.0, 910.0, 905.0, 920.0, 903.0, 904.0, 272_692.3),
+     "The other 6 are between 900 and 920 m: correct it, or remove its row.")])
+def test_heights_of_no_ground_are_refused(heights: tuple[float, ...], unit: str, crs: str) -> None:
+    features = _at_heights(crs, (np.nan, *heights))
+    with pytest.raises(TermselError, match="beyond any ground: that of the Earth") as caught:
+        check_ground(features)
+    worst = next(i for i, height in enumerate(heights, 1) if abs(height) > 12_000)
+    assert (caught.value.column, caught.value.ids) == ("z", ("abcdefghij"[worst],))
+    assert f"the height {heights[worst - 1]:,.10g} of " in str(caught.value)
+    assert unit in str(caught.value)
+    check_ground(replace(features, crs="local"))
 
-    def at(*heights: float) -> FeatureSet:
-        n = len(heights)
-        return FeatureSet(Points(tuple("abc"[:n]), np.zeros((n, 2)),
-                                 np.array([(x, y, z) for z in heights])), crs=crs)
 
-    with pytest.raises(TermselError, match="of c is beyond any ground") as caught:
-        check_ground(at(np.nan, everest, height))
-    assert (caught.value.column, caught.value.ids) == ("z", ("c",))
-    assert f"the height {height:,.10g}" in str(caught.value)
-    assert "metres, not millimetres" in str(caught.value)
-    check_ground(at(np.nan, everest))
-    check_ground(replace(at(np.nan, everest, height), crs="local"))
+def test_heights_of_the_earth_are_taken() -> None:
+    for crs, heights, unit in (("EPSG:4979", (8_849.0, -430.0), None),
+                               ("EPSG:4979", (29_032.0, 100.0), "ft"),
+                               ("EPSG:32631", (29_032.0, 100.0), "us-ft")):
+        check_ground(_at_heights(crs, (np.nan, *heights)), unit)
+        assert not note_on_mixed(_at_heights(crs, heights[1:]))
+    with pytest.raises(TermselError, match="beyond any ground"):
+        check_ground(_at_heights("EPSG:32631", (60_000.0, 100.0)), "ft")
+
+
+def test_heights_below_any_land_are_doubted() -> None:
+    note = note_on_mixed(_at_heights("EPSG:4979", (-1508.0, 20.0, -2176.0)))
+    assert note.startswith("2 heights are below any land, such as -1,508 m at a.")
+    assert "heights upwards" in note
+
+
+def test_columns_name_the_unit_of_heights(tmp_path: Path) -> None:
+    rows = [f"{i},{10 * i},{i * i},{5 + i / 100},{44 + i * i / 100},{1500 + i}"
+            for i in range(4)]
+    for name, factor in (("z [mm]", 1000), ("z [cm]", 100)):
+        file = tmp_path / "a.csv"
+        text = [",".join([*row.split(",")[:5], str(factor * float(row.split(",")[5]))])
+                for row in rows]
+        file.write_text("\n".join([f"id,line,sample,x,y,{name}", *text]) + "\n")
+        assert termsel.read(file, crs="EPSG:4979").points.ground[3, 2] == pytest.approx(1503)
 
 
 def test_is_geographic() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -357,10 +358,62 @@ def test_columns_may_be_declared_by_other_names_of_their_meaning(tmp_path: Path)
         termsel.read(tmp_path / "a.csv", columns="line=1,row=2")
 
 
-def test_all_unknown_roles_are_named_at_once(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("id,role,line,sample,x,y,z\na,control,1,2,3,44,5\n"
-                                    "b,GCP,3,4,5,45,7\nc,CP,8,9,6,45,7\nd,GCP,9,1,6,46,7\n")
-    with pytest.raises(TermselError, match="unknown roles 'GCP', 'CP'") as caught:
-        termsel.read(tmp_path / "a.csv", crs="EPSG:4979")
-    assert caught.value.line == 3
-    assert "A GCP is control" in str(caught.value)
+@pytest.mark.parametrize(("cells", "said", "remedy"), [
+    (["control", "GCP", "CP", "GCP"], "unknown roles 'GCP' (2 rows), 'CP' (1 row)",
+     "Write control for a ground control point (GCP, CoP). CP is written for a control point and"),
+    (["GCP"] * 4, "unknown role 'GCP' in 4 rows", "Write control for a ground control point"),
+    (["", "ICP", "GACP", "CoP"], "unknown roles 'ICP' (1 row), 'GACP' (1 row), 'CoP' (1 row)",
+     "Write check for a point that chooses the model (GACP"),
+    (["", "Check point", "", ""], "unknown role 'Check point'",
+     "Write independent for a check point that tests the result"),
+    (["", "tie", "", ""], "unknown role 'tie'", "A tie point has no ground coordinates"),
+    (["", "good", "", ""], "unknown role 'good'", "A GCP is control;")])
+def test_all_unknown_roles_are_named_at_once(cells: list[str], said: str, remedy: str,
+                                             tmp_path: Path) -> None:
+    rows = [f"{name},{cell},{i},{i * i},{i + 3},{44 + i * i},5"
+            for i, (name, cell) in enumerate(zip("abcd", cells, strict=True))]
+    file = tmp_path / "a.csv"
+    file.write_text("\n".join(["id,role,line,sample,x,y,z", *rows]) + "\n")
+    with pytest.raises(TermselError, match=re.escape(said)) as caught:
+        termsel.read(file, crs="EPSG:4979")
+    unknown = next(i for i, cell in enumerate(cells) if cell not in ("", "control"))
+    assert (caught.value.line, caught.value.column) == (2 + unknown, "role")
+    assert "Roles are control, check, independent, off, or blank. " in str(caught.value)
+    assert remedy in str(caught.value)
+    # What the command states of these points goes before their cells.
+    wrong = [name for name, cell in zip("abcd", cells, strict=True)
+             if cell not in ("", "control")]
+    read = termsel.read(file, crs="EPSG:4979", off=wrong[0], role=",".join(
+        f"{name}=check" for name in wrong[1:]))
+    assert len(read.points) == 4
+
+
+@pytest.mark.parametrize("names", ["X/Longitude,Y/Latitude,Z/Altitude",
+                                   "X/Easting,Y/Northing,Z/Altitude"])
+@pytest.mark.parametrize("above", ["", "#CoordinateSystem: WGS 84 (EPSG::4326)\n"])
+def test_table_of_the_reference_pane_of_metashape(names: str, above: str, tmp_path: Path) -> None:
+    file = tmp_path / "markers.csv"
+    rows = "".join(f"g{i},{5 + i},{44 + i * i},{100 + i}\n" for i in range(5))
+    file.write_text(f"{above}#Label,{names}\n{rows}")
+    with pytest.raises(TermselError, match="ground coordinates alone: columns for line") as caught:
+        termsel.read(file, crs="EPSG:4979")
+    assert "Export Markers as XML: give that file instead" in str(caught.value)
+    # With the places in the image its names are those of any table.
+    rows = "".join(f"g{i},{5 + i},{44 + i * i},{100 + i},{i},{i * i}\n" for i in range(5))
+    file.write_text(f"{above}#Label,{names},line,sample\n{rows}")
+    assert termsel.read(file, crs="EPSG:4979").points.ground[2].tolist() == [7.0, 48.0, 102.0]
+
+
+@pytest.mark.parametrize("sign", [" ", "\t", ","])
+@pytest.mark.parametrize("images", [("a.JPG", "b.JPG"), ("a.tif", "a.tif")])
+def test_list_of_opendronemap_without_its_crs(sign: str, images: tuple[str, str],
+                                              tmp_path: Path) -> None:
+    file = tmp_path / "gcp_list.txt"
+    rows = [f"{272692.3 + 9 * i} {3851114.0 + i * i} {1563 + i} {507.8 + i} {484.2 - i * i} "
+            f"{images[i % 2]} g{i}" for i in range(4)]
+    file.write_text("\n".join(rows).replace(" ", sign) + "\n")
+    with pytest.raises(TermselError, match="without the CRS of x and y that its first") as caught:
+        termsel.read(file, crs="EPSG:32639")
+    assert "Write the CRS as the first line, such as EPSG:32639." in str(caught.value)
+    assert ("--set image_name=a.JPG" in str(caught.value)) == (images[0] != images[1])
+    assert not caught.value.guesses

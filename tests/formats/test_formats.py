@@ -367,7 +367,7 @@ def test_what_is_written_is_read(tmp_path: Path, result: termsel.Result, writer:
 
 def test_format_is_forced(tmp_path: Path) -> None:
     path = put(tmp_path, ORTHORITY)
-    with pytest.raises(TermselError, match="there is no column for x"):
+    with pytest.raises(TermselError, match="there are no columns for x, y, source_x"):
         termsel.read(path, format="qgis-points")
     with pytest.raises(TermselError, match="Did you mean 'geojson-points'"):
         termsel.read(path, format="geojson-point")

@@ -397,11 +397,10 @@ def test_x_in_feet_by_its_name_is_no_easting_in_metres(tmp_path: Path) -> None:
 
 
 def test_a_coordinate_of_a_map_is_no_height_though_three_rows_fit_anything(tmp_path: Path) -> None:
-    """A list of OpenDroneMap that has lost its first line, the CRS."""
-    (tmp_path / "gcp_list.txt").write_text("272692.3 3851114 1563 507.8 484.2 A.JPG g1\n"
-                                           "273424.5 3851096 1555 580.6 474.6 A.JPG g2\n"
-                                           "272000.5 3852096 1600 280.6 374.6 B.JPG g1\n")
+    (tmp_path / "marks.txt").write_text("272692.3 3851114 1563 507.8 484.2 A g1\n"
+                                        "273424.5 3851096 1555 580.6 474.6 A g2\n"
+                                        "272000.5 3852096 1600 280.6 374.6 B g1\n")
     with pytest.raises(TermselError) as caught:
-        termsel.read(tmp_path / "gcp_list.txt", crs="EPSG:32639")
+        termsel.read(tmp_path / "marks.txt", crs="EPSG:32639")
     assert caught.value.guesses[0] == "line=5,sample=4,x=1,y=2,z=3"
     assert not any("z=1" in guess or "z=2" in guess for guess in caught.value.guesses)

@@ -433,3 +433,30 @@ def test_the_focal_length_of_an_oblique_photo_is_no_place_of_the_grid() -> None:
     found = shared_camera([photo(20, down=50.0)[0]], SIZE)
     assert found.focal == pytest.approx(FOCAL, rel=0.005)
     assert found.sigma < 1.0
+
+
+def test_a_focal_length_in_mm_takes_the_pixel_from_the_image(tmp_path: Path) -> None:
+    image = pytest.importorskip("PIL.Image")
+    control, _, _ = photo(4)
+    table = [{"id": name, "line": line, "sample": sample, "x": x, "y": y, "z": z}
+             for name, (line, sample), (x, y, z) in zip(
+                 control.points.ids, control.points.image, control.points.ground, strict=True)]
+    picture = image.new("L", (SIZE[1], SIZE[0]))
+    exif = image.Exif()
+    # 35 mm and 24 mm of a sensor of 10 um: a resolution of 2,540 pixels an inch.
+    exif.get_ifd(0x8769).update({0x920A: 35.0, 0xA20E: 2540.0, 0xA210: 2})
+    picture.save(tmp_path / "photo.jpg", exif=exif)
+    known = interior_of(termsel.read(table, crs=CRS, image=tmp_path / "photo.jpg",
+                                     camera_focal="24mm"))
+    assert known is not None
+    assert known.focal == pytest.approx(2400.0)
+    picture.save(tmp_path / "plain.tif")
+    with pytest.raises(TermselError, match="no EXIF that says how large its pixels are") as caught:
+        termsel.read(table, crs=CRS, image=tmp_path / "plain.tif", camera_focal="24mm")
+    assert str(caught.value.file).endswith("plain.tif")
+    assert "--set camera_pixel=4.4" in str(caught.value)
+    # The remedy is followed.
+    known = interior_of(termsel.read(table, crs=CRS, image=tmp_path / "plain.tif",
+                                     camera_focal="24mm", camera_pixel="10"))
+    assert known is not None
+    assert known.focal == pytest.approx(2400.0)

@@ -16,7 +16,7 @@ from termsel.fitting.fit import Fit
 from termsel.fitting.next_places import rank_places
 from termsel.fitting.scene import scene_grid
 from termsel.formats.readers.csv_tables import table_text
-from termsel.io.project import read_ground
+from termsel.io.project import GIVE_HEIGHTS, read_ground
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
@@ -78,8 +78,10 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
             named, positions = read_ground(result, candidates)
         except TermselError as error:
             if error.code == "height-missing":
-                error.hint = "Give heights in the file. termsel project with --dem FILE, or " \
-                    "--height H, writes a table that has them."
+                # There is no option of a DEM here.
+                error.hint = (error.hint or "").replace(
+                    GIVE_HEIGHTS, "Give heights in the file. termsel project with --dem FILE, or "
+                                  "--height H, writes a table that has them.")
             raise
         ids = tuple(named)
     image = fitted.project(positions)

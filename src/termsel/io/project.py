@@ -36,10 +36,14 @@ from termsel.formats.z_unit import refuse_other_units
 if TYPE_CHECKING:
     from termsel.results.result import Result
 
+GIVE_HEIGHTS = "Give heights by --dem FILE or --height H, or in the file."
+"""What to do about ground positions without a height."""
 
 log = logging.getLogger(__name__)
 
 _ID = {"id": ("id", "name")}
+_OF_QGIS = {"x": ("mapx",), "y": ("mapy",)}
+"""What the points of QGIS call the ground, whose image positions are read otherwise."""
 
 
 def project_table(
@@ -81,6 +85,8 @@ def project_table(
                     and _has_columns(path, columns, "x", "y", layer=layer):
                 error.hint = ("These are ground positions: leave --inverse out for their positions "
                               "in the image.")
+            elif error.code == "column-missing":
+                error.hint = f"{error.hint} Name them: --columns line=NAME,sample=NAME."
             raise
         ids = table.ids()
         image = table.stack("line", "sample")
@@ -219,18 +225,18 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
     if dem is not None and not is_there(dem):  # also where no height is blank
         raise no_such_file_error(dem)
     try:
-        table = _read_table(path, columns, *names, layer=layer,
-                            flat=fills and model.uses_height)
+        table = _read_table(path, columns, *names, layer=layer, flat=model.uses_height)
     except TermselError as error:
-        if error.code == "column-missing" \
-                and _has_columns(path, columns, "line", "sample", layer=layer):
+        if error.code != "column-missing":
+            raise
+        if _has_columns(path, columns, "line", "sample", layer=layer):
             error.hint = f"These are image positions; ground positions {','.join(names)} are " \
                 "needed. termsel project --inverse computes them."
+        else:
+            error.hint = f"{error.hint} Name them: --columns x=NAME,y=NAME" + (
+                ",z=NAME. Without z: --dem FILE or --height H." if model.uses_height else ".")
         raise
-    if table.crs and not _is_crs_of_control(table.crs, normalise(crs), model.uses_height):
-        raise TermselError(f"the file declares the CRS {short_crs_name(table.crs)}, but the "
-                           f"control is in {short_crs_name(crs)}", file=path,
-                           hint="Transform the points to the CRS of the control.")
+    _require_crs_and_heights(table, crs, path, model.uses_height, fills)
     try:
         refuse_other_units(table.named_units(), crs)
     except TermselError as error:
@@ -260,10 +266,33 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
         ground[blank, 2] = height
     elif blank.size:
         missing = table.error("the height is blank, but the model requires it", int(blank[0]), "z",
-                              "Give heights by --dem FILE or --height H, or in the file.")
+                              GIVE_HEIGHTS)
         missing.code = "height-missing"
         raise missing
     return ids, ground
+
+
+def _require_crs_and_heights(table: Table, crs: str, path: Path, uses_height: bool,
+                             fills: bool) -> None:
+    """Raise TermselError for a table in another CRS than the control, without heights, or both.
+
+    `fills` says whether heights are given otherwise, for a model that uses them.
+    """
+    problems = []
+    remedies = []
+    if table.crs and not _is_crs_of_control(table.crs, normalise(crs), uses_height):
+        names = short_crs_name(table.crs), short_crs_name(crs)
+        problems.append(f"the file declares the CRS {names[0]}, but the control is in {names[1]}")
+        remedies.append("Transform the points to the CRS of the control" + (
+            f": gdaltransform -s_srs {names[0]} -t_srs {names[1]} does it, a point in each line."
+            if all(name.startswith("EPSG:") for name in names) else "."))
+    if uses_height and not fills and "z" not in table.columns:
+        problems.append("there is no column for z, and the model requires heights")
+        remedies.append(f"{GIVE_HEIGHTS} Name a column of heights: --columns z=NAME.")
+    if problems:
+        raise TermselError("; and ".join(problems), file=path, hint=" ".join(remedies),
+                           column=None if len(problems) > 1 or table.crs else "z",
+                           code="height-missing" if "heights" in problems[-1] else "")
 
 
 def _is_crs_of_control(crs: str, control: str, uses_height: bool) -> bool:
@@ -287,6 +316,8 @@ def _require_crs_of_control(ids: Sequence[str], ground: FloatArray, crs: str, pa
         check_ground(places)
     except TermselError as error:
         error.file = path
+        if error.column == "z":
+            raise
         swapped = "The columns look swapped. " if "swapped" in (error.hint or "") else ""
         error.hint = f"{swapped}The points must be in the CRS of the control, " \
             f"{short_crs_name(crs)}: transform them to it."
@@ -323,7 +354,7 @@ def _read_table(path: Path, columns: str, *coordinates: str, layer: str | None,
     TermselError
         If the file cannot be read, or lacks the column of a coordinate.
     """
-    aliases = _ID | {name: COORDINATES[name] for name in coordinates}
+    aliases = _ID | {name: (*COORDINATES[name], *_OF_QGIS.get(name, ())) for name in coordinates}
     table = table_of_places(path, aliases, parse_columns(columns), layer=layer, flat=flat)
     # None of a file that is no vector file.
     if table is not None:

@@ -66,6 +66,7 @@ from termsel.formats.readers.advice import (
 )
 from termsel.formats.repeated import REPEATED, average_while_reading
 from termsel.formats.rpc_files import read_delivered_rpc, size_with_rpc, with_rpc
+from termsel.formats.stated_roles import stating_roles
 from termsel.formats.swapped import SWAPPED, exchange_back
 from termsel.formats.z_unit import Z_UNIT, refuse_other_units, with_z_unit
 from termsel.models.image_part import RPC_OFFSET, RPC_SCALE, ImagePart, part_of
@@ -110,6 +111,7 @@ def read(
     image_origin: str | None = None,
     swapped: str | None = None,
     off: str | None = None,
+    role: str | None = None,
     **options: Any,
 ) -> FeatureSet:
     """Return the control features in files of points, lines and areas.
@@ -153,8 +155,11 @@ def read(
     swapped : {"xy", "line-sample"}, optional
         Coordinates that the file has exchanged; they are exchanged back.
     off : str, optional
-        Ids of features that may lie outside the image, with commas between them: a run leaves them
-        out.
+        Ids of features that a run leaves out, with commas between them: they may lie outside the
+        image, and their cells in a column of roles are not read.
+    role : str, optional
+        Roles of points that a run states, "P07=check,P12=control": their cells in a column of roles
+        are not read.
     **options
         Options of the readers, such as `raster` of "qgis-points", and of packages, such as
         `camera_focal` of termsel-cameras.
@@ -187,7 +192,7 @@ def read(
         if not any(option.name == PROJECTION for option in read_options()):
             raise missing_package_error(PROJECTION, f"--crs {CHOSEN} requires")
         of_packages.setdefault(PROJECTION, CHOSEN)
-        crs = "EPSG:4326"
+        crs = CHOSEN
     of_readers = given_options
     if columns:
         of_readers["columns"] = columns_text(columns)
@@ -206,13 +211,15 @@ def read(
             raise TermselError("a table in Python is read alone",
                                hint="Read files by themselves and join them with "
                                     "FeatureSet.with_.")
-        with average_while_reading(repeated):
-            features = _with_image_size(_read_frame(points, crs, of_readers, origin, swapped),
-                                        image, size, off)
+        with average_while_reading(repeated), stating_roles(off, role):
+            features = _with_image_size(
+                _read_frame(points, crs, of_readers, origin, swapped, z_unit=z_unit), image, size,
+                off)
             features = _with_rpc_and_heights(features, dem, rpc, z_unit, image_part)
             return _with_packages(features, of_packages, image)
     with ExitStack() as stack:
         stack.enter_context(average_while_reading(repeated))
+        stack.enter_context(stating_roles(off, role))
         image_lines = of_readers.get("image_lines")
         once = {Path(path): stack.enter_context(read_once(Path(path)))
                 for path in dict.fromkeys((points, lines, areas, image_lines)) if path is not None}
@@ -225,7 +232,7 @@ def read(
         try:
             features = read_features(*paths[:2], areas=paths[2], crs=crs, readers=readers,
                                      formats=formats, options=of_readers, origin=origin,
-                                     swapped=swapped)
+                                     swapped=swapped, z_unit=z_unit)
         except TermselError as error:
             if image is not None and error.code == "crs-unknown":
                 _propose_prj_of(Path(image), error)
@@ -378,7 +385,8 @@ def readers_of(paths: Sequence[Path], formats: Sequence[str]) -> list[type[Reade
 
 
 def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any],
-                origin: Origin | None = None, swapped: str | None = None) -> FeatureSet:
+                origin: Origin | None = None, swapped: str | None = None, *,
+                z_unit: str | None = None) -> FeatureSet:
     """Return the features of a table in Python, such as a DataFrame, checked as those of a file.
 
     `swapped` is what was asked for of columns that are exchanged, None for nothing. Raises
@@ -393,12 +401,11 @@ def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any],
         features = origin(features, states_own=False)
     # Messages name a file, and a table has none.
     table_path = Path("the table")
-    measured = replace(features, crs=_agreed_crs(
-        {table_path: features}, stated_crs(crs)))
+    measured = replace(features, crs=_agreed_crs({table_path: features}, _stated_crs(crs)))
     _require_crs(measured, [table_path], "columns" not in options and swapped is None)
     _say_misspelt(table_path, measured)
     refuse_other_units(measured.named_units, measured.crs, are_heights_open=True)
-    check_ground(measured)
+    check_ground(measured, z_unit)
     _say_doubts(measured)
     return measured
 
@@ -557,13 +564,14 @@ def _recognises_noise(reader: Reader, path: Path) -> bool:
 def read_features(points: Path | None, lines: Path | None, *, areas: Path | None = None,
                   crs: str | None, readers: Iterable[type[Reader]], formats: Sequence[str] = (),
                   options: Mapping[str, Any] | None = None, either: bool = False,
-                  origin: Origin | None = None, swapped: str | None = None) -> FeatureSet:
+                  origin: Origin | None = None, swapped: str | None = None,
+                  z_unit: str | None = None) -> FeatureSet:
     """Return the points, lines and areas of one file each, in one CRS.
 
     A file that holds points and lines is given as both; with `either`, it may have points or lines
     alone. Areas become points or lines. `formats` names readers, in the order of the files.
     `origin` turns image coordinates of formats that leave open where they count from; `swapped`
-    says which coordinates the files have exchanged.
+    says which coordinates the files have exchanged, `z_unit` in what unit heights are.
 
     Raises TermselError as `find_reader`; if the content is invalid; if no file's reader has such an
     option; if a file holds no features of its kind, or others that were not asked for; if the CRS
@@ -571,7 +579,8 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
     kinds have one id.
     """
     read_with = partial(_features_of_files, points, lines, areas=areas, readers=list(readers),
-                        formats=formats, either=either, origin=origin, swapped=swapped)
+                        formats=formats, either=either, origin=origin, swapped=swapped,
+                        z_unit=z_unit)
     try:
         return read_with(crs=crs, options=options or {})
     except TermselError as error:
@@ -628,7 +637,8 @@ def _silence_log() -> Iterator[None]:
 def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path | None,
                        crs: str | None, readers: Sequence[type[Reader]], formats: Sequence[str],
                        options: Mapping[str, Any], either: bool,
-                       origin: Origin | None, swapped: str | None) -> FeatureSet:
+                       origin: Origin | None, swapped: str | None,
+                       z_unit: str | None) -> FeatureSet:
     """Return the features of all files in one CRS, checked; arguments as of `read_features`.
 
     In this order, as each step needs the one before: the reader of each file, its features with
@@ -639,7 +649,7 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
         raise TermselError("no file of points or lines is given",
                            hint="Give --points FILE, --lines FILE or --areas FILE.")
     # What the user states holds for all files, and is needed before the first is read.
-    stated = stated_crs(crs)
+    stated = _stated_crs(crs)
     paths = list(dict.fromkeys(path for path in (points, lines, areas) if path is not None))
     if len(formats) > len(paths):
         raise TermselError(f"there are {len(formats)} --format for "
@@ -696,7 +706,7 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
     if areas is not None:
         measured = _with_areas(measured, sets[areas], areas)
     try:
-        check_ground(measured)
+        check_ground(measured, z_unit)
     except TermselError as error:
         # The first feature at fault names the file in which it is.
         path = next(path for path, features in sets.items() if error.ids[0] in features.ids)
@@ -787,13 +797,21 @@ def _check_kinds(path: Path, counts: dict[str, int], expected: dict[str, bool]) 
                                     "separate files.")
 
 
+def _stated_crs(crs: str | None) -> str | None:
+    """Return the normal form of a CRS that is stated; CHOSEN and None stay as they are."""
+    return crs if crs == CHOSEN else stated_crs(crs)
+
+
 def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
     """Return the CRS of all files: that which is stated, or that in which they agree.
 
     `sets` are the features by their file, and `stated` is what the user says. A .prj file beside a
     table counts where neither says anything. EPSG:4326 and EPSG:4979 agree where only one of them
     has heights. Raises TermselError where two files, or a file and the user, contradict each other.
+    Where the projection is to be chosen, files that declare none are in degrees.
     """
+    if stated == CHOSEN:
+        return _agreed_crs(sets, None) or "EPSG:4326"
     agreed = stated
     source = "--crs"
     for path, features in sets.items():

@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import inspect
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import chain
+from pathlib import Path
 from typing import Any
 
+from termsel.core.errors import TermselError
 from termsel.core.isolation.faults import OWN, package_of
 from termsel.core.options import Configurable, Option
 
@@ -87,6 +90,10 @@ class Kind:
                             "without blanks and colons")
         if wants_class:
             _require_attribute_types(cls)
+        # Classes declare options; descriptions such as those of problems have them.
+        _require_usable_defaults(f"{cls.__name__}{_place_of(cls)}" if wants_class else name, (
+            *getattr(item, "declared_options", ()), *getattr(item, "options", ()))
+            if not isinstance(item, Configurable) else item.declared_options)
 
 
 def _require_attribute_types(cls: type) -> None:
@@ -106,6 +113,24 @@ def _require_attribute_types(cls: type) -> None:
             if not isinstance(element, element_type):
                 raise TypeError(f"returned {cls.__name__} with {attribute} that hold "
                                 f"{element!r:.100}, which is no {element_type.__name__}")
+
+
+def _place_of(cls: type) -> str:
+    """Return the file and the line of a class, in brackets; "" where there is no source."""
+    try:
+        return f" ({Path(inspect.getfile(cls)).name}, line {inspect.getsourcelines(cls)[1]})"
+    except (OSError, TypeError):  # typed into a notebook, or compiled
+        return ""
+
+
+def _require_usable_defaults(owner: str, options: Iterable[Option]) -> None:
+    """Raise TypeError for an option that does not accept its own default."""
+    for option in options:
+        try:
+            option.parse(option.default)
+        except TermselError:
+            raise TypeError(f"returned {owner}, whose option {option.name!r} has the default "
+                            f"{option.default!r:.100} and accepts: {option.accepts}") from None
 
 
 _PLAIN = (bool, int, str, tuple, dict)

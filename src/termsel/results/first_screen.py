@@ -505,6 +505,7 @@ def _urgent_warnings_and_notes(record: Record) -> list[str]:
               and BEYOND_RPC not in note
               and note not in (heights, *_said_of_rpc(record))
               and not (is_exact_said and EXACTLY in note)
+              and not (read and read.mixed and note == read.mixed)
               and not (doubt and note.casefold().startswith(doubt))
               and not (reused and " no longer independent: " in note))]
 

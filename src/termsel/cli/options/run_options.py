@@ -321,8 +321,8 @@ class RunOptions:
             if arguments.get(key) is not None:
                 raise TermselError(f"{key} is given twice", hint="Give it once.")
         return read(self.points, self.lines, areas=self.areas, crs=self.crs, format=self.formats,
-                    dem=self.dem, rpc=self.rpc, image=self.image, off=",".join(self.off) or None,
-                    **of_reading,
+                    dem=self.dem, rpc=self.rpc, image=self.image,
+                    off=options.get("off"), role=options.get("role"), **of_reading,
                     **{**arguments, **of_readers}), options
 
     def _require_correction(self) -> None:

@@ -9,10 +9,12 @@ import numpy as np
 
 from termsel.core.errors import TermselError, count_in_words, first_names_in_words
 from termsel.data.coordinates.crs import (
+    EARTH,
     UTM,
     area_of_use,
     body_of,
     ellipsoid_of,
+    height_axis_unit,
     kind_of,
     normalise,
     short_crs_name,
@@ -24,8 +26,9 @@ from termsel.data.coordinates.earth import (
     is_inside,
     position_in_words,
 )
+from termsel.data.coordinates.height_units import FOOT, UNITS, US_FOOT, is_unit_open
 from termsel.data.coordinates.metres import is_in_degrees
-from termsel.data.features import BoolArray, FeatureSet, FloatArray
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
 
 _NEAR = 1000.0  # metres from the origin of a CRS
 _DEGREE_RANGE = ((-180.0, -90.0), (360.0, 90.0))
@@ -37,12 +40,13 @@ _FROM_SURFACE = 0.05  # share of the radius by which no ground is from the surfa
 _UTM_RANGE = {"6": ((0.0, -9.4e6), (1e6, 9.4e6)), "7": ((0.0, 0.0), (1e6, 10.5e6))}
 
 
-def check_ground(features: FeatureSet) -> None:
+def check_ground(features: FeatureSet, z_unit: str | None = None) -> None:
     """Raise TermselError for ground coordinates that cannot be in the CRS; "local" takes any.
 
     Longitudes outside -180 to 360 or latitudes outside -90 to 90 degrees in a geographic CRS,
     coordinates that look like degrees in a projected one, and eastings or northings that no UTM
-    zone has; heights of no ground; in a geocentric CRS positions far from the surface of the body.
+    zone has; heights of no ground, in the unit `z_unit` if the user states one; in a geocentric CRS
+    positions far from the surface of the body.
     """
     crs = normalise(features.crs)
     kind = kind_of(crs)
@@ -65,24 +69,82 @@ def check_ground(features: FeatureSet) -> None:
                          lambda: _hint_of_utm(xy, features, int(crs[-2:]), *_UTM_RANGE[utm[1]]))
     # What is wrong of x and y as well says more.
     if kind in ("geographic", "projected"):
-        _check_heights(ground[:, 2], features)
+        _check_heights(ground[:, 2], features, z_unit)
 
 
-_HIGHEST = 40_000.0
-"""Number that no height of ground exceeds, in metres or feet: Everest has 29,032 ft."""
+_HIGHEST = 12_000.0
+"""Metres that no ground of the Earth is above or below the ellipsoid, with a margin."""
+_HIGHEST_OF_BODIES = 40_000.0
+"""The same of other bodies: on Mars 21,900 m."""
+_LOWEST_LAND = -600.0
+"""Metres that no land is below the ellipsoid: the shore of the Dead Sea is at -415."""
+_HIGHEST_LAND = 9_000.0
+_LIKELY_UNITS = (
+    ("feet", _FOOT, "state it: --set z_unit=ft"),
+    ("centimetres", 0.01, "divide them by 100, or name their column 'z [cm]'"),
+    ("millimetres", 0.001, "divide them by 1,000, or name their column 'z [mm]'"))
+"""Units in which heights are written, the largest first, with what to do about them."""
 
 
-def _check_heights(heights: FloatArray, features: FeatureSet) -> None:
+def _unit_of_heights(features: FeatureSet, stated: str | None) -> float:
+    """Return the size of the unit of z [m], the largest where it is open."""
+    declared = height_axis_unit(features.crs)
+    if stated in UNITS:
+        return UNITS[stated]
+    if declared is not None:
+        return declared
+    # Feet are possible where the names of columns, or x and y, are in feet.
+    in_feet = features.named_units.get("z") in (FOOT, US_FOOT) or is_unit_open(features.crs)
+    return _FOOT if in_feet else 1.0
+
+
+def _check_heights(heights: FloatArray, features: FeatureSet, stated_unit: str | None) -> None:
     """Raise TermselError for heights beyond any ground; blank ones are NaN."""
-    beyond = np.flatnonzero(np.abs(heights) > _HIGHEST)
+    metres = heights * _unit_of_heights(features, stated_unit)
+    on_earth = body_of(features.crs) == EARTH
+    beyond = np.flatnonzero(np.abs(metres) > (_HIGHEST if on_earth else _HIGHEST_OF_BODIES))
     if not beyond.size:
         return
     name, column = _name_vertex(features, int(beyond[0]), 2)
+    reach = ": that of the Earth reaches 8,849 m" if on_earth else ""
     raise TermselError(
-        f"the height {heights[beyond[0]]:,.10g} of {name} is beyond any ground",
-        ids=[name], column=column,
-        hint="Give heights in metres, not millimetres; or another column holds them: --columns "
-             "z=NAME.")
+        f"the height {heights[beyond[0]]:,.10g} of {name} is beyond any ground{reach}",
+        ids=[name], column=column, hint=_hint_of_heights(metres, beyond, column))
+
+
+def _hint_of_heights(metres: FloatArray, beyond: IntArray, column: str) -> str:
+    """Return a sentence on the likely reason why some heights are beyond any ground."""
+    known = metres[np.isfinite(metres)]
+    if len(beyond) <= _FEW_OUTSIDE * len(known):
+        others = np.delete(metres, beyond)
+        low, high = np.nanmin(others), np.nanmax(others)
+        which = "it, or remove its row" if len(beyond) == 1 else \
+            f"these {len(beyond)}, or remove their rows"
+        return (f"The other {len(known) - len(beyond)} are between {low:,.0f} and {high:,.0f} m: "
+                f"correct {which}.")
+    another = f"another column has the heights: --columns {column}=NAME."
+    largest = np.abs(known).max()
+    for unit, size, remedy in _LIKELY_UNITS:
+        if largest * size <= _HIGHEST_LAND:
+            return (f"They look like {unit}, {known.min() * size:,.0f} to {known.max() * size:,.0f}"
+                    f" m: {remedy}. Or {another}")
+    return f"Give heights in metres; or {another}"
+
+
+def _note_on_depths(features: FeatureSet) -> str:
+    """Return a note on heights that are below any land; "" if none are."""
+    if not features.crs or kind_of(normalise(features.crs)) not in ("geographic", "projected") \
+            or body_of(features.crs) != EARTH:
+        return ""
+    heights = features.ground_vertices()[:, 2] * _unit_of_heights(features, None)
+    low = np.flatnonzero(heights < _LOWEST_LAND)
+    if not low.size:
+        return ""
+    name, _ = _name_vertex(features, int(low[0]), 2)
+    verb = "is" if len(low) == 1 else "are"
+    return (f"{count_in_words(len(low), 'height')} {verb} below any land, such as "
+            f"{heights[low[0]]:,.0f} m at {name}. If they are depths, or their sign is turned, "
+            "write heights upwards.")
 
 
 def _check_distance(ground: FloatArray, features: FeatureSet, crs: str) -> None:
@@ -295,6 +357,8 @@ def note_on_mixed(features: FeatureSet) -> str:
         if largest > NO_IMAGE:
             return (f"Line and sample are up to {largest:.2g}, and no image is so large. Give "
                     "pixels.")
+    if depths := _note_on_depths(features):
+        return depths
     if len(points) < MIN_AFFINE_POINTS or not features.crs:
         return ""
     in_plan = _note_on_minutes(features) if is_in_degrees(features.crs) else \

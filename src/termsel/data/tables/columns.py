@@ -97,10 +97,21 @@ def fold_name(name: str) -> str:
 
 
 @lru_cache(10_000)  # readers compare the names of a header with all that are known
-def _folded_forms(name: str) -> tuple[str, str]:
-    """Return a column's name folded with and without its unit: Line (px) is "linepx" and "line"."""
+def _folded_forms(name: str) -> tuple[str, ...]:
+    """Return a column's name folded with and without its unit, and then its alternatives.
+
+    Line (px) is "linepx" and "line"; X/Longitude is "xlongitude" twice, "x" and "longitude".
+    """
     normal = unicodedata.normalize("NFKC", name.strip().casefold())
-    return fold_name(normal), fold_name(without_unit(normal))
+    alternatives = normal.split("/") if "/" in normal else []
+    return (fold_name(normal), fold_name(without_unit(normal)), *map(fold_name, alternatives))
+
+
+def _is_one_of(forms: tuple[str, ...], names: frozenset[str], all_names: frozenset[str]) -> bool:
+    """Return whether a name, folded in its forms, is one of those of a meaning."""
+    full, bare, *alternatives = forms
+    return full in names or (bare in names and full not in all_names) or (
+        bool(alternatives) and names.issuperset(alternatives))
 
 
 @lru_cache(100)  # readers compare the names of a header with all that are known
@@ -111,7 +122,8 @@ def _names_by_meaning(aliases: tuple[tuple[str, tuple[str, ...]], ...],
     for meaning, plain_names in aliases:
         base, end = _meaning_and_line_end(meaning)
         # Readers of other programs' tables have meanings of these names, too, and no further names.
-        is_own = plain_names == (POINTS | LINES).get(meaning)
+        own = (POINTS | LINES).get(meaning)
+        is_own = own is not None and plain_names[:len(own)] == own
         further = frozenset(f"{fold_name(name)}{end}" for name in _FURTHER.get(base, ()) if is_own)
         names[meaning] = (frozenset(map(fold_name, plain_names)), further)
     return names, frozenset().union(*chain.from_iterable(names.values()))
@@ -127,15 +139,14 @@ def columns_by_meaning(header: Sequence[str], aliases: Aliases) -> dict[str, lis
     names_of, all_names = _names_by_meaning(tuple(
         (meaning, tuple(names)) for meaning, names in aliases.items()))
     # Most rows that are asked about hold numbers, none of which is a name.
-    forms = {i: pair for i, pair in enumerate(map(_folded_forms, header))
-             if not all_names.isdisjoint(pair)}
+    forms = {i: folded for i, folded in enumerate(map(_folded_forms, header))
+             if not all_names.isdisjoint(folded)}
     if not forms:
         return {meaning: [] for meaning in names_of}
     columns: dict[str, list[int]] = {}
     all_columns: dict[str, list[int]] = {}
     for meaning, (plain_names, further_names) in names_of.items():
-        plain, further = ([i for i, (full, bare) in forms.items()
-                           if full in names or (bare in names and full not in all_names)]
+        plain, further = ([i for i, folded in forms.items() if _is_one_of(folded, names, all_names)]
                           for names in (plain_names, further_names))
         # Names in other languages count where no column has one of the plain names.
         columns[meaning] = plain or further

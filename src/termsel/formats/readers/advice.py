@@ -36,6 +36,10 @@ TO_MEASURE = ("termsel app IMAGE --map FILE shows such points as a layer, such a
               "measure them; with a result, termsel project DIR --points FILE computes them.")
 """How places in the image of points on the ground are found."""
 
+_OF_METASHAPE = ("Metashape writes those of its markers with File > Export > Export Markers as "
+                 "XML: give that file instead.")
+"""Where the positions in the images are that a table of Metashape's reference pane lacks."""
+
 MOST_GUESSES = 2
 """Readings of a table that a message shows."""
 
@@ -62,6 +66,7 @@ _NAMES_OF_SAMPLE = frozenset(("x", "col", "column", "cols"))
 _DOWN = frozenset(("y", "row", "rows"))
 """Words in names of columns that say along which axis they run."""
 
+_IMAGE_FILE = re.compile(r".+\.(jpe?g|tiff?|png|dng|jp2|bmp|arw|cr2|nef)", re.IGNORECASE)
 
 def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Sequence[str]],
                 known_columns: Mapping[str, int], aliases: Aliases,
@@ -243,7 +248,7 @@ def _with_readings(error: TermselError, header: Sequence[str], rows: Sequence[Se
                 "are missing"
             error.code = "ground-alone"
             error.column = None
-            error.hint = f"Add the image coordinates of each point. {TO_MEASURE}"
+            error.hint = f"Add the image coordinates of each point. {_where_measured(header)}"
         return error
     # No reading has all columns; a point read so could not be shown.
     if "=?" in texts[0]:
@@ -256,6 +261,13 @@ def _with_readings(error: TermselError, header: Sequence[str], rows: Sequence[Se
         error.options["--columns"] = texts[0]
         error.hint = f"{before}{_DECLARE} {texts[0]!r}."
     return error
+
+
+def _where_measured(header: Sequence[str]) -> str:
+    """Return where the places in the image are found that a table lacks."""
+    # Metashape alone heads its table X/Longitude or X/Easting.
+    return _OF_METASHAPE if any(name.strip().lower().startswith("x/") for name in header) \
+        else TO_MEASURE
 
 
 def _guess(error: TermselError, before: str, guesses: list[str], first_points: list[str]) -> None:
@@ -323,6 +335,14 @@ def unknown_table_error(path: Path, expected: str, columns: str) -> TermselError
     header = [str(i + 1) for i in range(len(rows[0]))] if bare else rows[0]
     by_name = {meaning: columns[0]
                for meaning, columns in columns_by_meaning(header, POINTS).items() if columns}
+    if bare and all(map(_is_mark_of_opendronemap, rows)):
+        images = list(dict.fromkeys(row[5].strip() for row in rows))
+        chosen = f" Then choose one of its {len(images)} images, such as --set " \
+            f"image_name={images[0]}." if len(images) > 1 else ""
+        return TermselError(
+            "these look like the rows of OpenDroneMap's gcp_list.txt (x y z column row image), "
+            "without the CRS of x and y that its first line has", file=path, line=1,
+            hint=f"Write the CRS as the first line, such as EPSG:32639.{chosen}")
     message = "this table has no header that names its columns" if bare else \
         f"the header names too few columns that are known: {', '.join(map(str.strip, header))}"
     unnamed = TermselError(message, file=path, hint=expected,
@@ -333,6 +353,13 @@ def unknown_table_error(path: Path, expected: str, columns: str) -> TermselError
     return with_advice(unnamed, header, rows if bare else rows[1:],
                        {**by_name, **find_declared_columns(header, stated)}, POINTS,
                        names_may_mislead=not stated)
+
+
+def _is_mark_of_opendronemap(row: Sequence[str]) -> bool:
+    """Return whether a row has five numbers and the name of an image file."""
+    numbers = _number_columns([row])
+    return len(row) > 5 and numbers.keys() >= set(range(5)) \
+        and _IMAGE_FILE.fullmatch(row[5].strip()) is not None
 
 
 def _missing_pair_error(path: Path, header: Sequence[str], numeric: Sequence[int],
@@ -351,12 +378,12 @@ def _missing_pair_error(path: Path, header: Sequence[str], numeric: Sequence[int
     for present, other in (("image", "ground"), ("ground", "image")):
         if not absent[present] and len(absent[other]) == 2:
             names = " and ".join(pairs[other])
+            remedy = _where_measured(header) if other == "image" else expected
             return TermselError(
                 f"this table has {present} coordinates alone: columns for {names} are missing. Its "
                 f"columns are {', '.join(map(str.strip, header))}", file=path,
                 code=f"{present}-alone",
-                hint=f"Add the {other} coordinates of each point. "
-                     f"{TO_MEASURE if other == 'image' else expected}")
+                hint=f"Add the {other} coordinates of each point. {remedy}")
     return None
 
 

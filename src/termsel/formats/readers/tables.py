@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import re
 from abc import abstractmethod
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,6 +18,8 @@ from typing import ClassVar
 import numpy as np
 
 from termsel.core.errors import (
+    ON_SUCCESS,
+    PENDING,
     TermselError,
     amount_in_words,
     count_in_words,
@@ -39,6 +42,7 @@ from termsel.data.tables.columns import (
     columns_by_meaning,
     decimal_signs,
     find_declared_columns,
+    fold_name,
     parse_columns,
     read_numbers,
 )
@@ -71,12 +75,28 @@ from termsel.formats.readers.cells import (
     without_header,
 )
 from termsel.formats.repeated import average_repeated, is_averaging
+from termsel.formats.stated_roles import ids_with_stated_roles
 
 # Cells by the meaning of their columns, with the place of every bad cell.
 
 _ENABLED = {"": True, "1": True, "true": True, "yes": True, "on": True,
             "0": False, "false": False, "no": False, "off": False}
 _WHOLE = re.compile(r"([01])\.0*")
+
+_CONTROL = "Write control for a ground control point (GCP, CoP)."
+_INDEPENDENT = "Write independent for a check point that tests the result (ICP, checkpoint)."
+_SELECTION = "Write check for a point that chooses the model (GACP, selection point)."
+_FIELD_ROLES = {
+    **dict.fromkeys(("gcp", "gcps", "cop", "cops", "controlpoint", "groundcontrol",
+                     "groundcontrolpoint", "full", "fullcontrol"), _CONTROL),
+    **dict.fromkeys(("icp", "icps", "checkpoint", "chkpt", "test", "testpoint", "validation",
+                     "validate", "verification"), _INDEPENDENT),
+    **dict.fromkeys(("gacp", "gacps", "selection", "selectionpoint"), _SELECTION),
+    "cp": "CP is written for a control point and for a check point: write control if the point "
+          "fits the model, independent if it tests the result.",
+    "tie": "A tie point has no ground coordinates: write off, or remove it.",
+    "tiepoint": "A tie point has no ground coordinates: write off, or remove it."}
+"""What to write for words of the field and of papers, without signs and capitals."""
 
 VOID_HEIGHTS = (-9999.0, -32768.0, -32767.0)
 """What rasters of heights have where there is none, and people sample from them."""
@@ -190,16 +210,16 @@ class Table:
         blank cell is "", so that roles can be assigned by place. Raises TermselError, at line and
         column, for a role or flag that is unknown.
         """
-        cells = self.columns.get("role", [""] * len(self.lines))
+        cells = list(self.columns.get("role", [""] * len(self.lines)))
+        stated = ids_with_stated_roles()
+        if stated:
+            cells = ["" if name in stated else cell
+                     for name, cell in zip(self.ids(), cells, strict=True)]
         # Few, whatever the rows; in their order.
         role_of_cell = {cell: cell.strip().lower() for cell in dict.fromkeys(cells)}
         unknown = [cell for cell, role in role_of_cell.items() if role not in ("", *ROLES)]
         if unknown:
-            named = first_names_in_words([repr(cell.strip()) for cell in unknown])
-            raise self.error(f"unknown role{'s' if len(unknown) > 1 else ''} {named}",
-                             cells.index(unknown[0]), "role",
-                             f"Roles are {', '.join(ROLES)}, or blank. A GCP is control; a point "
-                             "that tests the result is independent; check points choose the model.")
+            raise self._unknown_roles_error(cells, unknown)
         flags = self.columns.get("enabled", ())
         enabled = {}
         for cell in set(flags):
@@ -216,6 +236,24 @@ class Table:
             if not enabled[cell]:
                 roles[row] = "off"
         return roles
+
+    def _unknown_roles_error(self, cells: Sequence[str], unknown: Sequence[str]) -> TermselError:
+        """Return the error for all cells that name no role, with what the field's words stand for.
+        """
+        rows = Counter(cells)
+        named = [f"{cell.strip()!r} ({count_in_words(rows[cell], 'row')})" for cell in unknown]
+        if len(unknown) == 1:
+            named = [f"{unknown[0].strip()!r}" + (
+                f" in {rows[unknown[0]]} rows" if rows[unknown[0]] > 1 else "")]
+        words = [_FIELD_ROLES[folded] for folded in dict.fromkeys(
+            fold_name(cell) for cell in unknown) if folded in _FIELD_ROLES]
+        hint = f"Roles are {', '.join(ROLES)}, or blank."
+        meant = " ".join(dict.fromkeys(words)) or (
+            "A GCP is control; a point that tests the result is independent; check points choose "
+            "the model.")
+        return self.error(f"unknown role{'s' if len(unknown) > 1 else ''} "
+                          f"{first_names_in_words(named)}", cells.index(unknown[0]), "role",
+                          f"{hint} {meant}")
 
     def sigma(self, *meanings: str) -> FloatArray | None:
         """Return columns of standard deviations, (n, k); None without them, or if all are blank.
@@ -413,13 +451,16 @@ def _column_by_meaning(path: Path | None, line: int | None, header: Sequence[str
                 raise TermselError(f"{other} needs the column {meaning} beside it", file=path,
                                    line=line, column=meaning,
                                    hint=f"Add {meaning}, or remove {other}.")
-            error = _missing_column_error(path, line, header, meaning, aliases)
+            missing = [name for name in aliases if not is_there(name) and name not in OPTIONAL
+                       and not (name in heights and without_heights)]
+            error = _missing_column_error(path, line, header, missing, aliases)
             raise with_advice(error, header, rows,
                               {**last_by_name, **stated}, aliases, fixed)
     # Said once the table can be read: the columns of one that cannot are looked for again.
     if flat and not any(is_there(meaning) for meaning in heights):
         log.info(f"Note: %s has no column for %s, {NO_HEIGHTS}. Accepted names: %s.",
-                 path or "the table", " and ".join(heights), ", ".join(aliases[heights[0]]))
+                 path or "the table", " and ".join(heights), ", ".join(aliases[heights[0]]),
+                 extra={PENDING: ON_SUCCESS})
     return columns
 
 
@@ -490,9 +531,10 @@ def _ragged_row_error(path: Path | None, line: int, header: Sequence[str], row: 
                         hint=f"Every row needs one cell for each column.{comma}")
 
 
-def _missing_column_error(path: Path | None, line: int | None, header: Sequence[str], meaning: str,
-                          aliases: Aliases) -> TermselError:
-    """Return the error for a meaning that no column has."""
+def _missing_column_error(path: Path | None, line: int | None, header: Sequence[str],
+                          missing: Sequence[str], aliases: Aliases) -> TermselError:
+    """Return the error for meanings that no column has."""
+    meaning = missing[0]
     if meaning == "x1" and "line1" in {cell.strip().casefold() for cell in header}:
         return TermselError(
             "this table has lines in the image alone, without their ground coordinates", file=path,
@@ -506,13 +548,17 @@ def _missing_column_error(path: Path | None, line: int | None, header: Sequence[
             "the first line has numbers where the columns should be named", file=path, line=line,
             hint=f"Put a line of names above it, such as {','.join(aliases)}.")
     # Names of termsel itself; there are hundreds in other languages and of other programs.
-    names = [name for name in aliases[meaning] if name in TAKEN] or aliases[meaning]
-    blank = " Its cells may be blank." if meaning[0] == "z" else ""
+    accepted = "; ".join(
+        ", ".join([name for name in aliases[absent] if name in TAKEN] or aliases[absent])
+        for absent in missing)
+    blank = f" The cells of {missing[-1]} may be blank." if missing[-1][0] == "z" else ""
+    which = f"is no column for {meaning}" if len(missing) == 1 else \
+        f"are no columns for {', '.join(missing[:-1])} and {missing[-1]}"
     return TermselError(
-        f"there is no column for {meaning}", file=path, line=line, column=meaning,
+        f"there {which}", file=path, line=line, column=meaning,
         code="column-missing",
         hint=f"The columns here are: {_list_header(header)}. "
-             f"Accepted names: {', '.join(names)}, and others.{blank}")
+             f"Accepted names: {accepted}, and others.{blank}")
 
 
 def _is_number(cell: str) -> bool:
@@ -650,7 +696,7 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
     signs = _decimal_signs(table, decimal, points_only=cells.delimiter == ",")
     if "id" in aliases and "id" not in column_of:
         log.info("Note: %s has no column of ids, so its rows are called P1, P2, ... in order.",
-                 path or "the table")
+                 path or "the table", extra={PENDING: ON_SUCCESS})
     # Further columns are kept as texts: nobody has said what they mean.
     attributes = {}
     for name, i in _attribute_columns(header, {*column_of.values(), *cells.fixed.values()}).items():

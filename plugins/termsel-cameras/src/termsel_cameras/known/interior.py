@@ -229,7 +229,8 @@ def _pixel_size(stated: Mapping[str, str], named: SurveyCamera | None,
         lacks = "the size of a pixel" if named is None else "the size of the image"
         raise TermselError(f"a focal length in mm does not give that in px without {lacks}",
                            hint="Add the size of a pixel in micrometres, such as --set "
-                                "camera_pixel=4.4, or give the image: --image FILE."
+                                "camera_pixel=4.4. --image FILE takes it from an image with "
+                                "EXIF."
                            if named is None else
                            "Give the image: --image FILE. Or add the size of a pixel in "
                            "micrometres, such as --set camera_pixel=4.4.")

@@ -45,6 +45,9 @@ class CameraOptions:
         sources = {"camera", "camera_focal"}
         if image is not None and not sources & stated.keys() and not sources & attributes.keys():
             stated = {**options_of_exif(Path(image), features), **stated}
+        in_mm = stated.get("camera_focal", "").lower().rstrip().endswith("mm")
+        if image is not None and in_mm and not {"camera", "camera_pixel"} & stated.keys():
+            stated = _with_pixel(stated, Path(image))
         if not stated:
             return features
         if not len(features.points):
@@ -77,9 +80,7 @@ def options_of_exif(image: Path, features: FeatureSet) -> dict[str, str]:
 
     Empty if it states neither a known camera nor a focal length.
     """
-    with open_raster(image) as raster:
-        size = int(raster.height), int(raster.width)
-        tags = with_dataset(raster, exif_tags)
+    size, tags = _size_and_tags(image)
     focal = _focal_of(tags, size)
     if not focal:
         return {}
@@ -103,14 +104,45 @@ def _focal_of(tags: Mapping[str, str], size: tuple[int, int]) -> dict[str, str]:
     if equivalent > 0.0:
         return {"camera_focal": f"{equivalent / DIAGONAL * pixels:.1f}"}
     focal = _number(tags.get("FocalLength", ""))
+    pixel = _pixel_of(tags, size)
+    return {"camera_focal": f"{focal / pixel:.1f}"} if focal > 0.0 and pixel > 0.0 else {}
+
+
+def _pixel_of(tags: Mapping[str, str], size: tuple[int, int]) -> float:
+    """Return the size of a pixel [mm] by EXIF; 0 if it states none."""
     per_unit = _number(tags.get("FocalPlaneXResolution", ""))
     # Millimetres of EXIF's units of resolution: 2 is an inch, 3 a centimetre.
     unit = {2: 25.4, 3: 10.0}.get(round(_number(tags.get("FocalPlaneResolutionUnit", "2"))), 0.0)
-    # The resolution is of the sensor, of which the image may be a smaller copy.
-    if focal > 0.0 and per_unit > 0.0 and unit > 0.0:
+    if per_unit > 0.0 and unit > 0.0:
+        # The resolution is of the sensor, of which the image may be a smaller copy.
         full_width = _number(tags.get("PixelXDimension", "")) or max(size)
-        return {"camera_focal": f"{focal / unit * per_unit * max(size) / full_width:.1f}"}
-    return {}
+        return unit / per_unit * full_width / max(size)
+    focal = _number(tags.get("FocalLength", ""))
+    equivalent = _number(tags.get("FocalLengthIn35mmFilm", ""))
+    # Both lengths give the same number of pixels, one of them on a film of known diagonal.
+    return DIAGONAL * focal / (equivalent * float(np.hypot(*size))) if equivalent > 0.0 else 0.0
+
+
+def _with_pixel(stated: Mapping[str, str], image: Path) -> dict[str, str]:
+    """Return options with the size of a pixel, by EXIF, that a focal length in mm needs.
+
+    Raises TermselError where the image does not state it.
+    """
+    size, tags = _size_and_tags(image)
+    pixel = _pixel_of(tags, size)
+    if not pixel > 0.0:
+        raise TermselError(
+            f"camera_focal={stated['camera_focal']} is in mm, and the image has no EXIF that says "
+            "how large its pixels are", file=image, name="camera_focal",
+            hint="Add their size in micrometres, such as --set camera_pixel=4.4, or the name of "
+                 "the camera, or give camera_focal in px.")
+    return {**stated, "camera_pixel": f"{1e3 * pixel:.6g}"}
+
+
+def _size_and_tags(image: Path) -> tuple[tuple[int, int], dict[str, str]]:
+    """Return lines and samples of an image, and its EXIF tags."""
+    with open_raster(image) as raster:
+        return (int(raster.height), int(raster.width)), with_dataset(raster, exif_tags)
 
 
 def _position_of(tags: Mapping[str, str], crs: str) -> dict[str, str]:
