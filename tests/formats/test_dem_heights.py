@@ -153,6 +153,34 @@ def test_points_without_a_height_are_all_named(tmp_path: Path) -> None:
         in str(caught.value)
     assert str(path) in str(caught.value)
     assert "The raster covers x 500000 to 500200, y 5000100 to 5000400" in str(caught.value)
+    assert "or leave them out: --off p1,...." in str(caught.value)
+
+
+def test_a_small_raster_in_degrees_says_where_points_beside_it_are(tmp_path: Path) -> None:
+    path = dem(tmp_path / "dem.tif", planar(20, 20), "EPSG:4326",
+               from_origin(14.2, 47.2, 0.0001, 0.0001))
+    beside = points([[14.2011, 47.1989], [14.20215, 47.1989]], crs="EPSG:4326")
+    with pytest.raises(TermselError) as caught:
+        with_heights(beside, path)
+    assert "covers x 14.2 to 14.202, y 47.198 to 47.2; these are at x 14.20215, y 47.1989." \
+        in str(caught.value)
+
+
+@pytest.mark.parametrize("asked", [{}, {"off": "p9"}, {"role": "p9=off"}])
+def test_a_point_outside_the_raster_is_left_out_as_the_message_says(
+        asked: dict[str, str], tmp_path: Path) -> None:
+    path = dem(tmp_path / "dem.tif", planar(30, 20))
+    table = tmp_path / "points.csv"
+    rows = [f"p{i},{10 * i},{7 * i},{EAST + 20 * i},{NORTH - 25 * i},"
+            f"{'off' if not asked and i == 9 else ''}" for i in range(1, 10)]
+    rows[-1] = rows[-1].replace(f"{EAST + 180}", f"{EAST + 900}")
+    table.write_text("\n".join(["id,line,sample,x,y,role", *rows]), encoding="utf-8")
+    if asked:
+        with pytest.raises(TermselError, match="--off p9"):
+            termsel.read(table, crs="EPSG:32631", dem=path)
+    read = termsel.read(table, crs="EPSG:32631", dem=path, **asked)
+    assert read.heights.startswith("8 of 9 heights from dem.tif")
+    assert np.flatnonzero(np.isnan(read.points.ground[:, 2])).tolist() == [8]
 
 
 @pytest.mark.parametrize(("raster", "ground", "datum"), [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -539,7 +539,8 @@ def _far_height_note(features: FeatureSet, project: Projection,
         "unit of the control.", pixels)
 
 
-def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
+def with_heights(features: FeatureSet, dem: Path,
+                 left_out: Collection[str] = ()) -> FeatureSet:
     """Return the features with their unknown heights taken from a raster, bilinear.
 
     Parameters
@@ -548,6 +549,8 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
         Those with heights keep them; the raster is compared with these (`dem_difference`).
     dem : Path
         A raster of heights in any CRS, converted to the heights of the features' CRS.
+    left_out : collection of str, optional
+        Ids of features that may stay without a height, as nothing is made of them.
 
     Returns
     -------
@@ -567,7 +570,8 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
         difference = difference_of(features, surface)
         ground[unknown, 2] = surface(ground[unknown, :2])
         datum = surface.datum
-        still_unknown = np.isnan(ground[:, 2])
+        owner = features.points.ids + tuple(np.repeat(features.lines.ids, 2))
+        still_unknown = np.isnan(ground[:, 2]) & ~np.isin(owner, list(left_out))
         is_outside = ~surface.covers(ground[still_unknown, :2])
         surface_extent = surface.extent()
         covers_some = surface.covers(ground[:, :2]).any()
@@ -576,8 +580,6 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
         log.warning("Warning: the raster %s covers none of the %s, which are around %s. %s",
                     make_printable(dem.name), features.word, place_of(features), elsewhere)
     if still_unknown.any():
-        n = len(features.points)
-        owner = features.points.ids + tuple(np.repeat(features.lines.ids, 2))
         names = list(dict.fromkeys(str(owner[i]) for i in np.flatnonzero(still_unknown)))
         count = "all points" if len(names) == len(features) and not len(features.lines) else \
             f"{len(names)} of {len(features)} {features.word}"
@@ -587,7 +589,8 @@ def with_heights(features: FeatureSet, dem: Path) -> FeatureSet:
             error.hint = f"{elsewhere} {error.hint}"
         raise error
     n = len(features.points)
-    statement = (f"{unknown.sum()} of {len(ground)} heights from {make_printable(dem.name)}, "
+    found = int((unknown & np.isfinite(ground[:, 2])).sum())
+    statement = (f"{found} of {len(ground)} heights from {make_printable(dem.name)}, "
                  "bilinear; "
                  f"vertical datum: {datum}")
     # Where all heights are known there is nothing to say, image after image of a batch.
@@ -651,16 +654,19 @@ def _without_heights(names: Sequence[str], count: str, xy: FloatArray, extent: F
     reason = "outside the raster" if outside.all() else \
         "outside the raster or in areas without data"
     vertices = np.array([xy.min(axis=0), xy.max(axis=0)])
+    decimals = _decimals_of_side(extent)
     return TermselError(
         f"{count} are {reason}: {first_names_in_words(names)}", file=dem, ids=names,
-        hint=f"The raster covers {_range_in_words(extent)}; these are at "
-             f"{_range_in_words(vertices)}. Give a raster of their area, or leave them out: --off.")
+        hint=f"The raster covers {_range_in_words(extent, decimals)}; these are at "
+             f"{_range_in_words(vertices, decimals)}. Give a raster of their area, or leave them "
+             f"out: --off {','.join(names[:1])}{',...' if len(names) > 1 else ''}.")
 
 
-def _range_in_words(corners: FloatArray) -> str:
-    """Return the ranges of x and y between two corners, to four digits of the larger range."""
-    return ", ".join(f"{axis} {low:.10g} to {high:.10g}" for axis, (low, high) in zip(
-        "xy", np.round(corners.T, _decimals_of_side(corners)).tolist(), strict=True))
+def _range_in_words(corners: FloatArray, decimals: int) -> str:
+    """Return the ranges of x and y between two corners, one number where both ends are alike."""
+    ranges = np.round(corners.T, decimals).tolist()
+    return ", ".join(f"{axis} {low:.10g}" + (f" to {high:.10g}" if high > low else "")
+                     for axis, (low, high) in zip("xy", ranges, strict=True))
 
 
 def _decimals_of_side(corners: FloatArray) -> int:

@@ -215,7 +215,8 @@ def read(
             features = _with_image_size(
                 _read_frame(points, crs, of_readers, origin, swapped, z_unit=z_unit), image, size,
                 off)
-            features = _with_rpc_and_heights(features, dem, rpc, z_unit, image_part)
+            features = _with_rpc_and_heights(features, dem, rpc, z_unit, image_part,
+                                             asked_roles(off, role))
             return _with_packages(features, of_packages, image)
     with ExitStack() as stack:
         stack.enter_context(average_while_reading(repeated))
@@ -240,7 +241,8 @@ def read(
         features = _with_image_size(features, image, size, off)
     files = [path for path in (points, lines, areas) if path is not None]
     try:
-        features = _with_rpc_and_heights(features, dem, rpc, z_unit, image_part)
+        features = _with_rpc_and_heights(features, dem, rpc, z_unit, image_part,
+                                             asked_roles(off, role))
         return _with_packages(features, of_packages, image)
     except TermselError as error:
         raise (error_in_file(error, Path(files[0])) if error.file is None else error) from error
@@ -352,17 +354,22 @@ def _with_image_size(features: FeatureSet, image: Path | str | None, size: tuple
 
 def _with_rpc_and_heights(features: FeatureSet, dem: Path | str | None,
                           rpc: Rpc | Path | str | None, z_unit: str | None,
-                          image_part: ImagePart | None) -> FeatureSet:
+                          image_part: ImagePart | None, roles: Mapping[str, str]) -> FeatureSet:
     """Return features with those of an RPC, a unit of z and heights of a DEM that are given.
 
-    Longitudes and latitudes in grads become degrees before.
+    Longitudes and latitudes in grads become degrees before. Features that are off, by the `roles`
+    that are asked for or their own, may lie outside the DEM.
     """
     features = with_degrees(features)
     if rpc is not None:
         features = with_rpc(features, rpc, image_part)
     path = None if dem is None else Path(dem)
     features = with_z_unit(features, z_unit, path)
-    return features if path is None else with_heights(features, path)
+    if path is None:
+        return features
+    own_roles = dict(zip(features.points.ids, features.points.roles, strict=False))
+    return with_heights(features, path, [
+        name for name, role in {**own_roles, **roles}.items() if role == "off"])
 
 
 def readers_of(paths: Sequence[Path], formats: Sequence[str]) -> list[type[Reader]]:
