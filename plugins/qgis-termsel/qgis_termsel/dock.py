@@ -85,7 +85,11 @@ class ResultDock(QDockWidget):
             self.show_result(folder)
 
     def show_result(self, folder):
-        """Show the result of a folder in the dock and on the map; say so if it has none."""
+        """Show the result of a folder in the dock and on the map; say so if it has none.
+
+        The folder may have been written by anybody: whatever is wrong with its files is told in the
+        dock, and raises nothing.
+        """
         self.folder = Path(folder)
         try:
             record = json.loads(read_inside(self.folder, "result.json"))
@@ -143,7 +147,11 @@ class ResultDock(QDockWidget):
                 self.candidates.model().item(self.candidates.count() - 1).setEnabled(False)
 
     def _fill(self, rows):
-        """Fill the table with rows of residuals, the largest first, and check those left out."""
+        """Fill the table with rows of residuals, the largest first, and check those left out.
+
+        A checked box leaves a point out of the next run. Rows are sorted by their numbers, as text
+        would put 10 before 9.
+        """
         # While rows are filled they must not change their places.
         self.table.setSortingEnabled(False)
         self.table.setRowCount(len(rows))

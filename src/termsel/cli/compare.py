@@ -270,7 +270,11 @@ MOST_LISTED = 100
 
 
 def _list_files(study: Path | None, keys: dict[str, Any]) -> None:
-    """Print the files that a study would read, before any is: the study may be a stranger's."""
+    """Print the files that a study would read, before any is: the study may be a stranger's.
+
+    Each file that is outside of the folder of the study, or that a link leads out of it, is marked
+    as such.
+    """
     from termsel.studies.compare import requested_study
     from termsel.studies.plan.data import files_of
 

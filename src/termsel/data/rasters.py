@@ -92,7 +92,11 @@ def tiff_bytes(pixels: Any, driver: str = "GTiff", **profile: Any) -> bytes:
 
 @contextmanager
 def _quiet_about_encodings() -> Iterator[None]:
-    """Keep Python from printing that rasterio cannot log a message that is not UTF-8."""
+    """Keep Python from printing that rasterio cannot log a message that is not UTF-8.
+
+    The exception itself comes all the same, and says what is wrong; the hooks are put back
+    afterwards.
+    """
     # It prints that twice, through either hook, before the error comes as an exception.
     unraisable = sys.unraisablehook
     uncaught = sys.excepthook

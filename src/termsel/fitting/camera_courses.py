@@ -198,7 +198,13 @@ class Control:
         return np.asarray(scale[:, None] * np.column_stack([self.monomials, self.deviations]))
 
     def log_likelihoods(self, field: Field, ratios: tuple[float, ...]) -> FloatArray:
-        """Return log p(z, size | rule, ratio, s) of a field for both axes, (q, z, r, 2, s)."""
+        """Return log p(z, size | rule, ratio, s) of a field for both axes, (q, z, r, 2, s).
+
+        Axes are the rules and sizes of the camera's prior, (q, z), the ratios (r,) of field and
+        noise, line and sample, and the noises (s,). Deviations of the points are normal with the
+        covariance s^2 (N + ratio^2 K) about monomials that shrink towards the prior. One
+        decomposition of K serves all ratios.
+        """
         scale = 1.0 / np.sqrt(self.relative_variances)
         # With N^-1/2 K N^-1/2 = V diag(values) V', S = N + ratio^2 K is whitened for any ratio.
         values, vectors = np.linalg.eigh(self.correlations(field) * np.outer(scale, scale))
@@ -222,7 +228,12 @@ class Control:
                           - 0.5 * squares[..., None] / self.noises**2)
 
     def course(self, field: Field, ratios: tuple[float, ...], shares: FloatArray) -> Course:
-        """Return the solutions of a field; their shares (q, z, r, 2, s) are those of all."""
+        """Return the solutions of a field, averaged where they are likely.
+
+        `shares` (q, z, r, 2, s) are the probabilities of all combinations, as of `log_likelihoods`.
+        A solution is a mean (n + f,) at the points and of the monomials; what the points explain of
+        the prior covariance is added up, with its noise. Combinations without a share are skipped.
+        """
         noise = shares @ self.noises**2                                      # (q, z, r, 2)
         probabilities = shares.sum(axis=4)
         likely = probabilities.max(axis=3) > NEGLIGIBLE_SHARE                # (q, z, r)

@@ -306,7 +306,11 @@ def fit_all_terms(model: SensorModel, control: FeatureSet) -> Fit:
 
 
 def require_determined(fitted: Fit) -> Fit:
-    """Return a fit; raise `Undetermined` for one that is not `Fit.determined`."""
+    """Return a fit that its features determine.
+
+    Raises `Undetermined` for one that did not converge, has fewer equations than terms, or
+    equations that depend on each other, each with what helps.
+    """
     if fitted.determined:
         return fitted
     adjustment = fitted.adjustment

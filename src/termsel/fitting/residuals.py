@@ -116,7 +116,12 @@ def point_residuals(points: Points, errors: FloatArray, role: str,
 
 def _control_rows(control: FeatureSet, used: tuple[bool, ...], errors: FloatArray,
                   line_errors: FloatArray) -> Iterator[Residual]:
-    """Yield the residuals of points, then of the vertices of lines, piece by piece."""
+    """Yield the residuals of points, then of the vertices of lines, piece by piece.
+
+    `errors` (n, 2) are of points and `line_errors` (m, 2, 2) of both vertices of lines [px]; `used`
+    is of all features. The vertices of a line in several pieces are numbered through, as a reader
+    counts them.
+    """
     points = control.points
     lines = control.lines
     yield from _residual_rows(points.ids, errors, points.ground, "control", used[:len(points)])

@@ -130,7 +130,12 @@ def with_image_origin(features: FeatureSet, choice: str | None, states_own: bool
 
 def _turn_to_upper_left(features: FeatureSet, origin: str,
                         size: tuple[int, int] | None) -> FeatureSet:
-    """Return features whose image coordinates are turned from an origin to that of termsel."""
+    """Return features whose image coordinates are turned from an origin to that of termsel.
+
+    `origin` is "y-up", lines that count upwards from 0 as negative numbers, or "bottom-left", with
+    "-corner" where the edge and not the centre of a pixel is 0. Raises TermselError where the
+    height of the image is needed and not known.
+    """
     half = 0.5 if origin.endswith(CORNER) else 0.0
     start = origin.removesuffix(f"-{CORNER}")
     if start == BOTTOM and size is None:

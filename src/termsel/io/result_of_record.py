@@ -120,7 +120,11 @@ def _merge_listed_points(features: FeatureSet, points: set[str],
 
 
 def _final_fit(record: Record, model: SensorModel, observations: Observations) -> Fit | None:
-    """Return the final fit: to all points with a role but independent outliers; None without."""
+    """Return the final fit: to all points with a role but independent outliers; None without.
+
+    Its points are all that had a role, independent ones included but for outliers, as control.
+    Coefficients and figures are those of the record: nothing is fitted again.
+    """
     final = record.final_fit
     if final is None:
         return None

@@ -59,7 +59,12 @@ class Rectify(Algorithm):
         add(QgsProcessingParameterRasterDestination("OUTPUT", "Map"))
 
     def processAlgorithm(self, parameters, context, feedback):
-        """Run `termsel rectify` and return the map."""
+        """Run `termsel rectify` and return the map.
+
+        Parameters that are not given leave their option out, so that the command decides as in a
+        terminal. The map is written where QGIS expects its output; errors of the command are those
+        of the algorithm.
+        """
         arguments = ["rectify", self.parameterAsString(parameters, "RESULT", context),
                      layer_file(self.parameterAsRasterLayer(parameters, "IMAGE", context), "image")]
         dem = self.parameterAsRasterLayer(parameters, "DEM", context)
@@ -206,7 +211,11 @@ class NextPlaces(Algorithm):
             "OUTPUT", "Places", QgsProcessing.SourceType.TypeVectorPoint))
 
     def processAlgorithm(self, parameters, context, feedback):
-        """Run `termsel plan` and return its places as a layer of points."""
+        """Run `termsel plan` and return its places as a layer of points.
+
+        The command writes a CSV, which becomes a layer in the CRS that the result states. All
+        columns but the names are numbers.
+        """
         folder = self.parameterAsString(parameters, "RESULT", context)
         table = scratch_folder() + ".csv"
         run(["plan", folder, "-n", self.parameterAsInt(parameters, "NUMBER", context), "-o", table],

@@ -159,7 +159,11 @@ class Page(Guarded):
     """The page, and the files that belong to it."""
 
     def get(self, secret: str, name: str) -> None:
-        """Send a file of the page, index.html for ""; raises HTTPError 404 for any other file."""
+        """Send a file of the page, index.html for ""; raises HTTPError 404 for any other file.
+
+        Only files of a fixed list are sent. The page itself gets a policy by which the browser
+        loads nothing but from this server and from those of images that the user named.
+        """
         name = name or "index.html"
         # A list instead of a folder: no path leads out of it.
         if name != "index.html" and name not in PAGE:

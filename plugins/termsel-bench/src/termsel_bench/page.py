@@ -21,7 +21,12 @@ from termsel_bench.tables import (
 
 
 def scores_document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
-    """Return the page of scores; `title` is the method whose losses are listed."""
+    """Return the page of scores; `title` is the method whose losses are listed.
+
+    It answers which method is best on which kind of image, and where the named method loses by more
+    than LOSS_RATIO; all scores follow, folded. Measured and simulated sets have protocols of their
+    own, which the page states.
+    """
     header, rows = ratios_by_kind(scores)
     # Ratios are to the least RMSE of each set.
     best = least_error_by_set(scores)

@@ -177,7 +177,11 @@ def image_map(view: View, image: str = "", rows: list[Row] | None = None,
 
 
 def ground_map(view: View) -> Any:
-    """Return residuals as arrows on the ground, in the CRS of the control."""
+    """Return residuals as arrows on the ground, in the CRS of the control.
+
+    A bar gives the scale of the arrows where metres are known. Degrees are stretched so that the
+    map has the shape of the ground.
+    """
     alt = require_altair()
     rows = view.on_ground
     west, _, east, _ = view.ground_box

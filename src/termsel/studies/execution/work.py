@@ -286,7 +286,11 @@ def _measures_by_name(cell: Cell, result: Result, notes: list[str]) -> dict[str,
 
 
 def _figures_of(result: Result) -> dict[str, Any]:
-    """Return the figures of a choice by auto for the table of the study."""
+    """Return the figures of a choice by auto for the table of the study.
+
+    They are those that rank and judge the images of a batch. The size of a pixel turns px into
+    metres: that of the prediction, or else of the independent points.
+    """
     predicted = result.predicted
     selection = result.selection
     prediction = prediction_of(result)

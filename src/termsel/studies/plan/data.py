@@ -221,7 +221,12 @@ def _glob_files(pattern: str, folder: Path) -> list[str]:
 
 def _group_files(spec: Spec, source: Source,
                  matched: Mapping[str, list[str]]) -> Iterator[dict[str, str]]:
-    """Yield the files of each image: those of one name, where there are several of a kind."""
+    """Yield the files of each image: those of one name, where there are several of a kind.
+
+    `matched` has the files of each kind, points and lines. Files of two kinds belong together by
+    their names without the suffix; one file of each kind needs no such name. Raises TermselError
+    where they do not pair.
+    """
     kinds = list(matched)
     if all(len(names) == 1 for names in matched.values()):
         yield {kind: names[0] for kind, names in matched.items()}

@@ -81,7 +81,11 @@ class _Reader:
                 self._read_pair(table)
 
     def _read_header(self) -> Path:
-        """Pass ``[table]`` or ``[[list]]`` and return its path."""
+        """Pass ``[table]`` or ``[[list]]`` and return its path.
+
+        The path has names of tables, and for a list of tables the number of the latest one, as TOML
+        has it.
+        """
         self._at += 1
         # "[[" begins a further table of a list.
         several = self._tokens[self._at][1] == "["
@@ -123,7 +127,11 @@ class _Reader:
         self._read_value(path)
 
     def _read_value(self, path: Path) -> None:
-        """Note the lines of a value's items, and move past it."""
+        """Note the lines of a value's items, and move past it.
+
+        Items of lists and inline tables get places of their own, so that an error can name the line
+        of one in a list over several lines.
+        """
         self._pass_lines()
         text = self._tokens[self._at][1]
         if text in ("[", "{"):

@@ -180,7 +180,13 @@ def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
 
 def _scanner_positions(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int],
                        pixel: float, scene: tuple[float, float, float]) -> Pushbroom:
-    """Return the line scanner of a scene: longitude, latitude [deg] and height [m]."""
+    """Return the line scanner of a scene: longitude, latitude [deg] and height [m].
+
+    `kind` says how steady the scanner is: by a satellite with small angles, by one that turns while
+    it looks, by a cubesat, or from the air with sway. Angles are drawn by how far they move the
+    image, so that kinds differ by their effect and not by their height. `ranges` has the limits of
+    tilt, altitude and incline; `scene` is longitude, latitude and height.
+    """
     lon, lat, height = scene
     tilt = rng.uniform(*ranges.tilt)
     turn = rng.choice([90.0, 270.0]) + rng.normal(0.0, 3.0)
@@ -232,7 +238,11 @@ def _scanner_positions(kind: str, rng: Generator, ranges: Ranges, size: tuple[in
 
 def _radar_positions(rng: Generator, ranges: Ranges, size: tuple[int, int], pixel: float,
                      scene: tuple[float, float, float], ground: FloatArray) -> FloatArray:
-    """Return lines of zero Doppler and samples of slant range [px]; not on the ground's range."""
+    """Return lines of zero Doppler and samples of slant range [px]; not on the ground's range.
+
+    `ground` (n, 3) are longitudes, latitudes [deg] and heights [m]; positions are (n, 2). A radar
+    sees a place when the velocity is perpendicular to the ray, whose length is the sample.
+    """
     lon, lat, height = scene
     tilt = rng.uniform(20.0, 42.0)
     orbit = pushbroom_at(lon, lat, height=height, off_nadir=tilt,

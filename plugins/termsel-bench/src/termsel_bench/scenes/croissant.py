@@ -48,7 +48,11 @@ POINT_COLUMNS = {
 
 
 def croissant_description(sets: Iterable[BenchSet]) -> dict[str, Any]:
-    """Return the description of simulated sets in Croissant, as JSON-LD."""
+    """Return the description of simulated sets in Croissant, as JSON-LD.
+
+    Croissant is the format by which machine-learning data are found and loaded: files with
+    checksums, columns with types, and what the data are not.
+    """
     described_sets = list(sets)
     files: list[dict[str, Any]] = []
     for bench_set in described_sets:
@@ -75,7 +79,11 @@ MEASURED_COLUMNS = {name: POINT_COLUMNS[name] for name in POINT_COLUMNS if name 
 
 
 def croissant_of_measured(names: Sequence[str], files: Mapping[str, str]) -> dict[str, Any]:
-    """Return the description of measured sets and of the files that hold them, as JSON-LD."""
+    """Return the description of measured sets and of the files that hold them, as JSON-LD.
+
+    `names` are those of the sets, `files` the texts of the files by their names. As in
+    `croissant_description`, with the source and licence of each set, since others measured them.
+    """
     sets = [read_measured_set(name) for name in names]
     places = json.loads(files[FOLDS])
     record_sets = []

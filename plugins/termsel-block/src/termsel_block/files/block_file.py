@@ -218,6 +218,9 @@ def _line_of(key: str, text: str) -> int | None:
 
 def _check_names(names: Sequence[str], path: Path) -> None:
     """Raise TermselError for names that cannot be folders' or are not unique, and for a lone image.
+
+    Each image's result gets a folder of its name, on any system, so that names differ in more than
+    capitals and hold no separator.
     """
     for name, count in Counter(names).items():
         if count > 1:

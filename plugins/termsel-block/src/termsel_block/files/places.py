@@ -125,7 +125,13 @@ def _write_geopackage(complete: Path, target: Path, ids: list[str], values: Floa
 
 
 def _write_cloud(complete: Path, target: Path, _: list[str], values: FloatArray, crs: str) -> None:
-    """Write the ties as a LAS file `complete`, which then becomes `target`; it has no ids."""
+    """Write the ties as a LAS file `complete`, which then becomes `target`; it has no ids.
+
+    `values` (n, 7) are x, y, z, standard deviations to the east, to the north and up [m], and the
+    number of images of each tie. LAS stores whole steps from an offset, whose size depends on
+    whether the CRS counts degrees. Raises TermselError without laspy, or without what it needs for
+    LAZ.
+    """
     laspy = _import_needed("laspy", target, "termsel-block[las]")
     header = laspy.LasHeader(point_format=6, version="1.4")
     system_name = horizontal_crs(crs)

@@ -220,7 +220,12 @@ def _numbers_as_text(value: Any) -> str:
 
 def _pixel_size(stated: Mapping[str, str], named: SurveyCamera | None,
                 size: tuple[int, int] | None) -> tuple[float, float]:
-    """Return the size of a pixel [mm], and its relative standard deviation."""
+    """Return the size of a pixel [mm], and its relative standard deviation.
+
+    It is stated in micrometres, or follows from the width of a named camera and the image's size. A
+    sensor has as many pixels as its maker says, or is enlarged by one factor; any other number is a
+    scan, whose scale is less certain. Raises TermselError where neither is known.
+    """
     if "camera_pixel" in stated:
         text = stated["camera_pixel"].lower().removesuffix("um").strip()
         (pixel,) = _parse_numbers({"camera_pixel": text}, "camera_pixel", (1,))

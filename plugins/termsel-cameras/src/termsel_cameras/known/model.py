@@ -357,7 +357,11 @@ class KnownFrame(SensorModel):
         return self.linearised(features, self.start(features))
 
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations:
-        """Return the equations about a solution, with the priors of the interior."""
+        """Return the equations about a solution, with the priors of the interior.
+
+        Terms of the interior have priors: the focal length by its stated spread, the lens by what
+        it may do at the edge of the image. They count against a noise of `USUAL` px.
+        """
         assert self.scaling is not None
         derivatives = []
         constants = []

@@ -284,7 +284,12 @@ def _splines_of_orbit(times: tuple[float, ...], positions: Vectors, velocities: 
 
 
 def _ground_range(annotation: Annotation, time: FloatArray, distance: FloatArray) -> FloatArray:
-    """Return ground range [m] by the polynomials before and after each time, linear between."""
+    """Return ground range [m] by the polynomials before and after each time, linear between.
+
+    `distance` (n,) is the slant range [m], `time` (n,) that of the lines [s]. Products state a
+    polynomial every few seconds; between two of them the ground range is interpolated, and before
+    the first and after the last theirs holds.
+    """
     polynomials = annotation.ground_ranges
     origins = np.array([polynomial.origin for polynomial in polynomials])
     degree = max(len(polynomial.coefficients) for polynomial in polynomials)

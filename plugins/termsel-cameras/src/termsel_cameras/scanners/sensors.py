@@ -127,6 +127,9 @@ def sensor_named(name: str) -> Sensor:
 
 def _check_sensor(content: object, path: Path) -> Sensor:
     """Return the sensor that the content of a file describes; raises TermselError for a bad field.
+
+    Fields are those of `Sensor`, the first six required. Ranges are those that any satellite of the
+    Earth has, so that a wrong unit, such as metres for kilometres, is noticed.
     """
     known = {field.name: field.default for field in fields(Sensor)}
     hint = f"Fields are {', '.join(known)}; those after source may be left out."

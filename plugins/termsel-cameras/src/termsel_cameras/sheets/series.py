@@ -123,7 +123,12 @@ class BySeries(Estimator):
 
     def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Fit a sheet (see `Estimator.fit`) with all its terms."""
+        """Fit a sheet (see `Estimator.fit`) with all its terms.
+
+        What the series knows of its paper is the prior of scale, turn, stretch and shear, so that
+        even one point gives a fit. Errors are those of each point under the posterior of the
+        others. Parameters are counted by what the points determine of them.
+        """
         assert isinstance(model, SeriesSheet)
         in_use = control.take(used)
         posterior, middle = self._sheet_posterior(model, in_use, scaling)

@@ -140,7 +140,11 @@ class GcpTiff(PointsWriter):
     declared_options: ClassVar[tuple[Option, ...]] = (IMAGE_OPTION,)
 
     def write(self, result: Result, path: Path) -> None:
-        """Write a copy of the image as a GeoTIFF with the points as GCPs, or an empty one."""
+        """Write a copy of the image, or an empty one, as a GeoTIFF with the points as GCPs.
+
+        GDAL copies from a VRT that has the image's bands and the points, in a private folder, so
+        that an interrupt leaves no half file. Raises TermselError where GDAL cannot read or write.
+        """
         self.require(result, path)
         from rasterio._err import CPLE_BaseError
         from rasterio.errors import RasterioError

@@ -119,7 +119,12 @@ class GeolocationArray(Reader):
             return _lattice_of(arrays, path, self.options["meshes"])
 
     def _open_arrays(self, path: Path, stack: ExitStack) -> Arrays:
-        """Return the arrays of a file, with the files that they are in open on the stack."""
+        """Return the arrays of a file, with the files that they are in open on the stack.
+
+        In this order: files that options name, the metadata domain GEOLOCATION, bands that are
+        called longitude and latitude. An array with steps of its own does not tell the size of its
+        image.
+        """
         raster = stack.enter_context(open_raster(path))
         domain = raster.tags(ns="GEOLOCATION")
         # An option goes before what metadata say.

@@ -49,7 +49,11 @@ class GrassPoints(Reader):
             for _, cells in rows)
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points, with line as rows upwards; errors name file, line and column."""
+        """Return the points; lines of GRASS are rows that count upwards, and stay so here.
+
+        GRASS writes 0 for heights that nobody gave, so that a column of zeros alone is unknown. The
+        format states no CRS. Errors name file, line and column.
+        """
         rows = _numbered_rows(read_text(path))
         if not rows:
             raise TermselError("this file has no points", file=path, hint=_GRASS_HINT)

@@ -100,7 +100,11 @@ class MapInfoTabWriter(PointsWriter):
     declared_options: ClassVar[tuple[Option, ...]] = (IMAGE_OPTION,)
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the table with the points of registration, in UTM or degrees on WGS84."""
+        """Write the table with the points of registration, in UTM or degrees on WGS84.
+
+        MapInfo knows systems by numbers: UTM where the points are in one zone, else degrees. Labels
+        and names of files lose quotation marks, which the format cannot hold.
+        """
         self.require(result, path)
         used = chosen_points(result)
         points, zone = to_wgs84_points(used, result.features.crs)

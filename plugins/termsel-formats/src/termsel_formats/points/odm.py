@@ -60,7 +60,11 @@ class OdmGcpList(Reader):
         return _crs_row(rows[:first_mark]) is not None
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points of one image; errors name file, line and column."""
+        """Return the points of one image; errors name file, line and column.
+
+        A list has the marks of several images; `image_name` chooses one. Its first line is the CRS.
+        Names are optional, and points whose names begin as those of check points are independent.
+        """
         crs, marks = _read_marks(path)
         image = image_of(path, (cells[5] for _, cells in marks), self.options["image_name"],
                          "image_name=NAME")
@@ -178,7 +182,12 @@ class OdmGcpListWriter(PointsWriter):
                                      "names that begin with CHK-.", type=bool))
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the CRS and a line for each point; check points only if that is asked for."""
+        """Write the CRS and a line for each point; check points only if that is asked for.
+
+        Check points have names by which later versions of OpenDroneMap know them; earlier ones
+        would take them as control, so a note says how to leave them out. Raises TermselError
+        without points or a CRS that the list can state.
+        """
         self.require(result, path)
         checked = points_for_others(result)
         if not self.options["check_points"]:

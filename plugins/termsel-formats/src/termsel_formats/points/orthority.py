@@ -32,7 +32,10 @@ class OrthorityGeojson(Writer):
                     and not np.isnan(points.ground[:, 2]).any())
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the points as GeoJSON, 3D in WGS84; raises TermselError without heights or a CRS.
+        """Write the points as GeoJSON, 3D in WGS84, as Orthority reads them.
+
+        Positions in the image are `ji`, sample before line, with the residual of each point;
+        attributes of the points are kept. Raises TermselError without heights or a CRS.
         """
         if not self.accepts(result):
             raise TermselError(f"this result cannot be written as {self.name}", file=path,

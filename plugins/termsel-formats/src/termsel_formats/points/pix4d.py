@@ -186,7 +186,11 @@ class Pix4dMarksWriter(PointsWriter):
         return path, _ground_file(path)
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the file of marks and that of the ground, control alone."""
+        """Write the file of marks and, beside it, that of the ground; control alone.
+
+        Nothing in these files tells a check point from control. Geographic coordinates go latitude
+        first, as Pix4D expects. Both files are put in place together, or neither is.
+        """
         self.require(result, path)
         # Nothing in these files distinguishes a check point from control.
         checked = points_for_others(result).without_checks()

@@ -37,7 +37,12 @@ class Phase(Matcher):
     name = "phase"
 
     def match(self, first: Window, second: Window, search: float) -> Matches:
-        """Return distinct places and where they are in the second (see `Matcher.match`)."""
+        """Return distinct places and where they are in the second (see `Matcher.match`).
+
+        One shift for both windows comes first, then that of each place, as the peak of the phase
+        correlation of two tapered patches. The order is by how far the next peak is below the best;
+        places whose peak is beyond SHIFT_REACH are left out.
+        """
         none = Matches(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
         expected = np.subtract(first.origin, second.origin)
         grey = _centre_grey(first)

@@ -54,7 +54,12 @@ class ArosicsTable(Reader):
         return set(_AROSICS) <= set(_read_header(head))
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name file, line and column."""
+        """Return the points; errors name file, line and column.
+
+        Points without a match are left out, and those that AROSICS calls outliers are off. It
+        states where the image was believed to be on the map, and the shift from there. Errors name
+        file, line and column.
+        """
         ids = []
         roles = []
         rows = []
@@ -97,7 +102,12 @@ class MatchesCsv(Reader):
                                                                                  "z1"} & header
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name file, line and column."""
+        """Return the points; errors name file, line and column.
+
+        The second pair is in px of the reference, which gives its ground, or has ground
+        coordinates of its own. Raises TermselError, at line and column, for numbers that cannot be
+        read, and where pixels are beyond the reference or it is missing.
+        """
         header = _read_header(text_of(path).encode())
         names = next((names for names in _POSITION_COLUMNS if set(names) <= set(header)),
                      _POSITION_COLUMNS[0])
