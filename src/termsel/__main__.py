@@ -80,12 +80,12 @@ def end_threads(code: object) -> None:
     import threading
 
     # Python itself ends the threads of executors.
-    others = [thread for thread in threading.enumerate()
-              if not thread.daemon and thread is not threading.main_thread()
-              and _module_of(thread) != "concurrent"]
-    for thread in others:
-        thread.join(PATIENCE / len(others))
-    going_on = {_module_of(thread) for thread in others if thread.is_alive()}
+    open_threads = [thread for thread in threading.enumerate()
+                    if not thread.daemon and thread is not threading.main_thread()
+                    and _module_of(thread) != "concurrent"]
+    for thread in open_threads:
+        thread.join(PATIENCE / len(open_threads))
+    going_on = {_module_of(thread) for thread in open_threads if thread.is_alive()}
     if not going_on:
         return
     from termsel.core.isolation.faults import distribution_of

@@ -412,9 +412,9 @@ class Auto(Method):
             return self._errors_in_folds(data, see, folds, choice), count
 
         errors: FloatArray | None
-        errors, tried = self.recall(("repeated", folds), data, find)
+        errors, fits_tried = self.recall(("repeated", folds), data, find)
         # A progress bar was told how many fits there would be.
-        for _ in range(tried - count):  # what was found before is told, too
+        for _ in range(fits_tried - count):  # what was found before is told, too
             see(None)
         return errors
 
@@ -530,8 +530,8 @@ def _features_without(data: FitData, out: BoolArray) -> FitData:
 
     They count as plane where relief rested on one of those out: it shows nothing of these.
     """
-    rest = data.take(~out)
-    return replace(rest, heights=rest.heights and not relief_carriers(rest, limit=1))
+    remaining = data.take(~out)
+    return replace(remaining, heights=remaining.heights and not relief_carriers(remaining, limit=1))
 
 
 # What so few features determine exactly, so that nothing can be chosen.

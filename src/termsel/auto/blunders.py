@@ -354,8 +354,8 @@ def _judge_by_projection(control: FitData, auto: Auto,
     if choice is None:
         return None
     # A central projection is one only where its camera is found.
-    found = choice.method.central and choice.chosen.view is not None
-    if not (found or choice.method.judges_blunders):
+    has_camera = choice.method.central and choice.chosen.view is not None
+    if not (has_camera or choice.method.judges_blunders):
         return None
     projection = choice.method
 

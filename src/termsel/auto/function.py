@@ -126,8 +126,9 @@ class FunctionMethod(Method):
         # As much as errors grow where their features take no part, so many parameters there are:
         # PRESS = RSS / (1 - p / 2 n)^2, the generalised cross-validation of Craven and Wahba 1979.
         squares = fitted.control_errors(fitted.used)**2
-        kept = np.sqrt(squares.sum() / max(held_out.squares.sum(), np.finfo(np.float64).tiny))
-        effective = squares.size * (1.0 - min(float(kept), 1.0))
+        held_out_sum = max(held_out.squares.sum(), np.finfo(np.float64).tiny)
+        share_fitted = np.sqrt(squares.sum() / held_out_sum)
+        effective = squares.size * (1.0 - min(float(share_fitted), 1.0))
         return replace(fitted, trace=effective, stored_held_out=held_out)
 
     def held_out(self, fitted: Fit) -> HeldOut:

@@ -247,10 +247,12 @@ def _cached_camera_average(measurements: Measurements, scaling: Scaling, crs: st
     shares = evidence.shares
     # Shares of its own for each left-out point: its measurement must not weigh them.
     mean = _mean_without_each(logs_without_each, errors)
-    others = _mean_without_each(logs_without_each[-len(averages):], errors[-len(averages):])
+    n_polynomials = len(averages)
+    mean_of_polynomials = _mean_without_each(logs_without_each[-n_polynomials:],
+                                             errors[-n_polynomials:])
     return CameraAverage(np.einsum("p,pka->ka", shares, coefficients), mean,
                          float(shares @ effective), physical, evidence.shrunken, shares,
-                         gain_of((others ** 2).sum(axis=1), (mean ** 2).sum(axis=1)))
+                         gain_of((mean_of_polynomials ** 2).sum(axis=1), (mean ** 2).sum(axis=1)))
 
 
 def _mean_without_each(logs: FloatArray, errors: FloatArray) -> FloatArray:
@@ -328,7 +330,11 @@ class Physical(Estimator):
 
     def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Fit a cubic polynomial (see `Estimator.fit`) with all its terms."""
+        """Fit a cubic polynomial by the average over cameras and polynomials.
+
+        Arguments are those of `Estimator.fit`. Raises Undetermined where the points speak against a
+        camera, or a random field explains them better, with the probability of the cameras.
+        """
         assert isinstance(model, Polynomial)
         points = scaling.points(points_alone(control, used, "a physical prior"))
         evidence = prior_evidence(points, scaling, control.crs, model.exponents)

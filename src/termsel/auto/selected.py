@@ -50,7 +50,12 @@ class ForwardSelection(Estimator):
 
     def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Fit a polynomial (see `Estimator.fit`), offering all its terms."""
+        """Fit a polynomial with the terms that cross-validation selects, one after another.
+
+        Arguments are those of `Estimator.fit`; all terms are on offer, affine ones are always in.
+        Held-out errors are those of the selection repeated without each point. Raises Undetermined
+        for lines and for too few points.
+        """
         assert isinstance(model, Polynomial)
         points_in_use = points_alone(control, used, "a selection of terms")
         points = scaling.points(points_in_use)
@@ -357,8 +362,8 @@ def _reflect_rows(vectors: FloatArray, column: int, count: int) -> None:
     length = -np.sqrt(square) if v[0] > 0.0 else np.sqrt(square)
     v[0] -= length  # away from 0, so that nothing cancels
     factor = -1.0 / (length * v[0]) if square > 0.0 else 0.0
-    for other in range(column + 1, count):
-        w = vectors[other, column:]
+    for later_column in range(column + 1, count):
+        w = vectors[later_column, column:]
         total = 0.0
         for i in range(len(v)):
             total += v[i] * w[i]

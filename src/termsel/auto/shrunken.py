@@ -288,7 +288,12 @@ class Interpolated(Estimator):
 
     def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Fit a model (see `Estimator.fit`)."""
+        """Fit a model that interpolates: a spline, radial functions or a random field.
+
+        Arguments are those of `Estimator.fit`. The terms have the coefficients of least squares,
+        for the record alone: positions are computed by the interpolation. Raises Undetermined for
+        lines, too few points, and a field that the points do not support.
+        """
         points_alone(control, used, "an interpolation")
         interpolation = interpolated(model, control.take(used), scaling)
         if interpolation is None:

@@ -206,8 +206,8 @@ def with_usual_heights(control: FitData, ground: FloatArray) -> FloatArray:
 
 def is_off_plane(points: Points) -> bool:
     """Return whether scaled points with heights lie on no plane, but for rounding."""
-    rest, _ = _distances_about_plane(_plane_columns_at(points.ground), points.ground[:, 2])
-    return bool(np.abs(rest).max(initial=0.0) > FLAT)
+    plane = _plane_columns_at(points.ground)
+    return _do_heights_differ(_distances_about_plane(plane, points.ground[:, 2])[0])
 
 
 def _do_heights_differ(off_plane_heights: FloatArray) -> bool:

@@ -127,11 +127,11 @@ def visible_places(
         steps = int(min(np.ceil(2 * distance[batch].max() / spacing), _MOST_STEPS))
         curves = np.stack([upper[batch], middle[batch], ground[rays[batch]]])
         start, end = _first_crossings(curves, surface, steps)
-        found = np.flatnonzero(np.isfinite(start))
-        if not found.size:
+        crossing = np.flatnonzero(np.isfinite(start))
+        if not crossing.size:
             continue
-        hidden = rays[batch[found]]
-        places = _bisect(partial(at_height, hidden), surface, end[found], start[found])
+        hidden = rays[batch[crossing]]
+        places = _bisect(partial(at_height, hidden), surface, end[crossing], start[crossing])
         is_crossing = np.abs(surface(places[:, :2]) - places[:, 2]) <= _CLOSE
         ground[hidden[is_crossing]] = places[is_crossing]
     return ground
@@ -214,11 +214,11 @@ def _take_shortened_steps(project: Projection, image: FloatArray, ground: FloatA
     moved = ground.copy()
     todo = np.arange(len(ground))
     for halving in range(_SHORTER):
-        tried = ground[todo]
-        tried[:, :2] += 0.5**halving * full[todo]
-        left = np.abs(image[todo] - project(tried)).max(axis=1)
-        better = left < np.abs(error[todo]).max(axis=1)
-        moved[todo[better]] = tried[better]
+        stepped = ground[todo]
+        stepped[:, :2] += 0.5**halving * full[todo]
+        distances = np.abs(image[todo] - project(stepped)).max(axis=1)
+        better = distances < np.abs(error[todo]).max(axis=1)
+        moved[todo[better]] = stepped[better]
         todo = todo[~better]
         if not todo.size:
             break

@@ -89,12 +89,12 @@ def visible_ground(project: Projection, holds: Callable[[FloatArray], BoolArray]
     -------
     ndarray, shape (n, 3)
     """
-    found = ground[np.isfinite(ground).all(axis=1), :2]
-    if not len(found):
+    known_places = ground[np.isfinite(ground).all(axis=1), :2]
+    if not len(known_places):
         return ground
     # What hides a place is between it and the camera, which may be outside the control.
     centre, scale = box
-    extent = np.vstack([found, centre[:2] - scale[:2], centre[:2] + scale[:2]])
+    extent = np.vstack([known_places, centre[:2] - scale[:2], centre[:2] + scale[:2]])
     low, high = extent.min(axis=0), extent.max(axis=0)
     corners = np.array([[x, y] for x in (2 * low[0] - high[0], 2 * high[0] - low[0])
                         for y in (2 * low[1] - high[1], 2 * high[1] - low[1])])

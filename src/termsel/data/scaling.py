@@ -65,7 +65,12 @@ class Scaling:
     x_turn: float = 0.0
 
     def ground(self, ground: ArrayLike) -> FloatArray:
-        """Return scaled ground coordinates, (..., 3); unknown heights become 0."""
+        """Return scaled ground coordinates, (..., 3); unknown heights become 0.
+
+        Longitudes, or x that repeats around the Earth, are first taken to the turn nearest to the
+        control. Places that the CRS of the fit cannot have become very far ones, so that no model
+        puts them into the image.
+        """
         fitted = to_fit_crs(np.asarray(ground, dtype=np.float64), self.crs, self.fit_crs)
         # Scaled coordinate = (coordinate - offset) / scale.
         away = fitted - self.ground_offset

@@ -227,16 +227,16 @@ def _may_be_clearly_better(columns: FloatArray, image: FloatArray, affine_sigma:
     quotient below 1 / ((1 + |e0|_1)^2 / S + 1 / w).
     """
     n, size = columns.shape
-    others = columns[:, 1:] - columns[:, 1:].mean(axis=0)
-    extents = np.abs(others).max(axis=0)
+    centred_columns = columns[:, 1:] - columns[:, 1:].mean(axis=0)
+    extents = np.abs(centred_columns).max(axis=0)
     freedom = 2 * n - (3 * size - 1)
     if freedom <= 0 or not extents.all():  # undetermined
         return False
-    terms = np.concatenate([columns[:, :1], others / extents], axis=1)
+    terms = np.concatenate([columns[:, :1], centred_columns / extents], axis=1)
     products = (image[:, :, None] * terms[:, None]).reshape(n, -1)
     q = np.linalg.qr(columns)[0]
-    rest = (products - q @ (q.T @ products)).reshape(-1, size)
-    gram = rest.T @ rest
+    remainders = (products - q @ (q.T @ products)).reshape(-1, size)
+    gram = remainders.T @ remainders
     values, vectors = np.linalg.eigh(gram[1:, 1:])
     if values[0] <= _DETERMINED * values[-1]:
         return True

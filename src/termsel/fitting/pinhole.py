@@ -131,12 +131,12 @@ class Cameras:
 
         With R turned to (1 + [turn]) R: dC = R' (turn x t) - R' dshift, and turn x t = -[t] turn.
         """
-        back = self.rotation.transpose(0, 2, 1)
+        transposed = self.rotation.transpose(0, 2, 1)
         x, y, z = self.shift.T
         none = np.zeros_like(x)
         crossed = -np.stack([np.stack([none, -z, y], 1), np.stack([z, none, -x], 1),
                              np.stack([-y, x, none], 1)], axis=1)
-        return np.concatenate([back @ crossed, -back], axis=2)
+        return np.concatenate([transposed @ crossed, -transposed], axis=2)
 
     def moved(self, step: FloatArray) -> Cameras:
         """Return the cameras moved by steps of the unknowns (s, 9)."""

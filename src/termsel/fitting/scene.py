@@ -32,15 +32,15 @@ def scene_grid(fitted: Fit, across: int, neighbours: int = 1,
     samples = _inner_steps(first_sample, last_sample, across)
     image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)
     ground = fitted.control.ground_vertices()
-    seen = fitted.project(ground)
+    image_of_control = fitted.project(ground)
     # At a pole of the model even control is seen nowhere.
-    is_seen = np.isfinite(seen).all(axis=1)
+    is_seen = np.isfinite(image_of_control).all(axis=1)
     if not is_seen.any():
         return image, np.full((len(image), 3), np.nan)
     ground = ground[is_seen]
     count = min(neighbours, len(ground))
     # Weights 1 / d^2, of distances of at least a pixel.
-    distance, nearest = cKDTree(seen[is_seen]).query(image, k=[*range(1, count + 1)])
+    distance, nearest = cKDTree(image_of_control[is_seen]).query(image, k=[*range(1, count + 1)])
     weights = 1.0 / np.maximum(distance, 1.0) ** 2
     heights = (weights * ground[nearest, 2]).sum(axis=1) / weights.sum(axis=1)
     if not fitted.model.uses_height:

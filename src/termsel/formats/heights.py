@@ -490,21 +490,23 @@ def _hole_note(features: FeatureSet, project: Projection, surface: Dem) -> Heigh
     heights = surface(np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2))
     heights = heights[np.isfinite(heights)]
     is_zero = heights == 0.0
-    others = heights[~is_zero]
+    other_heights = heights[~is_zero]
     # Control on the sea or on a lake knows of it.
     control = features.ground_vertices()[:, 2] * height_unit(features.crs)
     if (np.abs(control) < _LEAST_HILL).any():
         return None
     # Heights next to a hole are interpolated with its 0: one in twenty may be lower.
-    if not is_zero.any() or not len(others) or others.min() < 0.0 < others.max():
+    if not is_zero.any() or not len(other_heights):
         return None
-    nearest = float(np.quantile(np.abs(others), 0.05))
+    if other_heights.min() < 0.0 < other_heights.max():
+        return None
+    nearest = float(np.quantile(np.abs(other_heights), 0.05))
     if nearest * height_unit(features.crs) < _LEAST_HILL:
         return None
-    pixels = pixels_by(float(np.median(others)), features, project)
+    pixels = pixels_by(float(np.median(other_heights)), features, project)
     return HeightCaution(
         f"{100 * is_zero.mean():.2g} % of the heights of {surface.path.name} in the area of the "
-        f"control are exactly 0, and the others are about {np.median(others):.4g}: is this "
+        f"control are exactly 0, and the others are about {np.median(other_heights):.4g}: is this "
         f"water, or are these holes? In a hole places are about {rounded_size_text(pixels)} px "
         "off. A copy by gdal_translate -a_nodata 0 leaves holes out.", pixels)
 

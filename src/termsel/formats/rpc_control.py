@@ -78,8 +78,8 @@ def read_errors(bias: float | None, random: float | None,
     if bias is None or random is None:
         return bias, random, 0
     bias_without, count = _error_and_count(bias)
-    random_without, again = _error_and_count(random)
-    if not count or count != again:
+    random_without, count_of_random = _error_and_count(random)
+    if not count or count != count_of_random:
         return bias, random, 0
     return bias_without, random_without, count
 

@@ -93,14 +93,18 @@ def _refuse_read(files: Iterable[Path], reads: Iterable[object]) -> None:
 def _refuse_other_ending(file: Path, written_as: str) -> None:
     """Raise TermselError for a name that says another kind of file than is written."""
     suffix = file.suffix.lower()
-    own = _ENDINGS[written_as]
-    if suffix not in own and suffix in EXPECTED:
+    own_endings = _ENDINGS[written_as]
+    if suffix not in own_endings and suffix in EXPECTED:
         raise TermselError(f"this file is written as {written_as}, not as {suffix}", file=file,
-                           hint=f"Name it {file.with_suffix(own[0]).name}.")
+                           hint=f"Name it {file.with_suffix(own_endings[0]).name}.")
 
 
 def _require_writable(file: Path, makes_folder: bool) -> None:
-    """Refuse the name of a file that cannot be written: no folder, no permission, another kind."""
+    """Refuse the name of a file that cannot be written: no folder, no permission, another kind.
+
+    Asked before long work: where the folder is made by the command itself, the first one above it
+    that exists must allow that.
+    """
     # Through links, as the file behind them is the one that is written.
     target = Path(os.path.realpath(file))
     if os.path.lexists(target) and not target.is_file():

@@ -250,8 +250,8 @@ def read_result(folder: Path | str) -> Result:
 
 def results_within(folder: Path) -> list[str]:
     """Return the folders of results within a folder, such as those of a block or a study."""
-    found = {*folder.glob(f"*/{RECORD}"), *folder.glob(f"*/*/{RECORD}")}
-    return sorted(str(result.parent) for result in found)
+    records = {*folder.glob(f"*/{RECORD}"), *folder.glob(f"*/*/{RECORD}")}
+    return sorted(str(result.parent) for result in records)
 
 
 def _no_result_error(folder: Path, path: Path) -> TermselError:

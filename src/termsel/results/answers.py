@@ -303,7 +303,11 @@ def _answer_on_conventional(record: Record, view: View | None) -> Iterator[Block
 
 
 def _legend_of_fits(record: Record, view: View | None) -> Iterator[str]:
-    """Yield sentences that explain the table of all fits."""
+    """Yield sentences that explain the table of all fits.
+
+    Only what the table shows is explained: leave-one-out, marks, dashes, and which figure is the
+    accuracy where another one was minimised.
+    """
     baselines = record.baselines
     if record.rmse.leave_one_out is not None:
         yield (f"{LEAVE_ONE_OUT}: each control feature by the fit without it, as "
@@ -349,11 +353,12 @@ def _table_of_fits(record: Record) -> TableBlock:
     header = ("fit", "terms", "control", "selection", "interval", "independent check", "interval")
     # A role that no feature has takes no column.
     empty = [first for first in (3, 5) if all(row[first] in ("-", "") for row in rows)]
-    kept = [i for i in range(len(header)) if i not in empty and i - 1 not in empty]
-    return TableBlock("RMSE [px], with 90 % intervals" if len(kept) > 3 else "RMSE [px]",
-                      tuple(header[i] for i in kept),
-                      [tuple(row[i] for i in kept) for row in rows], choice="fit", keys=keys,
-                      page_only=(kept.index(4),) if 4 in kept else ())
+    shown_columns = [i for i in range(len(header)) if i not in empty and i - 1 not in empty]
+    return TableBlock("RMSE [px], with 90 % intervals" if len(shown_columns) > 3 else "RMSE [px]",
+                      tuple(header[i] for i in shown_columns),
+                      [tuple(row[i] for i in shown_columns) for row in rows],
+                      choice="fit", keys=keys,
+                      page_only=(shown_columns.index(4),) if 4 in shown_columns else ())
 
 
 def _rmse_as_cell(rmse: RoleRmse) -> str:

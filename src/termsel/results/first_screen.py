@@ -422,10 +422,12 @@ def _comparison_with_rival(record: Record, rival: BaselineRow) -> Iterator[str]:
             else "better; leave out the search"
     if by_held_out:
         # That of this model may be the prediction above, or the same as that of the other.
-        shown = "" if record.predicted is None else rounded_size_text(record.predicted.rmse)
-        own = "" if rounded_size_text(own_rmse) in (shown, rounded_size_text(rival_rmse)) else \
-            f" against {rounded_size_text(own_rmse)} px"
-        yield f"{name} {rounded_size_text(rival_rmse)} px{own} in leave-one-out: {verdict}"
+        own_text = rounded_size_text(own_rmse)
+        rival_text = rounded_size_text(rival_rmse)
+        predicted_text = "" if record.predicted is None else \
+            rounded_size_text(record.predicted.rmse)
+        against = "" if own_text in (predicted_text, rival_text) else f" against {own_text} px"
+        yield f"{name} {rival_text} px{against} in leave-one-out: {verdict}"
     else:
         yield f"{name} {rounded_size_text(rival_rmse)} px: {verdict}"
     if _shift_of(record) and rival.name != AS_DELIVERED:
@@ -558,8 +560,8 @@ def _lines_of_first(warnings: Sequence[str]) -> int:
     """Return the lines that the first warning needs: its first sentence, or some more."""
     if not warnings:
         return 0
-    whole = _lines_of_fact(Fact(warnings[0].removesuffix("."), "Caution"))
-    return max(min(whole, _MOST_OF_A_WARNING),
+    lines_of_whole = _lines_of_fact(Fact(warnings[0].removesuffix("."), "Caution"))
+    return max(min(lines_of_whole, _MOST_OF_A_WARNING),
                _lines_of_fact(Fact(_first_sentence_of(warnings[0]), "Caution")))
 
 

@@ -184,10 +184,10 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
                      if row.name != method.name or method.is_plain)
 
     def judgement(rmse: Rmses, rivals: tuple[Baseline, ...]) -> str:
-        own = {row.name: row.predicted for row in strategy.candidates}
+        predicted_of = {row.name: row.predicted for row in strategy.candidates}
         return judge_choice(method, None if predicted is None else predicted.rmse, rmse, rivals,
-                            request.features.noise, held_out=own.get(method.name), among=len(own),
-                            is_asked_for=auto.is_one_method)
+                            request.features.noise, held_out=predicted_of.get(method.name),
+                            among=len(predicted_of), is_asked_for=auto.is_one_method)
 
     # The objective of the record is what the rule of the choice compares.
     rmse = choice.chosen.held_out_rmse

@@ -196,9 +196,9 @@ def run(
             return assess(sole_method, task, seed=seed, observers=observers, memory=memory)
         from termsel.runs.searching import Search  # not for auto
 
-        kept = None if checkpoint is None else Checkpoint(checkpoint)
+        saved_search = None if checkpoint is None else Checkpoint(checkpoint)
         searching = Search(limits={**limits, "seed": seed, "observers": observers,
-                                   "checkpoint": kept})
+                                   "checkpoint": saved_search})
         return assess(searching, task, memory=memory)
 
     return _run_and_write(result_of_run, out, overwrite, _seconds_of_compilation(task, sole_method))

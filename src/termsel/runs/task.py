@@ -473,11 +473,11 @@ def _build_problem(request: Request, inputs: ProblemData) -> Problem:
 
 def _refuse_foreign(request: Request, problem: Problem) -> None:
     """Raise TermselError for options of other problems, which the recipe does not declare."""
-    known = options_of(problem)
+    declared_options = options_of(problem)
     for name in request.undeclared:
-        if name not in known:
+        if name not in declared_options:
             raise unknown_name_error("option", name, {
-                *known, *(option.name for option in request.recipe.options)})
+                *declared_options, *(option.name for option in request.recipe.options)})
 
 
 def _refuse_searched(request: Request, problem: ParameterProblem) -> None:

@@ -130,22 +130,22 @@ def screen(study: Study) -> str:
         Nine lines at most. `study_summary` has every image, reason and note.
     """
     rows = study.rows
-    shown = rows if len(rows) <= _MOST_ROWS + 1 else rows[:_MOST_ROWS]
+    shown_rows = rows if len(rows) <= _MOST_ROWS + 1 else rows[:_MOST_ROWS]
     caption = count_of_verdicts(rows)
     if study.spec.accept is None and any(row["verdict"] == FIT for row in rows):
         caption = f"{caption}; --accept 5m would set a limit"
     reasons = image_reasons(rows, _MOST_ALIKE)
     # Rows and reasons share the screen: few images leave room for more reasons.
-    room = _MOST_REASONS + _MOST_ROWS - len(shown)
+    room = _MOST_REASONS + _MOST_ROWS - len(shown_rows)
     remedy = [SWAPPED_IN_SHORT] if any("swapped" in reason for reason in reasons) else []
     lines = [*(shorten(_first_sentence(reason), _SCREEN_WIDTH, placeholder=" ...")
                for reason in reasons[:room - len(remedy)]), *remedy]
-    table = image_table(shown)
+    table = image_table(shown_rows)
     named = [(*cells, _few_of(row["blunders"] or ()))
-             for (*cells, _), row in zip(table.rows, shown, strict=True)]
+             for (*cells, _), row in zip(table.rows, shown_rows, strict=True)]
     table = replace(table, caption=caption, rows=named)
     hidden = [count_in_words(number, noun) for number, noun in (
-        (len(rows) - len(shown), "more image"),
+        (len(rows) - len(shown_rows), "more image"),
         (len(reasons) - room + len(remedy), "more reason"),
         (len(study.remarks) + len(usual_notes_in_words(rows)), "note")) if number > 0]
     if hidden:

@@ -220,11 +220,13 @@ def _require_same(features: FeatureSet, expected: FeatureSet, description: str) 
         ("image coordinates of lines", features.lines.image, expected.lines.image),
         ("ground coordinates of lines", features.lines.ground, expected.lines.ground),
         ("standard deviations of lines", features.lines.sigma, expected.lines.sigma))
-    for name, value, other in pairs:
-        if isinstance(value, np.ndarray) and isinstance(other, np.ndarray):
+    for name, value, expected_value in pairs:
+        if isinstance(value, np.ndarray) and isinstance(expected_value, np.ndarray):
             # Equal but for the rounding of other ways to read decimals; unknown heights are NaN.
-            is_same = value.shape == other.shape and np.allclose(
-                value, other, rtol=1e-12, atol=1e-9, equal_nan=True)
+            is_same = value.shape == expected_value.shape and np.allclose(
+                value, expected_value, rtol=1e-12, atol=1e-9, equal_nan=True)
         else:
-            is_same = value is other or (type(value) is type(other) and value == other)
-        require(is_same, f"{description} is read with the {name} {value}, expected {other}")
+            is_same = value is expected_value or (
+                type(value) is type(expected_value) and value == expected_value)
+        require(is_same,
+                f"{description} is read with the {name} {value}, expected {expected_value}")

@@ -93,7 +93,11 @@ class MapRaster:
         return float(np.hypot(*(ends[1] - ends[0])))
 
     def tile(self, box: Box, crs: str) -> Pixels:
-        """Return the colours (TILE, TILE, 4) of a box in the CRS that is shown."""
+        """Return the colours (TILE, TILE, 4) of a box in the CRS that is shown.
+
+        `box` is west, south, east and north. A tile of a raster with north up in the same CRS is a
+        window of it; any other is resampled at the centres of the tile's pixels.
+        """
         from affine import Affine
 
         west, south, east, north = box

@@ -77,7 +77,8 @@ def _records_of_table(path: Path, crs: str, size: tuple[int, int] | None) -> lis
         columns = {name: str(i) for i, name in enumerate(names, 1)}
     else:
         columns = {}
-        names = tuple(name for name, found in columns_by_meaning(rows[0], POINTS).items() if found)
+        named_columns = columns_by_meaning(rows[0], POINTS)
+        names = tuple(name for name, indices in named_columns.items() if indices)
     if columns and "line" not in columns:
         return _ground_records(path, columns, names, crs)
     try:

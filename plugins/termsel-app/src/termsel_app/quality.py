@@ -126,6 +126,9 @@ def write_control_tables(features: FeatureSet, folder: Path) -> dict[str, Path]:
 
 def figures_for_page(result: Result) -> Answer:
     """Return what the page shows of a result: accuracy, model, blunders, and each feature's error.
+
+    Nothing is computed here: facts, figures and words are those of the result, so that the page
+    says what `termsel run` says.
     """
     strategy = result.strategy
     residuals = residuals_by_id(result)
@@ -171,6 +174,9 @@ def shown_accuracy(result: Result) -> Answer | None:
 
 def metres_per_pixel(result: Result) -> float | None:
     """Return the side of a pixel on the ground [m] in the middle of the control; None if unknown.
+
+    The parallelogram of one pixel down and one to the right is located at the median height; the
+    root of its area is the side, as oblique pixels are longer one way.
     """
     fit = result.exported
     ground = fit.control.ground_vertices()

@@ -462,8 +462,8 @@ class Session:
             after[key] = pasted[key] or after[key]
         if pasted["ground"] and pasted["ground"][2] is None:
             place = self._with_height(pasted["ground"])
-            known = [] if before is None else _places_of(before)
-            after["ground"] = self._with_given_heights(known, [place])[0]
+            earlier_places = [] if before is None else _places_of(before)
+            after["ground"] = self._with_given_heights(earlier_places, [place])[0]
         return after
 
     def _note_on_distance(self, records: list[Record]) -> list[str]:

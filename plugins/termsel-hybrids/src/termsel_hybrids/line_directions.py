@@ -155,6 +155,10 @@ class LineConformal(LineDirections):
 
     def start(self, features: FeatureSet) -> FloatArray:
         """Return a solution (6,): the rotation next to the affine model, after some Newton steps.
+
+        A conformal model is an affine one whose two rows are orthogonal and of one length: the
+        nearest such pair follows from the singular value decomposition, U V'. The equations are not
+        linear in its quaternion, so that steps of Newton's method follow.
         """
         equations = LineAffine().prepared(self.scaling, self.crs).equations(features) \
             if self.scaling is not None else LineAffine().equations(features)

@@ -81,11 +81,11 @@ class AnnotationReader(Reader):
         width = map_.resource["width"]
         height = map_.resource["height"]
         size = (height, width) if width and height else None
-        if other := selector_of_other_size(map_):
+        if size_of_selector := selector_of_other_size(map_):
             log.warning("Warning: %s: the selector is of an image of %d x %d px, and the source of "
                         "%d x %d px. Positions are taken as those of the source: compare them with "
-                        "its edges, and correct the size that is wrong.", path.name, *other,
-                        width, height)
+                        "its edges, and correct the size that is wrong.", path.name,
+                        *size_of_selector, width, height)
         return FeatureSet(points, crs="EPSG:4326", image_size=size)
 
     def parts(self, path: Path) -> dict[str, dict[str, str]]:

@@ -183,7 +183,11 @@ class CorrectedRpc(Method):
     """The RPC that features have, corrected as far as they show: as delivered, by a shift, ..."""
 
     def declines(self, control: FitData) -> str | None:
-        """Return why the RPC is not one of this image, or cannot be corrected; None if it can."""
+        """Return why the RPC is not one of this image, or cannot be corrected; None if it can.
+
+        An RPC of another image puts the control half an image away, where a correction moves it by
+        hundreds of px at most. Heights in a wrong unit look alike, so that they are told apart.
+        """
         rpc = control.features.rpc
         if rpc is None:
             return ("no RPC is given. Give it with --rpc FILE, or --image FILE of an image that "
@@ -202,11 +206,11 @@ class CorrectedRpc(Method):
         away = np.linalg.norm(rpc.project(geographic) - features.image_vertices(), axis=1)
         half = float(np.linalg.norm(rpc.image_scale))
         if not np.median(away) < half:
-            seen = f"{model.source} sees the control {np.median(away):,.0f} px from where it was " \
-                   "measured"
+            statement = (f"{model.source} sees the control {np.median(away):,.0f} px from where it "
+                         "was measured")
             if outside := rpc.heights_outside(geographic[:, 2]):
-                return f"{seen}, as {outside}: check their unit and sign"
-            return (f"{seen}, more than half of its image ({half:,.0f} px). It is of another "
+                return f"{statement}, as {outside}: check their unit and sign"
+            return (f"{statement}, more than half of its image ({half:,.0f} px). It is of another "
                     "image, or line and sample are swapped")
         return None
 
@@ -230,6 +234,10 @@ class CorrectedRpc(Method):
 
     def describe(self, fitted: Fit) -> str:
         """Return sentences on the correction: its shift, each kind's probability, its uncertainty.
+
+        The shift is that in the middle of the RPC's image. Kinds of corrections, from none to
+        affine, are averaged by their probabilities, and the uncertainty is that at the corners,
+        where it is largest.
         """
         assert isinstance(fitted.model, RpcAffine)
         believed, _ = belief_about_rpc(fitted.model, fitted.control.take(fitted.used),

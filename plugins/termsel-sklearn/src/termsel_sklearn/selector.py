@@ -68,7 +68,11 @@ class ColumnProblem(Problem):
             on=["constant"], off=[name for name, off in zip(names, constant, strict=True) if off])
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
-        """Return the criterion for genes (p, columns); columns that depend on others violate it."""
+        """Return the criterion for genes (p, columns); columns that depend on others violate it.
+
+        All systems are solved at once: columns out of use become those of the unit matrix. The
+        first gene is that of the constant. RSS is y'y - b'X'y at the solution b.
+        """
         violation = (genes & self.genome.off).sum(axis=1).astype(np.float64)
         genes = genes[:, 1:]
         in_use_together = genes[:, :, None] & genes[:, None, :]

@@ -119,7 +119,12 @@ def answer_channel(drivers: tuple[str, ...], remote: bool) -> Iterator[BinaryIO]
 
 
 def serve(drivers: tuple[str, ...] = (), remote: bool = False) -> None:
-    """Answer the questions that come on stdin, in a new process."""
+    """Answer the questions that come on stdin, in a new process.
+
+    It runs until stdin ends. Each question has a function by name, its arguments, and limits of
+    memory and time, so that a hostile file ends this process and not the program. What the user can
+    correct is an answer, as are values.
+    """
     with answer_channel(drivers, remote) as answers:
         while True:
             try:

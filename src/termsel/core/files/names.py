@@ -44,9 +44,9 @@ def no_such_file_error(path: Path | str) -> TermselError:
     """Return the error for a file that is not there, or that is an address on a server."""
     address = _ADDRESS.match(str(path))
     if address:
-        shown = f"{address[1]}://{str(path)[address.end():]}"
+        address_text = f"{address[1]}://{str(path)[address.end():]}"
         return TermselError("this is an address on a server, and termsel downloads nothing",
-                            file=shown, hint="Download the file, and give its name here.")
+                            file=address_text, hint="Download the file, and give its name here.")
     matching = sorted(glob.iglob(str(path))) if glob.has_magic(str(path)) else []
     if matching:
         return TermselError(f"this is a pattern of {count_in_words(len(matching), 'file')}, "

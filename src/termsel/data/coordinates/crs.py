@@ -216,10 +216,10 @@ def _crs_of_proj_string(text: str) -> str:
         return ""
     with require_import("a CRS as a string of PROJ requires", "pyproj", GIS):
         import pyproj  # noqa: F401 - whether it is there
-    known = _with_pyproj(text if "+type=crs" in text else f"{text} +type=crs")
-    assert known is not None  # pyproj is there
+    parsed = _with_pyproj(text if "+type=crs" in text else f"{text} +type=crs")
+    assert parsed is not None  # pyproj is there
     # Other programs read WKT, whatever PROJ they have; a string of PROJ loses names.
-    return _code_or_text(str(known.to_wkt()))
+    return _code_or_text(str(parsed.to_wkt()))
 
 
 def _crs_of_listed_name(text: str) -> str:
@@ -515,9 +515,9 @@ def _has_no_datum(crs: CRS) -> bool:
 @lru_cache  # said once for each datum
 def _say_no_datum(name: str) -> None:
     """Say once that a datum is taken for another."""
-    shown = short_crs_name(name)
+    short_name = short_crs_name(name)
     # PROJ calls what has no name of its own unknown, such as strings of PROJ.
-    called = "" if _UNNAMED.fullmatch(shown) else f" {shown}"
+    called = "" if _UNNAMED.fullmatch(short_name) else f" {short_name}"
     log.warning("Note: the CRS%s has an ellipsoid and no datum. Its longitudes and latitudes are "
                 "taken as those of WGS84 where these are needed; they may be some hundred metres "
                 "off.", called)

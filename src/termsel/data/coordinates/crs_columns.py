@@ -34,6 +34,10 @@ def crs_of_columns(features: FeatureSet) -> tuple[str, str]:
 
 def note_on_other_crs(features: FeatureSet) -> str:
     """Return a sentence on a column of zones or codes that contradicts the CRS, or itself; or "".
+
+    Tables of surveyors have columns such as "zone" or "epsg". A column of several CRSs, or of
+    another one than is stated, says that coordinates are read in a wrong one; a zone without a
+    datum is compared by its number alone.
     """
     if not features.points.attributes:
         return ""

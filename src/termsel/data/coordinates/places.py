@@ -18,7 +18,11 @@ are rounded more."""
 
 
 def spatial_order(xy: ArrayLike) -> IntArray:
-    """Return an order (n,) of points (n, 2): neighbours in it are neighbours in the plane."""
+    """Return an order (n,) of points (n, 2): neighbours in it are neighbours in the plane.
+
+    It is that of a k-d tree: points are halved at the median of their longer side until one or two
+    are left. Every stretch of it is compact, and every k-th point spreads over all.
+    """
     xy = np.asarray(xy, dtype=np.float64)
     order = np.arange(len(xy))
     starts = np.zeros(1, dtype=np.intp)

@@ -233,11 +233,11 @@ def _check_metres(xy: FloatArray, features: FeatureSet, crs: str) -> None:
     degrees: BoolArray = np.all(np.abs(xy) <= (180, 90), axis=1)
     if not degrees.any():
         return
-    others = xy[~degrees]
-    if len(others):
+    in_metres = xy[~degrees]
+    if len(in_metres):
         # Metres next to the origin of a CRS are as small.
-        middle = np.median(others, axis=0)
-        spread = np.median(np.abs(others - middle), axis=0).max()
+        middle = np.median(in_metres, axis=0)
+        spread = np.median(np.abs(in_metres - middle), axis=0).max()
         if np.hypot(*middle) <= max(_NEAR, 10 * spread):
             return
         n = len(np.unique(features.vertex_feature[degrees]))
@@ -342,7 +342,12 @@ _CERTAIN = 6.0
 
 
 def note_on_mixed(features: FeatureSet) -> str:
-    """Return which coordinates look as if they were of another kind than they should be; or ""."""
+    """Return which coordinates look as if they were of another kind than they should be; or "".
+
+    The image tells: read rightly, the ground is about an affine image of it. Looked for are map
+    coordinates in place of pixels; of degrees, minutes typed as decimals; of metres, kilometres and
+    two zones of UTM; and heights in kilometres. One note is enough, the first that applies.
+    """
     points = features.points
     image = points.image
     if len(image) and np.median(np.abs(image).max(axis=1)) >= NO_PIXEL:

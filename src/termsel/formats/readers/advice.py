@@ -197,13 +197,13 @@ def keep_readable_guesses(error: TermselError,
     Where it can with none, the first ones stay, as something else may be wrong.
     """
     everything = range(len(error.guesses))
-    kept = [i for i in everything if can_be_read(error.guesses[i])] or list(everything)
+    readable = [i for i in everything if can_be_read(error.guesses[i])] or list(everything)
     # More than these nobody compares; all columns are declared by hand.
-    kept = kept[:MOST_GUESSES]
-    if 0 < len(kept) < len(error.guesses):
+    readable = readable[:MOST_GUESSES]
+    if 0 < len(readable) < len(error.guesses):
         before = (error.hint or "").partition(_DECLARE)[0]
-        _guess(error, before, [error.guesses[i] for i in kept],
-               [error.first_points[i] for i in kept])
+        _guess(error, before, [error.guesses[i] for i in readable],
+               [error.first_points[i] for i in readable])
     return error
 
 
@@ -462,11 +462,11 @@ def _without_scores(values: dict[int, FloatArray]) -> dict[int, FloatArray]:
     if len(values) <= len(_REQUIRED):
         return values
     explained = {i for i in values if _share_explained(values, i) > _BELONGS}
-    kept = {i: column for i, column in values.items() if i in explained
-            or np.nanmin(column) < 0.0 or np.nanmax(column) > 1.0}
-    if len(kept) > len(_REQUIRED) + 1 and len(explained) == len(_REQUIRED):
+    no_scores = {i: column for i, column in values.items() if i in explained
+                 or np.nanmin(column) < 0.0 or np.nanmax(column) > 1.0}
+    if len(no_scores) > len(_REQUIRED) + 1 and len(explained) == len(_REQUIRED):
         return {i: values[i] for i in explained}
-    return kept if len(kept) >= len(_REQUIRED) else values
+    return no_scores if len(no_scores) >= len(_REQUIRED) else values
 
 
 def _id_and_flags(rows: Sequence[Sequence[str]], numbers: Mapping[int, FloatArray],
@@ -511,8 +511,8 @@ def _readings_of_one_pair(numbers: Mapping[int, FloatArray], values: Mapping[int
     pairs = {known: [found[name] for name in known], missing: explained}
     upright = _upright_columns(numbers, pairs[image], pairs[ground])
     names = missing if upright == image else missing[::-1]
-    others = [i for i in values if i not in explained]
-    heights = {"z": others[0]} if len(others) == 1 and "z" not in found else {}
+    unexplained = [i for i in values if i not in explained]
+    heights = {"z": unexplained[0]} if len(unexplained) == 1 and "z" not in found else {}
     return [dict(zip(order, explained, strict=True)) | heights for order in (names, names[::-1])]
 
 

@@ -101,20 +101,20 @@ def column_of_sides(axis: str, numbers: Sequence[str], others: Mapping[int, Sequ
     # Eastings and northings have no side.
     if max(sizes, default=0.0) > 360.0:
         return None
-    found = [place for place, cells in others.items()
-             if _are_sides(axis, cells, is_next=place == near + 1)]
+    columns_of_sides = [place for place, cells in others.items()
+                        if _are_sides(axis, cells, is_next=place == near + 1)]
     # On both sides are the points of one scene only near zero, or near 180 degrees.
     is_far = min(sizes, default=0.0) > _FROM_ZERO and max(sizes) < 180.0 - _FROM_ZERO
-    for place in found if is_far else ():
+    for place in columns_of_sides if is_far else ():
         letters = sorted({cell.strip().upper()[0] for cell in others[place]})
         if len(letters) > 1:
             log.info("Note: %s holds %s, and is not taken for the side of %s: the points would be "
                      "far apart.", header[place].strip(), " and ".join(letters),
                      header[near].strip())
-            found = [other for other in found if other != place]
-    if not found:
+            columns_of_sides = [other for other in columns_of_sides if other != place]
+    if not columns_of_sides:
         return None
-    place = min(found, key=lambda i: (i < near, abs(i - near)))
+    place = min(columns_of_sides, key=lambda i: (i < near, abs(i - near)))
     turns = any(cell.strip().upper() not in _ALONG[axis] for cell in others[place])
     return place if turns else None
 

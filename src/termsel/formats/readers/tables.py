@@ -167,7 +167,11 @@ class Table:
 
     def points(self, image: FloatArray, ground: FloatArray, sigma: FloatArray | None,
                roles: Sequence[str]) -> Points:
-        """Return the points; errors name the line they are on."""
+        """Return the points; errors name the line they are on.
+
+        Ids that occur twice are refused, or where repetitions are averaged become one point each.
+        `image`, `ground` and `sigma` have a row each, `roles` may be empty.
+        """
         ids = self.ids()
         first: dict[str, int] = {}
         for row, name in enumerate(ids):
@@ -225,8 +229,8 @@ class Table:
         for cell in set(flags):
             # Programs that keep numbers alone write 1.0 for 1.
             flag = cell.strip().lower()
-            whole = _WHOLE.fullmatch(flag)
-            enabled[cell] = _ENABLED.get(whole[1] if whole else flag)
+            whole_number = _WHOLE.fullmatch(flag)
+            enabled[cell] = _ENABLED.get(whole_number[1] if whole_number else flag)
         for cell, on in enabled.items():
             if on is None:
                 raise self.error(f"{cell.strip()!r} is neither true nor false",
@@ -471,13 +475,14 @@ def _refuse_if_column_taken(path: Path | None, line: int | None, header: Sequenc
 
     `named` are the columns whose heading means `meaning`, `stated` those of --columns by meaning.
     """
-    for other, column in stated.items():
+    for stated_meaning, column in stated.items():
         if column in named:
             name = header[column].strip()
             raise TermselError(
-                f"--columns takes column {name!r} for {other}, so that none is left for {meaning}",
+                f"--columns takes column {name!r} for {stated_meaning}, so that none is left for "
+                f"{meaning}",
                 file=path, line=line, column=name,
-                hint=f"Name the column of {meaning} as well: --columns {other}={name},"
+                hint=f"Name the column of {meaning} as well: --columns {stated_meaning}={name},"
                      f"{meaning}=NAME. To exchange two columns name both.")
 
 
@@ -585,7 +590,12 @@ def _merge_into_first(rows: list[list[str]], columns: Sequence[int]) -> None:
 
 
 def _declared_crs(path: Path | None, comments: Mapping[int, str]) -> str:
-    """Return the CRS the comments declare, "" for none, and check the units."""
+    """Return the CRS the comments declare, "" for none, and check the units.
+
+    Comments such as "# crs: EPSG:4979" and "# units: m" stand above the header. Raises
+    TermselError, with its line, for a CRS that is unknown or contradicts an earlier one, and for
+    units other than degrees and metres.
+    """
     crs = ""
     for line, comment in comments.items():
         declared = _DECLARATION.match(comment)

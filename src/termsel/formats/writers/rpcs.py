@@ -201,12 +201,17 @@ class RpcVrt(RpcWriter):
 
 
 def require_read_back(rpc: Rpc, text: str, suffix: str) -> None:
-    """Raise TermselError for the content of a file from which termsel or GDAL takes another RPC."""
+    """Raise TermselError for the content of a file from which termsel or GDAL takes another RPC.
+
+    `text` is written as the file of a scene beside a tiny image, where GDAL finds it by `suffix`.
+    Termsel must read the same numbers, and GDAL project to the same positions. Without rasterio a
+    log says that GDAL was not asked.
+    """
     with private_folder() as folder:
         path = folder / f"scene{suffix}"
         write_text(path, text)
-        again = read_rpc(path)
-        if again != rpc or again.control_digests != rpc.control_digests:
+        read_back = read_rpc(path)
+        if read_back != rpc or read_back.control_digests != rpc.control_digests:
             raise TermselError("the RPC that is read back differs from the one that was written",
                                hint="This is a bug in termsel; please report it.")
         try:

@@ -113,12 +113,13 @@ def _scores_after_changes(systems: ScoreSystems, used: IntArray, members: IntArr
         return np.column_stack([before, after])
     # The same in the rows of the score: what the columns leave there, and the dual vectors.
     later = np.append(outsiders, systems.k)
-    left = rows.extra[:, later] - rows.extra[:, subset] @ (inverse @ (Q.T @ rows.control[:, later]))
+    solutions = inverse @ (Q.T @ rows.control[:, later])
+    remainders = rows.extra[:, later] - rows.extra[:, subset] @ solutions
     z = rows.extra[:, subset] @ (inverse @ inverse.T[:, :len(members)]) / dual_lengths
     z = np.vstack([np.zeros(len(rows.extra)), z.T])
-    without = left[:, -1] + u_b * z
+    without = remainders[:, -1] + u_b * z
     shares = np.divide(products[:, :, 0], lengths, where=independent, out=np.zeros(lengths.shape))
-    added = left[:, :-1].T[None] + u_a[:, :, None] * z[:, None]
+    added = remainders[:, :-1].T[None] + u_a[:, :, None] * z[:, None]
     errors = np.concatenate([without[:, None], without[:, None] - shares[:, :, None] * added],
                             axis=1)
     scores = systems.score_of_errors(errors)

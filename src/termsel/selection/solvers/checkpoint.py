@@ -184,9 +184,9 @@ class Stage:
 
     def _require_same(self, evaluation: Evaluation, problem: Problem, genes: Any) -> None:
         """Evaluate one selection again: other data give other figures."""
-        again = problem.evaluate(genes[:1])
-        if not (_are_alike(again.objectives[0], evaluation.objectives[0])
-                and _are_alike(again.violation[:1], evaluation.violation[:1])):
+        evaluated_now = problem.evaluate(genes[:1])
+        if not (_are_alike(evaluated_now.objectives[0], evaluation.objectives[0])
+                and _are_alike(evaluated_now.violation[:1], evaluation.violation[:1])):
             raise TermselError("the checkpoint is of other data, or of another problem",
                                hint="Give the name of a new file, or what the file was made with.",
                                file=self.path)
@@ -205,11 +205,11 @@ class Stage:
         # Binary, as decimals would cost more time than some evaluations; little-endian on any
         # machine.
         values = np.column_stack([evaluation.objectives, evaluation.violation]).astype("<f8")
-        now = time.perf_counter()
+        seconds = time.perf_counter()
         self._unwritten.append(_Line(self._number, _checksum_of_state(keys), values.tobytes(),
-                                     now - self._start))
+                                     seconds - self._start))
         # A search may make hundreds of populations a second.
-        if now - self._written > _WRITE_SECONDS:
+        if seconds - self._written > _WRITE_SECONDS:
             self.write()
 
     def write(self) -> None:

@@ -52,11 +52,11 @@ def _images_of(data: Collection[str]) -> dict[str, str]:
 
     Where two would have the same name, it is the whole label of the data.
     """
-    whole = {label: file_word(label, "image") for label in data}
-    short = {label: file_word(stem_of(label), "image") for label in data}
+    by_label = {label: file_word(label, "image") for label in data}
+    by_stem = {label: file_word(stem_of(label), "image") for label in data}
     # Names that differ in capitals alone are one on some disks.
-    count = Counter(name.casefold() for name in short.values())
-    return {label: short[label] if count[short[label].casefold()] == 1 else whole[label]
+    count = Counter(name.casefold() for name in by_stem.values())
+    return {label: by_stem[label] if count[by_stem[label].casefold()] == 1 else by_label[label]
             for label in data}
 
 

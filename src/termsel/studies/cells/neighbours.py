@@ -177,8 +177,8 @@ def _sentence_on_some_mirrored(is_mirrored_image: Mapping[str, bool]) -> tuple[s
     total = len(is_mirrored_image)
     verb = "is a mirror image" if len(mirrored) == 1 else "are mirror images"
     question = "are x and y exchanged, or line and sample?"
-    others = count_in_words(total - len(mirrored), "other")
-    doubt = f"Mirror image of the ground, unlike {others} of the batch: {question}"
+    count_of_others = count_in_words(total - len(mirrored), "other")
+    doubt = f"Mirror image of the ground, unlike {count_of_others} of the batch: {question}"
     return (f"{len(mirrored)} of {total} images {verb} of the ground, the others are not "
             f"({question})", dict.fromkeys(mirrored, doubt))
 

@@ -62,11 +62,11 @@ class Accept:
         TermselError
             If it is no number with the unit m or px.
         """
-        found = _ACCEPT.fullmatch(text)
-        if found is None or not 0.0 < float(found[1]) < math.inf:
+        match = _ACCEPT.fullmatch(text)
+        if match is None or not 0.0 < float(match[1]) < math.inf:
             raise TermselError(f"accept does not take {text!r:.40}",
                                hint="Give the largest RMSE with its unit: 5m or 2px.")
-        return cls(float(found[1]), found[2])
+        return cls(float(match[1]), match[2])
 
     def __str__(self) -> str:
         return f"{self.size!r}{self.unit}"

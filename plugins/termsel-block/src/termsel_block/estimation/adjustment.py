@@ -355,11 +355,11 @@ class _Run(Steps):
         """
         state = self.state
         count = np.zeros(len(state.ties))
-        seen = np.zeros(len(state.ties))
+        count_of_rays = np.zeros(len(state.ties))
         for measured, used in zip(self.measured, state.in_use, strict=True):
             np.add.at(count, measured.tie, used)
-            np.add.at(seen, measured.tie, 1)
-        unused = np.flatnonzero((count == 0) & (seen > 1))
+            np.add.at(count_of_rays, measured.tie, 1)
+        unused = np.flatnonzero((count == 0) & (count_of_rays > 1))
         renamed = np.full(len(state.ties), -1)
         renamed[unused] = np.arange(len(unused))
         rays = []

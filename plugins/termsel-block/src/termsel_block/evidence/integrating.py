@@ -117,36 +117,37 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
         scale = np.append(scale, of_offset**-0.5)
         current = np.append(current, 0.0)
     # All other parameters are eliminated: they are normal, given those with unknown variances.
-    others = np.setdiff1d(np.arange(len(normal)), at)
+    eliminated = np.setdiff1d(np.arange(len(normal)), at)
     # Without the priors, and about zero: what the measurements say of the unknown parameters.
     of_data = normal.copy()
     aim = normal @ step
     of_data[at, at] -= scale**-2
     aim[at] += current / scale**2
-    inner = linalg.cho_factor(of_data[np.ix_(others, others)])
-    gain = linalg.cho_solve(inner, of_data[np.ix_(others, at)])
+    inner = linalg.cho_factor(of_data[np.ix_(eliminated, eliminated)])
+    gain = linalg.cho_solve(inner, of_data[np.ix_(eliminated, at)])
     # Schur complement of the others, in units of the first guesses.
-    matrix = (of_data[np.ix_(at, at)] - of_data[np.ix_(at, others)] @ gain) * np.outer(scale, scale)
+    complement = of_data[np.ix_(at, at)] - of_data[np.ix_(at, eliminated)] @ gain
+    matrix = complement * np.outer(scale, scale)
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
     # What ties cannot show is zero.
     matrix = (vectors * np.maximum(values, 0.0)) @ vectors.T
     # And its right side, so that matrix @ x = right is what data alone say of x.
-    right = (aim[at] - gain.T @ aim[others]) * scale + matrix @ (current / scale)
+    right = (aim[at] - gain.T @ aim[eliminated]) * scale + matrix @ (current / scale)
     means, draws, covariance = _sample_variances(matrix, right, groups)
     middle = means.mean(axis=0)
     # And what the others are by them.
     to_all = np.zeros((len(normal), len(at)))
     to_all[at] = np.diag(scale)
-    to_all[others] = -gain * scale
-    inverse_inner = linalg.cho_solve(inner, np.eye(len(others)))
+    to_all[eliminated] = -gain * scale
+    inverse_inner = linalg.cho_solve(inner, np.eye(len(eliminated)))
     full_covariance = to_all @ covariance @ to_all.T
-    full_covariance[np.ix_(others, others)] += inverse_inner
+    full_covariance[np.ix_(eliminated, eliminated)] += inverse_inner
     mean = to_all @ (middle - current / scale)
-    mean[others] += inverse_inner @ aim[others]
+    mean[eliminated] += inverse_inner @ aim[eliminated]
     # Draws of all parameters: those of the chain, and noise of the others that are eliminated.
     away = (draws - middle) @ to_all.T
-    noise = np.random.default_rng(1).standard_normal((len(draws), len(others)))
-    away[:, others] += linalg.solve_triangular(inner[0], noise.T, lower=inner[1]).T
+    noise = np.random.default_rng(1).standard_normal((len(draws), len(eliminated)))
+    away[:, eliminated] += linalg.solve_triangular(inner[0], noise.T, lower=inner[1]).T
     # At the mean what the measurements pull with is what the prior does.
     pulled = right - matrix @ middle
     precision = np.full(len(normal), np.nan)

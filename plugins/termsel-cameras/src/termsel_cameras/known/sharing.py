@@ -239,11 +239,11 @@ class _Flight:
         start = np.array([np.log(best_focal), best_k1])
         corners = start + np.array([[0.0, 0.0], [FIRST_STEPS[0], 0.0], [0.0, FIRST_STEPS[1]]])
         # Costs at k1 = 0 left cameras that differ: the valley is followed by a simplex.
-        found = minimize(
+        minimum = minimize(
             lambda values: self.penalised_cost(float(np.exp(values[0])), float(values[1])), start,
             method="Nelder-Mead", options={"initial_simplex": corners, "maxfev": STEPS_OF_SIMPLEX,
                                            "xatol": 1e-4, "fatol": 0.01})
-        return np.asarray(found.x)
+        return np.asarray(minimum.x)
 
     def _model_of_photo(self, i: int, focal: float, k1: float) -> KnownFrame:
         """Return the model of a photo with a focal length and a distortion that are held."""
@@ -285,11 +285,11 @@ def _minimum_of_two_unknowns(cost: Callable[[FloatArray], float],
     for _ in range(ROUNDS):
         ahead = np.array([cost(best + step) for step in np.diag(widths)])
         behind = np.array([cost(best - step) for step in np.diag(widths)])
-        both = cost(best + widths)
-        if np.isfinite([*ahead, *behind, both]).all():
+        along_diagonal = cost(best + widths)
+        if np.isfinite([*ahead, *behind, along_diagonal]).all():
             slopes = (ahead - behind) / 2.0
             bends = np.diag(ahead + behind - 2.0 * least)
-            bends[0, 1] = bends[1, 0] = both - ahead.sum() + least
+            bends[0, 1] = bends[1, 0] = along_diagonal - ahead.sum() + least
             if np.linalg.eigvalsh(bends)[0] > 0.0:
                 # The cost is -2 log likelihood, so that its Hessian is twice the inverse of theirs.
                 covariance = 2.0 * np.linalg.inv(bends) * np.outer(widths, widths)

@@ -118,8 +118,9 @@ def _sheet_of_series(features: FeatureSet, values: Mapping[str, Any]) -> Feature
         with_series_columns,
     )
 
-    if other := values.keys() & {"projection", "projection_candidates", "map_century"}:
-        raise TermselError(f"the file of a series has its projection, so {min(other)} has no use",
+    if idle_options := values.keys() & {"projection", "projection_candidates", "map_century"}:
+        raise TermselError("the file of a series has its projection, so "
+                           f"{min(idle_options)} has no use",
                            hint="Leave one of them out.")
     series = read_series(values["series"])
     if reason := reason_against(series.paper_for(features)):

@@ -70,11 +70,11 @@ def _require_world_file(path: Path) -> None:
     words = path.read_bytes().decode("utf-8", errors="replace").split()
     numbers = [word for word in words if _is_number(word)]
     if len(numbers) != _NUMBERS or len(words) != _NUMBERS:
-        other = "" if len(numbers) == len(words) else \
+        words_that_are_none = "" if len(numbers) == len(words) else \
             f", and {len(words) - len(numbers)} words that are none"
         raise TermselError(
             f"a world file has {_NUMBERS} numbers, a line each, and this one has "
-            f"{len(numbers)}{other}: programs ignore it", file=path,
+            f"{len(numbers)}{words_that_are_none}: programs ignore it", file=path,
             hint="Correct it, or write it again: termsel export DIR --to world-file.")
 
 

@@ -132,7 +132,12 @@ class OziMapWriter(PointsWriter):
         return super().accepts(result) and len(chosen_points(result)) <= _MOST
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the points as the calibration of a map, in UTM or degrees on WGS84."""
+        """Write the points as the calibration of a map, in UTM or degrees on WGS84.
+
+        OziExplorer expects every line of its form, used or not. The zone of UTM is that of the
+        points where they are in one; else coordinates are degrees and minutes. `result` has the
+        points that were chosen.
+        """
         self.require(result, path)
         used = chosen_points(result)
         points, zone = to_wgs84_points(used, result.features.crs)

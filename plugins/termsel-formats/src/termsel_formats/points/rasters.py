@@ -38,7 +38,12 @@ class GdalGcps(Reader):
             head.startswith(_MAGIC) and path.suffix.lower() != ".gcc")
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name the file."""
+        """Return the points; errors name the file.
+
+        GDAL counts from the outer corner of the upper-left pixel, unless `gcp_origin` says that the
+        program that wrote the points did not. The CRS is a code where it has one. Raises
+        TermselError for a raster without points.
+        """
         read_head(path, "Expected a raster.")
         with open_raster(path) as raster:
             gcps, crs = raster.gcps

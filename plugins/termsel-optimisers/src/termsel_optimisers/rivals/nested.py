@@ -39,7 +39,12 @@ class NestedRegression(TermRegression):
     )
 
     def choose(self, regression: Regression) -> BoolArray:
-        """Return the chosen columns (k,): added one by one, until errors are small and stay so."""
+        """Return the chosen columns (k,): added one by one, until errors are small and stay so.
+
+        The next column is the one that explains most of the errors of the quotient itself, with its
+        denominator. It ends once the root mean square of both axes is below `thumb`, a rule of
+        thumb of the paper, and no longer falls by as much.
+        """
         thumb = self.options["thumb"] / regression.pixels
         selection = regression.kept.copy()
         errors = rational_errors(regression, selection)

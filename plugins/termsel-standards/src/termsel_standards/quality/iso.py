@@ -25,7 +25,11 @@ _x = Writing(_NAMESPACES)
 
 
 def iso_xml(report: Quality) -> str:
-    """Return the report as an XML document whose root is mdb:MD_Metadata."""
+    """Return the report as an XML document whose root is mdb:MD_Metadata.
+
+    The standards are ISO 19115-1 and 19157, in the XML of ISO 19115-3. The order of the elements is
+    that of their schema.
+    """
     # The order of the elements is that of the schema.
     content = [
         _x("mdb:contact", _organisation_element(report.organisation, "pointOfContact")),
