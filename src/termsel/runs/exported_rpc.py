@@ -106,7 +106,11 @@ def rpc_without_record(rpc: Rpc) -> str:
 
 
 def doubt_of_fitted_rpc(observations: Observations) -> str:
-    """Return that an RPC seems to have been fitted to the points that are to test it, or ""."""
+    """Return that an RPC seems to have been fitted to the points that are to test it, or "".
+
+    An RPC as a vendor delivers it is some px off. One that leaves nothing of a shift, or of an
+    affine correction, was adjusted to these very points, so that they cannot test it.
+    """
     for features in (observations.together, observations.control):
         rpc = features.rpc
         points = features.points.take(np.isfinite(features.points.ground).all(axis=1))

@@ -176,7 +176,12 @@ class GivenGenes(TaskMethod):
                            hint="Call termsel.assess(termsel.GivenGenes(genes), task).")
 
     def find(self, task: Task, memory: Memory) -> tuple[Request, Finding]:
-        """Return what the genes are for a prepared task: their request, and the selection."""
+        """Return what the genes are for a prepared task: their request, and the selection.
+
+        The record is that of a search with one evaluation, by the solver "given". `memory` is what
+        was found of the same features before. Raises TermselError for genes of another dtype, shape
+        or range.
+        """
         # One chromosome, evaluated as the population of one that a search ends with.
         population = np.asarray(self.genes)[None]
         if fault := task.problem.genome.fault(population):

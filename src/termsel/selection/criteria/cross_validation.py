@@ -58,7 +58,12 @@ class Press(_LeftOut):
     subset_score = "press"
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the RMSE [px]."""
+        """Return the RMSE of all features, each held out from its own fit [px], (p,).
+
+        The predicted residual sum of squares of Allen (1974), in closed form. Twins are held out
+        together, as one would predict the other. It is infinite where a feature's absence leaves
+        the others undetermined.
+        """
         p, k = fits.terms.shape
         used = fits.in_use
         n = used.shape[1]

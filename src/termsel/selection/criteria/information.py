@@ -55,7 +55,11 @@ class Ebic(Criterion):
     )
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the criterion; refuse a selection of features, whose observations would differ."""
+        """Return the criterion of each individual, (p,), added up over its independent systems.
+
+        See the class for the equation. Raises TermselError for a selection of features: likelihoods
+        of different observations cannot be compared.
+        """
         if fits.used is not None:
             raise TermselError("criterion 'ebic' cannot select control features, as it compares "
                                "models of the same observations",

@@ -113,7 +113,12 @@ class Journal:
     _synced: float = 0.0
 
     def open(self, versions: Mapping[str, str]) -> None:
-        """Cut off a torn last line, begin the file if it is new, refuse one of other versions."""
+        """Cut off a torn last line, begin the file if it is new, refuse one of other versions.
+
+        A study goes on with the versions that it was begun with: figures of different programs
+        would stand in one table. Raises TermselError naming what has changed, and where the file
+        cannot be written.
+        """
         # Numbers of one study must be of one program.
         if self.versions and dict(self.versions) != dict(versions):
             pairs = {name: (self.versions.get(name, "none"), versions.get(name, "none"))

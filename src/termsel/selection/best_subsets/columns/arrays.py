@@ -116,7 +116,13 @@ class CheckSpace(NamedTuple):
 
 def vectors_of(tops: list[FloatArray], extras: list[FloatArray], floor: FloatArray,
                leverage: FloatArray, cross: FloatArray, depths: int) -> Vectors:
-    """Return the vectors at depth 0, and room for the other depths."""
+    """Return the vectors at depth 0, and room for the other depths.
+
+    Of each of f systems `tops` (m, n + r) have the columns and targets in the control, `extras`
+    those in the score. `floor` (f, n + 1) are the lengths below which a column counts as dependent,
+    `leverage` and `cross` (m,) what columns in every subset add. Nothing is allocated while subsets
+    are walked.
+    """
     n = floor.shape[1] - 1
     # Systems of fewer rows are filled up with zeros, which change no inner product.
     top, extra = (np.zeros((depths, len(blocks), blocks[0].shape[1], max(map(len, blocks))))

@@ -217,7 +217,12 @@ def record(score: float, size: int, mask: Any, vectors: Vectors, depth: int, cur
 
 @_compiled
 def remove(vectors: Vectors, depth: int, f: int, i: int, c: int, n: int, r: int) -> None:
-    """Remove column i from vector c of system f, from one depth to the next; the target n first."""
+    """Remove column i from vector c of system f, from one depth to the next; the target n first.
+
+    That is v_c - (v_i'v_c / v_i'v_i) v_i (Gram-Schmidt), in the control and in the score alike. `n`
+    columns and `r` targets have one numbering; the length of the new vector and its share of the
+    targets are computed on the way.
+    """
     # v_c - (v_i'v_c / v_i'v_i) v_i; of a target that ratio is the share, which is known already.
     top = vectors.top
     extra = vectors.extra

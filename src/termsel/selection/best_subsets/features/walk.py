@@ -277,7 +277,12 @@ class _InErrorUnits:
 
     @classmethod
     def of(cls, system: RowSystem, free: IntArray, on: BoolArray) -> _InErrorUnits:
-        """Return a system in units of the check points' errors."""
+        """Return a system in units of the check points' errors.
+
+        With C = Q R of the check points, the sum of squared errors is |e0|^2 + |y|^2 in the
+        unknowns y = R x - Q'c, whatever is selected: the score of a selection is the length of its
+        solution. `free` are the features that may be selected, `on` those that always are.
+        """
         k = system.design.shape[1]
         # With C = Q R of the check points and y = R x - Q'c, errors are a constant part and -Q y.
         q, r = np.linalg.qr(system.check_design)

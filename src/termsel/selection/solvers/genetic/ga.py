@@ -134,7 +134,12 @@ class GeneticAlgorithm(Solver):
         return survival == "best" or (survival is None and (problem.budget or 0) >= LONG_SEARCH)
 
     def toolbox(self, problem: Problem, rng: np.random.Generator) -> base.Toolbox:
-        """Return the DEAP toolbox: population, evaluate, select, mate and mutate."""
+        """Return the DEAP toolbox, in which any operator may be replaced.
+
+        It has population, evaluate, select, mate and mutate, with the options of this solver. Where
+        options are left open, the first population is drawn by shares in a large or short search,
+        and the tournament is of two where the best are kept.
+        """
         o = self.options
         box = base.Toolbox()
         # DEAP's toolbox is a register of functions with their arguments, any of which may be

@@ -206,7 +206,12 @@ class _Records:
         return np.asarray(self.best**2 * self.points)
 
     def decide(self, masks: BoolArray, scores: FloatArray) -> None:
-        """Evaluate all selections that may be better than the best of their size."""
+        """Evaluate all selections that may be better than the best of their size.
+
+        `masks` (s, n) are the selections and `scores` (s,) their bounds, to rounding. Those of a
+        size are evaluated in the order of their bounds, in growing batches, until the next bound is
+        beyond what has been found.
+        """
         sizes = masks.sum(axis=1)
         for size in np.unique(sizes):
             of_size = np.flatnonzero(sizes == size)
