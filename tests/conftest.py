@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -15,6 +16,32 @@ from typing import Any
 import pytest
 
 HERE = Path(__file__).resolve()
+
+_PLURAL_OF_ONE = re.compile(
+    r"(?<![\d.,:=/-])(?<!of )(?<!to )(?<!than )\b1 (?:[a-z]+ ){0,2}?"
+    r"(?:points|lines|images|photos|maps|sheets|features|terms|files|rows|columns|places|"
+    r"positions|models|methods|evaluations|subsets|"
+    r"selections|outliers|steps|seeds|runs|ties|cases)\b(?! of)")
+"""A plural after the number 1, as in "1 check points"; not "1 of 2 points"."""
+
+
+@pytest.fixture(autouse=True)
+def _no_plural_of_one(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Fail where a command prints the number 1 with a plural: `count_in_words` writes both."""
+    if "termsel.cli.messages" not in sys.modules:
+        yield
+        return
+    messages = sys.modules["termsel.cli.messages"]
+    plain = messages.make_printable
+    found: list[str] = []
+
+    def looked_at(text: str, *further: Any, **named: Any) -> str:
+        found.extend(match[0] for match in _PLURAL_OF_ONE.finditer(text))
+        return plain(text, *further, **named)
+
+    monkeypatch.setattr(messages, "make_printable", looked_at)
+    yield
+    assert not found, f"printed: {found}"
 
 
 @pytest.fixture

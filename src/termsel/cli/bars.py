@@ -15,7 +15,7 @@ import click
 
 from termsel.cli.messages import echo
 from termsel.cli.options.shared import PROGRESS
-from termsel.core.errors import make_printable, percent_text
+from termsel.core.errors import count_in_words, make_printable, percent_text
 
 if TYPE_CHECKING:
     from termsel.selection.solvers.ledger import Progress
@@ -45,7 +45,7 @@ def _bound(progress: Progress) -> str:
     # Only a proof has a bound; other searches say how much they have tried.
     certificate = progress.generation.details.get("certificate") or {}
     if "bound" not in certificate:
-        return f"{progress.evaluations} evaluations"
+        return count_in_words(progress.evaluations, "evaluation")
     gap = certificate.get("gap")
     return (f"bound {certificate['bound']:.4g}, gap "
             + ("unknown" if gap is None else percent_text(gap)))

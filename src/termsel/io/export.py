@@ -54,8 +54,8 @@ def as_exported(result: Result, final: bool | None) -> Result:
                  extra={PENDING: ON_SUCCESS})
     elif result.final is not None:
         control = result.final.control
-        log.info("Used: the fit to all %d %s. The RMSE stated is of the fit without the "
-                 "independent check points; --no-final uses that one.", len(control),
+        log.info("Used: the fit to all %d %s. The accuracy that the run states is of the fit "
+                 "without the independent check points; --no-final uses that one.", len(control),
                  control.word, extra={PENDING: ON_SUCCESS})
     return result.as_exported(final)
 

@@ -284,11 +284,16 @@ def _usable_rpc(result: Result) -> RpcFit | None:
     return rpc_fit if rpc_fit.worst <= GOOD and not rpc_fit.excluded_part else None
 
 
+_SYMBOLS = {"metre": "m", "degree": "degrees", "foot": "ft", "US survey foot": "US survey ft"}
+"""What a line calls the units of a CRS, in which a pixel has a size."""
+
+
 def _say(result: Result, grid: MapGrid, crs_note: str, share: float,
          dem: Path | str | None) -> None:
     """Log size and CRS of the map, and which share of the image it shows."""
     log.info("Map: %d x %d px of %g %s in %s%s, with %s of the image.", grid.samples,
-             grid.lines, grid.transform.a, grid.unit, short_crs_name(grid.crs), crs_note,
+             grid.lines, grid.transform.a, _SYMBOLS.get(grid.unit, grid.unit),
+             short_crs_name(grid.crs), crs_note,
              "all" if share == 1 else f"about {100 * share:.0f} %")
     if share < 1:
         log.warning("Warning: about %.0f %% of the image is not on the map, as %s.",

@@ -182,7 +182,7 @@ def _agreement_text(accuracy: Accuracy, predicted: Predicted) -> str:
     if chance < _RARE:
         return f": the prediction was too {'small' if is_above else 'large'}"
     # One measured value in ten lies outside its interval; how far outside shows more.
-    return f": {'lower' if is_above else 'higher'}, as by chance in {100 * chance:.0f} of 100 cases"
+    return f": {'lower' if is_above else 'higher'}; chance of such a gap {100 * chance:.0f} %"
 
 
 def _chance_beyond(measured: float, predicted: Predicted) -> float:

@@ -61,6 +61,9 @@ _CONTRADICTED = 2.0
 AS_DELIVERED = "rpc-as-delivered"
 """Baseline of an RPC without a correction."""
 
+_PROVING = ("exact", "all-terms")
+"""Solvers whose own search is the proof, or needs none."""
+
 _BENDING = ("field", "tps")
 """Models that follow local deformation."""
 _DEGREE_NAMES = {1: "affine", 2: "quadratic", 3: "cubic"}
@@ -165,6 +168,9 @@ def roles_of(record: Record) -> str:
     """Return how many features have which role, in the words of the field."""
     counts = record.data.counts
     independent = _number_in_words(counts.independent, "independent check point")
+    # Nobody named them: the reader of the figures must know who did.
+    if record.data.read and 0 < counts.independent == record.data.read.set_aside:
+        independent = independent.replace(" ", " set aside as ", 1)
     if record.strategy:
         kinds = [count_in_words(number, noun) for number, noun in (
             (counts.lines, "line"), (counts.control + counts.check, "point")) if number]
@@ -426,8 +432,8 @@ def _comparison_with_rival(record: Record, rival: BaselineRow) -> Iterator[str]:
         rival_text = rounded_size_text(rival_rmse)
         predicted_text = "" if record.predicted is None else \
             rounded_size_text(record.predicted.rmse)
-        against = "" if own_text in (predicted_text, rival_text) else f" against {own_text} px"
-        yield f"{name} {rival_text} px{against} in leave-one-out: {verdict}"
+        own = "" if own_text in (predicted_text, rival_text) else f" (this model {own_text})"
+        yield f"{name} {rival_text} px in leave-one-out{own}: {verdict}"
     else:
         yield f"{name} {rounded_size_text(rival_rmse)} px: {verdict}"
     if _shift_of(record) and rival.name != AS_DELIVERED:
@@ -473,7 +479,9 @@ def _facts_on_search(record: Record) -> Iterator[str]:
         # A claim of another program is not repeated as a proof.
         subsets = amount_in_words(certificate.subsets, "subset")
         if certificate.optimal:
-            yield f"proven optimum: {subsets} enumerated or excluded by bounds"
+            of_search = "proven optimum" if record.solver in _PROVING else \
+                f"{record.solver} found the optimum"
+            yield f"{of_search}: {subsets} enumerated or excluded by bounds"
         elif certificate.feasible is False:
             yield f"proven: no selection is feasible ({subsets})"
         elif isinstance(certificate.optimum, float) and isinstance(certificate.gap, float):

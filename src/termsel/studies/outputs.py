@@ -133,7 +133,7 @@ def screen(study: Study) -> str:
     shown_rows = rows if len(rows) <= _MOST_ROWS + 1 else rows[:_MOST_ROWS]
     caption = count_of_verdicts(rows)
     if study.spec.accept is None and any(row["verdict"] == FIT for row in rows):
-        caption = f"{caption}; --accept 5m would set a limit"
+        caption = f"{caption}, by no limit: --accept 5m sets one"
     reasons = image_reasons(rows, _MOST_ALIKE)
     # Rows and reasons share the screen: few images leave room for more reasons.
     room = _MOST_REASONS + _MOST_ROWS - len(shown_rows)

@@ -16,7 +16,7 @@ import numpy as np
 
 import termsel
 from termsel import TermselError
-from termsel.toolkit import charts, coordinates
+from termsel.toolkit import charts, coordinates, count_in_words
 
 if TYPE_CHECKING:
     from termsel import FeatureSet, Memory, Result
@@ -163,7 +163,7 @@ def shown_accuracy(result: Result) -> Answer | None:
     elif result.accuracy is not None:
         image = result.accuracy.image
         figure = (image.total, *image.interval)
-        kind = f"of {image.n} independent check points"
+        kind = f"of {count_in_words(image.n, 'independent check point')}"
         level = 0.9
     else:
         return None

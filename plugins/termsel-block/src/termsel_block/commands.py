@@ -111,10 +111,11 @@ def block_points(folder: Path, output: Path, overwrite: bool) -> None:
     Example:
       termsel block-points place/adjusted -o places.gpkg
     """
+    from termsel.toolkit import count_in_words
     from termsel_block.files.places import write_places
 
     n = write_places(folder, output, overwrite=overwrite)
-    click.echo(f"Written: {output}, {n} places", err=True)
+    click.echo(f"Written: {output}, {count_in_words(n, 'place')}", err=True)
 
 
 @click.command("block-select")

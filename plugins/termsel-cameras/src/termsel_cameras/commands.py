@@ -184,7 +184,7 @@ def flight_camera(photos: tuple[Path, ...], crs: str | None, size: tuple[int, in
     write_text(output, json.dumps(content, indent=2) + "\n")
     echo(f"Focal length {camera.focal:,.1f} px, standard deviation {100 * camera.spread:.2g} %; "
          f"radial distortion k1 {camera.k1:.3g}; residuals {camera.sigma:.2g} px at "
-         f"{camera.points} points in {count_in_words(camera.photos, 'photo')}.")
+         f"{count_in_words(camera.points, 'point')} in {count_in_words(camera.photos, 'photo')}.")
     if unlike := unlike_photos(photos, camera.residuals):
         echo(f"Warning: much larger residuals with this camera than in the other photos: "
              f"{', '.join(unlike)}. Check their points, and whether they are of this flight.",

@@ -132,10 +132,18 @@ def _lines_of(stated: Statements | PredictedStatement, took: str) -> Iterator[st
                                                      Statements) else _predicted_lines(stated)
 
 
+_TWO_FIGURES = ("CE95 and NSSDA's figure differ: 95 % of the errors found are below CE95; NSSDA "
+                "takes 2.4477 times the mean RMSE of east and north, as of normal errors.")
+"""Why there are two figures at 95 %."""
+
+
 def _tested_lines(stated: Statements, took: str) -> Iterator[str]:
     """Yield the lines of a tested statement; `took` says what part the check points took."""
+    from termsel.toolkit import count_in_words
+
     points = stated.distribution.points
-    yield f"{stated.source}: {points} independent check points, {took} no part in any choice"
+    yield f"{stated.source}: {count_in_words(points, 'independent check point')}, {took} no part " \
+          "in any choice"
     yield ""
     yield f"{'':8}{'mean':>10}{'std':>10}{'RMSE':>10}{'95 %':>10}{'largest':>10}  normal"
     for component in stated.components:
@@ -159,6 +167,9 @@ def _tested_lines(stated: Statements, took: str) -> Iterator[str]:
     # The statements are long sentences in the words of the standards.
     for statement in stated.statements:
         yield fill(f"{statement.standard}: {statement.words}.", 90, subsequent_indent="    ")
+    if any(statement.standard == "NSSDA horizontal" and statement.value is not None
+           for statement in stated.statements):
+        yield fill(f"Note: {_TWO_FIGURES}", 90, subsequent_indent="    ")
     yield from (fill(f"Note: {note}", 90, subsequent_indent="    ") for note in stated.notes)
 
 

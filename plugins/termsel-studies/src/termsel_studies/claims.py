@@ -19,6 +19,9 @@ from termsel_studies.summaries import quantiles_with_infinity
 
 _MOST_NAMED = 6
 """Methods without runs on an instance that are named one by one."""
+A12_IN_WORDS = ("A12 is the share of pairs of runs in which one method is better, 0.5 for equal "
+                "ones, with its 95 % interval.")
+"""What the effect size of Vargha and Delaney says."""
 _SIZES = ((0.71, "large"), (0.64, "medium"), (0.56, "small"))
 
 
@@ -88,13 +91,22 @@ def _claim_of_single(groups: Groups) -> list[str]:
         if len(repeated) < 2:
             continue
         # The best is compared with each of the others, run by run.
-        best = min(repeated,
-                   key=lambda method: quantiles_with_infinity(by_method[method].values, (0.5,)))
-        words = [_advantage_in_words(by_method[best].values, rival, by_method[rival].values)
-                 for rival in repeated if rival != best]
-        sentences.append(f"On {name}, {best} has the lowest median of the methods with several "
-                         f"runs. Its advantage by A12 [95 % interval] is {', '.join(words)}.")
+        medians = {method: quantiles_with_infinity(by_method[method].values, (0.5,))[0]
+                   for method in repeated}
+        least = min(medians.values())
+        best = [method for method in repeated if alike(medians[method], least)]
+        words = [_advantage_in_words(by_method[best[0]].values, rival, by_method[rival].values)
+                 for rival in repeated if rival != best[0]]
+        lowest = f"{best[0]} has the lowest median" if len(best) == 1 else \
+            f"{' and '.join(best)} have the same lowest median"
+        sentences.append(f"On {name}, {lowest} of the methods with several runs. {A12_IN_WORDS} "
+                         f"The advantage of {best[0]} is {', '.join(words)}.")
     return sentences
+
+
+def alike(first: float, second: float) -> bool:
+    """Return whether two figures are the same in the digits that a table shows."""
+    return first == second or f"{first:.4g}" == f"{second:.4g}"
 
 
 def _advantage_in_words(values: Sequence[float], rival: str, of_rival: Sequence[float]) -> str:

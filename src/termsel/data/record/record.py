@@ -127,6 +127,8 @@ class WhatWasRead(RecordPart, frozen=True):
     mixed: str = ""
     """Which coordinates look as if typed in another form than decimal degrees, or of a second zone
     of UTM."""
+    set_aside: Count = 0
+    """How many points became independent check points though no role says so."""
 
 
 class RpcNumbers(RecordPart, frozen=True):
