@@ -197,6 +197,22 @@ def test_options_are_parameters() -> None:
         TermSelector("ga").set_params(populations=20)
 
 
+@pytest.mark.parametrize("solver", ["swap", "exact", "ga"])
+@pytest.mark.parametrize("units", [
+    [1e12, 1, 1, 1, 1, 1, 1, 1], [1, 1e-14, 1, 1, 1e14, 1, 1, 1],
+    [1e-100, 1e100, 1, 1, 1, 1, 1, 1]])
+def test_the_selection_does_not_depend_on_units_of_columns(
+        solver: str, units: list[float]) -> None:
+    X = np.random.default_rng(3).normal(size=(80, 8))
+    X[:, 6] = 0.1  # a constant in any unit
+    y = 2.0 * X[:, 1] - X[:, 4] + np.random.default_rng(4).normal(0.0, 0.1, 80)
+    selected = TermSelector(solver).fit(X * units, y).get_support(indices=True).tolist()
+    assert selected == [1, 4]
+    # A column next to a large offset varies all the same.
+    shifted = TermSelector(solver).fit(X * units + 1e6 * np.array(units), y)
+    assert shifted.get_support(indices=True).tolist() == [1, 4]
+
+
 def test_classes_and_instances_are_taken_as_names_are() -> None:
     X, y = _scene()
     by_name, by_class, by_instance = (

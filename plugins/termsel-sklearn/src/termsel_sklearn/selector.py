@@ -46,10 +46,12 @@ class ColumnProblem(Problem):
         k = X.shape[1]
         # Rows times the roots of their weights: plain least squares are then weighted ones.
         root = np.sqrt(weights)[:, None]
+        # A constant is always in the fit: of another one rounding alone is left once the mean is
+        # taken off. Each column is judged by its own size, so that units do not matter.
+        rounding = len(X) * np.finfo(np.float64).eps * np.linalg.norm(root * X, axis=0)
         X, y = (root * (values - np.average(values, axis=0, weights=weights)) for values in (X, y))
-        # A constant is always in the fit: nothing is left of another once the mean is taken off.
         size = np.linalg.norm(X, axis=0)
-        constant = size <= _SMALL * np.maximum(np.abs(X).max(initial=0.0), np.sqrt(self._n))
+        constant = size <= rounding
         if constant.all():
             raise TermselError("every column of X is constant, so that there is none to select")
         # Unit columns, so that what is small in the Gram matrix is small for all of them.
