@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -198,21 +199,67 @@ def test_cameras_by_name_tell_a_focal_length(name: str) -> None:
     assert camera.source in known.source
 
 
-def test_the_exif_of_an_image_says_the_camera(tmp_path: Path) -> None:
+def save_photo(path: Path, *, latitude: float, longitude: float, altitude: float) -> None:
+    """Write an image whose EXIF has an equivalent focal length of 24 mm and a position."""
     image = pytest.importorskip("PIL.Image")
-    picture = image.new("L", (SIZE[1], SIZE[0]))
+
+    def sexagesimal(degrees: float) -> tuple[float, float, float]:
+        minutes = degrees % 1.0 * 60.0
+        return float(int(degrees)), float(int(minutes)), round(minutes % 1.0 * 60.0, 4)
+
     exif = image.Exif()
     exif.get_ifd(0x8769)[0xA405] = 24  # FocalLengthIn35mmFilm
-    exif.get_ifd(0x8825).update({1: "N", 2: (45.0, 9.0, 0.0), 3: "E", 4: (13.0, 43.0, 30.0),
-                                 5: b"\0", 6: 1500.0})
-    picture.save(tmp_path / "photo.jpg", exif=exif)
+    exif.get_ifd(0x8825).update({1: "N", 2: sexagesimal(latitude), 3: "E",
+                                 4: sexagesimal(longitude), 5: b"\0", 6: altitude})
+    image.new("L", (SIZE[1], SIZE[0])).save(path, exif=exif)
+
+
+def rows_of(control: FeatureSet) -> list[dict[str, Any]]:
+    """Return control as rows of a table."""
+    points = control.points
+    return [{"id": name, "line": line, "sample": sample, "x": x, "y": y, "z": z}
+            for name, (line, sample), (x, y, z) in zip(
+                points.ids, points.image, points.ground, strict=True)]
+
+
+# Where `photo` stands, and its focal length in EXIF.
+LATITUDE, LONGITUDE, ALTITUDE = 45.146393, 13.727967, 1500.0
+FOCAL_IN_EXIF = 24.0 / np.hypot(36.0, 24.0) * 5000.0
+
+
+@pytest.mark.parametrize(("east", "altitude", "off"), [
+    (0.0, ALTITUDE, None),
+    (0.0, ALTITUDE - 900.0, None),  # counted from the take-off
+    (0.0075, ALTITUDE, "5[89][0-9] m away from it in plan and [0-9] m in height")])
+@pytest.mark.parametrize("count", [4, 7])
+def test_a_wrong_position_in_exif_does_not_spoil_the_points(
+        count: int, east: float, altitude: float, off: str | None, tmp_path: Path,
+        caplog: pytest.LogCaptureFixture) -> None:
+    save_photo(tmp_path / "photo.jpg", latitude=LATITUDE, longitude=LONGITUDE + east,
+               altitude=altitude)
+    control, ground, image = photo(count, seed=5)
+    middle = (np.array(SIZE) - 1.0) / 2.0
+    as_in_exif = (control.points.image - middle) * FOCAL_IN_EXIF / FOCAL + middle
+    control = replace(control, points=replace(control.points, image=as_in_exif))
+    features = termsel.read(rows_of(control), crs=CRS, image=tmp_path / "photo.jpg")
+    result = termsel.run(features=features, method="known-camera")
+    assert rmse(result.fit, ground, (image - middle) * FOCAL_IN_EXIF / FOCAL + middle) < 3.0
+    assert "to 30 m in plan and 500 m in height, are taken from the EXIF" in caplog.text
+    described = KNOWN_CAMERA.describe(result.fit)
+    assert "known by the focal length in the EXIF of the image" in described
+    assert ("as known to 30 m in plan and 500 m in height" in described) == (off is None)
+    said = [note for note in result.record.notes if "position in the EXIF is not used" in note]
+    assert len(said) == (off is not None)
+    assert off is None or re.search(off, said[0])
+
+
+def test_the_exif_of_an_image_says_the_camera(tmp_path: Path) -> None:
+    save_photo(tmp_path / "photo.jpg", latitude=45.15, longitude=13.725, altitude=1500.0)
     control, _, _ = photo(4)
-    table = [{"id": name, "line": line, "sample": sample, "x": x, "y": y, "z": z}
-             for name, (line, sample), (x, y, z) in zip(
-                 control.points.ids, control.points.image, control.points.ground, strict=True)]
+    table = rows_of(control)
     known = interior_of(termsel.read(table, crs=CRS, image=tmp_path / "photo.jpg"))
     assert known is not None
-    assert known.focal == pytest.approx(24.0 / np.hypot(36.0, 24.0) * 5000.0, rel=1e-4)
+    assert known.focal == pytest.approx(FOCAL_IN_EXIF, rel=1e-4)
     assert known.position[2] == 1500.0
     # What is stated comes before what the image says.
     stated = interior_of(termsel.read(table, crs=CRS, image=tmp_path / "photo.jpg",

@@ -61,7 +61,7 @@ Watch = Callable[[Fit | None], None]
 """Called with the fit of each method as soon as it is held against the features; with None where
 the features do not determine it."""
 
-_HOOK_TYPES = {"declines": str, "describe": str, "fit": Fit, "held_out": HeldOut,
+_HOOK_TYPES = {"declines": str, "describe": str, "doubt": str, "fit": Fit, "held_out": HeldOut,
                "model": SensorModel, "nearly": bool, "refit": Fit,
                "size": numbers.Real, "suspects": Suspects, "tried": bool}
 """Types of what hooks of a method return, if it is not None."""

@@ -204,6 +204,13 @@ class Method(ABC):
         """Return a sentence on why the features support a fit; "" if leave-one-out shows all."""
         return ""
 
+    def doubt(self, fitted: Fit) -> str:
+        """Return what is known of the image that features contradict and a fit leaves out; or "".
+
+        It is a note of the result, in sentences.
+        """
+        return ""
+
     def nearly(self, data: FitData) -> bool:
         """Return whether parts of many features may support it where all of them do not.
 

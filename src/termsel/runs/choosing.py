@@ -434,13 +434,14 @@ def _notes_on_rpc(request: Request, data: FitData, auto: Auto, fitted: Fit) -> t
 
 
 def _notes_on_stated_geometry(data: FitData, auto: Auto, fitted: Fit) -> list[str]:
-    """Return why a camera or orbit that is stated is not used; [] if it is, or if none is stated.
+    """Return why a camera or orbit that is stated is not used, or what of it; [] if all of it is.
 
     Methods that one point is enough for know such a geometry, and decline where none is stated.
     """
     chosen = method_of(fitted)
     if chosen.from_one:
-        return []
+        doubt = auto.ask(chosen, "doubt", fitted)
+        return [doubt] if doubt else []
     notes = []
     for method in auto.methods:
         if not method.from_one or method.family == RPC_CORRECTIONS \

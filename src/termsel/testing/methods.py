@@ -144,11 +144,12 @@ def repeats(subject: Subject) -> None:
 
 
 def describes(subject: Subject) -> None:
-    """It says in one sentence why it is supported, or nothing."""
+    """It says in one sentence why it is supported, and what it leaves out, or nothing."""
     for _, fitted in subject.fits():
-        text = subject.method.describe(fitted)
-        require(isinstance(text, str) and "\n" not in text and (not text or text.endswith(".")),
-                f"describe() returned {text!r}; expected one sentence with a full stop, or \"\"")
+        for hook in ("describe", "doubt"):
+            text = getattr(subject.method, hook)(fitted)
+            require(isinstance(text, str) and "\n" not in text and (not text or text.endswith(".")),
+                    f"{hook}() returned {text!r}; expected one sentence with a full stop, or \"\"")
 
 
 def refits(subject: Subject) -> None:

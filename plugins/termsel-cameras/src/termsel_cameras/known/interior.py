@@ -61,11 +61,15 @@ INTERIOR_OPTIONS = (
     Option("camera_distortion", None, "k1,k2,p1,p2,k3 of the lens, as OpenCV and OpenDroneMap "
                                       "state them; fewer are the first of these."),
     Option("camera_position", None, "Rough position of the camera in the CRS of the points: x,y,z, "
-                                    "or x,y,z,s with its standard deviation [m]."),
+                                    "or x,y,z,s with its standard deviation [m], or x,y,z,s,h "
+                                    "with another one of the height."),
     Option("camera_height", None, "Rough flying height above the ground [m], known to 10%."))
 """Options of reading; columns of the points have the same names."""
 
 INTERIOR_NAMES = tuple(option.name for option in INTERIOR_OPTIONS)
+
+FROM_EXIF = "camera_from_exif"
+"""Column that names those of the columns above which nobody stated: the EXIF of the image did."""
 
 
 @dataclass(frozen=True)
@@ -88,10 +92,14 @@ class Interior:
         Rough place in the CRS of the points; NaN where it is not known.
     position_spread : float
         Its standard deviation [m].
+    position_height_spread : float
+        That of its height [m], if it is another one; else NaN.
     height : float
         Flying height above the ground [m]; NaN where it is not known.
     source : str
         What told it.
+    from_exif : tuple of str
+        Names of the options that the EXIF of the image told.
     """
 
     focal: float
@@ -102,8 +110,19 @@ class Interior:
     distortion: tuple[float, ...] = (0.0,) * 5
     position: tuple[float, ...] = (np.nan,) * 3
     position_spread: float = POSITION_SPREAD
+    position_height_spread: float = np.nan
     height: float = np.nan
     source: str = "the focal length that is stated"
+    from_exif: tuple[str, ...] = ()
+
+    @property
+    def has_exif_position(self) -> bool:
+        """Whether the EXIF of the image told the position."""
+        return "camera_position" in self.from_exif
+
+    def without_position(self) -> Interior:
+        """Return the same with a position that is not known."""
+        return replace(self, position=(np.nan,) * 3)
 
 
 def interior_of(features: FeatureSet) -> Interior | None:
@@ -129,7 +148,19 @@ def interior_of(features: FeatureSet) -> Interior | None:
     if "camera_distortion" in stated:
         interior = replace(interior,
                            distortion=_parse_numbers(stated, "camera_distortion", range(1, 6)))
-    return _with_place(interior, stated)
+    return _with_source_in_exif(_with_place(interior, stated), _stated_value(features, FROM_EXIF))
+
+
+def _with_source_in_exif(interior: Interior, from_exif: str) -> Interior:
+    """Return an interior that says what of it the EXIF told: names of options with blanks."""
+    names = tuple(from_exif.split())
+    if "camera_focal" in names:
+        return replace(interior, from_exif=names,
+                       source="the focal length in the EXIF of the image")
+    if "camera" in names:
+        return replace(interior, from_exif=names,
+                       source=f"{interior.source}, which the EXIF of the image names")
+    return interior
 
 
 def _stated_value(features: FeatureSet, name: str) -> str:
@@ -323,11 +354,11 @@ def _with_place(interior: Interior, stated: Mapping[str, str]) -> Interior:
     """Return an interior with the camera's rough place or height above ground, if they are stated.
     """
     if "camera_position" in stated:
-        x, y, z, *spread = _parse_numbers(stated, "camera_position", (3, 4))
-        interior = replace(interior, position=(x, y, z))
-        if spread:
-            interior = replace(interior,
-                               position_spread=_require_positive(spread[0], "camera_position"))
+        x, y, z, *given = _parse_numbers(stated, "camera_position", (3, 4, 5))
+        spreads = [_require_positive(spread, "camera_position") for spread in given]
+        interior = replace(interior, position=(x, y, z),
+                           position_spread=spreads[0] if spreads else POSITION_SPREAD,
+                           position_height_spread=spreads[1] if len(spreads) > 1 else np.nan)
     if "camera_height" in stated:
         (height,) = _parse_numbers(stated, "camera_height", (1,))
         interior = replace(interior, height=_require_positive(height, "camera_height"))

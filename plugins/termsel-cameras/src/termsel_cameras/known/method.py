@@ -39,6 +39,10 @@ MISFIT_PART = 0.05
 CONTRADICTION = 4.0
 """Standard deviations by which a focal length of the points alone contradicts the stated one."""
 
+FAR_FROM_POSITION = 3.0
+"""Standard deviations in plan or height by which points contradict a position in EXIF. They are
+large enough for that: positions by satellites are seldom off by more than 30 m."""
+
 CLEARLY_BETTER = 2.0
 """How many times as large the median error in leave-one-out is with the stated focal length, if a
 free one predicts clearly better. Both limits together refuse none of 100 real photos."""
@@ -180,8 +184,34 @@ class KnownCamera(Method):
         Raises Undetermined if the camera is not stated, or if the points are plainly not its own.
         """
         interior = _interior_of_points(control)
-        mirrored = is_mirrored(control)
-        model = KnownFrame.of(interior, mirrored=mirrored)
+        alone = self._without_exif_position(control, interior)
+        if alone is not None and _contradicts(alone, interior):
+            return alone
+        try:
+            return self._fit_of_interior(control, interior)
+        except Undetermined:
+            # What nobody stated must not spoil what was measured.
+            if alone is not None:
+                return alone
+            raise
+
+    def _without_exif_position(self, control: FitData, interior: Interior) -> Fit | None:
+        """Return the fit without the position that EXIF told; None if it told none, or if the
+        points do not determine a camera without.
+        """
+        if not interior.has_exif_position:
+            return None
+        try:
+            return self._fit_of_interior(control, interior.without_position())
+        except Undetermined:
+            return None
+
+    def _fit_of_interior(self, control: FitData, interior: Interior) -> Fit:
+        """Return the camera of an interior fitted to all features.
+
+        Raises Undetermined if the points are plainly not its own.
+        """
+        model = KnownFrame.of(interior, mirrored=is_mirrored(control))
         fitted = self.estimator.fit(model, control.features, control.scaling,
                                     np.ones(len(model.terms), dtype=bool),
                                     np.ones(len(control), dtype=bool))
@@ -224,7 +254,51 @@ class KnownCamera(Method):
         return (f"The camera is known by {interior.source}. It looked {tilt:.0f} deg off the "
                 f"vertical from {height:,.0f} m above the points, with a focal length of "
                 f"{focal:,.1f} px. "
-                f"{_focal_in_words(interior)}{_focal_of_points(fitted)}")
+                f"{_focal_in_words(interior)}{_focal_of_points(fitted)}"
+                f"{_exif_position_in_words(fitted, interior)}")
+
+    def doubt(self, fitted: Fit) -> str:
+        """Return that the position in EXIF is left out, and how far it is off; "" if it is not."""
+        interior = _interior_of_points(FitData.of(fitted.control))
+        if not _leaves_exif_position_out(fitted, interior):
+            return ""
+        off, _ = _offset_of_position(fitted, interior)
+        return (f"The position in the EXIF is not used: the points show the camera "
+                f"{np.hypot(*off[:2]):,.0f} m away from it in plan and {abs(off[2]):,.0f} m in "
+                "height. If the position is right, check the CRS of the points and their heights.")
+
+
+def _leaves_exif_position_out(fitted: Fit, interior: Interior) -> bool:
+    """Return whether a fit is one without the position that the EXIF told."""
+    return interior.has_exif_position and not fitted.model.options["position"]
+
+
+def _contradicts(alone: Fit, interior: Interior) -> bool:
+    """Return whether the camera of the points alone is elsewhere than a position says."""
+    off, spread = _offset_of_position(alone, interior)
+    east, north, up = off / spread
+    return bool(max(np.hypot(east, north), abs(up)) > FAR_FROM_POSITION)
+
+
+def _offset_of_position(alone: Fit, interior: Interior) -> tuple[FloatArray, FloatArray]:
+    """Return how far the camera of points alone is from a position, and its deviations [m], (3,).
+
+    These are east, north and up. The deviations are those of the camera and of the position.
+    """
+    model = alone.model
+    assert isinstance(model, KnownFrame)
+    camera = _camera_of(alone)
+    stated = KnownFrame.of(interior, mirrored=bool(model.options["mirrored"])).prepared(
+        alone.scaling, alone.control.crs)
+    place, spread = stated.rough_position(camera.measured.ground)
+    assert place is not None
+    assert spread is not None
+    design, _ = camera.measured.system(camera.camera, np.ones((1, len(camera.measured.image))),
+                                       camera.sigma)
+    # The covariance of the unknowns is P P' with P = D^+, and that of the place J P P' J'.
+    factors = camera.camera.slopes_of_position[0] @ np.linalg.pinv(design[0])[:6]
+    own = np.linalg.norm(factors, axis=1)
+    return (model.unit * (camera.camera.position[0] - place), model.unit * np.hypot(own, spread))
 
 
 def _refuse_contradicted(fitted: Fit, interior: Interior) -> None:
@@ -281,7 +355,8 @@ def _focal_in_words(interior: Interior) -> str:
     if interior.focal_spread <= FIXED_SPREAD:
         return "It is fixed, as stated."
     spread = interior.focal_spread * interior.focal
-    return (f"{interior.focal:,.1f} px are stated, and taken to be known to "
+    stated = "in the EXIF" if interior.from_exif else "stated"
+    return (f"{interior.focal:,.1f} px are {stated}, and taken to be known to "
             f"{100 * interior.focal_spread:.2g} % ({spread:.2g} px, one standard deviation); "
             "--set camera_focal_spread states another, or fixed.")
 
@@ -297,6 +372,15 @@ def _focal_of_points(fitted: Fit) -> str:
     known_to = f": alone they tell it to {100 * spread:.0f} %" if spread < FREE_FOCAL_SPREAD / 2 \
         else ""
     return f" The points cannot show whether it is right{known_to}."
+
+
+def _exif_position_in_words(fitted: Fit, interior: Interior) -> str:
+    """Return a sentence on how the position in EXIF took part; "" if it did not."""
+    if not interior.has_exif_position or _leaves_exif_position_out(fitted, interior):
+        return ""
+    return (f" The position of the camera in the EXIF took part as known to "
+            f"{interior.position_spread:g} m in plan and {interior.position_height_spread:g} m in "
+            "height (one standard deviation); --set camera_position=X,Y,Z,S,H states another.")
 
 
 def _interior_of_points(control: FitData) -> Interior:

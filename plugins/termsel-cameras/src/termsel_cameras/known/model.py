@@ -115,6 +115,8 @@ class KnownFrame(SensorModel):
         Option("distortion", "0,0,0,0,0", "k1, k2, p1, p2 and k3 of the lens."),
         Option("position", "", "Rough position of the camera in the CRS of the points."),
         Option("position_spread", 50.0, "Its standard deviation [m].", float, 1e-9, 1e9),
+        Option("position_height_spread", None, "That of its height [m], if it is another one.",
+               float, 1e-9, 1e9),
         Option("height", None, "Rough flying height above the ground [m].", float, 0.0, 1e9),
         Option("height_spread", 0.1, "Relative standard deviation of it.", float, 1e-9, 10.0),
         Option("mirrored", False, "Whether the scan is mirrored, as of a negative.", bool))
@@ -132,8 +134,9 @@ class KnownFrame(SensorModel):
                    line=number(interior.line), sample=number(interior.sample),
                    reach=number(interior.reach), distortion=text(interior.distortion),
                    position=text(interior.position) if np.isfinite(interior.position).all() else "",
-                   position_spread=float(interior.position_spread), height=number(interior.height),
-                   mirrored=mirrored)
+                   position_spread=float(interior.position_spread),
+                   position_height_spread=number(interior.position_height_spread),
+                   height=number(interior.height), mirrored=mirrored)
 
     def __init__(self, camera: str | None = None, **options: Any) -> None:
         # What the file says is recorded, not its name: it may be elsewhere later.
@@ -234,7 +237,7 @@ class KnownFrame(SensorModel):
         weights = np.ones((len(points), 2)) if sigma is None else np.median(sigma) / sigma
         stated = noise if sigma is None else float(np.median(sigma)) * scale
         ground = self.local(points.ground)
-        position, spread = self._rough_position(ground)
+        position, spread = self.rough_position(ground)
         return Measured(
             ground, self.without_lens(points.image), weights,
             self.scaling.image(self.principal), self.reach, self.focal, np.ones(3),
@@ -243,22 +246,27 @@ class KnownFrame(SensorModel):
             usual=(USUAL if stated is None else stated) / scale,
             experience=EXPERIENCE if stated is None else STATED_EXPERIENCE)
 
-    def _rough_position(self, ground: FloatArray) -> tuple[FloatArray | None, FloatArray | None]:
+    def rough_position(self, ground: FloatArray) -> tuple[FloatArray | None, FloatArray | None]:
         """Return the rough place of the camera and its standard deviations (3,), by `unit`.
 
-        NaN for coordinates that are not stated; None and None if none is.
+        NaN for coordinates that are not stated; None and None if none is. Of two heights that are
+        stated the one with the smaller standard deviation counts.
         """
         position = np.full(3, np.nan)
         spread = np.full(3, np.nan)
-        height = self.options["height"]
-        if height is not None:
-            position[2] = ground[:, 2].mean() + height / self.unit
-            spread[2] = self.options["height_spread"] * height / self.unit
         if self.options["position"]:
             assert self.scaling is not None
             stated = np.array([list(map(float, self.options["position"].split(",")))])
             position = self.local(self.scaling.ground(stated))[0]
             spread = np.full(3, self.options["position_spread"] / self.unit)
+            if self.options["position_height_spread"] is not None:
+                spread[2] = self.options["position_height_spread"] / self.unit
+        height = self.options["height"]
+        if height is not None:
+            height_spread = self.options["height_spread"] * height / self.unit
+            if not spread[2] <= height_spread:
+                position[2] = ground[:, 2].mean() + height / self.unit
+                spread[2] = height_spread
         return (position, spread) if np.isfinite(position).any() else (None, None)
 
     def camera(self, features: FeatureSet, noise: float | None) -> Pinhole:

@@ -13,17 +13,25 @@ import numpy as np
 
 from termsel import FeatureSet, TermselError, open_raster
 from termsel.toolkit import with_dataset
+from termsel.toolkit.commands import ONCE
 from termsel.toolkit.coordinates import LOCAL, transformation_between
 from termsel_cameras.known.cameras import CAMERAS
-from termsel_cameras.known.interior import INTERIOR_NAMES, INTERIOR_OPTIONS, interior_of
+from termsel_cameras.known.interior import (
+    FROM_EXIF,
+    INTERIOR_NAMES,
+    INTERIOR_OPTIONS,
+    Interior,
+    interior_of,
+)
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("termsel.cameras")
 
 DIAGONAL = float(np.hypot(36.0, 24.0))
 """Of film of 36 mm by 24, to which equivalent focal lengths refer [mm]."""
 
-EXIF_POSITION_SPREAD = 30.0
-"""Standard deviation of a position in EXIF [m]: heights of drones count from the take-off."""
+EXIF_POSITION_SPREAD, EXIF_HEIGHT_SPREAD = 30.0, 500.0
+"""Standard deviations of a position in EXIF in plan and in height [m]. Heights of drones count from
+the take-off, and others from the sea or from the ellipsoid; nothing in the EXIF says which."""
 
 _DIGITS = re.compile(r"\d+(?:\.\d+)?")
 
@@ -44,7 +52,9 @@ class CameraOptions:
         attributes = features.points.attributes
         sources = {"camera", "camera_focal"}
         if image is not None and not sources & stated.keys() and not sources & attributes.keys():
-            stated = {**options_of_exif(Path(image), features), **stated}
+            of_exif = options_of_exif(Path(image), features)
+            from_exif = " ".join(name for name in of_exif if name not in stated)
+            stated = {**of_exif, **stated, **({FROM_EXIF: from_exif} if of_exif else {})}
         in_mm = stated.get("camera_focal", "").lower().rstrip().endswith("mm")
         if image is not None and in_mm and not {"camera", "camera_pixel"} & stated.keys():
             stated = _with_pixel(stated, Path(image))
@@ -72,7 +82,21 @@ class CameraOptions:
                         "taken to be somewhere about the middle of the points, and a photo of few "
                         "points is less accurate. --image FILE or --set "
                         "camera_principal_point=LINE,SAMPLE shows it.")
+        if interior is not None and interior.from_exif:
+            log.warning("Note: %s", _exif_in_words(interior), extra={ONCE: "the camera in EXIF"})
         return described
+
+
+def _exif_in_words(interior: Interior) -> str:
+    """Return what the EXIF of the image tells of the camera, how well, and how to state another."""
+    focal = (f"the focal length of the camera, {interior.focal:,.0f} px to "
+             f"{100.0 * interior.focal_spread:.2g} %,")
+    source = "taken from the EXIF of the image (one standard deviation each)"
+    if not interior.has_exif_position:
+        return f"{focal} is {source}. --set camera_focal=PIXELS states another."
+    return (f"{focal} and its position, to {interior.position_spread:g} m in plan and "
+            f"{interior.position_height_spread:g} m in height, are {source}. "
+            "--set camera_focal=PIXELS and --set camera_position=X,Y,Z state others.")
 
 
 def options_of_exif(image: Path, features: FeatureSet) -> dict[str, str]:
@@ -155,8 +179,13 @@ def _position_of(tags: Mapping[str, str], crs: str) -> dict[str, str]:
     west = tags.get("GPSLongitudeRef", "E").strip().upper() == "W"
     position = np.array([[-longitude if west else longitude, -latitude if south else latitude,
                           _number(tags["GPSAltitude"])]])
-    x, y, z = transformation_between("EPSG:4979", crs)(position)[0].tolist()
-    return {"camera_position": f"{x!r},{y!r},{z!r},{EXIF_POSITION_SPREAD:g}"}
+    placed = transformation_between("EPSG:4979", crs)(position)[0]
+    # A place beyond the area of the CRS has no coordinates in it.
+    if not np.isfinite(placed).all():
+        return {}
+    x, y, z = placed.tolist()
+    return {"camera_position": f"{x!r},{y!r},{z!r},{EXIF_POSITION_SPREAD:g},"
+                               f"{EXIF_HEIGHT_SPREAD:g}"}
 
 
 def _number(text: str) -> float:
