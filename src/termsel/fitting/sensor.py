@@ -13,7 +13,7 @@ from termsel.data.record.figures import SensorFigure
 from termsel.fitting.fit import Fit
 
 _PLACES = 5  # along each axis of a box
-_STEP = 1e-5  # of scaled coefficients
+_COEFFICIENT_STEP = 1e-5  # of scaled coefficients
 _TURN = 360.0
 
 
@@ -67,9 +67,9 @@ def _central_differences(function: Callable[[FloatArray], FloatArray], values: F
                          period: FloatArray | float = np.inf) -> FloatArray:
     """Return central differences (m, k) of a function of k values; angles may pass a full turn."""
     columns = []
-    for step in _STEP * np.eye(len(values)):
+    for step in _COEFFICIENT_STEP * np.eye(len(values)):
         difference = function(values + step) - function(values - step)
         turned = np.isfinite(period) & (np.abs(difference) > np.divide(period, 2.0))
         columns.append(np.where(turned, difference - np.sign(difference) * np.where(
-            np.isfinite(period), period, 0.0), difference) / (2.0 * _STEP))
+            np.isfinite(period), period, 0.0), difference) / (2.0 * _COEFFICIENT_STEP))
     return np.stack(columns, axis=1)

@@ -86,7 +86,7 @@ CHOSEN, PROJECTION = "auto", "projection"
 OF_PACKAGES = "reading"
 """Place of parts with options of reading: each has `options`, and `read` features with them."""
 
-_NEAR = 0.76
+_LEAST_LIKENESS = 0.76
 """Likeness, by difflib: sgima_line and roles are near a name, rule is not."""
 
 _NOISE = bytes(range(1, 256)) * 4
@@ -748,7 +748,7 @@ def _say_misspelt(path: Path, features: FeatureSet) -> None:
             if not was_read.get(meaning, features_of_kind.sigma is not None):
                 missing += columns[meaning]
         for name in features_of_kind.attributes:
-            for near in get_close_matches(name.casefold(), missing, n=1, cutoff=_NEAR):
+            for near in get_close_matches(name.casefold(), missing, n=1, cutoff=_LEAST_LIKENESS):
                 log.warning("Warning: column %r of %s is not used. Did you mean %s?",
                             name, path, near)
 

@@ -102,7 +102,7 @@ def _require_attribute_types(cls: type) -> None:
     own_bases = [base for base in cls.__mro__ if package_of(base) == OWN]
     for attribute, default in chain.from_iterable(vars(base).items() for base in own_bases):
         value = getattr(cls, attribute)
-        expected_type = next((plain for plain in _PLAIN if isinstance(default, plain)), None)
+        expected_type = next((plain for plain in _PLAIN_TYPES if isinstance(default, plain)), None)
         if attribute.startswith("_") or expected_type is None or isinstance(value, property):
             continue
         if not isinstance(value, (list, tuple) if expected_type is tuple else expected_type):
@@ -133,7 +133,7 @@ def _require_usable_defaults(owner: str, options: Iterable[Option]) -> None:
                             f"{option.default!r:.100} and accepts: {option.accepts}") from None
 
 
-_PLAIN = (bool, int, str, tuple, dict)
+_PLAIN_TYPES = (bool, int, str, tuple, dict)
 """Types of the attributes by which a class says what it is."""
 
 KINDS = {

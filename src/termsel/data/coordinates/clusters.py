@@ -9,7 +9,7 @@ from termsel.data.features import FloatArray, IntArray
 MIN_PLACES, MAX_PLACES = 5, 500
 """Numbers of places that are looked at: fewer show no gap, and of more the search takes long."""
 
-_ROUNDING = 1e-9
+_ROUNDED_DISTANCE = 1e-9
 """Distances by the longest edge, below which they are rounding."""
 
 
@@ -35,7 +35,7 @@ def cluster_labels(plan: FloatArray, gap: float) -> IntArray | None:
     sorted_edges = np.sort(edges)
     shorter = sorted_edges[count // 2 - 1:-1]
     longer = sorted_edges[count // 2:]
-    rounding = _ROUNDING * sorted_edges[-1]
+    rounding = _ROUNDED_DISTANCE * sorted_edges[-1]
     if rounding == 0.0:
         return None
     ratios = longer / np.maximum(shorter, rounding)

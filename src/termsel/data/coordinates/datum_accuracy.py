@@ -7,7 +7,7 @@ from warnings import catch_warnings, simplefilter
 
 from termsel.data.coordinates.crs import WGS84, horizontal_crs
 
-_NEAR = 0.01
+_AROUND_PLACE = 0.01
 """Degrees around a place in which an operation must hold."""
 
 
@@ -39,7 +39,9 @@ def stand_in_between(source: str, target: str, position: tuple[float, float]) ->
     from pyproj.transformer import TransformerGroup
 
     lon, lat = position
-    area = AreaOfInterest(lon - _NEAR, lat - _NEAR, lon + _NEAR, lat + _NEAR)
+    west = lon - _AROUND_PLACE
+    south = lat - _AROUND_PLACE
+    area = AreaOfInterest(west, south, lon + _AROUND_PLACE, lat + _AROUND_PLACE)
     with catch_warnings():
         simplefilter("ignore")  # warnings of missing grids
         group = TransformerGroup(*ends, always_xy=True, area_of_interest=area,

@@ -30,7 +30,7 @@ _LATTICE = 1e4  # metres
 
 COMPASS_TOLERANCE = 10.0
 """How far axes may point off east and north to be called so [deg]; a wind rose has 22.5."""
-_STEP = 10.0  # metres
+_STEP_IN_METRES = 10.0  # metres
 
 
 def offsets_in_metres(crs: str, positions: FloatArray, offsets: FloatArray) -> FloatArray | None:
@@ -114,7 +114,7 @@ def has_compass_axes(crs: str, positions: FloatArray) -> bool:
     if angles_of is None or unit is None or not np.isfinite(middle).all():
         return False
     # Where a step along x and one along y lead, as steps to the east and to the north.
-    steps = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]) * _STEP / unit
+    steps = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]) * _STEP_IN_METRES / unit
     lon, lat = (angles_of(middle + steps)).T
     east = np.cos(lat[0]) * ((lon[1:] - lon[0] + np.pi) % (2.0 * np.pi) - np.pi)
     north = lat[1:] - lat[0]

@@ -30,7 +30,7 @@ from termsel.data.coordinates.height_units import FOOT, UNITS, US_FOOT, is_unit_
 from termsel.data.coordinates.metres import is_in_degrees
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
 
-_NEAR = 1000.0  # metres from the origin of a CRS
+_NEAR_ORIGIN = 1000.0  # metres from the origin of a CRS
 _DEGREE_RANGE = ((-180.0, -90.0), (360.0, 90.0))
 _WITH_ZONE = {31: "EPSG:5649", 32: "EPSG:4647", 33: "EPSG:5650"}  # zE-N
 _FOOT = 0.3048  # m
@@ -238,7 +238,7 @@ def _check_metres(xy: FloatArray, features: FeatureSet, crs: str) -> None:
         # Metres next to the origin of a CRS are as small.
         middle = np.median(in_metres, axis=0)
         spread = np.median(np.abs(in_metres - middle), axis=0).max()
-        if np.hypot(*middle) <= max(_NEAR, 10 * spread):
+        if np.hypot(*middle) <= max(_NEAR_ORIGIN, 10 * spread):
             return
         n = len(np.unique(features.vertex_feature[degrees]))
         verb = "looks" if n == 1 else "look"

@@ -236,7 +236,7 @@ _PARTED = re.compile(r"(?<=\d)[\s'’](?=\d{3}(?!\d))")
 _ONE_GROUP = {sign: re.compile(rf"[+-]?[1-9]\d{{0,2}}\{sign}\d{{3}}") for sign in (POINT, COMMA)}
 _GROUPS = {sign: re.compile(rf"[+-]?\d{{1,3}}(\{sign}\d{{3}})+(\{other}\d*)?")
            for sign, other in ((POINT, COMMA), (COMMA, POINT))}
-_SIDES = {"N": 1, "S": -1, "E": 1, "W": -1, "北": 1, "南": -1, "东": 1, "東": 1, "西": -1}
+_SIGN_OF_SIDE = {"N": 1, "S": -1, "E": 1, "W": -1, "北": 1, "南": -1, "东": 1, "東": 1, "西": -1}
 _LATITUDE = frozenset("NS北南")
 _ANGLE = re.compile(
     r"([NSEWO北南东東西]?)[经經纬緯]?\s*([+-]?\d+(?:[.,]\d+)?)\s*[°º˚d:度\s-]?\s*"
@@ -396,4 +396,4 @@ def _parse_degrees(row: int, text: str, angle: str) -> float | None:
         raise BadCell(row, f"{text!r} has a sign and a hemisphere", "Give one of them.")
     # degrees + minutes / 60 + seconds / 3600.
     size = sum(value / 60.0**power for power, value in enumerate(values))
-    return -size if numbers[0][0] == "-" else size * _SIDES.get(hemisphere, 1)
+    return -size if numbers[0][0] == "-" else size * _SIGN_OF_SIDE.get(hemisphere, 1)

@@ -44,7 +44,7 @@ _NO_PIXELS = {"µm": "micrometres", "um": "micrometres", "μm": "micrometres",
               "percent": "per cent", "in": "inches", "inch": "inches", "inches": "inches"}
 """Units of image coordinates, besides lengths, that are no pixels."""
 
-_PLAIN = re.compile(
+_KNOWN_REMARKS = re.compile(
     r"|px|pix|pixels?|m|met(re|er)s?|deg|degrees?|°|º|dd|dms|dezimalgrad|grad|decimal degrees|"
     r"wgs[ _-]?84|utm|[nesw]|north|south|east|west|.*(ellips|ortho|geoid|egm|nhn|nn|asl|msl).*",
     re.IGNORECASE)
@@ -52,8 +52,8 @@ _PLAIN = re.compile(
 
 _ANGLE_WITH_SIDE = re.compile(
     r"^((?:lat|lon|lng|long|latitude|longitude))[\s_.-]+([nsew]|north|south|east|west)$")
-_SIDES = {"w": ("x", -1), "west": ("x", -1), "e": ("x", 1), "east": ("x", 1),
-          "s": ("y", -1), "south": ("y", -1), "n": ("y", 1), "north": ("y", 1)}
+_DIRECTIONS = {"w": ("x", -1), "west": ("x", -1), "e": ("x", 1), "east": ("x", 1),
+               "s": ("y", -1), "south": ("y", -1), "n": ("y", 1), "north": ("y", 1)}
 """Axis and sign of the directions that names state."""
 
 
@@ -98,7 +98,7 @@ def counts_against_axis(name: str, axis: str) -> bool:
     word = match[1].strip("°º +") if match else ""
     if not match and (suffix := _ANGLE_WITH_SIDE.fullmatch(lower)):
         word = suffix[2]
-    return _SIDES.get(word) == (axis, -1)
+    return _DIRECTIONS.get(word) == (axis, -1)
 
 
 def unknown_remark(name: str) -> str:
@@ -107,5 +107,5 @@ def unknown_remark(name: str) -> str:
     if match is None:
         return ""
     text = match[1]
-    is_known = _PLAIN.fullmatch(text.strip("°º +")) or unit_of_text(text)
+    is_known = _KNOWN_REMARKS.fullmatch(text.strip("°º +")) or unit_of_text(text)
     return "" if is_known else text

@@ -19,8 +19,8 @@ _PART_OF_ANGLE = re.compile(
     r"|(s|sec|secs|seconds?|sek|sekunden|\"|″))[\s)\]]*", re.IGNORECASE)
 _WHOLE = re.compile(r"([+-]?\d{1,3})(?:[.,]0*)?")
 _SIXTIETHS = re.compile(r"[0-5]?\d(?:[.,]\d*)?")
-_SIDES = {"y": frozenset(("N", "S", "NORTH", "SOUTH")),
-          "x": frozenset(("E", "W", "O", "EAST", "WEST"))}
+_SIDE_WORDS = {"y": frozenset(("N", "S", "NORTH", "SOUTH")),
+               "x": frozenset(("E", "W", "O", "EAST", "WEST"))}
 _ALONG = {"y": frozenset(("N", "NORTH")), "x": frozenset(("E", "EAST"))}
 _FROM_ZERO = 10.0
 """Degrees from the equator, from Greenwich or from 180, beyond which a scene has one side."""
@@ -123,7 +123,7 @@ def _are_sides(axis: str, cells: Sequence[str], *, is_next: bool) -> bool:
     """Return whether cells may say on which side of zero the angles of an axis are."""
     sides = {cell.strip().upper() for cell in cells}
     # O is west to some and east to others, which the reader of angles asks; or it says "ok".
-    return bool(sides) and _SIDES[axis].issuperset(sides) and (sides != {"O"} or is_next)
+    return bool(sides) and _SIDE_WORDS[axis].issuperset(sides) and (sides != {"O"} or is_next)
 
 
 def _size(cell: str) -> float:

@@ -20,7 +20,7 @@ _VERSIONED = {*sys.stdlib_module_names, "termsel", "numpy", "scipy", "numba", "d
     "__main__"}
 """Packages whose version the journal keeps, so that their code needs no checksum."""
 
-_PLAIN = (str, int, float, complex, bool, bytes, type(None), type(...))
+_ATOMS = (str, int, float, complex, bool, bytes, type(None), type(...))
 
 
 def checksum_of_code(value: Any) -> str:
@@ -39,7 +39,7 @@ def checksum_of_code(value: Any) -> str:
 
 def _identifying_words(value: Any, above: set[int]) -> Iterator[str]:
     """Yield the words that distinguish a value from others, the same in every process."""
-    if isinstance(value, _PLAIN):
+    if isinstance(value, _ATOMS):
         yield f"{type(value).__name__} {value!r}"
         return
     if isinstance(value, np.ndarray | np.generic) and value.dtype != object:
@@ -98,7 +98,7 @@ def _parts_of_value(value: Any) -> Iterator[Any]:
 
 def _plain_attributes(attributes: Mapping[str, Any]) -> dict[str, Any]:
     """Return the attributes whose values are plain data."""
-    return {name: value for name, value in attributes.items() if isinstance(value, _PLAIN)}
+    return {name: value for name, value in attributes.items() if isinstance(value, _ATOMS)}
 
 
 def _parts_of_class(kind: type) -> Iterator[Any]:
@@ -129,7 +129,7 @@ def _parts_of_function(function: FunctionType) -> Iterator[Any]:
         for name in function.__code__.co_names:
             used = function.__globals__.get(name)
             # One step far: what those names use in turn is not looked at.
-            if isinstance(used, (*_PLAIN, FunctionType, type)):
+            if isinstance(used, (*_ATOMS, FunctionType, type)):
                 yield used
 
 

@@ -36,7 +36,7 @@ _IN_SIX_DIGITS = ("predicted", "predicted_low", "predicted_high", "predicted_m",
                   "pixel", "control", "check", "independent", "seconds", "cpu_seconds")
 """Columns of figures that people read; a fitness, which is compared with an optimum, is whole."""
 
-_ROUNDING = 1e-9
+_ROUNDED_RMSE = 1e-9
 """Size [px] below which an RMSE is rounding of the computation alone."""
 
 USUAL = 1 / 2
@@ -150,7 +150,7 @@ def _readable_figure(value: Any) -> Any:
     """Return a figure to six digits, 0 for mere rounding; other values as they are."""
     if not isinstance(value, float) or not math.isfinite(value):
         return value
-    return 0.0 if abs(value) < _ROUNDING else float(f"{value:.6g}")
+    return 0.0 if abs(value) < _ROUNDED_RMSE else float(f"{value:.6g}")
 
 
 def _as_cell(value: Any) -> Any:

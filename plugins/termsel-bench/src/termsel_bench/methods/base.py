@@ -104,11 +104,9 @@ class Method:
         if self.kind == "method":
             return termsel.run(features=features, method=self.name, seed=seed).project
         if self.kind == "solver":
-            # What is asked of a solver is what the features allow: lines, a plane, or space.
-            problem = self.problem or ("owdis-lines" if len(features.lines) else "poly-terms"
-                                       if features.without_height() else "rfm-terms")
-            return termsel.run(problem, features=features, solver=self.name, seed=seed,
-                               options=self.options, strategy="as-asked").project
+            return termsel.run(self.problem or _problem_for(features), features=features,
+                               solver=self.name, seed=seed, options=self.options,
+                               strategy="as-asked").project
         if self.kind == "model":
             # A plain fit needs no selection points: it takes them as control.
             blank = replace(features.points, roles=())
@@ -146,6 +144,13 @@ class Method:
 
 AUTO = Method("auto", "auto")
 """What termsel does where nothing is asked."""
+
+
+def _problem_for(features: FeatureSet) -> str:
+    """Return what a solver is asked for of features: lines, terms of a plane model or of an RFM."""
+    if len(features.lines):
+        return "owdis-lines"
+    return "poly-terms" if features.without_height() else "rfm-terms"
 
 
 def function_of(name: str) -> Callable[[FeatureSet], Any]:

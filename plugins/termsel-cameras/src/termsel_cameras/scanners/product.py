@@ -20,7 +20,7 @@ from termsel.toolkit import read_data
 LARGEST = 64 << 20
 """Bytes of an annotation; those of the products have up to 4 MiB."""
 
-MOST = 10_000
+MOST_FILES = 10_000
 """Files of a zip; products have some fifty."""
 
 ANNOTATION_NAMES = re.compile(r"(?P<mission>s1[a-z])-(?P<swath>[a-z0-9]+)-(?P<kind>slc|grd[a-z]?)-"
@@ -168,7 +168,7 @@ def _annotations_in_zip(path: Path) -> list[Path]:
             names = packed.namelist()
     except _BROKEN:
         return []
-    if len(names) > MOST:
+    if len(names) > MOST_FILES:
         return []
     inside = [PurePosixPath(name) for name in names]
     return [path / name for name in inside if name.parent.name == "annotation"

@@ -29,7 +29,7 @@ NEGLIGIBLE = 0.005
 MIN_POINTS_OF_SHEET = 4
 """Points from which on a sheet distinguishes projections."""
 
-MOST = 0.5
+MAJORITY_OF_PROJECTIONS = 0.5
 """Share of the projections beyond which a point that is a blunder in them is one of the map."""
 
 
@@ -119,7 +119,7 @@ def _without_blunders(sheet: FeatureSet, candidates: Sequence[Projection]) -> Fe
              if (vote := blunders_in(sheet, candidate.crs)) is not None]
     if not votes:
         return sheet
-    is_blunder = np.mean(votes, axis=0) > MOST
+    is_blunder = np.mean(votes, axis=0) > MAJORITY_OF_PROJECTIONS
     return sheet.with_(points=sheet.points.take(~is_blunder))
 
 

@@ -11,7 +11,7 @@ from termsel.toolkit import FloatArray
 from termsel_formats.check.base import NoAnswer, Taken, answer, find_program
 from termsel_formats.check.gdal import WGS84, Header
 
-MOST = 25
+MOST_PLACES = 25
 """Places that OTB is asked for, each by a start of its application."""
 
 _VALUE = re.compile(r"^([\w.]+): *(.*)$", re.MULTILINE)
@@ -35,7 +35,8 @@ def taken_by_otb(path: Path, raster_header: Header) -> Taken | None:
     def places(image: FloatArray, _heights: FloatArray) -> FloatArray:
         """Return ground positions (n, 2) of some image positions by OTB; NaN of the others."""
         ground = np.full((len(image), 2), np.nan)
-        for row in np.unique(np.linspace(0, len(image) - 1, MOST).round().astype(int)).tolist():
+        asked_rows = np.unique(np.linspace(0, len(image) - 1, MOST_PLACES).round().astype(int))
+        for row in asked_rows.tolist():
             line, sample = image[row].tolist()
             # Whole numbers are the centres of pixels.
             values = dict(_VALUE.findall(answer(

@@ -44,7 +44,7 @@ _compiled = partial(compile_lazily, _nrt=False, fastmath={"reassoc", "contract",
 _inlined = partial(_compiled, forceinline=True)
 
 ENUMERATED = 1 << 6  # subsets that cost less than a bound
-_ROUNDING = 1e-6  # of a minimum, relative
+_ROUNDED_MINIMUM = 1e-6  # of a minimum, relative
 
 
 @_inlined
@@ -130,7 +130,7 @@ def first_prunable_column(top: FloatArray, leverage: FloatArray, first: int, n: 
         for j in range(n, vectors):
             subtract(work[j], work[j], work[i], dot_product(work[j], work[i]))
             least_squares += dot_product(work[j], work[j])
-        if not least_squares > limit * (1.0 + _ROUNDING):
+        if not least_squares > limit * (1.0 + _ROUNDED_MINIMUM):
             return i + 1
     return first
 
