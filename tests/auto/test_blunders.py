@@ -406,3 +406,21 @@ def test_far_ground_that_an_oblique_view_shows_over_near_points_is_no_blunder() 
     suspects = find_blunders(FitData.of(features))
     assert suspects is not None
     assert not suspects.blunders.any()
+
+
+def test_limits_of_detection_do_not_depend_on_a_point_out_of_place() -> None:
+    features = scene(74)
+    points = features.points
+    # Waves of 20 px, which a random field follows and a polynomial does not.
+    waves = 20.0 * np.sin(points.image[:, ::-1] / 1500.0)
+    points = replace(points, image=points.image + waves)
+    ground = points.ground.copy()
+    ground[10, :2] += (1.0, 0.8)  # degrees: outside of anything that the image shows
+    others = np.arange(len(points)) != 10
+    suspects = find_blunders(FitData.of(
+        features.with_(points=replace(points, ground=ground))))
+    without = find_blunders(FitData.of(features.with_(points=points.take(others))))
+    assert suspects is not None
+    assert without is not None
+    assert suspects.blunders.nonzero()[0].tolist() == [10]
+    assert np.median(suspects.limits[others]) == pytest.approx(np.median(without.limits), rel=0.15)
