@@ -113,6 +113,21 @@ def test_marks_of_pix4d_are_read_back(crs: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(read.ground[order], known.ground)
 
 
+@pytest.mark.parametrize(("name", "file"), [
+    ("asp-gcp", "list.gcp"), ("mapinfo-tab", "list.tab"), ("metashape-markers", "list.xml"),
+    ("micmac-xml", "list-S2D.xml"), ("odm-gcp-list", "list.txt"), ("ozi-map", "list.map"),
+    ("pix4d-marks", "list_marks.csv")])
+def test_a_name_of_the_image_that_nothing_states_is_said(
+        name: str, file: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    result = fitted()
+    export(result, name, tmp_path / file, image="photos/IMG_7.JPG")
+    assert "IMG_7.JPG" in (tmp_path / file).read_text("utf-8")
+    assert "as nothing states its name" not in caplog.text
+    export(result, name, tmp_path / f"other_{file}")
+    assert f"other_{file} calls the image other_list" in caplog.text
+    assert "as nothing states its name: --image FILE does." in caplog.text
+
+
 def gdal(path: Path) -> Any:
     if shutil.which("gdalinfo") is None:
         pytest.skip("gdalinfo is not installed")

@@ -136,8 +136,16 @@ def to_wgs84_points(points: Points, crs: str) -> tuple[Points, tuple[int, bool] 
 
 
 def image_name(image: Path | str | None, path: Path) -> str:
-    """Return the name of the image, by default that of the file with the ending .tif."""
-    return Path(image).name if image is not None else f"{path.stem}.tif"
+    """Return the name of the image, by default that of the file with the ending .tif.
+
+    A note says so, as programs look for an image of this name.
+    """
+    if image is not None:
+        return Path(image).name
+    name = f"{path.stem}.tif"
+    log.warning("Note: %s calls the image %s, as nothing states its name: --image FILE does.",
+                path.name, name)
+    return name
 
 
 def say_by_gdal(name: str, result: Result, points: Points) -> None:
