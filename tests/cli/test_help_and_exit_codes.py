@@ -10,6 +10,7 @@ from textwrap import dedent
 
 import pytest
 
+import termsel
 from termsel import __version__
 from termsel.__main__ import ALLOCATIONS
 from termsel.cli import main, tables
@@ -120,6 +121,18 @@ def test_a_choice_for_few_points_imports_no_part_of_scipy_and_no_proofs():
     # numba itself looks for scipy, and takes none of its parts.
     assert not loaded & {"scipy.linalg", "scipy.optimize", "scipy.sparse", "scipy.spatial",
                          "termsel.selection.best_subsets.subsets", "termsel.runs.steps"}
+
+
+def test_few_points_are_fitted_and_planned_without_scipy_and_what_opens_addresses(tmp_path):
+    """Systems with more terms than equations are among the models, and a grid has heights."""
+    points = termsel.simulate_scene("ikonos-hamedan", roles=(24, 0, 0), n_lines=0).points
+    termsel.write_points_csv(points, tmp_path / "points.csv", "EPSG:4979")
+    result = str(tmp_path / "result")
+    _, loaded = imported("run", "--points", str(tmp_path / "points.csv"), "--out", result)
+    text, loaded_by_plan = imported("plan", result)
+    assert "uncertainty_px" in text
+    for modules in (loaded, loaded_by_plan):
+        assert not modules & {"scipy.linalg", "scipy.sparse", "scipy.spatial", "urllib.request"}
 
 
 def test_help_tells_all_commands_as_they_tell_themselves(call):

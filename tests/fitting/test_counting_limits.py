@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import linalg, stats
 
 import termsel
 from termsel.adjustment.equations import Equations
@@ -93,6 +93,23 @@ def test_redundancy_counts_terms_also_where_they_are_not_determined() -> None:
     found = solve(Equations(columns, np.arange(6.0), np.arange(6)))
     assert (found.n_equations, found.n_terms, found.rank) == (6, 3, 2)
     assert (found.redundancy, found.violation) == (3, 1)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_rank_that_is_not_full_is_that_of_qr_with_pivoting(seed: int) -> None:
+    """Also of columns of very unlike lengths, of zeros, and of more columns than rows."""
+    rng = np.random.default_rng(seed)
+    rows, terms = (int(number) for number in rng.integers(2, 30, 2))
+    rank = int(rng.integers(1, min(rows, terms) + 1))
+    columns = (rng.normal(size=(rows, rank)) * 10.0 ** rng.uniform(-5.0, 0.0, rank)
+               @ rng.normal(size=(rank, terms)))
+    columns[:, rng.integers(0, terms)] = 0.0
+    columns *= 10.0 ** rng.uniform(-3.0, 3.0, terms)
+    found = solve(Equations(columns, rng.normal(size=rows), np.arange(rows)))
+    lengths = np.linalg.norm(columns, axis=0)
+    live = columns[:, lengths > 0.0] / lengths[lengths > 0.0]
+    diagonal = np.abs(np.diag(linalg.qr(live, mode="r", pivoting=True)[0]))
+    assert found.rank == (diagonal > 1e-8).sum()
 
 
 def test_monomials_of_an_rpc_stand_in_the_order_of_rpc00b() -> None:

@@ -129,13 +129,19 @@ def solve(
 
 def _lower_rank(scaled: FloatArray) -> int:
     """Return how many columns of one length, or 0, are independent, less than all; by pivoting."""
-    live = scaled[:, scaled.any(axis=0)]
-    if not live.size:
-        return 0
-    from scipy import linalg  # which systems of full rank need not import
-
-    r = linalg.qr(live, mode="r", pivoting=True)[0]
-    return min(int((np.abs(np.diag(r)) > TOLERANCE).sum()), int(scaled.shape[1]) - 1)
+    # QR with pivoting: the longest column a goes out of all others, c - a (a'c) / (a'a), until what
+    # is left is none. SciPy's would be the only part of it that most runs import, in 0.2 s.
+    remaining = scaled.copy()
+    rank = 0
+    while rank < min(len(scaled), scaled.shape[1] - 1):
+        squares = np.einsum("ij,ij->j", remaining, remaining)
+        longest = int(squares.argmax())
+        if squares[longest] <= TOLERANCE**2:
+            break
+        direction = remaining[:, longest] / np.sqrt(squares[longest])
+        remaining -= np.outer(direction, direction @ remaining)
+        rank += 1
+    return rank
 
 
 # What is rounding of a computation, so that no choice is made by it.

@@ -659,6 +659,8 @@ class Fit(Glance):
         default those of the control lines.
         """
         lines = self.control.lines if lines is None else lines
+        if not len(lines):  # what projects them may take long to find
+            return np.empty((0, 2, 2))
         # The line n . x = rho: its distance from a vertex along the unit normal n.
         normal, rho = line_normals(lines)
         image = self._compute_positions(lines.ground.reshape(-1, 3)).reshape(-1, 2, 2)

@@ -45,6 +45,7 @@ from heapq import heappop, heappush
 import numpy as np
 
 from termsel.core.threads import one_blas_thread
+from termsel.data.coordinates.nearest import nearest_points
 from termsel.data.features import FloatArray, IntArray, Points
 from termsel.fitting.misfit import (
     MISFIT_BATCH,
@@ -280,12 +281,10 @@ class LocalCourses:
         should be in one call.
         """
         positions = _affine_columns(ground) @ self.to_image
-        from scipy.spatial import cKDTree  # only now, as it takes long to import
-
         total = np.full((len(ground), 2), np.nan)
         finite = np.isfinite(positions).all(axis=1)
         number_of_cell = np.full(len(ground), -1)
-        number_of_cell[finite] = cKDTree(self._centres).query(positions[finite])[1]
+        number_of_cell[finite] = nearest_points(self._centres, positions[finite])[1][:, 0]
         for number in np.unique(number_of_cell[finite]):
             inside = np.flatnonzero(number_of_cell == number)
             cell = _kept_cell(self, int(number))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from termsel.data.coordinates.nearest import nearest_points
 from termsel.data.features import FloatArray
 from termsel.fitting.fit import Fit
 from termsel.fitting.residuals import Residuals
@@ -22,8 +23,6 @@ def scene_grid(fitted: Fit, across: int, neighbours: int = 1,
     control vertices (`neighbours`), weighted by inverse squares of their distances. The box is
     first line, first sample, last line and last sample [px]; by default that of `Fit.image_box`.
     """
-    from scipy.spatial import cKDTree
-
     if box is None:
         (first_line, first_sample), (last_line, last_sample) = fitted.image_box()
     else:
@@ -40,7 +39,7 @@ def scene_grid(fitted: Fit, across: int, neighbours: int = 1,
     ground = ground[is_seen]
     count = min(neighbours, len(ground))
     # Weights 1 / d^2, of distances of at least a pixel.
-    distance, nearest = cKDTree(image_of_control[is_seen]).query(image, k=[*range(1, count + 1)])
+    distance, nearest = nearest_points(image_of_control[is_seen], image, count)
     weights = 1.0 / np.maximum(distance, 1.0) ** 2
     heights = (weights * ground[nearest, 2]).sum(axis=1) / weights.sum(axis=1)
     if not fitted.model.uses_height:

@@ -17,6 +17,7 @@ import numpy as np
 from termsel.core.errors import rounded_size_text
 from termsel.data.coordinates.clusters import cluster_labels
 from termsel.data.coordinates.metres import plan_of
+from termsel.data.coordinates.nearest import nearest_points
 from termsel.data.coordinates.places import convex_hull, distance_beyond_hull
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.data.record.cautions import BESIDE_CONTROL, BETWEEN_POINTS
@@ -38,9 +39,6 @@ MIN_CHECK_POINTS = 3
 
 MIN_POINTS = 5
 """Points below which the interval of the RMSE and the uncertainty are little more than beliefs."""
-
-MAX_PAIRS = 100_000
-"""Pairs of places and control up to which all distances take less time than to import a tree."""
 
 NEGLIGIBLE = 0.01
 """Uncertainty [px] that nobody measures."""
@@ -83,23 +81,15 @@ def checked_next_to_control(control: FeatureSet, independent: Points) -> Iterato
     if plan is None or len(plan) == len(ground) + count:
         return
     of_control, of_area, of_check = np.split(plan, [len(ground), len(plan) - count])
-    usual = float(np.median(_distances_to_nearest(of_area, of_control)))
-    near = int((_distances_to_nearest(of_check, of_control) <= NEXT_TO_CONTROL * usual).sum())
+    usual = float(np.median(nearest_points(of_control, of_area)[0]))
+    distances = nearest_points(of_control, of_check)[0]
+    near = int((distances <= NEXT_TO_CONTROL * usual).sum())
     if 2 * near <= count:
         return
     verb = "lie" if near > 1 else "lies"
     yield (f"{near} of {count} independent check points {verb}{BESIDE_CONTROL}: their errors are "
            "those next to control, and farther away errors may be several times as large. Check at "
            "places away from control.")
-
-
-def _distances_to_nearest(places: FloatArray, control: FloatArray) -> FloatArray:
-    """Return the distance of each place (m, 2) from the nearest control (n, 2), (m,)."""
-    if len(places) * len(control) <= MAX_PAIRS:
-        return np.asarray(np.linalg.norm(places[:, None] - control, axis=2).min(axis=1))
-    from scipy.spatial import cKDTree  # only here, as it takes 0.2 s to import
-
-    return np.asarray(cKDTree(control).query(places)[0])
 
 
 def places_within_hull(ground: FloatArray) -> FloatArray:

@@ -113,8 +113,8 @@ def _run_in_pool(waiting: deque[Cell], features: Mapping[str, FeatureSet], stop:
             suspects += running.values()
 
 
-_MODULES = (__name__, "termsel.adjustment.dispatchers", "scipy.linalg")
-"""What every worker needs: termsel, numba, and what fits import of scipy."""
+_MODULES = (__name__, "termsel.adjustment.dispatchers")
+"""What every worker needs: termsel and numba."""
 
 _features: Mapping[str, FeatureSet] = {}
 
