@@ -292,7 +292,8 @@ these kinds at hand, in part the same.
 ## Kinds that took no part
 
 They took no part in that prior. Sheets and maps among them were looked at when polynomials of
-planes came to be judged by fields of all smoothness, from 20 points on.
+planes came to be judged by fields of all smoothness, from 20 points on, and other scenes of their
+cameras when models with heights did.
 
 {others}
 
