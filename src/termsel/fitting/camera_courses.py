@@ -213,10 +213,15 @@ class Control:
         products = whitened.swapaxes(1, 2) @ whitened                        # (r, f + 2, f + 2)
         n, f = self.monomials.shape
         precisions = self.shrinkages.precisions
-        systems = products[:, :f, :f] + precisions[:, :, None, :, None] * np.eye(f)
-        lower = np.linalg.cholesky(systems)                                  # (q, z, r, f, f)
-        toward = np.broadcast_to(products[:, :f, f:], (*lower.shape[:4], 2))
-        explained = (np.linalg.solve(lower, toward)**2).sum(axis=3)          # (q, z, r, 2)
+        # Of [[A, t], [t', .]] the factor is [[L, 0], [(L^-1 t)', .]], with A = L L' and t of both
+        # axes, whatever stands in the corner, which must be large enough for there to be one.
+        systems = np.broadcast_to(products, (*precisions.shape[:2], *products.shape)).copy()
+        systems[..., :f, :f] += precisions[:, :, None, :, None] * np.eye(f)
+        systems[..., f:, f:] = (1.0 + 2.0 * np.trace(products, axis1=1, axis2=2))[:, None, None] \
+            * np.eye(2)
+        factors = np.linalg.cholesky(systems)
+        lower = factors[..., :f, :f]                                         # (q, z, r, f, f)
+        explained = (factors[..., f:, :f]**2).sum(axis=4)                    # (q, z, r, 2)
         squares = np.maximum(np.diagonal(products[:, f:, f:], axis1=1, axis2=2) - explained, 0.0)
         # |S|^1/2, but for what all have in common, and |A|^1/2.
         determinants = 0.5 * np.log(variances).sum(axis=1) \
@@ -239,25 +244,30 @@ class Control:
         likely = probabilities.max(axis=3) > NEGLIGIBLE_SHARE                # (q, z, r)
         n, f = self.monomials.shape
         explained = np.zeros((2, n + f, n + f))
-        means = []
+        means = [np.empty((0, n + f, 2))]
         for i in np.flatnonzero(likely.any(axis=(0, 1))):
             squared_ratio = ratios[i]**2
             inverse = np.asarray(np.linalg.inv(
                 np.diag(self.relative_variances) + squared_ratio * self.correlations(field)),
                 dtype=np.float64)
+            toward = inverse @ self.monomials
             scale = np.append(np.full(n, squared_ratio), np.ones(f))
-            for rule, size in np.argwhere(likely[:, :, i]).tolist():
-                scaled = scale[:, None] * _inverse_with_prior(
-                    inverse, self.monomials, self.shrinkages.precisions[rule, size])
-                means.append(scaled[:, :n] @ self.deviations)
-                scaled *= scale
-                for axis in (0, 1):
-                    explained[axis] += noise[rule, size, i, axis] * scaled
+            # A^-1 of all likely rules and sizes, (w, f, f): the rest of M^-1 is linear in it.
+            of_columns = np.linalg.inv(
+                self.monomials.T @ toward
+                + self.shrinkages.precisions[likely[:, :, i]][:, :, None] * np.eye(f))
+            coefficients = of_columns @ (toward.T @ self.deviations)
+            at_points = inverse @ self.deviations - toward @ coefficients
+            means.append(scale[:, None] * np.concatenate([at_points, coefficients], axis=1))
+            for axis in (0, 1):
+                of_likely = noise[:, :, i, axis][likely[:, :, i]]
+                explained[axis] += np.outer(scale, scale) * _inverse_of_blocks(
+                    of_likely.sum() * inverse, toward, np.tensordot(of_likely, of_columns, axes=1))
         # In the order of the means: ratios first.
         weights = np.moveaxis(probabilities, 2, 0)[np.moveaxis(likely, 2, 0)].T        # (2, w)
         of_ratios = (noise * likely[..., None]).sum(axis=(0, 1))                       # (r, 2)
         return Course(float(shares[:, :, :, 0].sum()), field.lengths, field.smoothness,
-                      np.square(ratios) @ of_ratios, explained, weights, np.array(means), f)
+                      np.square(ratios) @ of_ratios, explained, weights, np.concatenate(means), f)
 
 
 def camera_courses(points: Points, pixel: float) -> CameraCourses | None:
@@ -310,10 +320,8 @@ def _fields() -> Iterator[Field]:
                 yield Field(each, pair, smoothness)
 
 
-def _inverse_with_prior(inverse: FloatArray, columns: FloatArray,
-                        precisions: FloatArray) -> FloatArray:
-    """Return [[S, F], [F', -D]]^-1 from S^-1 (n, n), F (n, f) and the diagonal of D (f,)."""
-    toward = inverse @ columns
-    of_columns = np.linalg.inv(columns.T @ toward + np.diag(precisions))
+def _inverse_of_blocks(inverse: FloatArray, toward: FloatArray,
+                       of_columns: FloatArray) -> FloatArray:
+    """Return M^-1 = [[S, F], [F', -D]]^-1 from S^-1 (n, n), S^-1 F (n, f) and A^-1 (f, f)."""
     gain = toward @ of_columns
     return np.block([[inverse - gain @ toward.T, gain], [gain.T, -of_columns]])
