@@ -9,6 +9,7 @@ import re
 import shlex
 from collections.abc import Sequence
 from difflib import get_close_matches
+from pathlib import Path
 
 import click
 
@@ -94,6 +95,12 @@ def _unknown_option_message(error: click.NoSuchOption) -> str:
     """Return the message for an unknown option, with a near one, or with all of a few."""
     params = error.ctx.command.params if error.ctx is not None else ()
     key = error.option_name.lstrip("-").replace("-", "_")
+    own = {option for param in params for option in param.opts}
+    meant = [f"--{name}" for name in _ALSO_CALLED.get(key.replace("_", "-"), ())
+             if f"--{name}" in own]
+    # What this command calls otherwise comes before an option of some model or solver.
+    if meant:
+        return f"there is no option {error.option_name}. Did you mean {meant[0]}?"
     if any("--set" in param.opts for param in params) and key in _options_of_set():
         return f"there is no option {error.option_name}. Set it by --set {key}=VALUE."
     options = [max(param.opts, key=len) for param in params
@@ -155,6 +162,7 @@ def _options_of_set() -> set[str]:
 
 
 _ALSO_CALLED = {
+    "map": ("vectors", "reference"), "roads": ("vectors",), "ortho": ("reference",),
     "epsg": ("crs",), "srs": ("crs",), "t-srs": ("crs",), "s-srs": ("crs",),
     "projection": ("crs",), "gcps": ("points",), "gcp": ("points",), "control": ("points",),
     "tr": ("res",), "resolution": ("res",), "gsd": ("res",), "pixel-size": ("res",),
@@ -296,5 +304,8 @@ def _extra_words(error: click.ClickException) -> str:
     takes_words = any(isinstance(param, click.Argument) for param in ctx.command.params)
     remedy = "A name with spaces needs quotation marks." if takes_words else "Leave it out."
     if any("--points" in param.opts for param in ctx.command.params):
-        remedy = f"A file of points is given so: --points {shlex.quote(extra[1])}."
+        # The folder of a result is none of points, which the command reads anew.
+        remedy = "It is a folder, and this command takes a file of points: --points FILE." \
+            if Path(extra[1]).is_dir() else \
+            f"A file of points is given so: --points {shlex.quote(extra[1])}."
     return f"{extra[1]!r} is more than this command takes: {ctx.command_path} {usage}. {remedy}"

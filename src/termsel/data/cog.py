@@ -23,6 +23,9 @@ TILE = 1024
 _OTHERS = (".png", ".jpg", ".jpeg", ".jp2", ".bmp", ".gif", ".webp", ".pdf", ".img", ".ecw", ".sid",
            ".vrt", ".nc", ".asc")
 """Endings of names of other formats."""
+_NO_RASTERS = (".csv", ".txt", ".json", ".geojson", ".gpkg", ".shp", ".xlsx", ".ods", ".html",
+               ".svg", ".xml", ".md")
+"""Endings of names of what is no raster."""
 
 
 def require_tiff_name(path: Path) -> None:
@@ -33,10 +36,11 @@ def require_tiff_name(path: Path) -> None:
     TermselError
         Naming the file.
     """
-    if path.suffix.lower() in _OTHERS:
+    suffix = path.suffix.lower()
+    if suffix in _OTHERS or suffix in _NO_RASTERS:
+        converted = "; gdal_translate converts it to other formats" if suffix in _OTHERS else ""
         raise TermselError(f"a map is written as GeoTIFF, not as {path.suffix}", file=path,
-                           hint=f"Name it {path.with_suffix('.tif').name}; gdal_translate "
-                                "converts it to other formats.")
+                           hint=f"Name it {path.with_suffix('.tif').name}{converted}.")
 
 
 def _arrange_tile(pixels: Any) -> tuple[Any, Any]:

@@ -399,6 +399,12 @@ def _two_of_one_kind_error(kind: str, first: Path, second: Path) -> TermselError
                                      "of its own: --out DIR.")
     if first == second:
         return TermselError(f"{first} is given twice", hint="Give it once.")
+    for path in (first, second):
+        # A second id after --off, such as --off P1 P2, looks like a file.
+        if not path.exists() and not path.suffix and "/" not in str(path):
+            return TermselError("this file does not exist", file=path,
+                                hint="If it is an id, write ids with commas and without blanks: "
+                                     f"--off ID,{path}. Otherwise check the name and the folder.")
     hint = "Name each file: --points FILE, --lines FILE, --image FILE, --rpc FILE, --dem FILE."
     if kind == "points":
         hint = "Points of one image: join them in one table. Points of two images: termsel " \
