@@ -251,18 +251,22 @@ class Control:
                 np.diag(self.relative_variances) + squared_ratio * self.correlations(field)),
                 dtype=np.float64)
             toward = inverse @ self.monomials
-            scale = np.append(np.full(n, squared_ratio), np.ones(f))
             # A^-1 of all likely rules and sizes, (w, f, f): the rest of M^-1 is linear in it.
             of_columns = np.linalg.inv(
                 self.monomials.T @ toward
                 + self.shrinkages.precisions[likely[:, :, i]][:, :, None] * np.eye(f))
             coefficients = of_columns @ (toward.T @ self.deviations)
-            at_points = inverse @ self.deviations - toward @ coefficients
-            means.append(scale[:, None] * np.concatenate([at_points, coefficients], axis=1))
-            for axis in (0, 1):
-                of_likely = noise[:, :, i, axis][likely[:, :, i]]
-                explained[axis] += np.outer(scale, scale) * _inverse_of_blocks(
-                    of_likely.sum() * inverse, toward, np.tensordot(of_likely, of_columns, axes=1))
+            at_points = squared_ratio * (inverse @ self.deviations - toward @ coefficients)
+            means.append(np.concatenate([at_points, coefficients], axis=1))
+            # M^-1 has the blocks S^-1 - B A^-1 B', B A^-1 and -A^-1, with B = S^-1 F.
+            of_axes = noise[:, :, i][likely[:, :, i]].T                      # (2, w)
+            inverses = np.tensordot(of_axes, of_columns, axes=1)             # (2, f, f)
+            gains = toward @ inverses
+            explained[:, :n, :n] += squared_ratio**2 * (
+                of_axes.sum(axis=1)[:, None, None] * inverse - gains @ toward.T)
+            explained[:, :n, n:] += squared_ratio * gains
+            explained[:, n:, n:] -= inverses
+        explained[:, n:, :n] = explained[:, :n, n:].swapaxes(1, 2)
         # In the order of the means: ratios first.
         weights = np.moveaxis(probabilities, 2, 0)[np.moveaxis(likely, 2, 0)].T        # (2, w)
         of_ratios = (noise * likely[..., None]).sum(axis=(0, 1))                       # (r, 2)
@@ -318,10 +322,3 @@ def _fields() -> Iterator[Field]:
         for pair in lengths:
             for smoothness in SMOOTHNESSES:
                 yield Field(each, pair, smoothness)
-
-
-def _inverse_of_blocks(inverse: FloatArray, toward: FloatArray,
-                       of_columns: FloatArray) -> FloatArray:
-    """Return M^-1 = [[S, F], [F', -D]]^-1 from S^-1 (n, n), S^-1 F (n, f) and A^-1 (f, f)."""
-    gain = toward @ of_columns
-    return np.block([[inverse - gain @ toward.T, gain], [gain.T, -of_columns]])
