@@ -39,6 +39,17 @@ def test_all_points_at_one_place_are_named_at_once(tmp_path: Path) -> None:
     assert "--set repeated=average" in (caught.value.hint or "")
 
 
+def test_no_mean_is_offered_of_points_at_zero(tmp_path: Path) -> None:
+    """It would keep a false point; these zeros are places that are not known."""
+    zeros = "".join(f"{name},control,{line},40,0,0,{z},1,1\n"
+                    for name, line, z in (("m", 50, 0), ("n", 60, 0), ("o", 70, 5)))
+    with pytest.raises(TermselError, match="points 'm' and 'n' have the same ground coordinates, "
+                                           "x = 0 and y = 0") as caught:
+        termsel.read(file(tmp_path, ROWS + zeros))
+    assert "repeated=average" not in str(caught.value)
+    assert "remove these points" in (caught.value.hint or "")
+
+
 def test_very_many_are_counted(tmp_path: Path) -> None:
     rows = "".join(f"p{i},control,{i},{i % 7},{500000 + i // 2},5000000,0,1,1\n"
                    for i in range(60))

@@ -109,6 +109,15 @@ def check_places(ground: FloatArray, ids: Sequence[str]) -> None:
                                ids=[ids[later], ids[earlier]],
                                hint="Was one position filled down the columns x and y? Give each "
                                     "point its own.")
+        at_zero = next((rows for rows in repeated if not ground[rows, :2].any()), None)
+        if at_zero is not None:
+            # Their mean would keep a false point.
+            earlier, later, *_ = at_zero
+            raise TermselError(f"{places_in_words(ids, [at_zero])}, x = 0 and y = 0",
+                               ids=[ids[later], ids[earlier]],
+                               hint="Zeros stand for places that are not known: remove these "
+                                    "points. In a raster of coordinates state 0 as its nodata "
+                                    "value.")
         raise TermselError(places_in_words(ids, repeated), ids=[ids[later], ids[earlier]],
                            hint=f"Remove {surplus}, or average their image coordinates: --set "
                                 "repeated=average.")
