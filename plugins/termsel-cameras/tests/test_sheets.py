@@ -67,6 +67,16 @@ def test_degrees_from_ferro_or_paris_are_degrees(tmp_path: Path) -> None:
         termsel.read(path, crs="local", prime_meridian="paris")
 
 
+@pytest.mark.parametrize(("meridian", "names", "told"), [
+    ("paris", "x,y", True), ("paris", "lon_gon,lat_gon", False), ("ferro", "x,y", False)])
+def test_a_map_of_paris_may_be_in_grads(meridian: str, names: str, told: bool, tmp_path: Path,
+                                        caplog: pytest.LogCaptureFixture) -> None:
+    path = table(sheet(6, 0), tmp_path / "map.csv")
+    path.write_text(path.read_text("utf-8").replace("x,y", names), encoding="utf-8")
+    termsel.read(path, crs="EPSG:4326", prime_meridian=meridian)
+    assert ("name the columns lon_gon and lat_gon" in caplog.text) == told
+
+
 def test_a_map_across_180_degrees_has_candidates_of_its_place() -> None:
     points = Points(("A", "B", "C"), np.zeros((3, 2)),
                     np.array([[176.0, -15.0, np.nan], [-177.0, -17.0, np.nan],

@@ -12,6 +12,7 @@ import numpy as np
 
 from termsel import FeatureSet, Option, TermselError
 from termsel.toolkit import FloatArray
+from termsel.toolkit.commands import ONCE
 from termsel.toolkit.coordinates import is_geographic, normalise, to_wgs84
 from termsel_cameras.roles import without_independent
 from termsel_cameras.sheets.candidates import (
@@ -24,7 +25,7 @@ from termsel_cameras.sheets.meridians import MERIDIANS, meridian_of
 if TYPE_CHECKING:
     from termsel_cameras.sheets.choosing import Tried
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("termsel.cameras")
 
 AUTO = "auto"
 _NEXT = 2
@@ -60,7 +61,13 @@ class SheetOptions:
         values = {option.name: option.parse(options_given[option.name]) for option in SHEET_OPTIONS
                   if options_given.get(option.name) is not None}
         if "prime_meridian" in values:
-            features = from_greenwich(features, meridian_of(values["prime_meridian"]))
+            meridian = meridian_of(values["prime_meridian"])
+            features = from_greenwich(features, meridian)
+            if meridian == meridian_of("paris") and "x" not in features.named_units:
+                log.warning("Note: longitudes and latitudes are taken for degrees. Many French "
+                            "maps that count from Paris are in grads, 100 to a right angle: if "
+                            "this one is, name the columns lon_gon and lat_gon.",
+                            extra={ONCE: "grads"})
         if "series" in values:
             return _sheet_of_series(features, values)
         if values.keys() & {"projection_candidates", "map_century"} \
