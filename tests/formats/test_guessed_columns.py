@@ -49,6 +49,17 @@ def test_lines_that_may_count_upwards_are_said(tmp_path: Path) -> None:
         "image_origin=bottom-left" in str(caught.value)
 
 
+def test_a_column_of_zeros_is_no_flag_and_a_name_of_an_image_no_id(tmp_path: Path) -> None:
+    columns = (METRES["x"], METRES["y"], SAMPLE, LINE)
+    rows = [" ".join([f"img_{i}.jpg 0", *(f"{cell:.2f}" for cell in cells)])
+            for i, cells in enumerate(zip(*columns, strict=True))]
+    (tmp_path / "table.txt").write_text("\n".join(rows))
+    with pytest.raises(TermselError, match="This mapping is a guess") as caught:
+        termsel.read(tmp_path / "table.txt", crs="EPSG:32619")
+    for guess in caught.value.guesses:
+        assert not {"id", "enabled"} & {pair.partition("=")[0] for pair in guess.split(",")}
+
+
 @pytest.mark.parametrize(("order", "kind"), TABLES)
 def test_every_guess_is_called_a_guess(order: str, kind: str, tmp_path: Path) -> None:
     known = COLUMNS | (METRES if kind == "metres" else DEGREES)

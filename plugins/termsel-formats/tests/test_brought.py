@@ -165,6 +165,19 @@ def test_a_list_with_half_a_crs_is_asked_for_the_other(header: str, tmp_path: Pa
         termsel.read(tmp_path / "gcp_list.txt")
 
 
+def test_a_list_whose_crs_is_unknown_is_a_list_of_images_all_the_same(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "gcp_list.txt"
+    path.write_text(odm("PUWG1992", images=("DJI_1.JPG", "DJI_2.JPG")))
+    with pytest.raises(TermselError, match=r"images DJI_1\.JPG \(4\), DJI_2\.JPG"):
+        termsel.read(path)
+    same(termsel.read(path, image_name="DJI_2.JPG", crs="EPSG:32633"), "EPSG:32633")
+    assert "line 1: 'PUWG1992' is no CRS that is known" in caplog.text
+    # The header of a table in another order is no such statement.
+    path.write_text(odm("line sample x y z image name"))
+    assert not OdmGcpList().sniff(path, path.read_bytes())
+
+
 def test_the_image_that_is_given_is_the_one_of_a_list(tmp_path: Path) -> None:
     (tmp_path / "gcp_list.txt").write_text(odm(images=("DJI_1.JPG", "DJI_2.JPG")))
     with pytest.warns(rasterio.errors.NotGeoreferencedWarning):

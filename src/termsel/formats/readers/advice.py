@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel.core.errors import TermselError
-from termsel.core.files.endings import SPREADSHEETS
+from termsel.core.files.endings import RASTERS, SPREADSHEETS
 from termsel.data.coordinates.crs import short_crs_name
 from termsel.data.features import FloatArray
 from termsel.data.tables.columns import (
@@ -471,12 +471,16 @@ def _without_scores(values: dict[int, FloatArray]) -> dict[int, FloatArray]:
 
 def _id_and_flags(rows: Sequence[Sequence[str]], numbers: Mapping[int, FloatArray],
                   others: Collection[int], *, has_id: bool, has_flag: bool) -> dict[str, int]:
-    """Return the column of ids, and of the flags 0 and 1 of points that are in use."""
+    """Return the column of ids, and of the flags 0 and 1 of points that are in use.
+
+    A column of zeros alone is none: it would leave no point.
+    """
     extra: dict[str, int] = {}
     texts = []
     for i, cells in enumerate(zip(*rows, strict=True)):
-        # The same text twice, such as the name of an image, is no id.
-        if i not in numbers and i not in others and len(set(cells)) == len(cells):
+        # The same text twice is no id, nor is the name of an image.
+        if i not in numbers and i not in others and len(set(cells)) == len(cells) \
+                and not any(Path(cell).suffix.lower() in RASTERS for cell in cells):
             texts.append(i)
     # Consecutive numbers in the first column are ids.
     first = next(iter(numbers), None)
@@ -486,7 +490,8 @@ def _id_and_flags(rows: Sequence[Sequence[str]], numbers: Mapping[int, FloatArra
         extra["id"] = first
     elif not has_id and texts:
         extra["id"] = texts[0]
-    flags = [i for i, column in numbers.items() if np.isin(column, (0.0, 1.0)).all()]
+    flags = [i for i, column in numbers.items()
+             if np.isin(column, (0.0, 1.0)).all() and column.any()]
     if flags and not has_flag:
         extra["enabled"] = flags[-1]
     return extra

@@ -21,6 +21,7 @@ from warnings import catch_warnings, simplefilter
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
 from termsel.toolkit import read_text, require_import, write_text
+from termsel.toolkit.commands import ONCE
 from termsel.toolkit.coordinates import begins_as_crs, horizontal_crs, normalise
 from termsel.toolkit.files import IMAGE_NAME, Table, error_in_file, image_of, is_number
 from termsel.toolkit.runs import GIS
@@ -37,6 +38,7 @@ log = logging.getLogger("termsel.formats")
 
 _ODM_COLUMNS = ("geo_x", "geo_y", "geo_z", "im_x", "im_y", "image_name", "gcp_name")
 _ODM_HEADINGS = {"x": "geo_x", "y": "geo_y", "z": "geo_z", "sample": "im_x", "line": "im_y"}
+_IMAGES = frozenset((".jpg", ".jpeg", ".tif", ".tiff", ".png", ".dng"))
 _CODE = re.compile(r"\d{4,5}")
 _CHECK = "CHK-"
 """Beginning of the names of check points. Versions of OpenDroneMap that know it keep them out of
@@ -57,7 +59,7 @@ class OdmGcpList(Reader):
         # The head may be cut within a row: the first of them is whole.
         first_mark = next(
             (i for i, (_, text) in enumerate(rows) if _is_mark(_split_cells(text))), 0)
-        return _crs_row(rows[:first_mark]) is not None
+        return _crs_row(rows[:first_mark]) is not None or _has_unknown_crs(rows)
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points of one image; errors name file, line and column.
@@ -104,7 +106,11 @@ def _read_marks(path: Path) -> tuple[str, list[tuple[int, list[str]]]]:
     try:
         crs = normalise(first.removeprefix("#").strip())
     except TermselError as error:
-        raise error_in_file(error, path, number) from error
+        if not _has_unknown_crs(rows):
+            raise error_in_file(error, path, number) from error
+        log.warning("Note: %s, line %d: '%s' is no CRS that is known, so --crs EPSG:CODE must "
+                    "state it.", path, number, first, extra={ONCE: "the CRS of a list"})
+        crs = ""
     marks: list[tuple[int, list[str]]] = []
     for number, text in rows[(i or 0) + 1:]:
         cells = _split_cells(text)
@@ -144,6 +150,18 @@ def _crs_row(rows: list[tuple[int, str]]) -> int | None:
         else:
             return i
     return None
+
+
+def _has_unknown_crs(rows: list[tuple[int, str]]) -> bool:
+    """Return whether a statement that is no CRS stands above marks that end in names of images.
+
+    A row of as many cells as the marks have is the header of another table.
+    """
+    if len(rows) < 2 or _crs_row(rows) is not None:
+        return False
+    first, mark = _split_cells(rows[0][1]), _split_cells(rows[1][1])
+    return (not any(map(is_number, first)) and len(first) < len(mark) and _is_mark(mark)
+            and Path(mark[5]).suffix.lower() in _IMAGES)
 
 
 def _split_cells(text: str) -> list[str]:
