@@ -46,6 +46,48 @@ def plane(n: int, mirrored: bool) -> FeatureSet:
                              image + rng.normal(0, 0.3, (n, 2)), ground), crs="local")
 
 
+def drawn(n: int, seed: int, error: float = 20.0) -> tuple[FeatureSet, FloatArray, FloatArray]:
+    """Points of a town plan drawn to scale, and further ones: their places and line and sample."""
+    rng = np.random.default_rng([n, seed])
+    ground = np.column_stack([rng.uniform(0, 1000, (n + 40, 2)), np.full(n + 40, np.nan)])
+    turn = rng.uniform(-0.2, 0.2)
+    x, y = 2.5 * ground[:, :2].T
+    image = np.column_stack([2500 - np.sin(turn) * x - np.cos(turn) * y,
+                             np.cos(turn) * x - np.sin(turn) * y])
+    # The surveyor's errors are those of places, and stand in the image.
+    image += rng.normal(0, error, image.shape)
+    points = Points(tuple(f"P{i}" for i in range(n)), image[:n], ground[:n])
+    return FeatureSet(points, crs="local"), ground[n:], image[n:]
+
+
+def rms_at(fitted: termsel.Fit, ground: FloatArray, image: FloatArray) -> float:
+    return float(np.sqrt(((fitted.project(ground) - image)**2).sum(axis=1).mean()))
+
+
+@pytest.mark.parametrize("n", [6, 9])
+def test_few_points_of_a_map_to_scale_are_those_of_a_similarity(n: int) -> None:
+    ratios = []
+    chosen = []
+    for seed in range(12):
+        features, ground, image = drawn(n, seed)
+        data = FitData.of(features)
+        fitted = Auto().fit(data)
+        chosen.append(fitted.method.name)
+        ratios.append(rms_at(fitted, ground, image) / rms_at(named("field").fit(data), ground,
+                                                            image))
+    assert chosen.count("similarity") > 6
+    assert "mirrored-similarity" not in chosen
+    assert np.exp(np.mean(np.log(ratios))) < 0.95
+
+
+def test_few_points_of_shrunken_paper_are_not() -> None:
+    for seed in range(4):
+        features, _, _ = drawn(9, seed, error=1.0)
+        points = features.points
+        shrunken = features.with_(points=replace(points, image=points.image * [1.0, 0.97]))
+        assert "similarity" not in Auto().fit(FitData.of(shrunken)).method.name
+
+
 @pytest.mark.parametrize(("kept", "n", "told"), [(True, 7, ""), (False, 7, "some 5 s longer"),
                                                  (False, 4, "")])
 def test_auto_announces_only_what_it_compiles_itself(

@@ -32,6 +32,7 @@ from termsel.auto.rule import (
     has_pole,
     held_out_lines,
     is_contained,
+    is_undecided,
     method_of,
     standard_errors,
 )
@@ -287,7 +288,8 @@ class Auto(Method):
                 watch(fitted)
         # In the order of the offer, whatever the order of fitting.
         compared = [fits[method.name] for method in candidates if method.name in fits]
-        if not any(method_of(fitted).has_prior for fitted in compared):
+        has_prior = any(method_of(fitted).has_prior for fitted in compared)
+        if not has_prior or is_undecided(data):
             compared = [*self.few(data), *compared]
         choice = self.best_of(compared, explained=with_contained)
         if choice is not None and self.is_one_method:

@@ -12,6 +12,7 @@ from math import erf, sqrt
 
 import numpy as np
 
+from termsel.adjustment.bayesian.field import SPLINE_MAX_POINTS
 from termsel.data.coordinates.clusters import cluster_labels
 from termsel.data.coordinates.metres import plan_of
 from termsel.data.coordinates.places import MIN_LATTICE_LINES as FEWEST_LINES
@@ -184,6 +185,10 @@ SUPPORTED_MIN_FEATURES = 12
 held-out RMSE is smaller by a quarter, and the errors are so many: what a polynomial misses at a few
 points of the edge hardly counts in logarithms."""
 
+SIMPLER_RMSE_RATIO = 0.9
+"""Held-out RMSE of a model with fewer unknowns by that of the average of few points, below which it
+is taken: the best of several is so partly by luck."""
+
 FEWEST_EQUATIONS_OF_CAMERA = 2
 """Equations that a central projection must leave to be held against a method that knows more."""
 
@@ -252,7 +257,8 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
     Of methods with a prior, the first is to be beaten by the others by PRIOR_MARGIN standard
     errors; what none of them contains by CLEAR_MARGIN, a central projection by PROJECTION_MARGIN,
     or by PRIOR_MARGIN where the points support an oblique or near camera, or by far in RMSE (see
-    `is_supported_and_smaller`). Of those that are so much better, and of the one to be beaten, the
+    `is_supported_and_smaller`); of few points in a plane a simpler one by less (see
+    `is_simpler_and_smaller`). Of those that are so much better, and of the one to be beaten, the
     one with the smallest RMSE is chosen. Where none has a prior, the smallest RMSE decides.
     """
     compared = tuple(fits)
@@ -266,7 +272,8 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
     rivals = [base]
     for alternative in alternatives:
         is_clearly_better = gain(alternative, base) > required_gain(alternative, base)
-        if is_clearly_better or is_supported_and_smaller(alternative, base):
+        if is_clearly_better or is_supported_and_smaller(alternative, base) \
+                or is_simpler_and_smaller(alternative, base):
             rivals.append(alternative)
     chosen = min(rivals, key=beyond_rounding)
     if not explained:
@@ -342,6 +349,29 @@ def is_supported_and_smaller(fitted: Fit, base: Fit) -> bool:
             and len(fitted.held_out().squares) >= SUPPORTED_MIN_FEATURES
             and gain(fitted, base) > 0.0
             and beyond_rounding(fitted) < SUPPORTED_RMSE_RATIO * beyond_rounding(base))
+
+
+def is_undecided(data: FitData) -> bool:
+    """Return whether points in a plane are so few that the method with a prior is an average.
+
+    Of polynomials, fields, a spline and an affine image, which they do not decide between.
+    """
+    return not data.heights and not len(data.features.lines) and len(data) < SPLINE_MAX_POINTS
+
+
+def is_simpler_and_smaller(fitted: Fit, base: Fit) -> bool:
+    """Return whether a plain model with fewer unknowns than the base has smaller errors.
+
+    Few points in a plane do not show standard errors, and the base averages what they do not decide
+    between. A similarity or a projection is one more of these: with so few unknowns it is not
+    better for following the points. Where its errors are smaller, in logarithms and by
+    SIMPLER_RMSE_RATIO in the root mean square, it is taken.
+    """
+    return (method_of(fitted).is_plain and not fitted.model.uses_height
+            and len(base.held_out().squares) < SPLINE_MAX_POINTS
+            and fitted.effective < base.effective
+            and gain(fitted, base) > 0.0
+            and beyond_rounding(fitted) < SIMPLER_RMSE_RATIO * beyond_rounding(base))
 
 
 def _equally_sure_margin(base: Fit) -> float:
