@@ -114,7 +114,7 @@ def test_rectify_says_what_the_map_is_and_what_is_missing(
                               "--output", str(target), "--crs", "EPSG:32639", "--res", "20"))
         with rasterio.open(target) as made:
             shown.append((made.read(1) > 0).sum())
-            assert (f"Map: {made.width} x {made.height} px of 20 metre in EPSG:32639, "
+            assert (f"Map: {made.width} x {made.height} px of 20 m in EPSG:32639, "
                     "with ") in texts[-1]
     assert "with all of the image." in texts[0]
     assert "Warning" not in texts[0]
