@@ -258,6 +258,9 @@ BAD_WORDS = {
     "no role": (["--problem", "poly-terms", "--role", "P001=best"],
                 "unknown role 'best'. Known: check, control, independent, off. It stands in --role "
                 "P001=best."),
+    "role in the words of the field": (
+        ["--problem", "poly-terms", "--role", "P001=GCP"],
+        "It stands in --role P001=GCP. Write control for a ground control point (GCP, CoP)."),
     "role in capitals": (["--problem", "poly-terms", "--role", "P001=CHECK"],
                          "unknown role 'CHECK'. Did you mean 'check'? Known: check, control, "),
     "two roles": (["--problem", "poly-terms", "--role", "P001=check", "--off", "P001"],

@@ -27,6 +27,7 @@ from termsel.data.features import (
 )
 from termsel.data.fit_data import FitData, relief_carriers
 from termsel.data.record.chances import quantile_of
+from termsel.data.tables.columns import fold_name
 from termsel.data.tables.tabular import replace_unchecked, rows_at
 
 RANGE = re.compile(r"\.\.|[*:]")
@@ -222,6 +223,21 @@ SPLITS = (STRATIFIED, Split("random", "Roles are drawn at random, not by positio
 """Built-in splits."""
 
 
+_CONTROL = "Write control for a ground control point (GCP, CoP)."
+_INDEPENDENT = "Write independent for a check point that tests the result (ICP, checkpoint)."
+_SELECTION = "Write check for a point that chooses the model (GACP, selection point)."
+FIELD_ROLES = {
+    **dict.fromkeys(("gcp", "gcps", "cop", "cops", "controlpoint", "groundcontrol",
+                     "groundcontrolpoint", "full", "fullcontrol"), _CONTROL),
+    **dict.fromkeys(("icp", "icps", "checkpoint", "chkpt", "test", "testpoint", "validation",
+                     "validate", "verification"), _INDEPENDENT),
+    **dict.fromkeys(("gacp", "gacps", "selection", "selectionpoint"), _SELECTION),
+    "cp": "CP is written for a control point and for a check point: write control if the point "
+          "fits the model, independent if it tests the result.",
+    "tie": "A tie point has no ground coordinates: write off, or remove it.",
+    "tiepoint": "A tie point has no ground coordinates: write off, or remove it."}
+"""What to write for words of the field and of papers, without signs and capitals."""
+
 THIRDS = (1 / 3, 1 / 3, 1 / 3)
 _NUMBER = re.compile(r"([0-9]+)")
 
@@ -337,8 +353,9 @@ def asked_roles(off: str | None, role: str | None) -> dict[str, str]:
             raise TermselError(f"--role {pair.strip()!r} is not of the form ID=ROLE",
                                hint=f"For example P07=check. Roles are {', '.join(ROLES)}.")
         if equals and value.strip() not in ROLES:
+            meant = FIELD_ROLES.get(fold_name(value), "")
             raise unknown_name_error("role", value.strip(), ROLES,
-                                     f"It stands in --role {pair.strip()}.")
+                                     f"It stands in --role {pair.strip()}. {meant}".rstrip())
         pairs.append((name, value.strip()))
     for name, value in ((name.strip(), value) for name, value in pairs if name.strip()):
         if named.setdefault(name, value) != value:

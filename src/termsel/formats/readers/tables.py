@@ -30,6 +30,7 @@ from termsel.core.files.texts import unguard_cell
 from termsel.core.options import Option
 from termsel.data.coordinates.crs import normalise
 from termsel.data.features import ROLES, FeatureSet, FloatArray, Points
+from termsel.data.roles import FIELD_ROLES
 from termsel.data.tables.columns import (
     COMMA,
     COORDINATES,
@@ -82,21 +83,6 @@ from termsel.formats.stated_roles import ids_with_stated_roles
 _ENABLED = {"": True, "1": True, "true": True, "yes": True, "on": True,
             "0": False, "false": False, "no": False, "off": False}
 _WHOLE = re.compile(r"([01])\.0*")
-
-_CONTROL = "Write control for a ground control point (GCP, CoP)."
-_INDEPENDENT = "Write independent for a check point that tests the result (ICP, checkpoint)."
-_SELECTION = "Write check for a point that chooses the model (GACP, selection point)."
-_FIELD_ROLES = {
-    **dict.fromkeys(("gcp", "gcps", "cop", "cops", "controlpoint", "groundcontrol",
-                     "groundcontrolpoint", "full", "fullcontrol"), _CONTROL),
-    **dict.fromkeys(("icp", "icps", "checkpoint", "chkpt", "test", "testpoint", "validation",
-                     "validate", "verification"), _INDEPENDENT),
-    **dict.fromkeys(("gacp", "gacps", "selection", "selectionpoint"), _SELECTION),
-    "cp": "CP is written for a control point and for a check point: write control if the point "
-          "fits the model, independent if it tests the result.",
-    "tie": "A tie point has no ground coordinates: write off, or remove it.",
-    "tiepoint": "A tie point has no ground coordinates: write off, or remove it."}
-"""What to write for words of the field and of papers, without signs and capitals."""
 
 VOID_HEIGHTS = (-9999.0, -32768.0, -32767.0)
 """What rasters of heights have where there is none, and people sample from them."""
@@ -249,8 +235,8 @@ class Table:
         if len(unknown) == 1:
             named = [f"{unknown[0].strip()!r}" + (
                 f" in {rows[unknown[0]]} rows" if rows[unknown[0]] > 1 else "")]
-        words = [_FIELD_ROLES[folded] for folded in dict.fromkeys(
-            fold_name(cell) for cell in unknown) if folded in _FIELD_ROLES]
+        words = [FIELD_ROLES[folded] for folded in dict.fromkeys(
+            fold_name(cell) for cell in unknown) if folded in FIELD_ROLES]
         hint = f"Roles are {', '.join(ROLES)}, or blank."
         meant = " ".join(dict.fromkeys(words)) or (
             "A GCP is control; a point that tests the result is independent; check points choose "
