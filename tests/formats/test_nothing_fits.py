@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import termsel
+from termsel.results.first_screen import next_step_for_user
 
 
 @pytest.mark.parametrize("is_random", [True, False])
@@ -22,3 +23,28 @@ def test_an_export_of_random_points_says_that_no_model_fits(
     caplog.clear()
     termsel.export(result, "rpc-txt", tmp_path / "scene_RPC.TXT")
     assert ("no model fits these points" in caplog.text) == is_random
+
+
+@pytest.mark.parametrize("heights", [True, False])
+def test_degrees_that_no_model_fits_may_be_those_of_a_map_in_a_projection(heights: bool) -> None:
+    rng = np.random.default_rng(3)
+    ground = np.column_stack([rng.uniform(-95, -65, 21), rng.uniform(8, 30, 21),
+                              rng.uniform(0, 900, 21) if heights else np.full(21, np.nan)])
+    points = termsel.Points(tuple(f"P{i}" for i in range(21)), rng.uniform(0, 3000, (21, 2)),
+                            ground)
+    result = termsel.run(features=termsel.FeatureSet(points, crs="EPSG:4326"))
+    assert "no model fits" in result.summary()
+    told = "--crs auto finds its projection" in next_step_for_user(result)
+    assert told != heights
+
+
+@pytest.mark.parametrize(("extent", "is_told"), [(0.5, False), (12.0, True), (40.0, True)])
+def test_degrees_of_a_country_without_a_crs_may_be_those_of_a_map(
+        extent: float, is_told: bool, tmp_path: Path) -> None:
+    rows = [f"P{i},{100 * i % 700},{37 * i % 900},{-87 + extent * (i % 5) / 4},"
+            f"{15 + extent * (i % 3) / 4}" for i in range(12)]
+    table = tmp_path / "map.csv"
+    table.write_text("\n".join(["id,line,sample,lon,lat", *rows]), encoding="utf-8")
+    with pytest.raises(termsel.TermselError) as caught:
+        termsel.read(table)
+    assert ("--crs auto finds its projection" in str(caught.value)) == is_told

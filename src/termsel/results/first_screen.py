@@ -14,7 +14,7 @@ from termsel.core.errors import (
     percent_text,
     rounded_size_text,
 )
-from termsel.data.coordinates.crs import LOCAL, short_crs_name
+from termsel.data.coordinates.crs import LOCAL, is_geographic, short_crs_name
 from termsel.data.record.cautions import BEYOND_RPC
 from termsel.data.record.figures import (
     EXACTLY,
@@ -33,6 +33,7 @@ from termsel.results.verdict import (
     NOT_FEW,
     are_alike,
     are_too_few_to_test,
+    does_nothing_fit,
     label_of,
     may_be_shifted,
     off_option,
@@ -645,6 +646,9 @@ def next_step_for_user(record: Record, folder: str = "") -> str:
     # A command that is complete is better than advice.
     if off and len(off) <= _LONGEST_OPTION:
         return f"Next: run again with {off}"
+    is_like_a_map = read is not None and not read.lines and read.without_height == read.points
+    if is_like_a_map and is_geographic(record.data.crs) and does_nothing_fit(record):
+        return "Next: if this is a map, --crs auto finds its projection"
     if not folder:
         return "Not saved: add --out DIR, then termsel report DIR"
     if not record.data.counts.independent and record.data.counts.word == "points" \

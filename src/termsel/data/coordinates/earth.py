@@ -39,6 +39,7 @@ _UNLIKE = 0.2  # share of the image coordinates' variance that relief and distor
 _FLAT = 0.05  # ratio of the axes of what a matrix makes of a circle, below which nothing shows
 _NO_DEGREES = 360.0  # beyond which no longitude is
 _WIDE = 20.0  # degrees that a scene may be wide
+_OF_A_COUNTRY = 3.0  # degrees from which on the projection of a map shows
 _SENSOR = "sensor"  # column that names what took the image
 AREA_MARGIN = 5.0  # degrees outside the area of a CRS at which features may still be
 
@@ -120,13 +121,22 @@ def unknown_crs_error(features: FeatureSet, may_turn: bool) -> TermselError:
         return error
     if len(ground) and np.abs(plane).max() > _NO_DEGREES:
         error.hint = f"{error.hint} x and y are no degrees: name the CRS of the map they are from."
-    # Degrees are below 180, and those of one scene close to each other.
-    if not len(ground) or np.abs(plane).max() > 180 or np.ptp(plane, axis=0).max() > _WIDE \
-            or np.hypot(*plane.mean(axis=0)) < _WIDE:  # near 0, 0: rather metres of an own plane
+    if not len(ground) or np.abs(plane).max() > 180:
         return error
-    crs = "EPSG:4979" if np.isfinite(ground[:, 2]).any() else "EPSG:4326"
+    has_heights = np.isfinite(ground[:, 2]).any()
+    crs = "EPSG:4979" if has_heights else "EPSG:4326"
+    # A map of some degrees was drawn in a projection, which degrees do not follow.
+    extent = float(np.ptp(plane, axis=0).max())
+    projection = "" if has_heights or extent < _OF_A_COUNTRY else \
+        "; on a map, --crs auto finds its projection"
+    # Degrees of one scene are close to each other; near 0, 0 rather metres of an own plane.
+    if extent > _WIDE or np.hypot(*plane.mean(axis=0)) < _WIDE:
+        if extent > _OF_A_COUNTRY and not has_heights:
+            error.hint = f"{error.hint} If they are longitudes and latitudes: --crs {crs}" \
+                f"{projection}."
+        return error
     error.options["--crs"] = crs
-    error.hint = f"{error.hint} They look like degrees: --crs {crs}."
+    error.hint = f"{error.hint} They look like degrees: --crs {crs}{projection}."
     impossible = ("x and y look swapped: no latitude is beyond 90"
                   if np.abs(plane[:, 1]).max() > 90 else "")
     if may_turn and (doubt := impossible or find_swapped_axes(replace(features, crs=crs))):
