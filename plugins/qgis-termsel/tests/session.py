@@ -167,6 +167,13 @@ def georeference():
         ",".join([cells[0], *cells[2:7]]) + "\n" for cells in few))
     told["few"] = [len(few), run("georeference", FILE=str(folder / "few.csv"), MODEL="affine",
                                  CRS="EPSG:4979", OUTPUT=str(folder / "few"))]
+    in_feet = [row.split(",")[2:7] for row in rows if row.startswith("C1")]
+    (folder / "feet.csv").write_text("id,line,sample,x,y,z\n" + "".join(
+        f"F{i},{line},{sample},{1e6 + 3e5 * (float(x) - 48)},{1e6 + 3e5 * (float(y) - 34)},{z}\n"
+        for i, (line, sample, x, y, z) in enumerate(in_feet)))
+    feet = {"FILE": str(folder / "feet.csv"), "CRS": "EPSG:2263", "MODEL": "affine"}
+    told["unit open"] = run("georeference", OUTPUT=str(folder / "open"), **feet)
+    told["in feet"] = run("georeference", HEIGHT_UNIT="us-ft", OUTPUT=str(folder / "feet"), **feet)
     at = next(i for i, row in enumerate(rows) if row.startswith("C40,"))
     cells = rows[at].split(",")
     cells[2] = str(float(cells[2]) + 40)

@@ -178,6 +178,12 @@ def test_a_model_is_fitted_to_few_points(told: dict[str, Any], place: Place) -> 
     assert record_of(place[0] / "few")["data"]["counts"]["control"] == number
 
 
+def test_the_dialog_states_the_unit_of_heights(told: dict[str, Any], place: Place) -> None:
+    assert "z may be in US survey feet" in told["unit open"]["error"]
+    assert "error" not in told["in feet"]
+    assert record_of(place[0] / "feet")["data"]["counts"]["control"] > 3
+
+
 def test_a_model_takes_selected_features_and_makes_a_map(
         told: dict[str, Any], place: Place) -> None:
     record = record_of(place[0] / "of model")

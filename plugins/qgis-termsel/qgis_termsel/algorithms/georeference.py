@@ -14,6 +14,7 @@ from qgis.core import (
     QgsProcessingOutputVectorLayer,
     QgsProcessingParameterCrs,
     QgsProcessingParameterDefinition,
+    QgsProcessingParameterEnum,
     QgsProcessingParameterFeatureSource,
     QgsProcessingParameterField,
     QgsProcessingParameterFile,
@@ -65,6 +66,10 @@ def model_named(candidate, model):
     return "" if candidate.startswith(("regularised", "selected")) else model
 
 
+HEIGHT_UNITS = ("metre", "ft", "us-ft")
+"""Units of heights as termsel calls them: a CRS in feet may have heights in feet or in metres."""
+
+
 class Georeference(Algorithm):
     """Georeference an image from its points."""
 
@@ -92,6 +97,11 @@ class Georeference(Algorithm):
             # Names that are known are found without them.
             field.setFlags(field.flags() | QgsProcessingParameterDefinition.Flag.FlagAdvanced)
             add(field)
+        unit = QgsProcessingParameterEnum(
+            "HEIGHT_UNIT", "Unit of heights (z_unit), if the CRS leaves it open",
+            list(HEIGHT_UNITS), optional=True, usesStaticStrings=True)
+        unit.setFlags(unit.flags() | QgsProcessingParameterDefinition.Flag.FlagAdvanced)
+        add(unit)
         add(QgsProcessingParameterFile("FILE", "Or file of points", optional=True))
         add(QgsProcessingParameterCrs("CRS", "CRS of the file, if it states none", optional=True))
         add(QgsProcessingParameterRasterLayer("DEM", "Raster of heights", optional=True))
@@ -157,6 +167,9 @@ class Georeference(Algorithm):
             file = self.parameterAsFile(parameters, name, context)
             if file:
                 arguments += [option, file]
+        unit = self.parameterAsEnumString(parameters, "HEIGHT_UNIT", context)
+        if unit:
+            arguments += ["--set", f"z_unit={unit}"]
         # "poly3d 2": a model, and its degree where it has one.
         model, _, degree = self.parameterAsString(parameters, "MODEL", context).partition(" ")
         if model:
