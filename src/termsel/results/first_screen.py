@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import PurePath
 from shlex import quote
 
+from termsel.adjustment.bayesian.field import SPLINE_MAX_POINTS
 from termsel.auto.methods import BY_NAME
 from termsel.core.errors import (
     amount_in_words,
@@ -205,6 +206,9 @@ def title_of(record: Record) -> str:
         return "rational function model" if record.model == "rfm" else record.model
     if shift := _shift_of(record):
         return f"vendor RPC plus {shift}"
+    # So few points in a plane decide nothing: what is called a cubic polynomial is mostly affine.
+    if record.model == "field" and record.selection.n_features < SPLINE_MAX_POINTS:
+        return "average of polynomials, a spline and local deformation"
     candidate = BY_NAME.get(strategy.chosen)
     return label_of(strategy.chosen) if candidate is None else \
         candidate.title.partition(" ")[2]
