@@ -448,10 +448,10 @@ def test_few_points_without_heights_that_a_scanner_saw_keep_its_prior() -> None:
 
 def test_what_is_an_average_of_models_is_called_one() -> None:
     rng = np.random.default_rng(2)
-    ground = np.column_stack([rng.uniform(0, 1000, (14, 2)), np.full(14, np.nan)])
-    bent = 20.0 * np.sin(ground[:, :2] / 150.0)
+    ground = np.column_stack([rng.uniform(0, 1000, (12, 2)), np.full(12, np.nan)])
+    bent = 10.0 * np.sin(ground[:, :2] / 200.0)
     image = ground[:, [1, 0]] @ np.array([[-2.0, 0.3], [0.4, 1.7]]) + 3000.0 + bent
-    points = Points(tuple(f"P{i}" for i in range(14)), image, ground)
+    points = Points(tuple(f"P{i}" for i in range(12)), image, ground)
     result = termsel.run(features=FeatureSet(points, crs="local"))
     assert result.strategy is not None
     assert result.strategy.chosen == "field"
