@@ -391,6 +391,19 @@ def test_without_independent_points_the_prediction_is_stated_and_called_one(
     assert "not stated: the result has no independent points" in done.stderr
 
 
+@pytest.mark.parametrize(("independent", "is_stated"), [(3, True), (24, False)])
+def test_few_check_points_leave_the_prediction_to_sign(
+        independent: int, is_stated: bool, tmp_path: Path) -> None:
+    scene = termsel.simulate_scene("ikonos-hamedan", roles=(20, 0, independent))
+    termsel.run(features=scene, out=tmp_path / "out")
+    text = invoke("accuracy", tmp_path / "out").stdout
+    assert ("Predicted, not tested by independent check points" in text) == is_stated
+    assert text.endswith("Date:                Signed:\n")
+    stated = json.loads(invoke("accuracy", tmp_path / "out", "--json").stdout)
+    assert (stated["prediction"] is not None) == is_stated
+    assert stated["distribution"]["points"] == independent
+
+
 @pytest.mark.slow
 def test_a_statement_repeats_that_an_rpc_seems_fitted_to_its_points(tmp_path: Path) -> None:
     pytest.importorskip("termsel_rpc")

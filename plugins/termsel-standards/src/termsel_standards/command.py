@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING
@@ -12,6 +13,9 @@ import click
 if TYPE_CHECKING:
     from termsel import Result
     from termsel_standards.statement import PredictedStatement, Statements
+
+SIGNATURE = "Date:                Signed:"
+"""The last line of a statement, which is text to sign."""
 
 _PATH = click.Path(path_type=Path)
 _POSITIVE_METRES = click.FloatRange(0, 1e6, min_open=True)
@@ -34,8 +38,9 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
     """State the accuracy by ASPRS (edition 2, 2024) and NSSDA.
 
     DIR is the folder that a run wrote with --out; its independent points are the check points.
-    Without such points the accuracy that the run predicted is stated, with its interval and how it
-    was found: it is no test, so the standards have no statement on it. Of a folder of several
+    Without such points, and with fewer than the standards take, the accuracy that the run predicted
+    is stated, with its interval and how it was found: it is no test, so the standards have no
+    statement on it. Of a folder of several
     results, such as a block or a batch wrote, each is stated.
     TABLE is a CSV of errors in metres, headed id,dx,dy and where they are known
     dz,x,y,sigma_x,sigma_y,sigma_z.
@@ -63,8 +68,9 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
         took = "which took"
 
         def state(result: Result) -> Statements | PredictedStatement:
-            return _predicted_statement(result) or statements_of(
-                errors_of(result).surveyed(survey_sigma, survey_sigma_z), horizontal, vertical)
+            return _predicted_statement(result) or _with_prediction(statements_of(
+                errors_of(result).surveyed(survey_sigma, survey_sigma_z), horizontal, vertical),
+                result)
 
         results = _results_of(source)
         is_one = len(results) == 1
@@ -124,6 +130,16 @@ def _predicted_statement(result: Result) -> PredictedStatement | None:
     return None if prediction is None else prediction_statement(result.data.source, prediction)
 
 
+def _with_prediction(stated: Statements, result: Result) -> Statements:
+    """Return tested statements, with what the run predicts where no standard has one."""
+    from termsel.toolkit.files import prediction_of
+    from termsel_standards.statement import LEAST_REDUCED
+
+    # A few check points must not leave less to sign than none at all.
+    prediction = prediction_of(result) if stated.distribution.points < LEAST_REDUCED else None
+    return stated if prediction is None else replace(stated, prediction=prediction.sentence)
+
+
 def _lines_of(stated: Statements | PredictedStatement, took: str) -> Iterator[str]:
     """Yield the lines of a statement for the terminal, tested or predicted."""
     from termsel_standards.statement import Statements
@@ -171,6 +187,11 @@ def _tested_lines(stated: Statements, took: str) -> Iterator[str]:
            for statement in stated.statements):
         yield fill(f"Note: {_TWO_FIGURES}", 90, subsequent_indent="    ")
     yield from (fill(f"Note: {note}", 90, subsequent_indent="    ") for note in stated.notes)
+    if stated.prediction is not None:
+        yield ""
+        yield fill(f"{stated.prediction}.", 90)
+    yield ""
+    yield SIGNATURE
 
 
 def _predicted_lines(stated: PredictedStatement) -> Iterator[str]:
@@ -182,7 +203,7 @@ def _predicted_lines(stated: PredictedStatement) -> Iterator[str]:
     for statement in stated.statements:
         yield fill(f"{statement.standard}: {statement.words}.", 90, subsequent_indent="    ")
     yield ""
-    yield "Date:                Signed:"
+    yield SIGNATURE
 
 
 def _value_or(value: float | None) -> str:

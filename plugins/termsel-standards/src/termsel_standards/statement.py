@@ -141,6 +141,8 @@ class Statements:
     statements : tuple of Statement
     notes : tuple of str
         What a reader must know.
+    prediction : str or None
+        Where the check points are too few for the standards: what the run predicts, in a sentence.
     """
 
     source: str
@@ -156,6 +158,7 @@ class Statements:
     distribution: Distribution
     statements: tuple[Statement, ...]
     notes: tuple[str, ...]
+    prediction: str | None = None
 
 
 @dataclass(frozen=True)
