@@ -13,7 +13,14 @@ from termsel.auto.methods import named
 from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.data.fit_data import FitData
 from termsel.fitting.fit import Undetermined
-from termsel.fitting.pinhole import Cameras, Measured, pinhole_of, rotation_matrices
+from termsel.fitting.pinhole import (
+    FOCAL_LOG_DEVIATION,
+    Cameras,
+    Measured,
+    camera_of,
+    pinhole_of,
+    rotation_matrices,
+)
 from termsel.simulate import simulate_scene
 
 
@@ -51,6 +58,20 @@ def test_steps_lead_down_the_slope_of_the_costs() -> None:
                        for sign in (1.0, -1.0))
         slope = -2.0 * design[0, :, unknown] @ residuals[0]
         assert slope == pytest.approx((ahead - back) / 2e-6, rel=1e-4, abs=1e-3)
+
+
+@pytest.mark.parametrize("spread", [0.5, FOCAL_LOG_DEVIATION, 0.8, 2.0, 10.0])
+@pytest.mark.parametrize("factor", [0.3, 2.0])
+def test_a_focal_length_that_is_hardly_known_does_not_lead_astray(
+        factor: float, spread: float) -> None:
+    drawn = scene(25, 100, 5, 12)
+    control = FitData.of(drawn.features)
+    usual = pinhole_of(control.scaled, control.scaling)
+    assert usual is not None
+    camera = camera_of(replace(usual.measured, focal=factor * usual.camera.focal[0],
+                               focal_spread=spread))
+    assert camera is not None
+    assert camera.camera.focal[0] == pytest.approx(usual.camera.focal[0], rel=0.02)
 
 
 def test_a_camera_is_found_without_the_size_of_the_image() -> None:

@@ -54,6 +54,14 @@ _AZIMUTHS = np.radians(np.arange(0.0, 360.0, 22.5))
 _DEPRESSIONS = np.radians([4.0, 15.0, 30.0, 50.0, 75.0])
 _ROLLS = np.radians([0.0, 90.0, 180.0, 270.0])
 _FOCALS = (0.8, 1.6, 3.2, 6.4)
+
+KNOWN_FOCAL_SPREAD = 0.5 * float(np.log(2.0))
+"""Standard deviation of the logarithm of the focal length below which one start is enough: half the
+step between the focal lengths that are tried else."""
+
+_STABLE_DIAGONAL = 1e-12
+"""What is added to normal matrices of shifts, so that points in one place do not stop the grid."""
+
 _N_STARTS, _FIRST_STEPS, _N_FURTHER = 12, 6, 3
 """Starts that are improved, by how many steps, and how many of them further."""
 
@@ -172,6 +180,11 @@ class Measured:
     unknowns: int = 7  # that residuals are less for
     usual: float = 0.0  # standard deviation of a measurement as it usually is
     experience: float = 0.0  # degrees of freedom that it counts as
+
+    @property
+    def is_focal_known(self) -> bool:
+        """Whether the focal length is known well enough to start from it alone."""
+        return self.focal_spread < KNOWN_FOCAL_SPREAD
 
     @cached_property
     def _key(self) -> tuple[float | bytes, ...]:
@@ -409,7 +422,7 @@ def camera_of(measured: Measured) -> Pinhole | None:
 def cameras_of(measured: Measured) -> Cameras:
     """Return a few cameras that control points may support, the best first; or none."""
     everything = np.ones((1, len(measured.image)))
-    candidates = _starting_cameras(measured)
+    candidates = _grid_search_cameras(measured)
     costs = np.zeros(len(candidates))
     # Many starts for few steps, then the best for many: most starts lead to the same camera.
     for count, steps in ((_N_STARTS, _FIRST_STEPS), (_N_FURTHER, _CAMERA_STEPS)):
@@ -477,32 +490,41 @@ def _camera_points(scaled: FeatureSet, scaling: Scaling) -> Measured | None:
                     EXPECTED_FOCAL * half, unit, MIN_NOISE / scaling.image_scale)
 
 
-def _starting_cameras(measured: Measured) -> Cameras:
-    """Return the best of a grid of cameras that look from above at the points.
+def _grid_search_cameras(measured: Measured) -> Cameras:
+    """Return up to _N_STARTS cameras of a grid, those with the least squared errors, best first.
 
-    f q1 = (line - l0) q3, likewise for samples, are linear in the shift.
+    Cameras of the grid look at the points from above. Each is in the place that suits the points,
+    and has all of them in front.
     """
-    # A focal length that is known needs no others.
-    focals = np.array(
-        _FOCALS) / EXPECTED_FOCAL if measured.focal_spread == FOCAL_LOG_DEVIATION else np.ones(1)
-    rotation = np.concatenate([_grid_of_rotations(mirrored=_is_mirrored(measured))] * len(focals))
-    focal = np.repeat(focals * measured.focal, len(rotation) // len(focals))
-    turned = measured.ground @ rotation.transpose(0, 2, 1)                     # (s, n, 3)
-    offsets = measured.image - measured.middle
-    # Of each point f t - d t3 = d v3 - f v.
-    design = np.zeros((len(focal), len(offsets), 2, 3))
-    design[..., 0, 0] = design[..., 1, 1] = focal[:, None]
-    design[..., 2] = -offsets
-    right = offsets * turned[..., 2:] - focal[:, None, None] * turned[..., :2]
-    rows = design.reshape(len(focal), -1, 3)
-    normal = np.einsum("sri,srj->sij", rows, rows)
-    shift = np.linalg.solve(normal + 1e-12 * np.eye(3), np.einsum(
-        "sri,sr->si", rows, right.reshape(len(focal), -1))[..., None])[..., 0]
+    expected = measured.focal * (
+        np.ones(1) if measured.is_focal_known else np.array(_FOCALS) / EXPECTED_FOCAL)
+    rotations = _grid_of_rotations(mirrored=_is_mirrored(measured))
+    focal = np.repeat(expected, len(rotations))
+    rotation = np.tile(rotations, (len(expected), 1, 1))
+    shift = _shifts_by_equations(measured, rotation, focal)
     cameras = Cameras(rotation, shift, focal, np.tile(measured.middle, (len(focal), 1)))
     # A start may have points behind it that better ones have not.
     costs = ((measured.image - cameras.image(measured.ground)) ** 2).sum(axis=2).mean(axis=1)
     order = np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")[:_N_STARTS]
     return cameras.take(order[np.isfinite(costs[order])])
+
+
+def _shifts_by_equations(measured: Measured, rotation: FloatArray, focal: FloatArray) -> FloatArray:
+    """Return the shifts t (s, 3) of cameras, by least squares of equations that are linear in them.
+
+    With q = v + t, where v is the ground turned by the rotation (s, 3, 3), and the offset d of a
+    point from the principal point, f q1 = d1 q3 is f t1 - d1 t3 = d1 v3 - f v1; likewise for d2.
+    """
+    turned = measured.ground @ rotation.transpose(0, 2, 1)                     # (s, n, 3): v
+    offsets = measured.image - measured.middle                                 # (n, 2): d
+    design = np.zeros((len(focal), len(offsets), 2, 3))
+    design[..., 0, 0] = design[..., 1, 1] = focal[:, None]
+    design[..., 2] = -offsets
+    right = offsets * turned[..., 2:] - focal[:, None, None] * turned[..., :2]
+    rows = design.reshape(len(focal), -1, 3)
+    normal = np.einsum("sri,srj->sij", rows, rows) + _STABLE_DIAGONAL * np.eye(3)
+    products = np.einsum("sri,sr->si", rows, right.reshape(len(focal), -1))
+    return np.asarray(np.linalg.solve(normal, products[..., None])[..., 0])
 
 
 def _is_mirrored(measured: Measured) -> bool:
