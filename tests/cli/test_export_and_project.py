@@ -489,3 +489,23 @@ def test_text_formats_need_no_packages_for_rasters(folder: Path, tmp_path: Path)
     assert "not by GDAL, as rasterio is not installed" in found[0][1]
     for _, err in found[len(written):]:
         assert 'pip install "termsel[gis]"' in err
+
+
+def test_an_rpc_next_to_its_image_is_exported_again(folder: Path, tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    image = tmp_path / "scene.tif"
+    with rasterio.open(image, "w", driver="GTiff", width=4000, height=4000, count=1, dtype="uint8",
+                       sparse_ok=True):
+        pass
+    export = ("export", folder, "--to", "rpb", "-o", tmp_path / "scene.RPB", "--image", image)
+    code, _, err = _termsel(*export)
+    assert code == 0, err
+    code, _, err = _termsel(*export)
+    assert code == 2
+    assert "this file already exists" in err
+    code, _, err = _termsel(*export, "--overwrite")
+    assert code == 0, err
+    code, _, err = _termsel("export", folder, "--to", "rpb", "-o", image, "--image", image,
+                            "--overwrite")
+    assert code == 2
+    assert "this command reads this file" in err

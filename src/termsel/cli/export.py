@@ -60,6 +60,6 @@ def export(folder: Path, to: str, output: Path, image: str | None, dem: str | No
         files = (output,)
     # All files of a format are looked at before anything is written: one that exists refuses all.
     require_replaceable(files, reads=[folder, *options.values()], overwrite=overwrite,
-                        written_as="CSV" if is_table else None)
+                        written_as="CSV" if is_table else None, beside=False)
     say_written(write(read_result(folder), to, output, overwrite=overwrite, final=final,
                       **options))

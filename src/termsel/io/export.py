@@ -135,7 +135,7 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     files = set(writer.files(path))
     if not overwrite and not is_there(path):
         files -= set(_files_left_alone(writer, result, path))
-    require_replaceable(files, reads=writer.options.values(), overwrite=overwrite)
+    require_replaceable(files, reads=writer.options.values(), overwrite=overwrite, beside=False)
     for file in files - {path}:
         refuse_link(file)  # only the first has a name that somebody typed
     # The writer is left to make it whole or not at all.

@@ -24,7 +24,7 @@ _ENDINGS = {"CSV": (".csv", ".txt"), "JSON": (".json",)}
 
 def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
                         overwrite: bool = False, makes_folder: bool = False,
-                        written_as: str | None = None) -> None:
+                        written_as: str | None = None, beside: bool = True) -> None:
     """Refuse to replace a file that is read, any other without permission, or what cannot be.
 
     For commands, before long work: nobody should learn after it that there is no such folder.
@@ -46,6 +46,9 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
     written_as : {"CSV", "JSON"}, optional
         What the files hold: a name whose ending says another kind is refused, as other programs
         open a file as its ending says. Other endings, and none, are free.
+    beside : bool
+        Whether files next to an image count as read, which GDAL takes with it. An export is made to
+        be such a file: `overwrite` may replace the one of an earlier export.
 
     Returns
     -------
@@ -69,7 +72,7 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
     for file in files:
         _require_writable(file, makes_folder)
     if existing:
-        _refuse_read(existing, reads)
+        _refuse_read(existing, _files_in_use(reads, beside))
     if written_as is not None:
         for file in files:
             _refuse_other_ending(file, written_as)
@@ -78,9 +81,9 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
                            hint="Choose another name, or add --overwrite.")
 
 
-def _refuse_read(files: Iterable[Path], reads: Iterable[object]) -> None:
+def _refuse_read(files: Iterable[Path], reads: Iterable[Path]) -> None:
     """Raise TermselError for a file that is read, under whatever name."""
-    read = list(_files_in_use(reads))
+    read = list(reads)
     for file in files:
         # The same file under another name is found by its device and number.
         for source in read:
@@ -127,8 +130,11 @@ def _require_writable(file: Path, makes_folder: bool) -> None:
                        if not os.path.lexists(folder) else "Give another name.")
 
 
-def _files_in_use(reads: Iterable[object]) -> Iterator[Path]:
-    """Yield the files that are there, with those of results and the sources of VRTs."""
+def _files_in_use(reads: Iterable[object], beside: bool) -> Iterator[Path]:
+    """Yield the files that are there, with those of results and the sources of VRTs.
+
+    Those `beside` an image are among them if asked for.
+    """
     # To the end of the chain: a VRT of a VRT, a folder of results.
     waiting = [Path(read) for read in reads if isinstance(read, str | Path)]
     visited: set[Path] = set()
@@ -141,10 +147,12 @@ def _files_in_use(reads: Iterable[object]) -> Iterator[Path]:
         if path.is_dir():
             waiting += files_of_result(path)
             continue
-        # GDAL reads these files with the image, so they may not be replaced either.
-        waiting += [near for end in _NEXT_TO if is_there(near := path.with_suffix(end))]
-        waiting += [near for end in _AFTER if is_there(near := path.with_name(path.stem + end))]
-        waiting += [near for end in _APPENDED if is_there(near := path.with_name(path.name + end))]
+        if beside:
+            # GDAL reads these files with the image.
+            names = [*(path.with_suffix(end) for end in _NEXT_TO),
+                     *(path.with_name(path.stem + end) for end in _AFTER),
+                     *(path.with_name(path.name + end) for end in _APPENDED)]
+            waiting += filter(is_there, names)
         if _is_vrt(path):
             with open_raster(path) as raster:
                 waiting += [Path(file) for file in raster.files]

@@ -223,9 +223,11 @@ def _warn_of_search(task: Task, words: Sequence[str], *, is_in_place_of_auto: bo
     """Say where a search takes the place of the automatic choice, and where an RPC is not used."""
     if is_in_place_of_auto and task.recipe.for_methods:
         asks, them = ("asks", "it") if len(words) == 1 else ("ask", "them")
+        or_fit = "; to fit one model with all its terms, name a method: termsel list methods" \
+            if "model" in words else ""
         log.warning("Note: %s %s for a search by %s, which takes the place of the automatic "
-                    "choice. Leave %s out to have the model chosen automatically.",
-                    " and ".join(words), asks, task.solver.name, them)
+                    "choice. Leave %s out to have the model chosen automatically%s.",
+                    " and ".join(words), asks, task.solver.name, them, or_fit)
     if task.features.rpc is not None and "rpc" not in task.model.options:
         log.warning("Warning: the model %s makes no use of the RPC. Leave model, solver and "
                     "criterion out to have it corrected.", task.model.name)
