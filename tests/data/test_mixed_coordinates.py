@@ -216,3 +216,20 @@ def test_points_in_or_next_to_the_area_of_their_crs_are_not(
     lons, lats = places(lon, lat, 0.4, 0.3)
     x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lons, lats)
     assert note_on_mixed(features(seen(lons, lats), x, y, crs)) == ""
+
+
+@pytest.mark.parametrize(("zeros", "of", "said"), [
+    (1, "ground", ""), (2, "ground", "2 points lie at x = 0 and y = 0"), (1, "image", ""),
+    (5, "image", "5 points lie at line = 0 and sample = 0")])
+def test_zeros_that_stand_for_unknown_places_are_named(zeros: int, of: str, said: str) -> None:
+    x, y = places(500_000.0, 5_000_000.0, 900.0, 700.0)
+    image = np.column_stack([y.max() - y, x - x.min()]) + 5.0
+    if of == "ground":
+        x[:zeros] = y[:zeros] = 0.0
+    else:
+        image[:zeros] = 0.0
+    # Points of one place are refused as they are read, unless their heights differ.
+    ground = np.column_stack([x, y, 10.0 * np.arange(len(x))])
+    note = note_on_mixed(FeatureSet(Points(tuple(f"P{i}" for i in range(len(x))), image, ground)))
+    assert note.startswith(said) if said else "lie at" not in note
+    assert not said or "P0" in note

@@ -353,11 +353,13 @@ def _refuse_of_others(settings: Mapping[str, Any], names: Collection[str]) -> No
                 name=key)
         near = get_close_matches(key, [*names, *owners], n=1, cutoff=_MISSPELT)
         if near and near[0] not in names:
-            role, first = owners[near[0]][:2]
+            role, first, *others = owners[near[0]]
+            # Which of several suits the points, such as poly2d without heights, is not known here.
+            choice = first if not others else "NAME"
             raise TermselError(
                 f"unknown option {key!r}",
-                hint=f"Did you mean {near[0]!r}? It is an option of the {role} {first}: add "
-                     f"--{role} {first}.", name=key)
+                hint=f"Did you mean {near[0]!r}? It is an option of the {role} "
+                     f"{' or '.join([first, *others[:2]])}: add --{role} {choice}.", name=key)
 
 
 def _option_of_files(key: str) -> str:

@@ -28,7 +28,7 @@ from termsel.data.coordinates.earth import (
 )
 from termsel.data.coordinates.height_units import FOOT, UNITS, US_FOOT, is_unit_open
 from termsel.data.coordinates.metres import is_in_degrees
-from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray
+from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
 
 _NEAR_ORIGIN = 1000.0  # metres from the origin of a CRS
 _DEGREE_RANGE = ((-180.0, -90.0), (360.0, 90.0))
@@ -346,10 +346,13 @@ def note_on_mixed(features: FeatureSet) -> str:
 
     The image tells: read rightly, the ground is about an affine image of it. Looked for are map
     coordinates in place of pixels; of degrees, minutes typed as decimals; of metres, kilometres and
-    two zones of UTM; and heights in kilometres. One note is enough, the first that applies.
+    two zones of UTM; and heights in kilometres. Zeros that stand for unknown places come first. One
+    note is enough, the first that applies.
     """
     points = features.points
     image = points.image
+    if zeros := _note_on_zeros(points):
+        return zeros
     if len(image) and np.median(np.abs(image).max(axis=1)) >= NO_PIXEL:
         # Line and sample may be northings and eastings, not pixels.
         distance = float(np.median(np.abs(image - points.ground[:, [1, 0]]).max(axis=1)))
@@ -369,6 +372,21 @@ def note_on_mixed(features: FeatureSet) -> str:
     in_plan = _note_on_minutes(features) if is_in_degrees(features.crs) else \
         _note_on_kilometres(features) or _two_zones_note(features) or _note_on_area(features)
     return in_plan or _note_on_heights_in_kilometres(features)
+
+
+def _note_on_zeros(points: Points) -> str:
+    """Return a note on points at x = 0 and y = 0, or line = 0 and sample = 0, several alike; or "".
+
+    Programs write zeros for places that they do not know. One point may lie there.
+    """
+    for places, said in ((points.ground[:, :2], "x = 0 and y = 0"),
+                         (points.image, "line = 0 and sample = 0")):
+        at_zero = np.flatnonzero((places == 0.0).all(axis=1))
+        if at_zero.size > 1:
+            ids = first_names_in_words([points.ids[i] for i in at_zero], MAX_POINTS_NAMED)
+            return (f"{at_zero.size} points lie at {said}, which stands for places that are not "
+                    f"known: {ids}. Leave their rows out, or give their coordinates.")
+    return ""
 
 
 def _note_on_kilometres(features: FeatureSet) -> str:
