@@ -89,8 +89,9 @@ def _rows_of(feature: IntArray, n: int) -> IntArray:
     return rows
 
 
-def _reference_solution(equations: Equations, start: BoolArray,
-           ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
+def _reference_solution(
+        equations: Equations, start: BoolArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
     """Return x, V, V R^-T and r of a selection, of all rows and a last one of zeros.
 
     V = A R^-1 and r = b - A x, for the factor R of the rows in use. None where the selection does

@@ -235,13 +235,13 @@ def _keys_of(options: dict[str, Any]) -> dict[str, Any]:
         keys["data"] = [{**files, **of_files,
                          **({"options": of_reading} if of_reading else {})}]
     # Left out where not given: a study has its own defaults, which an empty budget would hide.
-    budget = {name: options[name] for name in ("evaluations", "generations", "patience", "seconds",
-                                                  "timeout")
-              if options[name] is not None}
+    limits = ("evaluations", "generations", "patience", "seconds", "timeout")
+    budget = {name: options[name] for name in limits if options[name] is not None}
+    measures = [text.strip() for text in (options["measures"] or "").split(",") if text]
     optional = {"budget": budget, "options": settings,
-            "exports": list(options["exports"]), "seeds": options["seeds"],
-            "splits": options["splits"], "measure": options["measure"], "accept": options["accept"],
-            "measures": [text.strip() for text in (options["measures"] or "").split(",") if text]}
+                "exports": list(options["exports"]), "seeds": options["seeds"],
+                "splits": options["splits"], "measure": options["measure"],
+                "accept": options["accept"], "measures": measures}
     return {**keys, **{key: value for key, value in optional.items() if value}}
 
 

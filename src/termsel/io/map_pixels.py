@@ -382,8 +382,9 @@ def _warp_tile(raster: Any, spec: MapPixels, shape: tuple[int, int], crs: str, t
     # named does rasterio let GDAL compute every pixel's place rather than interpolate along lines,
     # which does not hold in relief.
     warp_options = {"dst_crs": crs, "dst_transform": transform, "dst_alpha": colours + 1,
-             "src_alpha": colours + 1 if spec.alpha else 0, "rpcs": raster.rpcs,
-             "resampling": Resampling[spec.resampling], "UNIFIED_SRC_NODATA": "PARTIAL", **options}
+                    "src_alpha": colours + 1 if spec.alpha else 0, "rpcs": raster.rpcs,
+                    "resampling": Resampling[spec.resampling], "UNIFIED_SRC_NODATA": "PARTIAL",
+                    **options}
     if len(set(map(str, spec.empty))) == 1:
         empty = spec.empty[0]
         if empty is None and spec.dtype.kind in "fc":

@@ -186,7 +186,7 @@ def read_vectors(path: Path) -> tuple[list[FloatArray], str]:
 
 
 def _spread_pieces(image: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]:
-    """Return the numbers of at most `MOST_PIECES` pieces, sorted: the longest of each cell first.
+    """Return the indices of at most `MOST_PIECES` pieces, sorted: the longest of each cell first.
 
     Pieces (n, 2, 2) are in lines and samples [px]; a cell is split by direction, too.
     """
@@ -200,7 +200,6 @@ def _spread_pieces(image: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]
     order = np.lexsort((-np.linalg.norm(run, axis=1), group))
     # The rank within its group: first the longest of all groups, then the second of all.
     first = np.searchsorted(group[order], group[order])
-    # Within its group.
     rank = np.arange(len(order)) - first
     return np.sort(order[np.argsort(rank, kind="stable")[:MOST_PIECES]])
 
