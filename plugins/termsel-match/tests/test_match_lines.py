@@ -28,7 +28,7 @@ from termsel_match.lines import ridges
 from termsel_match.lines.candidates import LineCandidates
 from termsel_match.lines.candidates import match_lines as match
 from termsel_match.lines.certainty import (
-    fit_to_lines,
+    fit_lines_or_hold_by_start,
     most_decisive_vector,
     sentences_on_certainty,
 )
@@ -230,7 +230,7 @@ def test_one_street_fixes_the_image_across_it_and_the_start_holds_it_along(
     options = {"rpc": str(place / "image.RPB")}
     start = start_of(None, place / "image.tif")
     assert start is not None
-    used, fitted = fit_to_lines(street, "rpc-drift", options, start, 60.0)
+    used, fitted = fit_lines_or_hold_by_start(street, "rpc-drift", options, start, 60.0)
     assert len(used.points) == 4
     result = termsel.run("owdis-lines", features=used, model="rpc-drift", solver="all-terms",
                          criterion="press", options={**options, "mixed": True})

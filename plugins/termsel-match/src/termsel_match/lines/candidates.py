@@ -82,7 +82,7 @@ def match_lines(
     rough = start if isinstance(start, Start) else start_of(start, image)
     if rough is None:
         raise without_start(image)
-    rough.say_dem(dem)
+    rough.warn_if_dem_contradicts(dem)
     with open_picture(image, band) as picture:
         size = picture.size
         straight_pieces = pieces_of(vectors, rough, dem, size)

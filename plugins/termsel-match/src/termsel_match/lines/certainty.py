@@ -48,12 +48,12 @@ class Decisive:
                 "vectors.")
 
 
-def fit_to_lines(features: FeatureSet, model: str, options: Mapping[str, Any], start: Start,
-                 search: float) -> tuple[FeatureSet, Fit]:
+def fit_lines_or_hold_by_start(features: FeatureSet, model: str, options: Mapping[str, Any],
+                               start: Start, search: float) -> tuple[FeatureSet, Fit]:
     """Return what a model of lines is fitted to, and the model.
 
-    Where the lines alone do not fix the image, as one street does not, the start does: with four
-    places in the corners of the image whose standard deviation is the search.
+    Where the lines alone do not fix the image, as one street does not, or the model cannot be
+    fitted to them, the start holds it by four points in the corners of the image.
 
     Parameters
     ----------
@@ -64,25 +64,34 @@ def fit_to_lines(features: FeatureSet, model: str, options: Mapping[str, Any], s
         Options of the model.
     start : Start
     search : float
-        Largest distance of the truth from the start [px].
+        Largest distance of the truth from the start [px], the standard deviation of the corners.
+
+    Raises
+    ------
+    TermselError
+        If the model cannot be fitted to lines and corners either.
     """
-    if _sigma_across_and_along(features.lines)[0][1] <= _HELD:
+    (_across_them, along_them), _ = _sigma_across_and_along(features.lines)
+    if along_them <= _HELD:
         try:
             return features, termsel.fit(features, model, **options)
         except TermselError:
             # For example no drift from lines in one place.
             pass
-    # Four corners, as wrong as the search is wide: they hold what the lines leave open.
+    with_start = features.with_(points=_corner_points(features, start, search))
+    return with_start, termsel.fit(with_start, model, **options)
+
+
+def _corner_points(features: FeatureSet, start: Start, sigma: float) -> Points:
+    """Return control in the corners of the image, where the start sees them, good to sigma [px]."""
     size = np.array(features.image_size) - 1
     image = size * np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
     height = float(np.nanmean(features.lines.ground[..., 2]))
     ground_of_start = start.locate(image, height)
     ground = np.column_stack([transform_plane(ground_of_start[:, :2], start.crs, features.crs),
                               np.full(4, height)])
-    points = Points(tuple(f"start-{i}" for i in range(1, 5)), image, ground,
-                    np.full((4, 2), search), ("control",) * 4)
-    with_start = features.with_(points=points)
-    return with_start, termsel.fit(with_start, model, **options)
+    return Points(tuple(f"start-{i}" for i in range(1, 5)), image, ground,
+                  np.full((4, 2), sigma), ("control",) * 4)
 
 
 def most_decisive_vector(features: FeatureSet, model: str, options: Mapping[str, Any]) -> Decisive:

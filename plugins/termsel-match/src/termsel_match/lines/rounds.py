@@ -16,7 +16,7 @@ from termsel_match.images.starts import Start, start_of, transform_plane
 from termsel_match.lines.candidates import LineCandidates, match_lines, without_start
 from termsel_match.lines.certainty import (
     Decisive,
-    fit_to_lines,
+    fit_lines_or_hold_by_start,
     most_decisive_vector,
     sentences_on_certainty,
 )
@@ -165,10 +165,9 @@ def iterate_lines(
         selected = candidates.lines.take(np.isin(candidates.lines.ids, features_by_search(
             "matched-lines", features, model, {**options, "half_at": half_at}, seed=seed)))
         # All lines weigh alike at first: what their bands state is not how far vectors are off.
-        used, fitted = fit_to_lines(
-            features.with_(lines=replace(selected, sigma=np.ones(len(selected)))), model, options,
-            at,
-            search)
+        alike = replace(selected, sigma=np.ones(len(selected)))
+        used, fitted = fit_lines_or_hold_by_start(
+            features.with_(lines=alike), model, options, at, search)
         selected = used.lines
         n_pieces = len(set(candidates.lines.attributes["piece"]))
         rms = rms_distance(fitted, selected)
