@@ -149,12 +149,12 @@ def test_noise_alone_has_no_misfit_that_matters() -> None:
 
 
 def test_no_camera_is_without_misfit_however_small_the_noise() -> None:
+    prior = NoisePrior.of(1.0, None, with_heights=True)
     precise, rough = (
-        NoisePrior.of(1.0, None, with_heights=True).ratio_probabilities(np.array([noise])).sum()
-        for noise in (0.03, 1.0))
+        prior.field_size_probabilities(np.array([noise])).sum() for noise in (0.03, 1.0))
     assert 0.95 < precise < 1.0
     assert 0.36 < rough < 0.5  # a small misfit is none by so much noise
-    drawing = NoisePrior.of(1.0, None, with_heights=False).ratio_probabilities(np.ones(3))
+    drawing = NoisePrior.of(1.0, None, with_heights=False).field_size_probabilities(np.ones(3))
     np.testing.assert_allclose(drawing.sum(axis=0), 0.36)
 
 

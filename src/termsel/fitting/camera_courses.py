@@ -287,7 +287,7 @@ def camera_courses(points: Points, pixel: float) -> CameraCourses | None:
     if control is None:
         return None
     # Of each ratio and noise, and of no field at all.
-    by_ratio = prior.ratio_probabilities(control.noises, CAMERA_FIELD_PROBABILITY)     # (r, s)
+    by_ratio = prior.field_size_probabilities(control.noises, CAMERA_FIELD_PROBABILITY)     # (r, s)
     without = np.maximum(1.0 - by_ratio.sum(axis=0, keepdims=True), np.finfo(float).tiny)
     logs = []
     grids = []

@@ -145,24 +145,29 @@ class NoisePrior:
         logs = -0.5 * (excess / deviation) ** 2
         return np.asarray(logs - np.logaddexp.reduce(logs))
 
-    def ratio_probabilities(self, noises: FloatArray,
-                            of_field: float = MISFIT_PROBABILITY) -> FloatArray:
-        """Return probabilities of MISFIT_RATIOS next to noises (s,), (r, s); the rest is no field.
+    def field_size_probabilities(self, noises: FloatArray,
+                                 field_probability: float = MISFIT_PROBABILITY) -> FloatArray:
+        """Return the probabilities of fields of MISFIT_RATIOS under noises (s,), shape (r, s).
 
-        All ratios are as likely, those of a small misfit likelier, where the probability of a
-        field is that `of_field`.
+        The sum of a column is the probability of a field under that noise; the rest is that of
+        none. With f the probability of a field of these sizes, and F the distribution of a small
+        misfit, that of ratio q by noise s is
+
+            f / r + (1 - f) (F(sqrt(2) q s) - F(q s / sqrt(2))).
         """
         ratios = np.array(MISFIT_RATIOS)
-        probabilities = np.full((len(ratios), len(noises)), of_field / len(ratios))
+        probabilities = np.full((len(ratios), len(noises)), field_probability / len(ratios))
         if self.small_misfit == 0.0:
             return probabilities
         # Each ratio stands for an octave, the last one for all that is greater.
         edges = np.append(ratios / np.sqrt(2.0), np.inf)
-        sizes = np.multiply.outer(edges, noises)
+        below = self._small_misfit_distribution(np.multiply.outer(edges, noises))
+        return np.asarray(probabilities + (1.0 - field_probability) * np.diff(below, axis=0))
+
+    def _small_misfit_distribution(self, sizes: FloatArray) -> FloatArray:
+        """Return the probability that a small misfit, which is log-normal, is below sizes."""
         beyond = np.log(sizes / self.small_misfit) / SMALL_MISFIT_LOG_DEVIATION
-        below = 0.5 + 0.5 * np.vectorize(erf)(beyond / np.sqrt(2.0))
-        return np.asarray(
-            probabilities + (1.0 - of_field) * np.diff(below, axis=0))
+        return np.asarray(0.5 + 0.5 * np.vectorize(erf)(beyond / np.sqrt(2.0)))
 
     def relative_variances(self, n: int) -> FloatArray:
         """Return the variances of n measurements by that of a usual one, (n,)."""
@@ -405,10 +410,10 @@ def misfit_of(image: FloatArray, residuals: FloatArray, noise: NoisePrior,
     system = System(image, relative_variances, trend, residuals, noises)
     of_noise = restricted_likelihood(np.diag(relative_variances), trend, residuals, noises)
     spectra = system.spectra(MISFIT_LENGTHS, MISFIT_SMOOTHNESS)
-    ratio_probabilities = noise.ratio_probabilities(noises)                           # (r, s)
-    probability = ratio_probabilities.sum(axis=0)
+    by_size = noise.field_size_probabilities(noises)                                  # (r, s)
+    probability = by_size.sum(axis=0)
     by_ratios = system.log_likelihoods(spectra, MISFIT_RATIOS) \
-        + np.log(ratio_probabilities / probability)                                   # (l, 2, r, s)
+        + np.log(by_size / probability)                                               # (l, 2, r, s)
     by_noise = np.logaddexp.reduce(by_ratios, axis=2)                                 # (l, 2, s)
     without_field = np.maximum(1.0 - probability, np.finfo(float).tiny)
     logs = np.concatenate([

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from termsel import FeatureSet, Points
-from termsel_block.estimation.adjustment import MEDIAN
+from termsel_block.estimation.adjustment import CHI2_MEDIAN_OFFSET
 from termsel_block.estimation.starts import intersect
 from termsel_block.evidence.variances import TAIL
 from termsel_block.geometry.frame import FloatArray
@@ -53,41 +53,54 @@ def rms_length(errors: FloatArray) -> float:
 
 def predicted_errors(
         result: BlockResult, i: int, seed: int = 0, *, anywhere: bool = False) -> Spread:
-    """Return what points of an image, measured as its control is, will miss the model by.
+    """Return the RMSE [px] of new points of an image, measured as its control is, and its interval.
 
     Over as many points as the image has independent ones, at their places; where it has none, or
-    `anywhere`, over its ties, which compares images. By draws from the posterior of its parameters
-    and of the precision of control: what all its points have in common makes the interval wide.
+    `anywhere`, over its ties, which compares images. With J the derivatives at a place, draws d of
+    the errors of parameters and s^2 of the variance of control, the mean square over the places is
+
+        e^2 = mean |J d|^2 + 2 s^2.
+
+    What all its points have in common makes the interval, of the level 0.9, wide.
     """
-    state = result.adjusted.state
     points = None if anywhere else independent_points(result, i)
-    in_image = result.block.ties.image == i
-    # Ties have places of their own; independent points and control have them from the ground.
-    local = state.ties[result.block.ties.tie[in_image]]
-    features = result.block.images[i].features
-    if points is not None:
-        local = result.frame.local(points.ground)
-    elif not len(local):
-        # An image without ties has control.
-        assert features is not None
-        local = result.frame.local(features.points.ground)
-    rows = result.rows(i, local)
+    rows = result.rows(i, _local_places(result, i, points))
     # A generator of its own for each image: the figures do not depend on which others are asked
     # for.
     rng = np.random.default_rng([seed, i])
     draws = _draw_errors(result, i, rng)
-    # The posterior of a computed position: derivatives by parameters times draws of these, squared.
     squares = ((rows @ draws) ** 2).sum(axis=1).mean(axis=0)
-    # The variance of control is known from few measurements; the state has its median.
-    freedom = state.freedom_control
-    noise = state.sigma_control**2 * (freedom - MEDIAN) / rng.chisquare(freedom, draws.shape[1])
-    # Few of them have more noise than that, or less.
+    noise = _draw_noise_variances(result, draws.shape[1], rng)
+    # So few measurements have more noise than that, or less.
     if points is not None:
         noise = noise * rng.chisquare(2 * len(points), draws.shape[1]) / (2 * len(points))
-    # Errors of the model (line and sample) and of the measurement in both axes: two variances.
     errors = np.sqrt(squares + 2 * noise)
     low, high = np.quantile(errors, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2])
     return Spread(float(np.sqrt((errors**2).mean())), float(low), float(high))
+
+
+def _local_places(result: BlockResult, i: int, points: Points | None) -> FloatArray:
+    """Return the places (n, 3) of points of an image; without any of its ties, or else control."""
+    if points is not None:
+        return result.frame.local(points.ground)
+    in_image = result.block.ties.image == i
+    if in_image.any():
+        return np.asarray(result.adjusted.state.ties[result.block.ties.tie[in_image]])
+    # An image without ties has control.
+    features = result.block.images[i].features
+    assert features is not None
+    return result.frame.local(features.points.ground)
+
+
+def _draw_noise_variances(result: BlockResult, count: int, rng: np.random.Generator) -> FloatArray:
+    """Return draws (count,) of the variance of control [px^2], scaled inverse chi-square.
+
+    It is known from few measurements, and the state has the median of its posterior.
+    """
+    state = result.adjusted.state
+    freedom = state.freedom_control
+    scale = state.sigma_control**2 * (freedom - CHI2_MEDIAN_OFFSET)
+    return np.asarray(scale / rng.chisquare(freedom, count))
 
 
 def shared_sigma(result: BlockResult, i: int, features: FeatureSet, own_sigma: FloatArray,

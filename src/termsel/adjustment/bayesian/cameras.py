@@ -177,20 +177,23 @@ def scanner_views(positions: FloatArray, azimuth: float, latitude: float) -> tup
 
 def radar_views(positions: FloatArray, azimuth: float, latitude: float, *,
                 right: bool) -> tuple[FloatArray, ...]:
-    """Return time and range of places in images of radars (see `scanner_views`).
+    """Return slant views and ground views (c, m, 2) of places (m, 3) in images of radars.
 
-    A place is seen when it is nearest. Radars look to the right or to the left of the flight. The
-    range is first that along the ray, then that on the ground, of a sphere at the height of the
-    middle.
+    Both have the time [s] first, at which a place is nearest. Then slant views have the range along
+    the ray [m], and ground views the angle at the Earth's centre [rad] that a sphere at the height
+    of the middle gives it. Radars look to the right or to the left of the flight; the azimuth of
+    lines is clockwise from north [rad]; the latitude is in degrees, or NaN.
     """
     rng = np.random.default_rng(0)
     n = N_CAMERAS // 2
-    altitude, tilt = (rng.uniform(0.0, 1.0, n) for _ in range(2))
+    altitude_share, incidence_share = (rng.uniform(0.0, 1.0, n) for _ in range(2))
+    lowest, highest = ORBIT_ALTITUDES
+    altitude = lowest + altitude_share * (highest - lowest)
+    steepest, flattest = RADAR_INCIDENCE
+    incidence = steepest + incidence_share * (flattest - steepest)
     heading = azimuth + CAMERA_YAW * rng.standard_normal(n)
-    flights = _simulate_flights(rng, heading, latitude, RADAR_INCIDENCE[0] + tilt *
-                                (RADAR_INCIDENCE[1] - RADAR_INCIDENCE[0]), heading +
-                                (-0.5 if right else 0.5) * np.pi, ORBIT_ALTITUDES[0] + altitude *
-                                (ORBIT_ALTITUDES[1] - ORBIT_ALTITUDES[0]))
+    toward = heading + (-0.5 if right else 0.5) * np.pi
+    flights = _simulate_flights(rng, heading, latitude, incidence, toward, altitude)
     orbit_radius = np.linalg.norm(flights.station, axis=1)
     climb = RADAR_CLIMB * rng.standard_normal(n)
     places = _from_centre(positions)
@@ -201,14 +204,23 @@ def radar_views(positions: FloatArray, azimuth: float, latitude: float, *,
 
     (time, distance), seen = _views_at_sight(view, positions, azimuth, n)
     # What puts a range on the ground is a sphere whose radius drifts.
-    orbit_radius = orbit_radius[:, None]
     surface = EARTH_RADIUS + climb[:, None] * time
-    cosine = np.clip((orbit_radius**2 + surface**2 - distance**2) / (2 * orbit_radius * surface),
-                     -1.0, 1.0)
-    sine = np.sqrt(1.0 - cosine**2) * orbit_radius / distance  # of ray and vertical
+    cosine = _cosine_at_centre(orbit_radius[:, None], surface, distance)
+    # The law of sines, of ray and vertical: sin i / R = sin g / d.
+    sine = np.sqrt(1.0 - cosine**2) * orbit_radius[:, None] / distance
     seen &= ((sine > RADAR_SINES[0]) & (sine < RADAR_SINES[1])).all(axis=1)
     return (np.stack([time, distance], axis=-1)[seen],
             np.stack([time, np.arccos(cosine)], axis=-1)[seen])
+
+
+def _cosine_at_centre(orbit_radius: FloatArray, surface: FloatArray,
+                      distance: FloatArray) -> FloatArray:
+    """Return cosines of the angle g at the Earth's centre between satellites and places.
+
+    The law of cosines of the radii R and r and the distance d: cos g = (R^2 + r^2 - d^2) / (2 R r).
+    """
+    cosine = (orbit_radius**2 + surface**2 - distance**2) / (2 * orbit_radius * surface)
+    return np.asarray(np.clip(cosine, -1.0, 1.0))
 
 
 def frame_views(positions: FloatArray, azimuth: float) -> tuple[FloatArray, ...]:

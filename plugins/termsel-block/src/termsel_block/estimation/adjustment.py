@@ -34,7 +34,7 @@ AGAINST = -1.0
 _PRIOR_COUNT = 4.0
 """Weight of the ties' precision in that of control, as so many points."""
 
-MEDIAN = 2 / 3
+CHI2_MEDIAN_OFFSET = 2 / 3
 """What a distribution chi-square of n degrees of freedom has its median below n, about."""
 
 # Relative change of a standard deviation.
@@ -276,7 +276,7 @@ class _Run(Steps):
         # about the median of the posterior, whose mean is far above it where points are few.
         expected = max(rows - by_control, 0.0)
         state.sigma_control = float(np.sqrt((squares + _PRIOR_COUNT * state.sigma_ties**2)
-                                            / (expected + _PRIOR_COUNT - MEDIAN)))
+                                            / (expected + _PRIOR_COUNT - CHI2_MEDIAN_OFFSET)))
         state.freedom_control = expected + _PRIOR_COUNT
         state.variances = estimate_variances(
             state.cameras, state.parameters, covariances, state.variances)
