@@ -36,48 +36,72 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
       termsel report result -o report.html --image scene.tif
       termsel report study --overwrite
     """
-    from termsel.core.files.names import JOURNAL, is_there, path_inside
+    from termsel.core.files.names import is_there, path_inside
 
     output = path_inside(folder, REPORT) if output is None else output
     refuse_stdout(output)
     show_messages()
-
-    from termsel.core.files.atomic import write_text
-    from termsel.io.replacing import require_replaceable
-    from termsel.io.result_folder import files_of_result, read_result, results_within
-    from termsel.studies.cells.folder import PLAN, read_study
-    from termsel.studies.cells.images import IMAGES
-    from termsel.studies.outputs import study_page as study_page
-
-    is_study = (folder / PLAN).is_file()
-    if not is_study and not any(map(is_there, files_of_result(folder))):
-        inner = results_within(folder)
-        one_of_them = \
-            f" Or one of these within it: {first_names_in_words(inner, 3)}." if inner else ""
-        reason = "there is neither a result nor a study in this folder"
-        if not folder.is_dir():
-            reason = "this is a file, expected the folder of a result or study" if folder.exists() \
-                else "this folder does not exist"
-        raise TermselError(reason, file=folder,
-                           hint="Give the folder that termsel run or termsel compare wrote with "
-                                f"--out.{one_of_them}")
+    is_study = _is_study(folder)
     if is_study and not overwrite and is_there(folder / REPORT) and output == folder / REPORT:
         # termsel compare has written it.
         echo(f"There is a page already: {output}. Open it, or add --overwrite to write it again.")
         return
-    # A page must not replace what it is made of.
+    _require_page(output, folder, image, overwrite=overwrite)
+    if is_study:
+        _write_study_page(folder, output, image)
+    else:
+        from termsel.io.result_folder import read_result
+
+        read_result(folder).report(output, image=image, overwrite=True)
+    say_written([output])
+
+
+def _is_study(folder: Path) -> bool:
+    """Return whether a folder is that of a study; raises TermselError if of no result either."""
+    from termsel.core.files.names import is_there
+    from termsel.io.result_folder import files_of_result, results_within
+    from termsel.studies.cells.folder import PLAN
+
+    if (folder / PLAN).is_file():
+        return True
+    if any(map(is_there, files_of_result(folder))):
+        return False
+    if folder.is_dir():
+        reason = "there is neither a result nor a study in this folder"
+    elif folder.exists():
+        reason = "this is a file, expected the folder of a result or study"
+    else:
+        reason = "this folder does not exist"
+    hint = "Give the folder that termsel run or termsel compare wrote with --out."
+    if inner := results_within(folder):
+        hint += f" Or one of these within it: {first_names_in_words(inner, 3)}."
+    raise TermselError(reason, file=folder, hint=hint)
+
+
+def _require_page(output: Path, folder: Path, image: str | None, *, overwrite: bool) -> None:
+    """Raise TermselError if a page cannot be written here, or would replace what it is made of."""
+    from termsel.core.files.names import JOURNAL
+    from termsel.io.replacing import require_replaceable
+    from termsel.studies.cells.folder import PLAN
+    from termsel.studies.cells.images import IMAGES
+
     study_files = [folder / PLAN, folder / JOURNAL, *(folder / IMAGES).glob("*")]
     require_replaceable([output], reads=[folder, image, *study_files], overwrite=overwrite)
     if output.suffix.lower() not in PAGES:
         raise TermselError(f"a page is HTML, not {output.suffix or 'without a suffix'}",
                            file=output, hint=f"Name it {output.with_suffix('.html').name}; a "
                                              "browser prints it as PDF.")
-    if not is_study:
-        read_result(folder).report(output, image=image, overwrite=True)
-    elif image is None:
-        write_text(output, study_page(read_study(folder)))
-    else:
+
+
+def _write_study_page(folder: Path, output: Path, image: str | None) -> None:
+    """Write the page of a study; raises TermselError for an image, which is of one result."""
+    from termsel.core.files.atomic import write_text
+    from termsel.studies.cells.folder import read_study
+    from termsel.studies.cells.images import IMAGES
+    from termsel.studies.outputs import study_page
+
+    if image is not None:
         raise TermselError("--image is for the page of one result, and this is a study",
                            file=folder, hint=f"Leave --image out, or give the folder of one "
                                              f"image in {folder / IMAGES}.")
-    say_written([output])
+    write_text(output, study_page(read_study(folder)))

@@ -193,25 +193,33 @@ def _read_by_earlier_versions(record: Record) -> WhatWasRead:
                        counts.lines, 0, "", "", {})
 
 
-def title_of(record: Record) -> str:
-    """Return the structure of the model in words, without an article."""
+def model_title(record: Record) -> str:
+    """Return the structure of the model in words, such as "cubic 2-D polynomial"."""
     strategy = record.strategy
     if strategy is None:
-        degree = record.options.model.get("degree")
-        # A degree has a name up to the third; beyond, the number says more.
-        if record.model in _DIMENSIONS and isinstance(degree, int):
-            shape = f"{_DIMENSIONS[record.model]} polynomial"
-            return f"{_DEGREE_NAMES[degree]} {shape}" if degree in _DEGREE_NAMES else \
-                f"{shape} of degree {degree}"
-        return "rational function model" if record.model == "rfm" else record.model
+        return _title_by_degree(record.model, record.options.model.get("degree"))
     if shift := _shift_of(record):
         return f"vendor RPC plus {shift}"
     # So few points in a plane decide nothing: what is called a cubic polynomial is mostly affine.
     if record.model == "field" and record.selection.n_features < SPLINE_MAX_POINTS:
         return "average of polynomials, a spline and local deformation"
-    candidate = BY_NAME.get(strategy.chosen)
-    return label_of(strategy.chosen) if candidate is None else \
-        candidate.title.partition(" ")[2]
+    if (candidate := BY_NAME.get(strategy.chosen)) is None:
+        return label_of(strategy.chosen)
+    _article, _, title = candidate.title.partition(" ")
+    return title
+
+
+def _title_by_degree(model: str, degree: object) -> str:
+    """Return the name of a model in words, with its degree if it is a polynomial."""
+    if model == "rfm":
+        return "rational function model"
+    if model not in _DIMENSIONS or not isinstance(degree, int):
+        return model
+    polynomial = f"{_DIMENSIONS[model]} polynomial"
+    # A degree has a name up to the third; beyond, the number says more.
+    if degree in _DEGREE_NAMES:
+        return f"{_DEGREE_NAMES[degree]} {polynomial}"
+    return f"{polynomial} of degree {degree}"
 
 
 def _shift_of(record: Record) -> str:
@@ -237,7 +245,7 @@ def _model_lines(record: Record) -> str:
     of them; for a search how many of the terms and features on offer are selected, and by which
     solver.
     """
-    title = title_of(record)
+    title = model_title(record)
     strategy = record.strategy
     if strategy:
         figures = {row.name: row.predicted for row in strategy.candidates

@@ -33,7 +33,7 @@ from termsel.fitting.residuals import Residuals
 from termsel.results.accuracy import accuracy_of
 from termsel.results.answers import result_document
 from termsel.results.extras import further_sections
-from termsel.results.first_screen import first_screen, next_step_for_user, title_of
+from termsel.results.first_screen import first_screen, model_title, next_step_for_user
 from termsel.results.page import render_page
 from termsel.results.plots import Plots
 from termsel.results.same_fit import fit_of_selection, numbers_of
@@ -392,7 +392,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         # The strategy auto fits to the check points, too.
         used = len(self.selection.features) + counts.check * bool(self.strategy)
         left_out_ids = [outlier.id for outlier in self.outliers if outlier.excluded]
-        title = f"{title_of(self)} ({self.model})" if self.strategy else title_of(self)
+        title = f"{model_title(self)} ({self.model})" if self.strategy else model_title(self)
         return f"Result: {title}, {count_in_words(len(self.selection.terms), 'term')}", {
             "data": f"{self.data.source}; {', '.join(features)}",
             "fitted to": f"{used} {counts.word}" + (
