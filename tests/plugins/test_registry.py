@@ -156,7 +156,7 @@ def test_an_instance_where_a_class_is_wanted_is_refused(install, registry):
         "Criterion; return the class"]
     assert "quantile" not in names.names("criteria")
     module = sys.modules["old_rule"]
-    assert isinstance(names.taken("criteria", module.Quantile()), module.Quantile)
+    assert isinstance(names.resolve("criteria", module.Quantile()), module.Quantile)
     with pytest.raises(TermselError, match="nothing that termsel has names for"):
         names.register(module.Quantile())
 

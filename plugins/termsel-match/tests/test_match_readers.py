@@ -144,7 +144,7 @@ def test_a_dem_is_held_against_the_heights_of_an_rpc(
     start = Start("the RPC of image.tif", "EPSG:4979", 520.0, lambda ground: ground[:, :2],
                   lambda image, _: image, heights=(432.0, 608.0),
                   places=np.array([[9.03, 45.03], [9.05, 45.05], [20.0, 45.0]]))
-    start.say_dem(tmp_path / "dem.tif")
+    start.warn_if_dem_contradicts(tmp_path / "dem.tif")
     assert said in caplog.text
     assert bool(said) == bool(caplog.text)
 
@@ -165,7 +165,7 @@ def test_a_dem_is_held_against_the_control_of_the_start(
     image = (lonlat - [9.0, 45.0])[:, ::-1] * 1e4
     features = FeatureSet(Points(tuple("abcdefgh"), image, ground), crs="EPSG:4979")
     start = start_by_points(features, "the points")
-    start.say_dem(tmp_path / "dem.tif")
+    start.warn_if_dem_contradicts(tmp_path / "dem.tif")
     assert said in caplog.text
     assert bool(said) == ("geoid and ellipsoid?" in caplog.text)
 

@@ -131,10 +131,11 @@ class Registry:
                     return entry.object
         return None
 
-    def taken(self, kind: str, value: Any) -> Any:
-        """Return a thing of a kind of `KINDS`: the value itself, or the thing of that name.
+    def resolve(self, kind: str, value: Any) -> Any:
+        """Return what a name stands for among those of a kind of `KINDS`, or the value itself.
 
-        Raises TermselError for an unknown name, or a value that is not of the kind.
+        A class whose objects must start without options is made one as a trial. Raises TermselError
+        for an unknown name, or a value that is not of the kind.
         """
         if isinstance(value, str):
             return self.get(kind, value)
@@ -156,7 +157,7 @@ class Registry:
             # Classes are registered, not objects with options.
             if not KINDS[kind].is_of(item) or isinstance(item, Configurable):
                 continue
-            item = self.taken(kind, item)
+            item = self.resolve(kind, item)
             provided = self._collect(kind)
             entry = _entry_of(kind, Plugin(SESSION, SESSION, ""), item)
             # A thing registered again replaces the earlier one, as cells of a notebook are run

@@ -78,4 +78,4 @@ def get(kind: str, name: Any) -> Any:
     plural = plurals.get(kind, kind)
     if plural not in KINDS:
         raise unknown_name_error("kind", kind, KINDS)
-    return registry().taken(plural, name)
+    return registry().resolve(plural, name)

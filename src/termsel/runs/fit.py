@@ -76,7 +76,7 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "
                                      {*names.names("models"), *names.names("methods")},
                                      names.hint(model, "models", "methods"))
     elif not isinstance(model, Method):
-        resolved = registry().taken("models", model)
+        resolved = registry().resolve("models", model)
     if isinstance(resolved, Method):
         _refuse(options, f"method {resolved.name!r}")
         return _fit_by_method(resolved, features)

@@ -277,7 +277,7 @@ def request_of(
     """
     names = registry()
     settings = options or {}
-    recipe: Recipe = names.taken("problems", problem)
+    recipe: Recipe = names.resolve("problems", problem)
     # 1. Which model, criterion and solver: those named, else the problem's.
     components = _named_parts(recipe, model, solver, criterion, settings)
     # 2. Whose option each setting is; unknown ones are refused here.
@@ -304,7 +304,7 @@ def request_of(
                            hint="Leave one of them out; off goes with both.")
     # 5. The features, in the roles asked for.
     if features is None:
-        spec = names.taken("datasets", recipe.dataset if dataset is None else dataset)
+        spec = names.resolve("datasets", recipe.dataset if dataset is None else dataset)
         features = load_dataset(spec)
         source = f"{spec.name} (simulated)" if spec.simulated else spec.name
     in_roles = with_roles(features, roles)
@@ -392,7 +392,7 @@ def _owners_of_options() -> dict[str, list[str]]:
 def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None = None) -> str:
     """Return the problem that features, or else a data set, are for where none is named."""
     if features is None and dataset is not None:
-        features = load_dataset(registry().taken("datasets", dataset))
+        features = load_dataset(registry().resolve("datasets", dataset))
     if features is None:
         raise TermselError("there is nothing to run",
                            hint="Give points or lines, or name a problem.")
@@ -412,7 +412,7 @@ def _named_parts(recipe: Recipe, model: Any, solver: Any, criterion: Any,
     "then" where a second step has its own solver.
     """
     names = registry()
-    model_part = names.taken("models", recipe.model if model is None else model)
+    model_part = names.resolve("models", recipe.model if model is None else model)
     if recipe.name == "poly-terms" and class_of(model_part).name == "rfm":
         log.info("Note: poly-terms selects terms of polynomials. With --model rfm it selects those "
                  "of a rational function, as rfm-terms does.")
@@ -427,8 +427,9 @@ def _named_parts(recipe: Recipe, model: Any, solver: Any, criterion: Any,
         usual_solver = SEVERAL_OBJECTIVES
     components = {
         "model": model_part,
-        "criterion": names.taken("criteria", recipe.criterion if criterion is None else criterion),
-        "solver": names.taken("solvers", usual_solver if solver is None else solver)}
+        "criterion": names.resolve("criteria",
+                                   recipe.criterion if criterion is None else criterion),
+        "solver": names.resolve("solvers", usual_solver if solver is None else solver)}
     then = second_solver(recipe, settings)
     if then is not None:
         components["then"] = names.get("solvers", then)

@@ -163,7 +163,7 @@ def run(
         words = [*method_words(model, solver, criterion, options), *["a budget"] * is_limited]
         if method is not None and strategy is not None:
             words.append("a strategy")
-        recipe = registry().taken("problems", named)
+        recipe = registry().resolve("problems", named)
         words += ["a checkpoint"] if checkpoint is not None else []
         if method is not None or uses_auto(strategy, recipe, words, unnamed=problem is None):
             require_alone(method, words)

@@ -577,7 +577,7 @@ def request_of_method(problem: str | Recipe, *, options: Any = None, **arguments
         As `request_of`.
     """
     options = {"check_as": "judge", **(options or {})}
-    if registry().taken("problems", problem).control == "lines":
+    if registry().resolve("problems", problem).control == "lines":
         options["mixed"] = True
     request = request_of(problem, **{
         **arguments, "criterion": "press", "solver": AllTerms, "options": options})

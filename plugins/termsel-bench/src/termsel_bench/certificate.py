@@ -191,7 +191,7 @@ def tree_of(axis: dict[str, Any], max_steps: int,
         steps.append(["split", j])
         without, using = checker.halves(node, j)
         # Depth first: the half that uses the term is taken next, as the checker takes it.
-        todo += [(columns.using(i), using, way[1:] if not way or way[0][1] else aside),
+        todo += [(columns.projected_off(i), using, way[1:] if not way or way[0][1] else aside),
                  (columns.without(i), without, way[1:] if not way or not way[0][1] else aside)]
     return steps
 
@@ -211,7 +211,7 @@ def _columns_of(axis: dict[str, Any]) -> Columns:
                       np.array(axis["errors"]).T / np.sqrt(axis["limit"]),
                       denominators.T.copy(), tuple(range(k)), upper, None)
     for j in sorted(axis["forced"]):
-        columns = columns.using(columns.names.index(j))
+        columns = columns.projected_off(columns.names.index(j))
     return columns
 
 
@@ -269,7 +269,7 @@ def _branching_column(columns: Columns, room: int) -> int:
     for i in range(len(columns.names)):
         total = 0.0
         # Both halves are bounded; what is closed adds nothing to what is left open.
-        for half in (columns.without(i), columns.using(i) if room > 1 else None):
+        for half in (columns.without(i), columns.projected_off(i) if room > 1 else None):
             # A single selection.
             if half is None or not half.names:
                 continue

@@ -53,12 +53,14 @@ class Columns:
                        names=self.names[:i] + self.names[i + 1:],
                        alphas=None if self.alphas is None else np.delete(self.alphas, i))
 
-    def using(self, i: int) -> Columns:
-        """Return the columns but for column i, which is in use: its share of all others is removed.
+    def projected_off(self, i: int) -> Columns:
+        """Return the columns but for column i, which is in use, at right angles to it.
+
+        Multipliers stay: they are good for a start still.
         """
         a = self.control[i]
         square = float(a @ a)
-        # Least squares of one column: its share of all others is removed from them.
+        # Each row r becomes r - (r a' / a a') a; errors and denominators change by the same share.
         share = self.control @ a / square if square > 0 else np.zeros(len(self.control))
         return replace(self, control=self.control - np.outer(share, a),
                        errors=self.errors - np.outer(share, self.errors[i]),

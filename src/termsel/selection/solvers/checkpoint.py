@@ -148,17 +148,18 @@ class Stage:
         self._start = start
         self._unwritten: list[_Line] = []
         self._written = time.perf_counter()
-        self._taken = 0
+        self._n_replayed = 0
 
     @property
     def is_replaying(self) -> bool:
         """Whether evaluations of the file are still to come."""
         return bool(self._lines)
 
-    def taken(self, keys: Sequence[bytes], problem: Problem, genes: Any) -> Evaluation | None:
-        """Return the evaluation of the file, or None where the file has come to its end.
+    def replay_next(self, keys: Sequence[bytes], problem: Problem, genes: Any) -> Evaluation | None:
+        """Return the next evaluation of the file, or None where the file has come to its end.
 
-        Refuses a file that is of another search.
+        It is that of the individuals `genes`, whose keys are `keys`. Raises TermselError for a file
+        that is of another search.
         """
         while self._lines:
             line = self._lines.popleft()
@@ -176,9 +177,9 @@ class Stage:
             table = values.reshape(n, columns).astype(np.float64)
             evaluation = Evaluation(table[:, :-1], table[:, -1])
             # Only once: the same data give the same figures ever after.
-            if not self._taken:
+            if not self._n_replayed:
                 self._require_same(evaluation, problem, genes)
-            self._taken += n
+            self._n_replayed += n
             return evaluation
         return None
 
@@ -193,7 +194,7 @@ class Stage:
 
     def _error_for_other_search(self) -> TermselError:
         """Return the error for a checkpoint that another search has written."""
-        where = f"from evaluation {self._taken + 1:,} on " if self._taken else ""
+        where = f"from evaluation {self._n_replayed + 1:,} on " if self._n_replayed else ""
         return TermselError(
             f"this search differs {where}from the one of the checkpoint",
             hint="Give the same problem, data, solver, options and seed, or the name of a new "

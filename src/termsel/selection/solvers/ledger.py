@@ -193,7 +193,7 @@ class Ledger(ProblemAround):
 
     def _evaluation_of(self, keys: list[bytes], genes: Genes, near: Genes | None) -> Evaluation:
         """Return the evaluation of a checkpoint, or else that of the problem."""
-        stored = None if self.stage is None else self.stage.taken(keys, self.inner, genes)
+        stored = None if self.stage is None else self.stage.replay_next(keys, self.inner, genes)
         if stored is not None:
             return stored
         evaluation = (self.inner.evaluate(genes) if near is None

@@ -111,7 +111,7 @@ def _data_of_problem(spec: Spec, problem: PartSpec | None) -> Data:
         raise spec.places.error(("data",), "the study names neither data nor a problem",
                                 "Write [[data]] and points = \"*.csv\", or problems = [\"...\"].")
     try:
-        recipe = registry().taken("problems", problem.thing or problem.name)
+        recipe = registry().resolve("problems", problem.thing or problem.name)
     except TermselError as error:
         raise spec.places.error(problem.path, error.what, error.hint) from error
     return data_of_dataset(recipe.dataset)
@@ -279,7 +279,7 @@ class _Kinds:
         method: dict[str, Any] = {}
         try:
             if strategy == "auto":
-                recipe = registry().taken("problems", problem.thing or problem.name)
+                recipe = registry().resolve("problems", problem.thing or problem.name)
                 uses_auto("auto", recipe, [f"the option {key}" for key in problem.options])
                 method = {"criterion": "press", "solver": "all-terms"}
             named_problem = names.pop("problem")

@@ -73,18 +73,18 @@ class Start:
     control: FeatureSet | None = None
     places: FloatArray | None = None
 
-    def say_dem(self, dem: Path | str | None) -> None:
+    def warn_if_dem_contradicts(self, dem: Path | str | None) -> None:
         """Warn where a DEM contradicts the heights of the control, or those of an RPC."""
         if dem is None:
             return
         if self.places is not None:
-            self._say_dem_beyond_rpc(Path(dem), self.places)
+            self._warn_if_dem_beyond_rpc(Path(dem), self.places)
         elif self.control is not None \
                 and np.isfinite(self.control.ground_vertices()[:, 2]).any():
             with open_dem(Path(dem), self.crs) as surface:
                 say_difference(self.control, self.project, surface)
 
-    def _say_dem_beyond_rpc(self, dem: Path, places: FloatArray) -> None:
+    def _warn_if_dem_beyond_rpc(self, dem: Path, places: FloatArray) -> None:
         """Warn where a DEM lies far beyond the heights that an RPC is made for."""
         assert self.heights is not None
         with open_dem(dem, self.crs) as surface:

@@ -155,7 +155,7 @@ def match_points(
                 raise TermselError("a folder of references requires a start", file=image,
                                    hint="Give --start with an RPC, a result or points.")
             rough = start_by_overview(picture, files[0], reference_band)
-        rough.say_dem(dem)
+        rough.warn_if_dem_contradicts(dem)
         attempts = []
         for name in _USUAL if matcher is None else (matcher,):
             matcher_class = get("matchers", name)

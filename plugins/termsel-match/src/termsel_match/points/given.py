@@ -67,7 +67,7 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
     # The start is only told: candidates are there already.
     rough = start_of(start, Path(image))
     if rough is not None:
-        rough.say_dem(dem)
+        rough.warn_if_dem_contradicts(dem)
     difference = features.dem_difference
     if difference is not None and difference.contradicts:
         log.warning("Warning: %s", difference.sentence())

@@ -139,7 +139,7 @@ def match_ties(
             raise TermselError(f"two images are called {name!r}",
                                hint="Give files of different names, as a table of ties has them.")
     starts = [_start(path) for path in paths]
-    starts[0].say_dem(dem)
+    starts[0].warn_if_dem_contradicts(dem)
     tell_of_idle(masks, paths, [])
     matcher_class = get("matchers", matcher or "sift")
     until = None if seconds is None else monotonic() + seconds

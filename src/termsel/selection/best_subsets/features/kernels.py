@@ -40,6 +40,10 @@ CARRY = 1e5
 FAR = 1e6
 """Squared errors, relative to the least possible, up to which the walk carries products along."""
 
+_ROUGH_PIVOT, _HOPELESS = 1e-6, 4.0
+"""Pivot, relative to the trace, above which rounding does not make a score so many times too large
+as the second number says: what is beyond the limit by more is so truly."""
+
 _SINGULAR = 1e-14  # pivot, relative to the trace, up to which a normal matrix is rounding alone
 
 
@@ -62,8 +66,9 @@ def enumerate_selections(rows: FeatureRows, state: WalkState, space: EntrySpace,
     count = int(np.intp(0))
     no_feature = int(np.intp(-1))
     entering = size < max_size and first < n
-    status[0] = _open_selection(rows, state, space, depth=depth, first=first, further=entering,
-                     floor=limits.floor, limit=square_limits[size])
+    status[0] = _solve_selection(
+        rows, state, space, depth=depth, first=first, further=entering,
+        floor=limits.floor, limit=square_limits[size])
     count = _keep_selection(state, depth, size, limits, remaining, count)
     cursor[0] = first
     while True:
@@ -106,9 +111,9 @@ def enumerate_selections(rows: FeatureRows, state: WalkState, space: EntrySpace,
             status[depth + 1] = CARRIED
         else:
             _add_feature_rows(rows, state, depth, i)
-            status[depth + 1] = _open_selection(rows, state, space, depth=depth + 1, first=i + 1,
-                                     further=further, floor=limits.floor,
-                                     limit=square_limits[current_size + 1])
+            status[depth + 1] = _solve_selection(
+                rows, state, space, depth=depth + 1, first=i + 1, further=further,
+                floor=limits.floor, limit=square_limits[current_size + 1])
             count = _keep_selection(state, depth + 1, current_size + 1, limits, remaining, count)
         if further:
             depth += 1
@@ -182,10 +187,12 @@ def _add_feature_rows(rows: FeatureRows, state: WalkState, depth: int, i: int) -
 
 
 @_compiled
-def _open_selection(rows: FeatureRows, state: WalkState, space: EntrySpace, depth: int, first: int,
-                    further: bool, floor: float, limit: float) -> int:
+def _solve_selection(rows: FeatureRows, state: WalkState, space: EntrySpace, depth: int, first: int,
+                     further: bool, floor: float, limit: float) -> int:
     """Solve the selection at a depth by Cholesky; return OPEN, UNKNOWN, SCORED or CARRIED.
 
+    It fills in y'y in `state`, the factor, its inverse and y in `space`, and with CARRIED the
+    products, too.
     `further` says whether features from `first` on may enter: only then are products filled in.
     `floor` are the squared errors that no selection is below, `limit` those up to which the
     selection would remain.
@@ -208,7 +215,7 @@ def _open_selection(rows: FeatureRows, state: WalkState, space: EntrySpace, dept
             square += y[x] * y[x]
         state.square[depth, p] = square
         total += square
-    if not further and pivot > 1e-6 and total > 4.0 * limit:
+    if not further and pivot > _ROUGH_PIVOT and total > _HOPELESS * limit:
         return SCORED  # however wrong that is, it is not within the limit
     # The inverse shows the condition, and all that is carried is made of it.
     for p in range(len(rows.columns)):
