@@ -290,3 +290,26 @@ def test_the_command_line_says_the_same(tmp_path: Path) -> None:
     done = CliRunner().invoke(cli, ["run", "--points", str(tmp_path / "p.csv"), "--quiet",
                                     "--set", "fractions=1:1:1"])
     assert "8 points to choose and fit the model, 4 independent check points" in done.output
+
+
+@pytest.mark.parametrize(("words", "is_noted"), [
+    (["--role", "P3=check,P1=check"], True),
+    (["--role", "P3=check", "--role", "P1=check"], True),
+    (["--role", "P3=check", "--off", "P7"], True),
+    (["--role", "P3=check,P1=independent"], False),  # whoever writes independent knows it
+    (["--role", "P3=check,P1=control"], False),
+    (["--role", "P3=check", "--set", "fractions=1:1:1"], False),  # others test the result
+    (["--off", "P3"], False),
+    ([], False)], ids=str)
+def test_a_role_of_check_alone_is_said_to_be_no_test(words: list[str], is_noted: bool,
+                                                     tmp_path: Path) -> None:
+    features = sheet(12)
+    points = replace(features.points, ids=tuple(f"P{i}" for i in range(12)))
+    write_points_csv(points, tmp_path / "p.csv", crs=features.crs)
+    done = CliRunner().invoke(cli, ["run", "--points", str(tmp_path / "p.csv"), *words])
+    assert done.exit_code == 0
+    text = " ".join(done.output.split())
+    note = ("Note: --role ID=check makes a selection point, which takes part in the choice. For a "
+            "point that tests the result write --role P3=independent.")
+    assert (note in text) is is_noted
+    assert text.count("--role ID=check") == is_noted

@@ -19,7 +19,7 @@ TOPICS: Mapping[str, Mapping[str, str]] = {
         "crs": "CRS of the ground coordinates: EPSG:n or local.",
         "columns": "Which column is which: line=4,sample=5,x=2,y=3.",
         "off": "Points and lines to leave out: P07,P12.",
-        "role": "control, check, independent or off, of a point."},
+        "role": "Roles, in place of the file's: P07=independent,P12=control."},
     "Model (chosen automatically unless you ask)": {
         "problem": "Kind of search; see `termsel list problems`.",
         "model": "Sensor model; see `termsel list models`.",

@@ -18,6 +18,7 @@ from termsel.core.threads import one_blas_thread
 from termsel.data.coordinates.crs import CrsLike
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
+from termsel.data.roles import asked_roles
 from termsel.data.rpc import Rpc
 from termsel.fitting.method import Method
 from termsel.io.result_folder import lock_output_folder, write_result
@@ -180,6 +181,7 @@ def run(
         else:
             task = task_of(request_of(named, features=features, **arguments))
             _warn_of_search(task, words, is_in_place_of_auto=strategy is None and problem is None)
+        _warn_of_check_alone(task)
     # The limits of a problem are those of its paper, where the user gives none.
     if not is_limited:
         limits |= {"generations": task.recipe.generations, "patience": task.recipe.patience}
@@ -231,6 +233,16 @@ def _warn_of_search(task: Task, words: Sequence[str], *, is_in_place_of_auto: bo
     if task.features.rpc is not None and "rpc" not in task.model.options:
         log.warning("Warning: the model %s makes no use of the RPC. Leave model, solver and "
                     "criterion out to have it corrected.", task.model.name)
+
+
+def _warn_of_check_alone(task: Task) -> None:
+    """Say what check means where it is the only role asked for and nothing tests the result."""
+    # Surveyors say check point and mean one that tests the result.
+    asked = asked_roles(None, task.request.options["data"]["role"])
+    if set(asked.values()) == {"check"} and not len(task.observations.independent):
+        log.warning("Note: --role ID=check makes a selection point, which takes part in the "
+                    "choice. For a point that tests the result write --role %s=independent.",
+                    next(iter(asked)))
 
 
 def _seconds_of_compilation(task: Task, sole_method: Method | None) -> int:

@@ -71,8 +71,9 @@ _OPTIONS = (
     click.option("--off", metavar="IDS", multiple=True,
                  help="Leave out these points and lines, such as P07,P12."),
     click.option("--role", metavar="ID=ROLE", multiple=True,
-                 help="Role of a point, whatever the file says: control, check, independent or "
-                      "off; may be repeated."),
+                 help="Role of a point, whatever the file says: control, check (a selection "
+                      "point), independent (one that tests the result) or off. Several have commas "
+                      "between them: P07=independent,P12=off; may be repeated."),
     click.option("--model", metavar="NAME", shell_complete=complete("models"),
                  help="Sensor model; see `termsel list models`."),
     click.option("--solver", metavar="NAME", shell_complete=complete("solvers"),
