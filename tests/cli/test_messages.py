@@ -248,6 +248,9 @@ def test_the_method_of_an_rpc_asks_for_one(example_files: Path) -> None:
      "--off ID,C2."),
     (["stability", "."], "It is a folder, and this command takes a file of points: --points FILE."),
     (["run", "x.csv", "--report", "page.pdf"], "--report takes no name: it writes report.html"),
+    (["run", "list.pdf"], "list.pdf: termsel reads no points from a file .pdf. If it has a table "
+                          "of points, save that as CSV or XLSX"),
+    (["run", "points.HTM"], "termsel reads no points from a file .htm. If it has"),
     (["plot", "residuals", "result", "-o", "x.svg"], "DIR comes before KIND: termsel plot result"),
     (["stability", "x.csv"], "A file of points is given so: --points "),
     (["bench", "--check", "nowhere"], "--check is 'nowhere', which does not exist. Check the name"),

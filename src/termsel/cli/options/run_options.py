@@ -372,10 +372,7 @@ def with_files(files: Sequence[Path], arguments: Mapping[str, Any]) -> dict[str,
     options = dict(arguments)
     for path in files:
         if path.suffix.lower() in PAGES:
-            raise TermselError("this is the name of a page, and a run reads points, lines, images "
-                               "and RPCs", file=path,
-                               hint="--report takes no name: it writes report.html into the folder "
-                                    "of --out.")
+            raise _page_error(path, is_report=bool(arguments["reports"]))
         # A table is known by its content, other files by their ending.
         kind = _kind_of(path)
         if kind == "image" and options["dem"] is None and _holds_heights(path):
@@ -389,6 +386,19 @@ def with_files(files: Sequence[Path], arguments: Mapping[str, Any]) -> dict[str,
             and arguments["image"] is None:
         options["points"] = options["image"]
     return options
+
+
+def _page_error(path: Path, is_report: bool) -> TermselError:
+    """Return the error for a page among the files of a run; `is_report` if --report was given."""
+    if is_report:
+        return TermselError("this is the name of a page, and a run reads points, lines, images "
+                            "and RPCs", file=path,
+                            hint="--report takes no name: it writes report.html into the folder "
+                                 "of --out.")
+    ending = path.suffix.lower()
+    return TermselError(f"termsel reads no points from a file {ending}", file=path,
+                        hint="If it has a table of points, save that as CSV or XLSX, and give that "
+                             "file. If it has an image, save that as TIFF or PNG.")
 
 
 def _two_of_one_kind_error(kind: str, first: Path, second: Path) -> TermselError:
