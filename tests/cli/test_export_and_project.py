@@ -464,6 +464,22 @@ def test_plan_takes_no_candidates_of_another_crs_or_place(place: str, message: s
     assert message in err
 
 
+@pytest.mark.parametrize(("table", "message"), [
+    ("nr,rechts,hoch,hoehe\n1,59,36,1100\n", "Rename the columns in the file: id,x,y,z."),
+    ("name,lat,lon\n1,36,59\n", "Give heights in the file, in a column named z."),
+    ("id,x1,y1,z1,x2,y2,z2\n1,59,36,5,59.1,36,5\n",
+     "These are lines, and points are needed: a table id,x,y,z."),
+    ("id,line,sample\n1,5,7\n", "termsel project --inverse computes them.")])
+def test_plan_names_no_option_that_it_lacks(table: str, message: str, folder: Path,
+                                            tmp_path: Path) -> None:
+    path = tmp_path / "candidates.csv"
+    path.write_text(table)
+    code, out, err = _termsel("plan", folder, "--candidates", path)
+    assert (code, out) == (2, "")
+    assert message in err
+    assert "--columns" not in err
+
+
 @pytest.mark.slow
 def test_text_formats_need_no_packages_for_rasters(folder: Path, tmp_path: Path) -> None:
     """RPC text, .points and CSV are written without the extra `gis`; others name it."""

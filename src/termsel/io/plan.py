@@ -77,11 +77,14 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
         try:
             named, positions = read_ground(result, candidates)
         except TermselError as error:
-            if error.code == "height-missing":
-                # There is no option of a DEM here.
+            # There is no option of a DEM or of columns here.
+            if error.code == "column-missing":
+                header = "id,x,y,z" if fitted.model.uses_height else "id,x,y"
+                error.hint = f"{error.hint} Rename the columns in the file: {header}."
+            elif error.code == "height-missing":
                 error.hint = (error.hint or "").replace(
-                    GIVE_HEIGHTS, "Give heights in the file. termsel project with --dem FILE, or "
-                                  "--height H, writes a table that has them.")
+                    GIVE_HEIGHTS, "Give heights in the file, in a column named z. termsel project "
+                                  "with --dem FILE, or --height H, writes a table that has them.")
             raise
         ids = tuple(named)
     image = fitted.project(positions)

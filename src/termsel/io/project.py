@@ -24,7 +24,7 @@ from termsel.data.coordinates.earth import place_of
 from termsel.data.coordinates.longitudes import nearest_longitudes, turn_of
 from termsel.data.coordinates.plausible import check_ground
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, select
-from termsel.data.tables.columns import COORDINATES, parse_columns
+from termsel.data.tables.columns import COORDINATES, LINES, parse_columns
 from termsel.fitting.extrapolation import FAR_OUTSIDE, distance_outside_control
 from termsel.formats.base import error_in_file, read_once
 from termsel.formats.heights import Dem, refuse_void, say_difference, surface_of, with_heights
@@ -107,10 +107,14 @@ def project_table(
         try:
             ids, ground = read_ground(result, path, columns, dem, height, layer)
         except TermselError as error:
-            if error.code == "column-missing" \
-                    and _has_columns(path, columns, "line", "sample", layer=layer):
+            if error.code == "image-alone":
                 error.hint = ("These are image positions: add --inverse, with --dem FILE or "
                               "--height H, for ground positions.")
+            elif error.code == "column-missing":
+                error.hint = f"{error.hint} Name them: --columns x=NAME,y=NAME" + (
+                    ",z=NAME. Without z: --dem FILE or --height H." if model.uses_height else ".")
+            elif error.code == "height-missing" and error.line is None:
+                error.hint = f"{error.hint} Name a column of heights: --columns z=NAME."
             raise
         with np.errstate(all="ignore"):
             image = result.project(ground)
@@ -230,11 +234,12 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
         if error.code != "column-missing":
             raise
         if _has_columns(path, columns, "line", "sample", layer=layer):
+            error.code = "image-alone"
             error.hint = f"These are image positions; ground positions {','.join(names)} are " \
                 "needed. termsel project --inverse computes them."
-        else:
-            error.hint = f"{error.hint} Name them: --columns x=NAME,y=NAME" + (
-                ",z=NAME. Without z: --dem FILE or --height H." if model.uses_height else ".")
+        elif _has_columns(path, columns, "x1", "y1", "x2", "y2", layer=layer):
+            error.code = "lines"
+            error.hint = f"These are lines, and points are needed: a table id,{','.join(names)}."
         raise
     _require_crs_and_heights(table, crs, path, model.uses_height, fills)
     try:
@@ -288,7 +293,7 @@ def _require_crs_and_heights(table: Table, crs: str, path: Path, uses_height: bo
             if all(name.startswith("EPSG:") for name in names) else "."))
     if uses_height and not fills and "z" not in table.columns:
         problems.append("there is no column for z, and the model requires heights")
-        remedies.append(f"{GIVE_HEIGHTS} Name a column of heights: --columns z=NAME.")
+        remedies.append(GIVE_HEIGHTS)
     if problems:
         raise TermselError("; and ".join(problems), file=path, hint=" ".join(remedies),
                            column=None if len(problems) > 1 or table.crs else "z",
@@ -343,7 +348,8 @@ def _read_table(path: Path, columns: str, *coordinates: str, layer: str | None,
     columns : str
         What the user says of the headings, as of --columns.
     *coordinates : str
-        Those whose columns the table must have: "x", "y", "z", "line", "sample".
+        Those whose columns the table must have: "x", "y", "z", "line", "sample", or
+        those of a table of lines, such as "x1".
     layer : str or None
         That of a vector file or spreadsheet; None for the first that has points.
     flat : bool
@@ -354,7 +360,8 @@ def _read_table(path: Path, columns: str, *coordinates: str, layer: str | None,
     TermselError
         If the file cannot be read, or lacks the column of a coordinate.
     """
-    aliases = _ID | {name: (*COORDINATES[name], *_OF_QGIS.get(name, ())) for name in coordinates}
+    accepted = LINES | COORDINATES
+    aliases = _ID | {name: (*accepted[name], *_OF_QGIS.get(name, ())) for name in coordinates}
     table = table_of_places(path, aliases, parse_columns(columns), layer=layer, flat=flat)
     # None of a file that is no vector file.
     if table is not None:
