@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from termsel_app.maps import MapRaster
+from termsel import TermselError
+from termsel_app.maps import MapRaster, open_maps
 from termsel_app.rasters import TILE
 
 rasterio = pytest.importorskip("rasterio")
@@ -38,3 +39,12 @@ def test_a_tile_shows_the_pixel_of_the_map_that_is_there(
     assert inside.any()
     np.testing.assert_array_equal(tile[inside][:, 0], expected)
     assert not tile[~inside].any()
+
+
+@pytest.mark.parametrize("name", ["places.csv", "places.TXT", "places.xlsx"])
+def test_a_table_given_as_a_map_is_told_how_to_become_one(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_text("name,x,y\nP1,455000,3850000\n")
+    with pytest.raises(TermselError, match="--map takes rasters and vector layers") as refused:
+        open_maps([str(path)], "EPSG:32639", remote=False)
+    assert "QGIS saves a table as such a layer" in str(refused.value)

@@ -38,6 +38,21 @@ def is_vector(name: str) -> bool:
     return Path(name).suffix.lower() in _VECTORS
 
 
+_TABLES = (".csv", ".tsv", ".txt", ".points", ".xlsx", ".ods")
+
+TABLE_AS_LAYER = "QGIS saves a table as such a layer (Add Delimited Text Layer, then Export)."
+"""How a table of places becomes what --map takes."""
+
+
+def _refuse_table(name: str) -> None:
+    """Raise TermselError for the name of a table, which is no map."""
+    if Path(name).suffix.lower() in _TABLES and Path(name).is_file():
+        raise TermselError("a table is no map: --map takes rasters and vector layers", file=name,
+                           hint="If it has places on the ground alone, give them as a layer: --map "
+                                f"FILE.gpkg. {TABLE_AS_LAYER} Points that are measured in the "
+                                "image, too, are given by --points FILE.")
+
+
 @dataclass(frozen=True)
 class VectorLayer:
     """A vector layer as GeoJSON in the CRS shown."""
@@ -215,6 +230,7 @@ def open_maps(names: Sequence[str], crs: str | None, remote: bool) -> Maps:
     try:
         for name in names:
             if not is_tiles(name) and not is_vector(name):
+                _refuse_table(name)
                 rasters.append(MapRaster(name, remote, crs))
         # Tiles exist in web Mercator only, so all else follows them.
         tiles = [name for name in names if is_tiles(name)]

@@ -27,7 +27,7 @@ from termsel_app.control import (
 )
 from termsel_app.iiif import IiifImage, fetch_image, is_iiif
 from termsel_app.journal import Journal, entry_of, open_journal
-from termsel_app.maps import Box, Maps, box_around, box_of, open_maps
+from termsel_app.maps import TABLE_AS_LAYER, Box, Maps, box_around, box_of, open_maps
 from termsel_app.pasting import read_pasted
 from termsel_app.places import Places, shown_crs
 from termsel_app.prediction import Prediction, prediction_of
@@ -536,8 +536,8 @@ def _read_features(files: Files) -> FeatureSet:
     except TermselError as error:
         if error.code == "ground-alone":
             error.hint = ("The page begins with measured points. Give the list as a map, and click "
-                          "each of its points there and in the image: --map FILE.gpkg. QGIS saves "
-                          "a table as such a layer (Add Delimited Text Layer, then Export).")
+                          "each of its points there and in the image: --map FILE.gpkg. "
+                          f"{TABLE_AS_LAYER}")
         raise
 
 
