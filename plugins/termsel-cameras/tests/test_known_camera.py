@@ -335,6 +335,21 @@ def test_a_flight_of_strong_distortion_shows_its_camera_and_a_photo_that_is_not_
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("focal", "remedy"), [
+    (None, "give --focal PX"), (3000.0, "check --focal")])
+def test_points_that_show_no_focal_length_are_said_to(focal: float | None, remedy: str) -> None:
+    """An image by parallel rays, such as of a satellite, is that of an endless focal length."""
+    control, _, _ = photo(8)
+    ground = control.points.ground
+    rays = np.array([[0.1, -0.6], [0.6, 0.1], [0.2, -0.1]])
+    image = (ground - ground.mean(axis=0)) @ rays + np.array(SIZE) / 2.0
+    parallel = replace(control, points=replace(control.points, image=image))
+    with pytest.raises(TermselError, match="do not determine a focal length") as refused:
+        shared_camera([parallel], SIZE, focal)
+    assert remedy in str(refused.value)
+
+
+@pytest.mark.slow
 def test_the_rmse_predicted_of_four_points_is_of_the_size_of_the_true_one() -> None:
     """Without one of four points a camera is hardly determined, so that held-out errors run wild.
     """

@@ -130,11 +130,21 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
     best = flight.least(np.geomspace(*ends, FOCALS_TRIED), 0.0)
     best = flight.least(best * np.geomspace(1.0 / step, step, FOCALS_TRIED_NEAR), 0.0)
     # Oblique photos have sharp minima between places of the grid: each photo alone shows its own.
-    best = flight.least(np.array([*flight.focals_of_each(best), best]), 0.0, afresh=True)
+    # One that shows none has a focal length far outside of all that is tried.
+    shown = [alone for alone in flight.focals_of_each(best) if _is_near(alone, ends)]
+    best = flight.least(np.array([*shown, best]), 0.0, afresh=True)
     solution, covariance = _minimum_of_two_unknowns(
         lambda values: flight.penalised_cost(float(np.exp(values[0])), float(values[1])),
         flight.near_least(best))
     shared_focal = float(np.exp(solution[0]))
+    if not _is_near(shared_focal, ends):
+        remedy = "If so, give --focal PX, or photos taken obliquely or over hills." \
+            if focal is None else "If so, check --focal, which is in px."
+        raise TermselError(
+            "the points do not determine a focal length: none from "
+            f"{ends[0]:,.0f} to {ends[1]:,.0f} px fits them best",
+            hint="Check line and sample, and whether this is a photo of a frame camera. "
+                 f"{remedy}")
     spread = float(np.clip(np.sqrt(covariance[0, 0]), 1e-4, 0.1))
     sigma = flight.cost(shared_focal, float(solution[1]))[1]
     residuals = np.full(len(photos), np.nan)
@@ -142,6 +152,11 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
     return SharedCamera(shared_focal, spread, float(solution[1]), sigma, photos=len(data),
                         points=sum(len(photo) for photo in data),
                         residuals=tuple(residuals.tolist()))
+
+
+def _is_near(focal: float, ends: tuple[float, float]) -> bool:
+    """Return whether a focal length is within the ends of what is tried, or next to them."""
+    return ends[0] / BESIDE <= focal <= ends[1] * BESIDE
 
 
 def unlike_photos(names: Sequence[object], residuals: Sequence[float]) -> list[str]:
