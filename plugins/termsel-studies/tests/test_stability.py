@@ -268,3 +268,12 @@ def test_data_that_cannot_be_read_leave_no_folder(tmp_path: Path) -> None:
     assert done.exit_code == 2
     assert "bad.csv, line 2, column 'x'" in done.output
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("criterion", [None, "press"])
+def test_too_few_points_are_said_to_be_too_few_for_stability(criterion: str | None) -> None:
+    features, _ = few_terms(6)
+    few = features.with_(points=replace(features.points.take(np.arange(4)), roles=("",) * 4))
+    with pytest.raises(termsel.TermselError, match="4 points are too few") as refused:
+        selection_frequencies("poly-terms", features=few, criterion=criterion, repeats=2)
+    assert "press" not in str(refused.value)

@@ -159,8 +159,9 @@ def selection_frequencies(
         raise TermselError(f"{repeats} repetitions with the threshold {threshold} say nothing",
                            hint="Give at least 2 repetitions and a threshold above 0, up to 1.")
     parts = {"model": model, "solver": solver, "criterion": criterion}
-    task = task_of(request_of(problem, features=features, dataset=dataset, options=options,
-                              **parts))
+    request = request_of(problem, features=features, dataset=dataset, options=options, **parts)
+    _require_points(request.features)
+    task = task_of(request)
     other_segments = {"features" if segment.name == "features" else "other values than terms"
                       for segment in task.problem.genome.segments
                       if segment.name == "features" or not isinstance(segment, Bits)}
@@ -208,6 +209,19 @@ def selection_frequencies(
         terms=task.model.terms, selections=selections, threshold=threshold,
         stable=select(task.model.terms, is_stable), determined=determined, rmse=rmse,
         interrupted=interrupted)
+
+
+FEWEST_POINTS = 6
+"""Points from which on half of them may be left out: 3 remain, which a model needs."""
+
+
+def _require_points(features: FeatureSet) -> None:
+    """Raise TermselError for points without lines that are too few to draw some of them."""
+    if len(features.points) < FEWEST_POINTS and not len(features.lines):
+        raise TermselError(
+            f"{len(features.points)} points are too few for stability, which leaves out some of "
+            f"them again and again: at least {FEWEST_POINTS} are needed",
+            hint="Measure more, or fit all of them: termsel run --points FILE.")
 
 
 def _observer_of_all(observe: Observer, repetition: int, repeats: int) -> Observer:
