@@ -246,7 +246,7 @@ class Boasts(Drawn):
 
 
 BROKEN_SOLVERS = [
-    (WrongDefault, "declaration", "option 'population' does not accept 0"),
+    (WrongDefault, "declaration", "option 'population' has the default 0"),
     (ZeroIndex, "generations_hold", "number 1 has the index 0"),
     (InPlace, "generations_hold", "changed after it was yielded"),
     (Shuffled, "generations_hold", "not that of its genes"),

@@ -74,7 +74,7 @@ def test_control_that_is_not_in_metres_is_mapped_in_utm(
     assert code == expected
     assert shape == pytest.approx(SIZE, rel=0.1)
     assert side == pytest.approx(2.0, rel=0.06)
-    assert f"metre in EPSG:{expected} (the zone of UTM, as the control is not in metres; " \
+    assert f" m in EPSG:{expected} (the zone of UTM, as the control is not in metres; " \
         "--crs names another), with all of the image." in caplog.text
 
 

@@ -185,9 +185,12 @@ SUPPORTED_MIN_FEATURES = 12
 held-out RMSE is smaller by a quarter, and the errors are so many: what a polynomial misses at a few
 points of the edge hardly counts in logarithms."""
 
+UNKNOWNS_OF_AFFINE = 6
+"""Of an affine image of a plane."""
+
 SIMPLER_RMSE_RATIO = 0.9
-"""Held-out RMSE of a model with fewer unknowns by that of the average of few points, below which it
-is taken: the best of several is so partly by luck."""
+"""Held-out RMSE of a similarity by that of the average of few points, below which it is taken: the
+best of several is so partly by luck."""
 
 FEWEST_EQUATIONS_OF_CAMERA = 2
 """Equations that a central projection must leave to be held against a method that knows more."""
@@ -257,7 +260,7 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
     Of methods with a prior, the first is to be beaten by the others by PRIOR_MARGIN standard
     errors; what none of them contains by CLEAR_MARGIN, a central projection by PROJECTION_MARGIN,
     or by PRIOR_MARGIN where the points support an oblique or near camera, or by far in RMSE (see
-    `is_supported_and_smaller`); of few points in a plane a simpler one by less (see
+    `is_supported_and_smaller`); of few points in a plane a similarity by less (see
     `is_simpler_and_smaller`). Of those that are so much better, and of the one to be beaten, the
     one with the smallest RMSE is chosen. Where none has a prior, the smallest RMSE decides.
     """
@@ -360,16 +363,15 @@ def is_undecided(data: FitData) -> bool:
 
 
 def is_simpler_and_smaller(fitted: Fit, base: Fit) -> bool:
-    """Return whether a plain model with fewer unknowns than the base has smaller errors.
+    """Return whether a plane similarity has smaller errors than what few points average.
 
     Few points in a plane do not show standard errors, and the base averages what they do not decide
-    between. A similarity or a projection is one more of these: with so few unknowns it is not
-    better for following the points. Where its errors are smaller, in logarithms and by
+    between, from an affine image on. A similarity has fewer unknowns than any of these, so that it
+    is not better for following the points. Where its errors are smaller, in logarithms and by
     SIMPLER_RMSE_RATIO in the root mean square, it is taken.
     """
-    return (method_of(fitted).is_plain and not fitted.model.uses_height
+    return (method_of(fitted).is_plain and fitted.effective < UNKNOWNS_OF_AFFINE
             and len(base.held_out().squares) < SPLINE_MAX_POINTS
-            and fitted.effective < base.effective
             and gain(fitted, base) > 0.0
             and beyond_rounding(fitted) < SIMPLER_RMSE_RATIO * beyond_rounding(base))
 

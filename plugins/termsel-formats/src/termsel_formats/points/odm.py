@@ -21,7 +21,6 @@ from warnings import catch_warnings, simplefilter
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
 from termsel.toolkit import read_text, require_import, write_text
-from termsel.toolkit.commands import ONCE
 from termsel.toolkit.coordinates import begins_as_crs, horizontal_crs, normalise
 from termsel.toolkit.files import IMAGE_NAME, Table, error_in_file, image_of, is_number
 from termsel.toolkit.runs import GIS
@@ -109,7 +108,7 @@ def _read_marks(path: Path) -> tuple[str, list[tuple[int, list[str]]]]:
         if not _has_unknown_crs(rows):
             raise error_in_file(error, path, number) from error
         log.warning("Note: %s, line %d: '%s' is no CRS that is known, so --crs EPSG:CODE must "
-                    "state it.", path, number, first, extra={ONCE: "the CRS of a list"})
+                    "state it.", path, number, first)
         crs = ""
     marks: list[tuple[int, list[str]]] = []
     for number, text in rows[(i or 0) + 1:]:
