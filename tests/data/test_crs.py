@@ -153,7 +153,7 @@ def test_without_pyproj_form_and_known_codes_are_checked() -> None:
 def _at_heights(crs: str, heights: Sequence[float]) -> FeatureSet:
     x, y = (9e5, 4.4e6) if crs == "EPSG:32631" else (5.0, 44.0)
     names = tuple("abcdefghij"[:len(heights)])
-    return FeatureSet(Points(names, np.zeros((len(names), 2)),
+    return FeatureSet(Points(names, np.arange(2.0 * len(names)).reshape(-1, 2),
                              np.array([(x, y, z) for z in heights])), crs=crs)
 
 

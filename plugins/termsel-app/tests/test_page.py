@@ -129,11 +129,18 @@ class Screen:
 
     def click(self, side: str, place: Any, zoom: bool = True) -> None:
         """Click a place of a pane, by its coordinates there."""
-        if zoom:  # as a person does who wants to hit it
-            self.run("const {view} = window.termselPanes[arguments[0]]; view.cancelAnimations();"
-                     "view.setCenter(arguments[1]); view.setResolution(arguments[2])", side,
-                     [float(value) for value in place], 0.25 if side == "image" else 2.5)
-        pane, x, y = self.at(side, place)
+        def aim() -> tuple[Any, float, float] | None:
+            if zoom:  # as a person does who wants to hit it
+                self.run("const {view} = window.termselPanes[arguments[0]];"
+                         "view.cancelAnimations();"
+                         "view.setCenter(arguments[1]); view.setResolution(arguments[2])", side,
+                         [float(value) for value in place], 0.25 if side == "image" else 2.5)
+            pane, x, y = self.at(side, place)
+            # A prediction that arrives meanwhile moves the map on.
+            is_inside = abs(x) < pane.size["width"] / 2 and abs(y) < pane.size["height"] / 2
+            return (pane, x, y) if is_inside else None
+
+        pane, x, y = self.wait(aim)
         self.actions().move_to_element_with_offset(pane, x, y).click().perform()
 
     def drag(self, side: str, start: Any, end: Any) -> None:
