@@ -233,3 +233,24 @@ def test_zeros_that_stand_for_unknown_places_are_named(zeros: int, of: str, said
     note = note_on_mixed(FeatureSet(Points(tuple(f"P{i}" for i in range(len(x))), image, ground)))
     assert note.startswith(said) if said else "lie at" not in note
     assert not said or "P0" in note
+
+
+def test_zeros_that_are_left_out_raise_no_doubt(tmp_path: Path,
+                                                caplog: pytest.LogCaptureFixture) -> None:
+    rng = np.random.default_rng(4)
+    rows = [f"P{i},{100 + 900 * x:.2f},{100 + 800 * y:.2f},{0 if i < 3 else 8 + 0.01 * y:.8f},"
+            f"{0 if i < 3 else 47 - 0.008 * x:.8f},{10 + i}"
+            for i, (x, y) in enumerate(rng.uniform(0, 1, (18, 2)))]
+    table = tmp_path / "zeros.csv"
+    table.write_text("\n".join(["id,line,sample,x,y,z", *rows]), encoding="utf-8")
+    said = "3 points lie at x = 0 and y = 0"
+    kept = termsel.run(features=termsel.read(table, crs="EPSG:4979"))
+    assert said in caplog.text
+    assert said in kept.summary()
+    caplog.clear()
+    off = "P0,P1,P2"
+    result = termsel.run(features=termsel.read(table, crs="EPSG:4979", off=off),
+                         options={"off": off})
+    assert said not in caplog.text
+    assert said not in result.summary()
+    assert not any(said in note for note in result.notes)

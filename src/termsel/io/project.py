@@ -291,13 +291,14 @@ def _require_crs_and_heights(table: Table, crs: str, path: Path, uses_height: bo
         remedies.append("Transform the points to the CRS of the control" + (
             f": gdaltransform -s_srs {names[0]} -t_srs {names[1]} does it, a point in each line."
             if all(name.startswith("EPSG:") for name in names) else "."))
-    if uses_height and not fills and "z" not in table.columns:
+    lacks_heights = uses_height and not fills and "z" not in table.columns
+    if lacks_heights:
         problems.append("there is no column for z, and the model requires heights")
         remedies.append(GIVE_HEIGHTS)
     if problems:
         raise TermselError("; and ".join(problems), file=path, hint=" ".join(remedies),
                            column=None if len(problems) > 1 or table.crs else "z",
-                           code="height-missing" if "heights" in problems[-1] else "")
+                           code="height-missing" if lacks_heights else "")
 
 
 def _is_crs_of_control(crs: str, control: str, uses_height: bool) -> bool:

@@ -66,7 +66,7 @@ from termsel.formats.readers.advice import (
 )
 from termsel.formats.repeated import REPEATED, average_while_reading
 from termsel.formats.rpc_files import read_delivered_rpc, size_with_rpc, with_rpc
-from termsel.formats.stated_roles import stating_roles
+from termsel.formats.stated_roles import stating_roles, without_stated_off
 from termsel.formats.swapped import SWAPPED, exchange_back
 from termsel.formats.z_unit import Z_UNIT, refuse_other_units, with_z_unit
 from termsel.models.image_part import RPC_OFFSET, RPC_SCALE, ImagePart, part_of
@@ -242,7 +242,7 @@ def read(
     files = [path for path in (points, lines, areas) if path is not None]
     try:
         features = _with_rpc_and_heights(features, dem, rpc, z_unit, image_part,
-                                             asked_roles(off, role))
+                                         asked_roles(off, role))
         return _with_packages(features, of_packages, image)
     except TermselError as error:
         raise (error_in_file(error, Path(files[0])) if error.file is None else error) from error
@@ -724,7 +724,10 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
 
 def _say_doubts(features: FeatureSet) -> None:
     """Warn of axes that look swapped, of coordinates that are not all of one kind, or of another.
+
+    What the command leaves out raises no doubt.
     """
+    features = without_stated_off(features)
     if other := note_on_other_crs(features):
         log.warning("Warning: %s", other)
     # Of coordinates of two kinds it means nothing how they are turned.

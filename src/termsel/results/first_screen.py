@@ -658,7 +658,9 @@ def next_step_for_user(record: Record, folder: str = "") -> str:
     # A command that is complete is better than advice.
     if off and len(off) <= _LONGEST_OPTION:
         return f"Next: run again with {off}"
-    is_like_a_map = read is not None and not read.lines and read.without_height == read.points
+    # Of a map whose projection was chosen the fit is in that projection.
+    is_like_a_map = read is not None and not read.lines and read.without_height == read.points \
+        and record.data.fit_crs == record.data.crs
     if is_like_a_map and is_geographic(record.data.crs) and does_nothing_fit(record):
         return "Next: if this is a map, --crs auto finds its projection"
     if not folder:

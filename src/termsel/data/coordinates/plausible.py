@@ -377,11 +377,13 @@ def note_on_mixed(features: FeatureSet) -> str:
 def _note_on_zeros(points: Points) -> str:
     """Return a note on points at x = 0 and y = 0, or line = 0 and sample = 0, several alike; or "".
 
-    Programs write zeros for places that they do not know. One point may lie there.
+    Programs write zeros for places that they do not know. One point may lie there; those that are
+    off take no part.
     """
+    in_use = np.array(points.roles, dtype=object) != "off"
     for places, said in ((points.ground[:, :2], "x = 0 and y = 0"),
                          (points.image, "line = 0 and sample = 0")):
-        at_zero = np.flatnonzero((places == 0.0).all(axis=1))
+        at_zero = np.flatnonzero((places == 0.0).all(axis=1) & in_use)
         if at_zero.size > 1:
             ids = first_names_in_words([points.ids[i] for i in at_zero], MAX_POINTS_NAMED)
             return (f"{at_zero.size} points lie at {said}, which stands for places that are not "
