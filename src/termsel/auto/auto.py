@@ -31,6 +31,7 @@ from termsel.auto.rule import (
     gain_of,
     has_pole,
     held_out_lines,
+    is_astray_between,
     is_contained,
     is_undecided,
     method_of,
@@ -324,10 +325,20 @@ class Auto(Method):
     def best_of(self, fits: Iterable[Fit], *, explained: bool = True) -> Choice | None:
         """Return the choice among fits by the rule; None if there is none.
 
-        Only where it is to be `explained` are methods asked to describe what supports them.
+        What would be chosen and runs away between the points is left out, unless all does. Only
+        where it is to be `explained` are methods asked to describe what supports them.
         """
-        return best_of(fits, lambda fitted: self.ask(method_of(fitted), "describe", fitted),
-                       explained=explained)
+        remaining = list(fits)
+
+        def describe(fitted: Fit) -> str | None:
+            description: str | None = self.ask(method_of(fitted), "describe", fitted)
+            return description
+
+        first = choice = best_of(remaining, describe, explained=explained)
+        while choice is not None and is_astray_between(choice.chosen):
+            remaining.remove(choice.chosen)
+            choice = best_of(remaining, describe, explained=explained)
+        return choice or first
 
     def choose_features(self, data: FitData, watch: Watch | None = None, *,
                         with_contained: bool = True) -> Choice | None:

@@ -62,6 +62,56 @@ def has_pole(fitted: Fit) -> bool:
         guard_points(control, empty_points(), POLE_BOX_FACTOR), pole_margin(control.points))[0])
 
 
+PAIRS_OF_CONTROL = 30
+"""Pairs of control points, at most, between which a fit is looked at."""
+
+FARTHER_THAN_CONTROL = 10.0
+"""Departure from an affine map between control points, by the largest at them, from which on the
+points do not show it: of control that lies on two lines a square across them."""
+
+LEAST_DEPARTURE = 0.5
+"""Departure of control [px] that counts as none."""
+
+
+def is_astray_between(fitted: Fit) -> bool:
+    """Return whether a fit runs away between its control points, by its own account.
+
+    Control on two lines, or in a few clusters, determines a curvature across them by what is next
+    to nothing: errors held out are small then, and between the lines the fit may be off by more
+    than the image. It is astray where it departs from an affine map many times farther than any
+    control does, and its own standard deviation there is larger than all departures of control. A
+    central projection is not, as it takes straight lines to straight lines; a spline and a field,
+    which follow what all points have in common where there are none, are not asked.
+    """
+    control = fitted.scaled_control
+    if len(control.lines) or method_of(fitted).central or fitted.interpolation is not None:
+        return False
+    points = control.points
+    columns = points.ground if fitted.model.uses_height else points.ground[:, :2]
+    affine = np.linalg.lstsq(np.column_stack([np.ones(len(points)), columns]), points.image)[0]
+
+    def departures(ground: FloatArray, image: FloatArray) -> FloatArray:
+        places = ground[:, :columns.shape[1]]
+        return np.asarray(np.linalg.norm(image - affine[0] - places @ affine[1:], axis=1))
+
+    # The first half of the points with the second, and neighbours: across lines in either order.
+    count = len(points)
+    first = np.linspace(0, count - 1, min(count, PAIRS_OF_CONTROL // 2)).astype(np.intp)
+    second = np.concatenate([first + count // 2, first + 1]) % count
+    middles = (points.ground[np.tile(first, 2)] + points.ground[second]) / 2.0
+    ground = fitted.scaling.unscaled(middles)
+    between = departures(middles, fitted.scaling.image(fitted.project(ground)))
+    between = between[np.isfinite(between)]
+    at_control = max(float(departures(points.ground, points.image).max()),
+                     LEAST_DEPARTURE / fitted.scaling.image_scale)
+    departure = float(np.sqrt((between**2).mean())) if len(between) else 0.0
+    if departure <= FARTHER_THAN_CONTROL * at_control:
+        return False
+    squares = (fitted.sigma(ground)**2).sum(axis=1)
+    uncertainty = float(np.sqrt(np.nanmean(squares))) / fitted.scaling.image_scale
+    return uncertainty > at_control
+
+
 def refusal(fitted: Fit) -> str:
     """Return why a fit by least squares, which is determined, is not judged; "" if it is."""
     if not fitted.estimator.least_squares:

@@ -10,8 +10,10 @@ sample,
 with an affine, quadratic or cubic trend T, all as likely beforehand, of places in the image, as an
 affine map of the ground sees them, and a covariance K of unknown smoothness, length and ratio, or
 without a field g. All are averaged with their restricted likelihood, as in
-`termsel.fitting.misfit`. With c = (ratio^2 k, t) the covariances and trend of a place and
-M = [[S, T], [T', 0]], S = I + ratio^2 K, a course has there (universal kriging)
+`termsel.fitting.misfit`. With c = (ratio^2 k, t) the covariances and trend of a place,
+S = I + ratio^2 K, the diagonal D of s^2 / t^2 for coefficients beyond the affine ones, which are
+some t at most as deviations from the affine map show, and M = [[S, T], [T', -D]], a course has
+there (universal kriging)
 
     the mean c' M^-1 (z, 0) and the variance s^2 (ratio^2 - c' M^-1 c).
 
@@ -88,6 +90,12 @@ RATIOS = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6)
 FINE_RATIOS = tuple(np.geomspace(0.1, 25.6, 17).tolist())
 """The same where many points show it to a few per cent."""
 
+TREND_SIZES = np.repeat((3.3, 6.6), np.diff(TREND_COLUMNS))
+"""Standard deviations beforehand of a trend's quadratic and cubic coefficients, by the root mean
+square of all deviations from the affine map: over [-1, 1] a square differs from its mean by 1 / 3.3
+in the mean, a cube from its line by 1 / 6.6. Points on two lines leave a square across them open,
+which nothing else would bound."""
+
 FIELD_PROBABILITY = 0.8
 """Probability of a field: hardly a sheet is a plane to a tenth of its noise."""
 
@@ -137,6 +145,7 @@ class Solutions:
             system.positions, system.positions, self.lengths, self.smoothness)
         correlation[np.diag_indices_from(correlation)] += discrepancies
         variances = np.diag(system.relative_variances)
+        trend_variances = TREND_SIZES**2 * (system.residuals**2).mean()
         n, f = system.trend.shape
         explained = np.zeros((2, n + f, n + f))
         means = np.zeros((*likely.shape, n + f, 2))
@@ -146,7 +155,12 @@ class Solutions:
             for j in np.flatnonzero(likely[:, i]):
                 columns = TREND_COLUMNS[j]
                 scale = np.concatenate([np.full(n, squared_ratio), np.ones(columns)])
-                scaled = scale[:, None] * _with_trend(inverse, system.trend[:, :columns])
+                # s^2 by the variance of a coefficient beforehand: 0 of the affine ones.
+                precisions = np.zeros(columns)
+                precisions[TREND_COLUMNS[0]:] = noise[j, :, i].sum() \
+                    / shares[j, :, i].sum() / trend_variances[:columns - TREND_COLUMNS[0]]
+                scaled = scale[:, None] * _with_trend(
+                    inverse, system.trend[:, :columns], precisions)
                 means[j, i, :n + columns] = scaled[:, :n] @ system.residuals
                 scaled *= scale
                 for axis in (0, 1):
@@ -157,10 +171,11 @@ class Solutions:
                       weights[:, likely], means[likely], f)
 
 
-def _with_trend(inverse: FloatArray, trend: FloatArray) -> FloatArray:
-    """Return [[S, T], [T', 0]]^-1, (n + f, n + f), from S^-1 and the trend T (n, f)."""
+def _with_trend(inverse: FloatArray, trend: FloatArray, precisions: FloatArray) -> FloatArray:
+    """Return [[S, T], [T', -D]]^-1, (n + f, n + f), from S^-1, the trend T (n, f) and diagonal D.
+    """
     toward = inverse @ trend
-    of_trend = np.linalg.inv(trend.T @ toward)
+    of_trend = np.linalg.inv(trend.T @ toward + np.diag(precisions))
     gain = toward @ of_trend
     return np.block([[inverse - gain @ toward.T, gain], [gain.T, -of_trend]])
 
