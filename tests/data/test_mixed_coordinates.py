@@ -254,3 +254,33 @@ def test_zeros_that_are_left_out_raise_no_doubt(tmp_path: Path,
     assert said not in caplog.text
     assert said not in result.summary()
     assert not any(said in note for note in result.notes)
+
+
+@pytest.mark.parametrize(("crs", "x", "y", "z"), [
+    ("EPSG:4979", "8.001", "460.1", "300"), ("EPSG:4979", "1120", "47", "300"),
+    ("EPSG:32632", "500050", "5.2e12", "300"), ("EPSG:32632", "8.001", "47", "300"),
+    ("EPSG:4979", "8.001", "47", "90000")])
+@pytest.mark.parametrize("by", ["option", "role"])
+def test_what_no_crs_has_does_not_end_a_run_that_leaves_it_out(
+        crs: str, x: str, y: str, z: str, by: str, tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    places = rng.uniform(0, 1, (14, 2))
+    if crs == "EPSG:4979":
+        ground = np.column_stack([8 + 0.01 * places[:, 1], 47 - 0.008 * places[:, 0]])
+    else:
+        ground = np.column_stack([5e5 + 800 * places[:, 1], 5.2e6 - 900 * places[:, 0]])
+    rows = [f"P{i},{100 + 900 * line:.2f},{100 + 800 * sample:.2f},{east:.7f},{north:.7f},300,"
+            for i, ((line, sample), (east, north)) in enumerate(zip(places, ground, strict=True))]
+    wrong = f"BAD,500,500,{x},{y},{z},"
+    table = tmp_path / "control.csv"
+    role = "off" if by == "role" else ""
+    header = "id,line,sample,x,y,z,role"
+    table.write_text("\n".join([header, *rows, wrong + role]), encoding="utf-8")
+    off = {"off": "BAD"} if by == "option" else {}
+    result = termsel.run(features=termsel.read(table, crs=crs, **off), options=off)
+    assert "BAD" not in result.fit.control.ids
+    control = result.fit.control.points
+    assert np.abs(result.fit.project(control.ground) - control.image).max() < 1.0
+    table.write_text("\n".join([header, *rows, wrong]), encoding="utf-8")
+    with pytest.raises(termsel.TermselError, match="BAD"):
+        termsel.read(table, crs=crs)

@@ -33,10 +33,12 @@ def ids_with_stated_roles() -> frozenset[str]:
     return frozenset(_stated.get())
 
 
-def without_stated_off(features: FeatureSet) -> FeatureSet:
-    """Return features without the points that the command says are off."""
-    off = {name for name, role in _stated.get().items() if role == "off"}
+def without_off(features: FeatureSet) -> FeatureSet:
+    """Return features without those that are off, as the command says or else the file."""
+    stated = _stated.get()
     points = features.points
-    if not off.intersection(points.ids):
+    off = {name for name, role in {**dict(zip(points.ids, points.roles, strict=True)),
+                                   **stated}.items() if role == "off"}
+    if not off.intersection(features.ids):
         return features
-    return features.with_(points=points.take(np.array([name not in off for name in points.ids])))
+    return features.take(np.array([name not in off for name in features.ids]))

@@ -66,7 +66,7 @@ from termsel.formats.readers.advice import (
 )
 from termsel.formats.repeated import REPEATED, average_while_reading
 from termsel.formats.rpc_files import read_delivered_rpc, size_with_rpc, with_rpc
-from termsel.formats.stated_roles import stating_roles, without_stated_off
+from termsel.formats.stated_roles import stating_roles, without_off
 from termsel.formats.swapped import SWAPPED, exchange_back
 from termsel.formats.z_unit import Z_UNIT, refuse_other_units, with_z_unit
 from termsel.models.image_part import RPC_OFFSET, RPC_SCALE, ImagePart, part_of
@@ -412,7 +412,7 @@ def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any],
     _require_crs(measured, [table_path], "columns" not in options and swapped is None)
     _say_misspelt(table_path, measured)
     refuse_other_units(measured.named_units, measured.crs, are_heights_open=True)
-    check_ground(measured, z_unit)
+    check_ground(without_off(measured), z_unit)
     _say_doubts(measured)
     return measured
 
@@ -713,7 +713,7 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
     if areas is not None:
         measured = _with_areas(measured, sets[areas], areas)
     try:
-        check_ground(measured, z_unit)
+        check_ground(without_off(measured), z_unit)
     except TermselError as error:
         # The first feature at fault names the file in which it is.
         path = next(path for path, features in sets.items() if error.ids[0] in features.ids)
@@ -725,9 +725,9 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
 def _say_doubts(features: FeatureSet) -> None:
     """Warn of axes that look swapped, of coordinates that are not all of one kind, or of another.
 
-    What the command leaves out raises no doubt.
+    What is left out raises no doubt.
     """
-    features = without_stated_off(features)
+    features = without_off(features)
     if other := note_on_other_crs(features):
         log.warning("Warning: %s", other)
     # Of coordinates of two kinds it means nothing how they are turned.
