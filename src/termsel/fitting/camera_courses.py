@@ -34,7 +34,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -49,6 +48,7 @@ from termsel.fitting.misfit import (
     NEGLIGIBLE_SHARE,
     Course,
     NoisePrior,
+    Spectrum,
     matern_correlations,
 )
 
@@ -158,6 +158,22 @@ class Shrinkages:
 
 
 @dataclass(frozen=True, eq=False)
+class Whitened:
+    """Monomials F and deviations z of the control as a field sees them, of some ratios to noise.
+
+    `along` (n, f + 2) are F and z in the V of the spectrum, where the covariances S = N + ratio^2 K
+    are diagonal, the `variances` (r, n); `products` (r, f + 2, f + 2) are (F, z)' S^-1 (F, z). One
+    decomposition of K serves all ratios, and all there is to know of a field.
+    """
+
+    spectrum: Spectrum
+    ratios: tuple[float, ...]
+    variances: FloatArray
+    along: FloatArray
+    products: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class Control:
     """Control points, and what is tried on them, in scaled coordinates."""
 
@@ -187,91 +203,94 @@ class Control:
                    prior.relative_variances(len(points)), np.geomspace(low, high, count),
                    Shrinkages.of_all())
 
-    def correlations(self, field: Field) -> FloatArray:
-        """Return those of a field among the control, (n, n)."""
-        return matern_correlations(self.positions, self.positions, field.lengths, field.smoothness)
-
-    @cached_property
-    def _scaled_columns(self) -> FloatArray:
-        """Monomials and deviations by the standard deviations of the measurements, (n, f + 2)."""
+    def seen_by(self, field: Field, ratios: tuple[float, ...]) -> Whitened:
+        """Return monomials and deviations as a field of some ratios sees them."""
         scale = 1.0 / np.sqrt(self.relative_variances)
-        return np.asarray(scale[:, None] * np.column_stack([self.monomials, self.deviations]))
+        correlations = matern_correlations(self.positions, self.positions, field.lengths,
+                                           field.smoothness)
+        values, vectors = np.linalg.eigh(correlations * np.outer(scale, scale))
+        spectrum = Spectrum(field.lengths, field.smoothness, np.maximum(values, 0.0),
+                            scale[:, None] * vectors)
+        variances = spectrum.variances(ratios)
+        along = spectrum.vectors.T @ np.column_stack([self.monomials, self.deviations])
+        whitened = along / np.sqrt(variances)[..., None]                     # (r, n, f + 2)
+        return Whitened(spectrum, ratios, variances, along, whitened.swapaxes(1, 2) @ whitened)
 
-    def log_likelihoods(self, field: Field, ratios: tuple[float, ...]) -> FloatArray:
+    def log_likelihoods(self, seen: Whitened) -> FloatArray:
         """Return log p(z, size | rule, ratio, s) of a field for both axes, (q, z, r, 2, s).
 
         Axes are the rules and sizes of the camera's prior, (q, z), the ratios (r,) of field and
         noise, line and sample, and the noises (s,). Deviations of the points are normal with the
-        covariance s^2 (N + ratio^2 K) about monomials that shrink towards the prior. One
-        decomposition of K serves all ratios.
+        covariance s^2 (N + ratio^2 K) about monomials that shrink towards the prior.
         """
-        scale = 1.0 / np.sqrt(self.relative_variances)
-        # With N^-1/2 K N^-1/2 = V diag(values) V', S = N + ratio^2 K is whitened for any ratio.
-        values, vectors = np.linalg.eigh(self.correlations(field) * np.outer(scale, scale))
-        variances = 1.0 + np.multiply.outer(np.square(ratios), np.maximum(values, 0.0))  # (r, n)
-        whitened = (vectors.T @ self._scaled_columns) / np.sqrt(variances)[..., None]
-        products = whitened.swapaxes(1, 2) @ whitened                        # (r, f + 2, f + 2)
         n, f = self.monomials.shape
-        precisions = self.shrinkages.precisions
+        # What affine columns, which nothing shrinks, leave of the others and of the deviations.
+        affine = seen.products[:, :AFFINE_COLUMNS, :AFFINE_COLUMNS]
+        across = seen.products[:, :AFFINE_COLUMNS, AFFINE_COLUMNS:]
+        products = seen.products[:, AFFINE_COLUMNS:, AFFINE_COLUMNS:] \
+            - across.swapaxes(1, 2) @ np.linalg.solve(affine, across)
         # Of [[A, t], [t', .]] the factor is [[L, 0], [(L^-1 t)', .]], with A = L L' and t of both
         # axes, whatever stands in the corner, which must be large enough for there to be one.
-        systems = np.broadcast_to(products, (*precisions.shape[:2], *products.shape)).copy()
-        systems[..., :f, :f] += precisions[:, :, None, :, None] * np.eye(f)
-        systems[..., f:, f:] = (1.0 + 2.0 * np.trace(products, axis1=1, axis2=2))[:, None, None] \
-            * np.eye(2)
-        factors = np.linalg.cholesky(systems)
-        lower = factors[..., :f, :f]                                         # (q, z, r, f, f)
-        explained = (factors[..., f:, :f]**2).sum(axis=4)                    # (q, z, r, 2)
-        squares = np.maximum(np.diagonal(products[:, f:, f:], axis1=1, axis2=2) - explained, 0.0)
+        precisions = self.shrinkages.precisions[:, :, AFFINE_COLUMNS:]
+        curved = f - AFFINE_COLUMNS
+        systems = np.empty((*precisions.shape[:2], *products.shape))
+        systems[...] = products
+        systems[..., curved:, curved:] = \
+            (1.0 + 2.0 * np.trace(products, axis1=1, axis2=2))[:, None, None] * np.eye(2)
+        diagonal_of(systems)[..., :curved] += precisions[:, :, None]
+        factors = np.linalg.cholesky(systems)                                # (q, z, r, ...)
+        explained = (factors[..., curved:, :curved]**2).sum(axis=4)          # (q, z, r, 2)
+        squares = np.maximum(diagonal_of(products)[:, curved:] - explained, 0.0)
         # |S|^1/2, but for what all have in common, and |A|^1/2.
-        determinants = 0.5 * np.log(variances).sum(axis=1) \
-            + np.log(np.diagonal(lower, axis1=3, axis2=4)).sum(axis=3)       # (q, z, r)
+        determinants = 0.5 * (np.log(seen.variances).sum(axis=1) + np.log(np.linalg.det(affine))) \
+            + np.log(diagonal_of(factors)[..., :curved]).sum(axis=3)         # (q, z, r)
         of_prior = self.shrinkages.log_determinants() + self.shrinkages.log_probabilities
         by_solution = of_prior[:, :, None] - determinants
-        return np.asarray(by_solution[..., None, None]
-                          - (n - AFFINE_COLUMNS) * np.log(self.noises)
-                          - 0.5 * squares[..., None] / self.noises**2)
+        of_noises = (n - AFFINE_COLUMNS) * np.log(self.noises)
+        return np.asarray(by_solution[..., None, None] - of_noises
+                          - squares[..., None] * (0.5 / self.noises**2))
 
-    def course(self, field: Field, ratios: tuple[float, ...], shares: FloatArray) -> Course:
+    def course(self, seen: Whitened, shares: FloatArray) -> Course:
         """Return the solutions of a field, averaged where they are likely.
 
         `shares` (q, z, r, 2, s) are the probabilities of all combinations, as of `log_likelihoods`.
         A solution is a mean (n + f,) at the points and of the monomials; what the points explain of
         the prior covariance is added up, with its noise. Combinations without a share are skipped.
         """
-        noise = shares @ self.noises**2                                      # (q, z, r, 2)
-        probabilities = shares.sum(axis=4)
-        likely = probabilities.max(axis=3) > NEGLIGIBLE_SHARE                # (q, z, r)
+        # Ratios first: their solutions stand next to each other.
+        noise = np.moveaxis(shares @ self.noises**2, 2, 0)                   # (r, q, z, 2)
+        probabilities = np.moveaxis(shares.sum(axis=4), 2, 0)
+        likely = probabilities.max(axis=3) > NEGLIGIBLE_SHARE                # (r, q, z)
+        ratio, rule, size = np.nonzero(likely)                               # (w,) each
         n, f = self.monomials.shape
-        explained = np.zeros((2, n + f, n + f))
-        means = [np.empty((0, n + f, 2))]
-        for i in np.flatnonzero(likely.any(axis=(0, 1))):
-            squared_ratio = ratios[i]**2
-            inverse = np.asarray(np.linalg.inv(
-                np.diag(self.relative_variances) + squared_ratio * self.correlations(field)),
-                dtype=np.float64)
-            toward = inverse @ self.monomials
-            # A^-1 of all likely rules and sizes, (w, f, f): the rest of M^-1 is linear in it.
-            of_columns = np.linalg.inv(
-                self.monomials.T @ toward
-                + self.shrinkages.precisions[likely[:, :, i]][:, :, None] * np.eye(f))
-            coefficients = of_columns @ (toward.T @ self.deviations)
-            at_points = squared_ratio * (inverse @ self.deviations - toward @ coefficients)
-            means.append(np.concatenate([at_points, coefficients], axis=1))
-            # M^-1 has the blocks S^-1 - B A^-1 B', B A^-1 and -A^-1, with B = S^-1 F.
-            of_axes = noise[:, :, i][likely[:, :, i]].T                      # (2, w)
-            inverses = np.tensordot(of_axes, of_columns, axes=1)             # (2, f, f)
-            gains = toward @ inverses
-            explained[:, :n, :n] += squared_ratio**2 * (
-                of_axes.sum(axis=1)[:, None, None] * inverse - gains @ toward.T)
-            explained[:, :n, n:] += squared_ratio * gains
-            explained[:, n:, n:] -= inverses
+        vectors = seen.spectrum.vectors
+        squared_ratios = np.square(seen.ratios)
+        # S^-1 is diagonal in V: there these are B = S^-1 F and S^-1 z.
+        toward, of_deviations = np.split(seen.along / seen.variances[..., None], [f], axis=2)
+        # A^-1 of all likely rules and sizes, (w, f, f): the rest of M^-1 is linear in it.
+        systems = seen.products[ratio][:, :f, :f]
+        diagonal_of(systems)[...] += self.shrinkages.precisions[rule, size]
+        of_columns = np.linalg.inv(systems)
+        coefficients = of_columns @ seen.products[ratio][:, :f, f:]
+        at_points = squared_ratios[ratio][:, None, None] * (
+            vectors @ (of_deviations[ratio] - toward[ratio] @ coefficients))
+        # M^-1 has the blocks S^-1 - B A^-1 B', B A^-1 and -A^-1.
+        of_solutions = noise[likely].T                                       # (2, w)
+        of_ratios = of_solutions[:, None] * (ratio == np.arange(len(squared_ratios))[:, None])
+        inverses = np.tensordot(of_ratios, of_columns, axes=1)               # (2, r, f, f)
+        scaled = squared_ratios[:, None, None] * toward
+        gains = scaled @ inverses                                            # (2, r, n, f)
+        along = -np.tensordot(gains, scaled, axes=((1, 3), (0, 2)))          # (2, n, n)
+        noise_of_ratios = of_ratios.sum(axis=2)                              # (2, r)
+        diagonal_of(along)[...] += noise_of_ratios * squared_ratios**2 @ (1.0 / seen.variances)
+        explained = np.empty((2, n + f, n + f))
+        explained[:, :n, :n] = vectors @ along @ vectors.T
+        explained[:, :n, n:] = vectors @ gains.sum(axis=1)
         explained[:, n:, :n] = explained[:, :n, n:].swapaxes(1, 2)
-        # In the order of the means: ratios first.
-        weights = np.moveaxis(probabilities, 2, 0)[np.moveaxis(likely, 2, 0)].T        # (2, w)
-        of_ratios = (noise * likely[..., None]).sum(axis=(0, 1))                       # (r, 2)
-        return Course(float(shares[:, :, :, 0].sum()), field.lengths, field.smoothness,
-                      np.square(ratios) @ of_ratios, explained, weights, np.concatenate(means), f)
+        explained[:, n:, n:] = -inverses.sum(axis=1)
+        return Course(float(shares[:, :, :, 0].sum()), seen.spectrum.lengths,
+                      seen.spectrum.smoothness, noise_of_ratios @ squared_ratios, explained,
+                      probabilities[likely].T, np.concatenate([at_points, coefficients], axis=1), f)
 
 
 def camera_courses(points: Points, pixel: float) -> CameraCourses | None:
@@ -296,22 +315,31 @@ def camera_courses(points: Points, pixel: float) -> CameraCourses | None:
             *((field, MISFIT_RATIOS, field.probability * by_ratio) for field in _fields())]:
         # The noise is that of both axes, and so is whether there is a field.
         of_field = probabilities.sum(axis=0)
-        likelihoods = control.log_likelihoods(field, ratios) \
+        seen = control.seen_by(field, ratios)
+        likelihoods = control.log_likelihoods(seen) \
             + np.log(probabilities / of_field)[None, None, :, None]
-        by_noise = np.logaddexp.reduce(likelihoods, axis=(1, 2))                       # (q, 2, s)
+        largest = likelihoods.max(axis=(1, 2), keepdims=True)
+        relative = np.exp(likelihoods - largest)
+        sums = relative.sum(axis=(1, 2))                                               # (q, 2, s)
+        by_noise = np.log(sums) + largest[:, 0, 0]
         logs.append(np.log(of_field / len(by_noise)) + prior.log_probability(control.noises)
                     + by_noise.sum(axis=1))
-        grids.append((field, ratios, np.exp(likelihoods - by_noise[:, None, None])))
+        grids.append((seen, relative / sums[:, None, None]))
     shares = np.exp(np.array(logs) - np.logaddexp.reduce(logs, axis=None))             # (c, q, s)
     if not np.isfinite(shares).all():
         return None
     courses = tuple(
-        control.course(field, ratios, share[:, None, None, None] * likelihoods)
-        for share, (field, ratios, likelihoods) in zip(shares, grids, strict=True)
+        control.course(seen, share[:, None, None, None] * relative)
+        for share, (seen, relative) in zip(shares, grids, strict=True)
         if share.sum() > NEGLIGIBLE_SHARE)
     return CameraCourses(control.to_image, control.positions,
                          tuple(course for course in courses if len(course.means)),
                          float(shares.sum(axis=(0, 1)) @ control.noises**2))
+
+
+def diagonal_of(matrices: FloatArray) -> FloatArray:
+    """Return the diagonals of matrices (..., m, m), which can be written to, (..., m)."""
+    return np.asarray(np.einsum("...ii->...i", matrices))
 
 
 def _fields() -> Iterator[Field]:
