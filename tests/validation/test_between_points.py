@@ -14,7 +14,7 @@ from termsel.data.coordinates.places import ground_centres, spatial_order
 from termsel.data.features import FeatureSet, Points
 from termsel.data.record.cautions import limits_of_accuracy
 from termsel.io.accuracy_tags import accuracy_tags
-from termsel.runs.between_points import places_within_hull
+from termsel.runs.between_points import is_even, places_within_hull
 from termsel.studies.cells.verdicts import DOUBTFUL, Accept, verdicts_of
 from tests.studies.test_verdicts import row
 
@@ -58,6 +58,46 @@ def test_evenly_spread_points_have_no_such_caution() -> None:
     plan = np.random.default_rng(3).uniform(0.0, 900.0, (30, 2))
     result = termsel.run(features=deformed_scan(plan, 0.2, 3))
     assert not any(note.startswith("Between ") for note in result.notes)
+
+
+def test_points_in_threes_are_cautioned_of() -> None:
+    rng = np.random.default_rng(3)
+    centres = rng.uniform(0.0, 900.0, (8, 2))
+    plan = np.repeat(centres, 3, axis=0) + rng.normal(0.0, 4.0, (24, 2))
+    result = termsel.run(features=deformed_scan(plan, 0.2, 3))
+    assert any(note.startswith("Between ") for note in result.notes)
+
+
+def evenness(plan: np.ndarray) -> bool:
+    """Return whether held-out errors at plan positions (n, 2) are taken for those between them."""
+    ground = np.column_stack([plan * [1.0, 40.0], np.zeros(len(plan))])
+    return is_even(ground, places_within_hull(ground))
+
+
+@pytest.mark.parametrize("count", [20, 40, 100, 1500])
+@pytest.mark.parametrize("seed", range(5))
+def test_points_at_random_or_in_a_grid_are_even(count: int, seed: int) -> None:
+    rng = np.random.default_rng([seed, count])
+    side = int(np.ceil(count**0.5))
+    grid = np.stack(np.divmod(np.arange(side**2), side), axis=1).astype(float)
+    for plan in (rng.uniform(0.0, 9.0, (count, 2)), grid,
+                 grid + rng.uniform(-0.4, 0.4, grid.shape)):
+        assert evenness(plan)
+
+
+@pytest.mark.parametrize("count", [20, 40, 100, 1500])
+@pytest.mark.parametrize("seed", range(5))
+def test_points_that_leave_gaps_are_not_even(count: int, seed: int) -> None:
+    rng = np.random.default_rng([seed, count])
+    numbers = np.arange(count)
+    noise = rng.normal(0.0, 1.0, (count, 2))
+    corners = np.array([(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)])
+    along = rng.uniform(0.0, 1.0, count)
+    for plan in (rng.uniform(0.0, 1.0, (count, 2))[numbers // 2] + 0.05 * noise / count**0.5,
+                 corners[numbers % 4] + 0.04 * noise,
+                 rng.uniform(0.0, 1.0, (5, 2))[numbers % 5] + 0.02 * noise,
+                 np.column_stack([along, np.abs(along - 0.5)]) + 0.005 * noise):
+        assert not evenness(plan)
 
 
 def checked(where: str, seed: int, count: int) -> termsel.Result:

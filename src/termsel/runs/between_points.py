@@ -23,6 +23,7 @@ from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.data.record.cautions import BESIDE_CONTROL, BETWEEN_POINTS
 from termsel.data.record.figures import Predicted
 from termsel.fitting.fit import Fit
+from termsel.fitting.local_courses import LOCAL_MIN_POINTS
 
 CLEAR_GAP = 2.0
 """Least ratio of the distance between clusters to that within them."""
@@ -36,6 +37,14 @@ near are 4 % of places at random."""
 
 MIN_CHECK_POINTS = 3
 """Independent check points below which chance may put most of them next to control."""
+
+FARTHER = 1.25
+"""Mean distance of places from control, by that of control points from each other, up to which
+errors held out are those of places. It is 1.1 at most of 20 points or more at random, 0.4 of those
+of a grid; in no scene with the caution was it below 1.6 (87 of 503, simulated)."""
+
+LOOKED_AT = 200
+"""Points whose distances from the others are looked at, where there are more."""
 
 MIN_POINTS = 5
 """Points below which the interval of the RMSE and the uncertainty are little more than beliefs."""
@@ -55,6 +64,9 @@ def uncertain_between_points(fitted: Fit, predicted: Predicted) -> Iterator[str]
         return
     places = places_within_hull(points.ground)
     if not len(places):
+        return
+    # Of fewer points the uncertainty is large for want of any, and soon known.
+    if len(points) >= LOCAL_MIN_POINTS and is_even(points.ground, places):
         return
     with np.errstate(all="ignore"):
         sigma = np.hypot(*fitted.sigma(places).T)
@@ -90,6 +102,20 @@ def checked_next_to_control(control: FeatureSet, independent: Points) -> Iterato
     yield (f"{near} of {count} independent check points {verb}{BESIDE_CONTROL}: their errors are "
            "those next to control, and farther away errors may be several times as large. Check at "
            "places away from control.")
+
+
+def is_even(ground: FloatArray, places: FloatArray) -> bool:
+    """Return whether points (n, 3) are as far from each other as places (m, 3) are from them.
+
+    A point that is held out is then as far from the others as a place between is from control, and
+    its error shows that of the place. Distances are by the extent of the points.
+    """
+    extent = np.ptp(ground[:, :2], axis=0)
+    plan = ground[:, :2] / extent
+    some = plan[::-(-len(plan) // LOOKED_AT)]
+    to_others = nearest_points(plan, some, 2)[0][:, 1]
+    to_control = nearest_points(plan, places[:, :2] / extent)[0]
+    return bool(to_control.mean() <= FARTHER * to_others.mean())
 
 
 def places_within_hull(ground: FloatArray) -> FloatArray:
