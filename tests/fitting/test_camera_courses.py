@@ -109,3 +109,15 @@ def test_an_image_without_noise_is_certain() -> None:
     courses = camera_courses(Points(tuple(map(str, range(40))), image, ground), 1e-3)
     assert courses is not None
     assert np.sqrt(courses.squares(ground, image).max()) < 1e-2 * 1e-3
+
+
+@pytest.mark.parametrize("shift", [shaken_in_time, bent_film, still])
+def test_one_point_more_changes_no_uncertainty_at_once(shift: Shift) -> None:
+    # From 200 points to 201 it rose by up to a half.
+    features, ground, _ = image_with(shift, 1, 201)
+
+    def sigma(count: int) -> float:
+        few = features.take(np.arange(len(features)) < count)
+        return float(np.sqrt((termsel.fit(few, "field3d").sigma(ground)**2).mean()))
+
+    assert sigma(201) == pytest.approx(sigma(200), rel=0.06)

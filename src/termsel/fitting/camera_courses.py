@@ -21,8 +21,9 @@ monomials of a place, and M = [[S, F], [F', -D]], a solution has there
     the mean c' M^-1 (z, 0) and the variance s^2 (ratio^2 - c' M^-1 c).
 
 The mean square error of any model at the place is this variance and the square of the distance of
-the model from the mean, averaged over all solutions. In a plane `termsel.fitting.local_courses`
-does the same.
+the model from the mean, averaged over all solutions. Of more than 200 points those count that are
+spread over them, and up to 400 points the less the more there are. In a plane
+`termsel.fitting.local_courses` does the same.
 
 References
 ----------
@@ -50,6 +51,7 @@ from termsel.fitting.misfit import (
     NoisePrior,
     Spectrum,
     matern_correlations,
+    rows_of_field,
 )
 
 EXPONENTS = graded_exponents(3, 3)
@@ -293,14 +295,26 @@ class Control:
                       probabilities[likely].T, np.concatenate([at_points, coefficients], axis=1), f)
 
 
+def share_of_courses(n: int) -> float:
+    """Return how much the courses count of the mean square error of a model of n points.
+
+    All up to MISFIT_MAX_POINTS, nothing from twice as many on: of more points they see a part only,
+    and one point more must not change what is said of the same image.
+    """
+    return float(np.clip(2.0 - n / MISFIT_MAX_POINTS, 0.0, 1.0))
+
+
 def camera_courses(points: Points, pixel: float) -> CameraCourses | None:
     """Return the courses of the error between scaled points with heights, as the points show them.
 
-    A `pixel` is in scaled coordinates. None with few points or very many, and where their heights
-    lie in a plane.
+    A `pixel` is in scaled coordinates. Of many points those count that are spread over them. None
+    with few points or very many, and where their heights lie in a plane.
     """
-    if not LOCAL_MIN_POINTS <= len(points) <= MISFIT_MAX_POINTS:
+    if len(points) < LOCAL_MIN_POINTS or share_of_courses(len(points)) == 0.0:
         return None
+    is_spread = np.zeros(len(points), dtype=bool)
+    is_spread[rows_of_field(len(points))] = True
+    points = points.take(is_spread)
     prior = NoisePrior.of(pixel, points.sigma, with_heights=True)
     control = Control.of(points, pixel, prior)
     if control is None:

@@ -26,7 +26,7 @@ from termsel.data.record.figures import Rmse, Settings
 from termsel.data.relief import unmasked, visible_ground
 from termsel.data.scaling import Scaling, make_scaling, to_fit_crs
 from termsel.data.view import CentralView, view_of
-from termsel.fitting.camera_courses import CameraCourses, camera_courses
+from termsel.fitting.camera_courses import CameraCourses, camera_courses, share_of_courses
 from termsel.fitting.extrapolation import variance_by_heights
 from termsel.fitting.local_courses import LocalCourses, local_courses
 from termsel.fitting.misfit import MISFIT_BATCH, Misfit, NoisePrior, misfit_of, mixed_misfit
@@ -480,7 +480,7 @@ class Fit(Glance):
         """
         original = self.original or self
         points = self._ground_points(ground)
-        squares, noise = original._mean_squares(points)
+        squares, noise = original.mean_squares(points)
         variance = (squares + noise * measured) * self.scaling.image_scale ** 2
         # Errors of the heights of the control are errors of the model, too.
         variance += variance_by_heights(
@@ -489,16 +489,25 @@ class Fit(Glance):
         sigma[self.unseen(points)] = np.nan
         return sigma
 
-    def _mean_squares(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def mean_squares(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean square errors of places (m, 3) and of a measurement, scaled: (m, 2), (2,)."""
         scaled_ground = self.scaling.ground(ground)
         courses = self.local_courses
-        if courses is None:
+        share = 0.0 if courses is None else 1.0
+        if isinstance(courses, CameraCourses):
+            share = share_of_courses(len(self._scaled_used.points))
+        squares = np.zeros((len(ground), 2))
+        noise = np.zeros(2)
+        if courses is not None:
+            image = self.scaling.image(self._compute_positions(ground))
+            squares += share * courses.squares(scaled_ground, image)
+            noise += share * courses.noise
+        if share < 1.0:
             spread = self.estimator.spread(self, scaled_ground)
             # Variances add: of the coefficients, and of what the model does not fit.
-            return spread.variance + self.missed_at(ground), spread.noise
-        image = self.scaling.image(self._compute_positions(ground))
-        return courses.squares(scaled_ground, image), np.full(2, courses.noise)
+            squares += (1.0 - share) * (spread.variance + self.missed_at(ground))
+            noise += (1.0 - share) * spread.noise
+        return squares, noise
 
     @cached_property
     def local_courses(self) -> LocalCourses | CameraCourses | None:

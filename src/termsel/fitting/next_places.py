@@ -105,9 +105,8 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
 def error_covariances(original: Fit, ground: FloatArray) -> Spread | None:
     """Return the mean square errors of a fit at places (m, 3), with factors; None if not known.
 
-    They are those of `Fit.sigma`, without the noise of heights. In a plane with more than 200
-    points, errors at two places correlate as by 200 that are spread over them, over longer
-    distances than by all.
+    They are those of `Fit.sigma`, without the noise of heights. With more than 200 points, errors
+    at two places correlate as by 200 that are spread over them, over longer distances than by all.
     """
     scaled_ground = original.scaling.ground(ground)
     image = original.scaling.image(original.project(ground))
@@ -119,7 +118,7 @@ def error_covariances(original: Fit, ground: FloatArray) -> Spread | None:
                                      axis) for axis in (0, 1)]
         spread_courses = _spread_of_spans(spans, np.full(2, courses.noise))
         variance = np.zeros(image.shape)
-        variance[visible] = courses.squares(scaled_ground[visible], image[visible])
+        variance[visible] = original.mean_squares(ground[visible])[0]
         return _with_variance(spread_courses, variance)
     spread: Spread | None = original.estimator.spread(original, scaled_ground)
     if spread is not None and spread.factors is None:  # a local model, which shows no covariances

@@ -11,9 +11,9 @@ and few points it is the propagated noise. All noise is unknown, so that errors 
 distribution with f degrees of freedom, whose variance is f / (f - 2). A spline or a random field
 has a variance of its own, which is that of its own smoothness. From 20 points of a plane on they
 and polynomials are judged by fields of all (`termsel.fitting.local_courses`), and so they are with
-heights, from 20 to 200 points (`termsel.fitting.camera_courses`). To all others comes what the
-model does not fit (`termsel.fitting.misfit`). Where the control does not show what a
-height does, the effect of views in general is added
+heights, from 20 to 200 points (`termsel.fitting.camera_courses`), and up to 400 by a share that
+falls. To all others comes what the model does not fit (`termsel.fitting.misfit`). Where the control
+does not show what a height does, the effect of views in general is added
 (`termsel.fitting.extrapolation.variance_by_heights`).
 """
 
