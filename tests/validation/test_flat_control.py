@@ -27,6 +27,9 @@ def seen(camera: str, plan: FloatArray, height: FloatArray) -> tuple[FloatArray,
     ground = np.column_stack([plan + np.array([500e3, 4e6]), height])
     if camera == "photo":  # a central projection from 25 km
         image = 2500.0 + plan[:, ::-1] * [-0.1, 0.1] / (1.0 - height[:, None] / 25e3)
+    elif camera == "tilted":
+        distance = 1.0 - (height / 25e3 + plan[:, 1] / 80e3)[:, None]
+        image = 2500.0 + plan[:, ::-1] * [-0.1, 0.1] / distance
     else:
         image = 2500.0 + plan[:, ::-1] * [-0.1, 0.1] + np.outer(height, [0.01, 0.04])
     return ground, image, "EPSG:32639"
@@ -56,6 +59,9 @@ def scene(camera: str, relief: str, count: int, noise: float = 0.5) -> FeatureSe
     ("photo", "level", 8, "the height 0 m alone"),
     ("scanner", "level", 8, "the height 0 m alone"),
     ("scanner", "dust", 12, "the height 0 m alone"),
+    ("tilted", "dust", 12, "the height 0 m alone"),
+    ("tilted", "dust", 20, "the height 0 m alone"),
+    ("tilted", "dust", 30, "the height 0 m alone"),
     ("affine", "tower", 12, "the height 0 m alone"),
     ("scanner", "hills", 12, "the height 0 m alone"),
     ("photo", "slope", 12, r"heights from \d+(\.\d)? to \d+(\.\d)? m on one plane"),

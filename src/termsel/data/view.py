@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+from scipy.special import fdtri
 
 from termsel.data.coordinates.places import spatial_order
 from termsel.data.features import BoolArray, FloatArray, Points, empty_points
@@ -65,6 +66,12 @@ FARTHER = 1.5
 PIXEL_TOLERANCE = 0.15
 """Logarithm of the ratio of two focal lengths, and cosine of the angle between two axes, up to
 which few points show square pixels."""
+
+LEAST_RELIEF = 1e-4
+"""Scaled distance from a plane up to which no height shows in a view: a hundredth of a pixel."""
+
+HEIGHT_CONFIDENCE = 0.99
+"""Level of the F test by which heights count in a view."""
 
 MAX_VIEW_POINTS = 200
 """Points by which a view is found; more are thinned out evenly."""
@@ -184,17 +191,47 @@ def _view_of(measurements: Measurements) -> CentralView | None:
     if len(points) > MAX_VIEW_POINTS:
         even = np.linspace(0, len(points) - 1, MAX_VIEW_POINTS).astype(int)
         points = points.take(spatial_order(points.ground[:, :2])[even])
-    views = []
-    for size in (3, 4) if np.isfinite(points.ground).all() else (3,):
-        # A plane projective transformation has 8 parameters, the DLT 11: the view with the smaller
-        # sigma is taken, if it is clearly better than an affine one.
-        columns = _projection_columns(points.ground, size)
-        affine_sigma = _affine_deviation(columns, points.image)
-        if affine_sigma is not None and _may_be_clearly_better(columns, points.image, affine_sigma):
-            view = _fit_projection(columns, points, affine_sigma)
-            if view is not None:
-                views.append(view)
-    return min(views, key=lambda view: view.sigma, default=None)
+    if np.isfinite(points.ground).all():
+        view = _clearly_better_view(points, 4)
+        if view is not None and _heights_show(view, points):
+            return view
+    return _clearly_better_view(points, 3)
+
+
+def _heights_show(view: CentralView, points: Points) -> bool:
+    """Return whether heights explain more of the image than their three unknowns do by chance.
+
+    On a plane, a projection would be fitted to the rounding of heights, and could not tell how any
+    other height is seen. With squares S of the projection and S0 of that without heights, f and
+    f + 3 degrees of freedom, (S0 - S) / 3 by S / f is distributed as F where heights do nothing.
+    """
+    plane = _projection_columns(points.ground, 3)
+    heights = points.ground[:, 2]
+    off_plane = heights - plane @ np.linalg.lstsq(plane, heights)[0]
+    if np.abs(off_plane).max() <= LEAST_RELIEF:
+        return False
+    matrix = _least_distance_matrix(plane, points.image)
+    if matrix is None:
+        return True
+    plane_squares = float(((points.image - _project_with_matrix(matrix, plane)) ** 2).sum())
+    freedom = points.image.size - _unknowns(4)
+    squares = view.sigma**2 * freedom
+    gain = (plane_squares - squares) / 3
+    return bool(gain * freedom > fdtri(3, freedom, HEIGHT_CONFIDENCE) * squares)
+
+
+def _clearly_better_view(points: Points, size: int) -> CentralView | None:
+    """Return the view by 1, X, Y (and Z: size 4), if it is clearly better than an affine one."""
+    columns = _projection_columns(points.ground, size)
+    affine_sigma = _affine_deviation(columns, points.image)
+    if affine_sigma is None or not _may_be_clearly_better(columns, points.image, affine_sigma):
+        return None
+    return _fit_projection(columns, points, affine_sigma)
+
+
+def _unknowns(size: int) -> int:
+    """Return the number of unknowns of a projection: 8 of the plane (size 3), 11 of the DLT (4)."""
+    return 3 * size - 1
 
 
 def _projection_columns(ground: FloatArray, size: int) -> FloatArray:
@@ -258,7 +295,7 @@ def _fit_projection(columns: FloatArray, points: Points, affine_sigma: float) ->
     if matrix is None:
         return None
     distances = np.linalg.norm(points.image - _project_with_matrix(matrix, columns), axis=1)
-    unknown = 3 * matrix.shape[1] - 1
+    unknown = _unknowns(matrix.shape[1])
     sigma = float(np.sqrt((distances**2).sum() / (2 * len(distances) - unknown)))
     if not sigma < CLEARER * affine_sigma:
         return None
