@@ -91,7 +91,7 @@ class Kind:
         if wants_class:
             _require_attribute_types(cls)
         # Classes declare options; descriptions such as those of problems have them.
-        _require_usable_defaults(f"{cls.__name__}{_place_of(cls)}" if wants_class else name, (
+        _require_usable_defaults(cls if wants_class else name, (
             *getattr(item, "declared_options", ()), *getattr(item, "options", ()))
             if not isinstance(item, Configurable) else item.declared_options)
 
@@ -123,13 +123,15 @@ def _place_of(cls: type) -> str:
         return ""
 
 
-def _require_usable_defaults(owner: str, options: Iterable[Option]) -> None:
-    """Raise TypeError for an option that does not accept its own default."""
+def _require_usable_defaults(owner: type | str, options: Iterable[Option]) -> None:
+    """Raise TypeError for an option, of a class or of a name, that refuses its own default."""
     for option in options:
         try:
             option.parse(option.default)
         except TermselError:
-            raise TypeError(f"returned {owner}, whose option {option.name!r} has the default "
+            # The line of a class takes long to find: most of what a start of termsel would take.
+            place = owner if isinstance(owner, str) else f"{owner.__name__}{_place_of(owner)}"
+            raise TypeError(f"returned {place}, whose option {option.name!r} has the default "
                             f"{option.default!r:.100} and accepts: {option.accepts}") from None
 
 

@@ -216,8 +216,15 @@ def _reach_of_group(distances: FloatArray) -> float:
 
 def _linked_groups(linked: BoolArray) -> list[IntArray]:
     """Return the groups of places that are linked (n, n), through others, too."""
-    from scipy.sparse.csgraph import connected_components
-
-    # Components of the graph of neighbours: a chain of images is one group.
-    number, label = connected_components(linked, directed=False)
-    return [np.flatnonzero(label == i) for i in range(number)]
+    groups = []
+    free = np.ones(len(linked), dtype=bool)
+    while free.any():
+        # A chain of images is one group: neighbours of neighbours join it until there are none.
+        joining = np.array([free.argmax()])
+        group = np.zeros(len(linked), dtype=bool)
+        while len(joining):
+            group[joining] = True
+            joining = np.flatnonzero(linked[joining].any(axis=0) & ~group)
+        groups.append(np.flatnonzero(group))
+        free &= ~group
+    return groups
