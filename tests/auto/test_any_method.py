@@ -39,7 +39,7 @@ def test_a_method_by_its_name_takes_the_place_of_auto(scene: FeatureSet) -> None
 
 
 def test_a_method_next_to_a_solver_is_refused(scene: FeatureSet) -> None:
-    with pytest.raises(TermselError, match="a method fits without a search, and solver"):
+    with pytest.raises(TermselError, match="a method is fitted without a search, and solver"):
         termsel.run("rfm-terms", features=scene, method="affine", solver="ga")
 
 

@@ -107,7 +107,7 @@ def test_two_files_of_points_are_to_be_joined_or_compared(example_files: Path) -
 
 def test_an_image_alone_is_asked_for_its_points(example_files: Path) -> None:
     message = refused("run", str(example_files / "scene.tif"))
-    assert "this raster has no ground control points. Give the file of its points instead" \
+    assert "this raster has no ground control points. If its points are in a file" \
         in message
 
 

@@ -167,7 +167,7 @@ BAD_FILES = {
         "id"),
     "three points for 39 terms": (
         lambda f, t: some_points(f, t, 3),
-        "only 1 control point, next to 1 selection point and 1 independent check point; "
+        "only 1 control point beside 1 selection point and 1 independent check point; "
         "at least 3 control points are needed."),
     "all points on one line": (
         straight_line, "all control points lie on one straight line on the ground. Add control "

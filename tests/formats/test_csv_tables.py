@@ -417,3 +417,15 @@ def test_list_of_opendronemap_without_its_crs(sign: str, images: tuple[str, str]
     assert "Write the CRS as the first line, such as EPSG:32639." in str(caught.value)
     assert ("--set image_name=a.JPG" in str(caught.value)) == (images[0] != images[1])
     assert not caught.value.guesses
+
+
+@pytest.mark.parametrize(("columns", "remedy"), [
+    ("line=Zeile", "--columns line1=NAME"), ("z=Hoehe", "--columns z1=NAME")])
+def test_a_meaning_that_lines_do_not_have_is_refused(
+        columns: str, remedy: str, tmp_path: Path) -> None:
+    file = tmp_path / "lines.csv"
+    file.write_text("# crs: EPSG:32639\nid,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2\n"
+                    "A,1,2,3,4,500000,4000000,1,500010,4000010,2\n")
+    with pytest.raises(TermselError, match="which this table does not have") as error:
+        termsel.read(file, columns=columns)
+    assert remedy in (error.value.hint or "")

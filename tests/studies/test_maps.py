@@ -142,7 +142,7 @@ def test_a_batch_ends_with_the_next_command(sheets: Path, tmp_path: Path,
     (sheets / "points" / "sheet_1.tif").touch()
     (sheets / "points" / "sheet_2.tif").touch()
     assert f"rectify batch {sheets}/points --output" in next_command(study, Path("batch"))
-    rows = [row for row in study.rows if row["verdict"] != "fit for use"]
+    rows = [row for row in study.rows if row["verdict"] != "plausible"]
     some = Study(study.spec, {row["cell"]: study.cells[row["cell"]] for row in rows},
                  study.records, study.folder)
     assert "Next: termsel plan batch/images/sheet_3 " in next_command(some, Path("batch"))

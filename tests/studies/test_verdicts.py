@@ -11,7 +11,14 @@ import termsel
 from termsel import TermselError
 from termsel.studies.cells.images import folders_of
 from termsel.studies.cells.table import with_notes_once
-from termsel.studies.cells.verdicts import DOUBTFUL, FIT, UNFIT, Accept, verdicts_of
+from termsel.studies.cells.verdicts import (
+    DOUBTFUL,
+    FIT,
+    PLAUSIBLE,
+    UNFIT,
+    Accept,
+    verdicts_of,
+)
 from termsel.testing import invoke
 
 
@@ -38,10 +45,10 @@ def row(**figures: Any) -> dict[str, Any]:
                "are coordinates and CRS right?"}, None, DOUBTFUL, "40.8 N"),
     ({"notes": ["The known camera is not used: the points show 3,495 px, not 1,750 px. Check it."]},
      None, DOUBTFUL, "the known camera is not used: the points show 3,495 px, not 1,750 px"),
-    ({"notes": ["The RPC is not used: it needs heights."]}, None, FIT, "nothing contradicts"),
+    ({"notes": ["The RPC is not used: it needs heights."]}, None, PLAUSIBLE, "nothing contradicts"),
     ({"state": "failed", "reason": "too few points"}, None, UNFIT, "too few points"),
-    ({}, None, FIT, "nothing contradicts its figures; not verified"),
-    ({"n_independent": 4}, None, FIT, "nothing contradicts its figures; 4 independent check"),
+    ({}, None, PLAUSIBLE, "nothing contradicts its figures; not verified"),
+    ({"n_independent": 4}, None, PLAUSIBLE, "nothing contradicts its figures; 4 independent check"),
     ({"predicted_low": 0.3}, None, DOUBTFUL, "12 points leave its RMSE between 0.30 and 1.50"),
     ({"predicted_low": 0.3}, "2px", FIT, "meets 2 px; not verified")])
 def test_the_interval_decides_and_what_contradicts_it(
@@ -53,7 +60,7 @@ def test_the_interval_decides_and_what_contradicts_it(
 
 def test_an_image_unlike_the_others_is_doubtful() -> None:
     rows = [row(), row(), row(), row(predicted=9.0, predicted_high=12.0)]
-    assert [verdict for verdict, _ in verdicts_of(rows, None)] == [FIT, FIT, FIT, DOUBTFUL]
+    assert [verdict for verdict, _ in verdicts_of(rows, None)] == [*[PLAUSIBLE] * 3, DOUBTFUL]
 
 
 def test_notes_of_most_images_stand_once() -> None:

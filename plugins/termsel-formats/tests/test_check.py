@@ -209,7 +209,7 @@ def test_the_note_counts_places_of_points_and_of_the_image(
 
 
 @pytest.mark.parametrize(("name", "said"), [
-    ("none.tif", "there is no such file"), ("lost.tfw", "no image of its name lies beside it"),
+    ("none.tif", "there is no such file"), ("lost.tfw", "an image such as lost.tif, which is not"),
     ("text.tif", ""), ("", "this is a folder, expected a file")])
 def test_what_cannot_be_checked(name: str, said: str, tmp_path: Path) -> None:
     if name not in ("none.tif", ""):

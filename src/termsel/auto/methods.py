@@ -225,9 +225,9 @@ ROBUST = (
 """Those that give features that fit badly less weight."""
 
 METHODS: tuple[Structure, ...] = (
-    Structure("similarity", "a plane similarity", Helmert2D(), Helmert2D(), is_plain=True,
+    Structure("similarity", "a similarity", Helmert2D(), Helmert2D(), is_plain=True,
               for_few=True),
-    Structure("mirrored-similarity", "a mirrored plane similarity", Helmert2D(mirrored=True),
+    Structure("mirrored-similarity", "a mirrored similarity", Helmert2D(mirrored=True),
               Helmert2D(mirrored=True), short="mirrored similarity", is_plain=True, for_few=True),
     Structure("plane-affine", "an affine polynomial without heights", Polynomial2D(degree=1), None,
               short="plane affine", is_plain=True, for_few=True),

@@ -101,7 +101,8 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
 
     A study file or the options say what is combined. Every combination is a cell, and every
     finished cell is kept at once: whatever ends the command, the same command goes on. Of many
-    images each gets a verdict: fit for use, doubtful or unfit. The exit code is 1 where one failed.
+    images each gets a verdict: plausible (with --accept fit for use), doubtful or unfit. The
+    exit code is 1 where one failed.
 
     \b
     Examples:

@@ -14,7 +14,7 @@ from termsel.formats.base import read_text
 _BOMB = re.compile(r"\.(?:[\"'\w \t-]{0,80}\.){100}")  # dotted keys cost the square of their parts
 _TWICE = re.compile(r"Cannot (?:overwrite|declare) \('(\w+)'")
 _IN_WORDS = {
-    "Invalid value": "what stands here is no value; text needs quotes",
+    "Invalid value": "this is no value; text needs quotes, such as key = \"text\"",
     "Expected newline or end of document after a statement":
         "a value ends here, and more follows on the same line",
     "Expected '=' after a key in a key/value pair": "a key stands here without = and a value",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from difflib import get_close_matches
@@ -37,7 +37,7 @@ from termsel.data.features import FeatureSet, empty_lines, empty_points
 from termsel.data.georeferenced import warn_of_incomplete, warn_of_map
 from termsel.data.roles import asked_roles, with_roles
 from termsel.data.rpc import Rpc
-from termsel.data.tables.columns import LINES, OPTIONAL, POINTS, columns_text
+from termsel.data.tables.columns import LINES, OPTIONAL, POINTS, columns_text, parse_columns
 from termsel.formats.base import (
     Reader,
     error_in_file,
@@ -64,6 +64,7 @@ from termsel.formats.readers.advice import (
     keep_readable_guesses,
     unknown_table_error,
 )
+from termsel.formats.readers.tables import TableReader
 from termsel.formats.repeated import REPEATED, average_while_reading
 from termsel.formats.rpc_files import read_delivered_rpc, size_with_rpc, with_rpc
 from termsel.formats.stated_roles import stating_roles, without_off
@@ -788,6 +789,26 @@ def _refuse_idle(options: Mapping[str, Any], reader_of: Mapping[Path, Reader]) -
                 f"{' and '.join(names)} {'have' if len(names) > 1 else 'has'} no option {key!r}",
                 file=" and ".join(map(str, reader_of)),
                 hint="Remove it, or choose another format with --format.")
+    _refuse_idle_columns(str(options.get("columns", "")), reader_of)
+
+
+def _refuse_idle_columns(columns: str, reader_of: Mapping[Path, Reader]) -> None:
+    """Raise TermselError for a meaning of a column that no table among these files has."""
+    tables = [reader for reader in reader_of.values() if isinstance(reader, TableReader)]
+    if len(tables) < len(reader_of):
+        return  # readers of other formats have meanings of their own
+    known = {meaning: None for reader in tables for meaning in reader.aliases}
+    idle = [meaning for meaning in parse_columns(columns) if meaning not in known]
+    if idle:
+        raise TermselError(
+            f"--columns names {' and '.join(idle)}, which this table does not have",
+            file=" and ".join(map(str, reader_of)),
+            hint=f"Its columns are {', '.join(known)}: --columns {_like(idle[0], known)}=NAME.")
+
+
+def _like(meaning: str, known: Collection[str]) -> str:
+    """Return the first of the known meanings that begins as another one does, else "line"."""
+    return next((name for name in known if name.startswith(meaning.rstrip("12"))), "line")
 
 
 def _check_kinds(path: Path, counts: dict[str, int], expected: dict[str, bool]) -> None:

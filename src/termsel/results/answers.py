@@ -279,7 +279,9 @@ def _prediction_sentence(
         else "of new points within the control area"
     of = "between the points of the lattice" if lattice else of
     of += ", for the exported fit to all points" * exported
-    return (f"Predicted RMSE {of}: {rounded_size_text(predicted.rmse)} px "
+    metres = f", {rounded_size_text(predicted.rmse * predicted.pixel)} m on the ground" \
+        if predicted.pixel else ""
+    return (f"Predicted RMSE {of}: {rounded_size_text(predicted.rmse)} px{metres} "
             f"({100 * predicted.level:.0f} % interval {rounded_size_text(predicted.low)} to "
             f"{rounded_size_text(predicted.high)} px).")
 

@@ -172,7 +172,9 @@ def roles_of(record: Record) -> str:
     independent = _number_in_words(counts.independent, "independent check point")
     # Nobody named them: the reader of the figures must know who did.
     if record.data.read and 0 < counts.independent == record.data.read.set_aside:
-        independent = independent.replace(" ", " set aside as ", 1)
+        points = "independent check points" if counts.independent > 1 \
+            else "an independent check point"
+        independent = f"{counts.independent:,} set aside as {points}"
     if record.strategy:
         kinds = [count_in_words(number, noun) for number, noun in (
             (counts.lines, "line"), (counts.control + counts.check, "point")) if number]

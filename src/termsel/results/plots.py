@@ -251,8 +251,10 @@ def require_picture(path: Path) -> None:
     TermselError
     """
     if path.suffix.lower() not in FORMATS:
-        raise TermselError(f"a picture cannot be a file {path.suffix or 'without a suffix'}",
-                           file=path, hint=f"Give a name that ends in {', '.join(FORMATS)}.")
+        kind = path.suffix or "a file without a suffix"
+        raise TermselError(f"charts are not written as {kind}",
+                           file=path, hint=f"Give a name that ends in {', '.join(FORMATS[:-1])} or "
+                                           f"{FORMATS[-1]}.")
 
 
 def save(drawn: Any, path: Path) -> None:

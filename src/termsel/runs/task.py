@@ -144,14 +144,14 @@ def _count_of_control(control: FeatureSet) -> str:
 
 
 def _others_in_words(observations: Observations) -> str:
-    """Return how many points are not control, such as ", next to 1 selection point"; "" if none."""
+    """Return how many points are not control, such as " beside 1 selection point"; "" if none."""
     kinds = ((observations.check, "selection point"),
              (observations.independent, "independent check point"))
     others = [count_in_words(len(features), noun) for features, noun in kinds if len(features)]
     if observations.off:
         noun = observations.features.word.removesuffix("s")
         others.append(f"{count_in_words(len(observations.off), noun)} that {OFF_IN_WORDS}")
-    return f", next to {' and '.join(others)}" if others else ""
+    return f" beside {' and '.join(others)}" if others else ""
 
 
 OFF_IN_WORDS = "take no part (role off, or switched off in QGIS)"
@@ -621,8 +621,8 @@ def task_of_method(request: Request, auto: Auto) -> Task:
 
 
 def require_alone(method: object, words: list[str]) -> None:
-    """Raise TermselError for a method next to parts or options of a search, given in words."""
+    """Raise TermselError for a method beside parts or options of a search, given in words."""
     if method is not None and words:
-        raise TermselError(f"a method fits without a search, and {words[0]} is for a search",
-                           hint=f"Leave out the method to search, or {words[0]} to fit the "
+        raise TermselError(f"a method is fitted without a search, and {words[0]} is for a search",
+                           hint=f"To fit the method leave out {words[0]}. To search leave out the "
                                 "method.")

@@ -18,7 +18,7 @@ from termsel.results.result import Result
 from termsel.studies.cells.folder import read_study
 from termsel.studies.cells.images import IMAGES, folders_of, stem_of
 from termsel.studies.cells.table import Row
-from termsel.studies.cells.verdicts import DOUBTFUL, FIT, UNFIT
+from termsel.studies.cells.verdicts import DOUBTFUL, UNFIT, USABLE
 from termsel.studies.execution.naming import name_image_in_log
 from termsel.studies.study import Study
 
@@ -92,7 +92,7 @@ def plan_maps(folder: Path, pictures: Path, out: Path, *, with_doubtful: bool, o
     files = _pictures_in(pictures)
     pictures_of = {label: _pictures_of(label, files)
                    for label in {str(labels["data"]) for labels in study.cells.values()}}
-    verdicts = (FIT, DOUBTFUL) if with_doubtful else (FIT,)
+    verdicts = (*USABLE, DOUBTFUL) if with_doubtful else USABLE
     maps = []
     for key, labels in study.cells.items():
         row = rows[key]
@@ -240,9 +240,9 @@ def next_command(study: Study, folder: Path) -> str:
     """
     rows = [row for row in study.rows if row["state"] == "done"]
     names = folders_of(study.cells)
-    fit = [row for row in rows if row["verdict"] == FIT]
-    if fit:
-        first = fit[0]
+    usable = [row for row in rows if row["verdict"] in USABLE]
+    if usable:
+        first = usable[0]
         place = Path(str(first["data"]).partition("#")[0].partition(" + ")[0]).parent
         has_picture = place.is_dir() \
             and len(_pictures_of(str(first["data"]), _pictures_in(place))) == 1
@@ -254,7 +254,7 @@ def next_command(study: Study, folder: Path) -> str:
             words += ["--dem", quote(dem or "DEM")]
         command = " ".join(words)
         if has_picture and (dem or "DEM" not in words):
-            return f"Next: {command}   (maps of those fit for use)"
+            return f"Next: {command}   (maps of the usable images)"
         # What is not known cannot be typed: the page of the worst can, until it is.
         page = quote(str(folder / IMAGES / names[rows[0]["cell"]]))
         return f"Next: termsel report {page}   (the least certain; maps: {command})"

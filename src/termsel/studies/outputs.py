@@ -21,7 +21,7 @@ from termsel.results.blocks import Block
 from termsel.results.text import text_of_blocks
 from termsel.studies.cells.image_table import count_of_verdicts, image_reasons, image_table
 from termsel.studies.cells.table import csv_of, usual_notes_in_words, with_notes_once
-from termsel.studies.cells.verdicts import FIT, FIT_WITHOUT_A_LIMIT
+from termsel.studies.cells.verdicts import MEANING_OF_PLAUSIBLE, PLAUSIBLE
 from termsel.studies.study import Study
 
 SUMMARY = "summary.txt"
@@ -132,8 +132,8 @@ def screen(study: Study) -> str:
     rows = study.rows
     shown_rows = rows if len(rows) <= _MOST_ROWS + 1 else rows[:_MOST_ROWS]
     caption = count_of_verdicts(rows)
-    if study.spec.accept is None and any(row["verdict"] == FIT for row in rows):
-        caption = f"{caption}, by no limit: --accept 5m sets one"
+    if any(row["verdict"] == PLAUSIBLE for row in rows):
+        caption = f"{caption}; --accept 5m judges by a limit"
     reasons = image_reasons(rows, _MOST_ALIKE)
     # Rows and reasons share the screen: few images leave room for more reasons.
     room = _MOST_REASONS + _MOST_ROWS - len(shown_rows)
@@ -174,8 +174,8 @@ SWAPPED_IN_SHORT = ("Swapped: exchange the names of the two columns in that file
 def _image_text(study: Study) -> str:
     """Return remarks, the table of images, and the reasons of verdicts, as text."""
     title = [study.spec.title] if study.spec.title else []
-    meaning = () if study.spec.accept is not None or not any(
-        row["verdict"] == FIT for row in study.rows) else (FIT_WITHOUT_A_LIMIT,)
+    meaning = (MEANING_OF_PLAUSIBLE,) if any(
+        row["verdict"] == PLAUSIBLE for row in study.rows) else ()
     reasons = image_reasons(study.rows)
     remedy = (REMEDY_FOR_SWAPPED,) if any("swapped" in reason for reason in reasons) else ()
     blocks: tuple[Block, ...] = (*title, *study.remarks, *usual_notes_in_words(study.rows),

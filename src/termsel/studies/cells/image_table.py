@@ -9,7 +9,7 @@ from collections.abc import Container, Sequence
 from termsel.core.errors import count_in_words, first_names_in_words, rounded_size_text
 from termsel.results.blocks import TableBlock
 from termsel.studies.cells.table import Row, usual_notes
-from termsel.studies.cells.verdicts import FIT, VERDICTS
+from termsel.studies.cells.verdicts import USABLE, VERDICTS
 
 
 def image_table(rows: Sequence[Row]) -> TableBlock:
@@ -23,7 +23,7 @@ def image_table(rows: Sequence[Row]) -> TableBlock:
 
 
 def image_reasons(rows: Sequence[Row], most_names: int | None = None) -> list[str]:
-    """Return why images are not fit for use, the worst first, and a common reason once.
+    """Return why images are doubtful or unfit, the worst first, and a common reason once.
 
     `most_names` is how many of the images with a reason are named, by default all.
     """
@@ -31,7 +31,7 @@ def image_reasons(rows: Sequence[Row], most_names: int | None = None) -> list[st
     images_by_reason: dict[str, list[str]] = {}
     for row in rows:
         reason = row["why"] or notes_on_image(row, usual)
-        if row["verdict"] != FIT and reason:
+        if row["verdict"] not in USABLE and reason:
             images_by_reason.setdefault(reason, []).append(image_name(row))
     # A reader's reason names its file itself.
     return [reason if reason.startswith(images[0])

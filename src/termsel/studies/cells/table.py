@@ -12,7 +12,7 @@ from termsel.core.files.texts import csv_table
 from termsel.data.coordinates.earth import position_in_words
 from termsel.studies.cells.journal import CellRecord
 from termsel.studies.cells.neighbours import Batch, batch_of
-from termsel.studies.cells.verdicts import DOUBTFUL, FIT, UNFIT, Accept, verdicts_of
+from termsel.studies.cells.verdicts import DOUBTFUL, FIT, PLAUSIBLE, UNFIT, Accept, verdicts_of
 
 LABELS = ("problem", "data", "split", "strategy", "model", "criterion", "solver", "seed")
 """What distinguishes the cells of a study, in the order in which they vary."""
@@ -42,7 +42,7 @@ _ROUNDED_RMSE = 1e-9
 USUAL = 1 / 2
 """Share of the images from which on a note of theirs is said once."""
 
-_WORST_FIRST = ("", UNFIT, DOUBTFUL, FIT)
+_WORST_FIRST = ("", UNFIT, DOUBTFUL, PLAUSIBLE, FIT)
 
 TIMES = ("seconds", "cpu_seconds")
 """Columns that differ from run to run."""

@@ -1,9 +1,10 @@
 """What each image of a batch is fit for: a verdict with its reason.
 
 Where an accuracy is asked for, the interval of the RMSE decides: an image is fit for use where all
-of the interval meets it, unfit where none does, and doubtful between. Where none is asked for, an
-image is unfit only where it has no result or where its axes or signs look wrong, and doubtful where
-something contradicts its figures, or where they are known only to a factor of `WIDE`. Either way an
+of the interval meets it, unfit where none does, and doubtful between. Where none is asked for, no
+image is fit for anything: it is unfit where it has no result or where its axes or signs look wrong,
+doubtful where something contradicts its figures, or where they are known only to a factor of
+`WIDE`, and else plausible. Either way an
 image is doubtful where a caution says what the accuracy does not vouch for, as away from points on
 one line.
 """
@@ -24,11 +25,13 @@ from termsel.data.record.figures import EXACTLY, MANY_INDEPENDENT, rmse_interval
 from termsel.data.record.search import clauses_on_unused_data
 from termsel.studies.cells.neighbours import ELSEWHERE
 
-FIT, DOUBTFUL, UNFIT = VERDICTS = "fit for use", "doubtful", "unfit"
+FIT, PLAUSIBLE, DOUBTFUL, UNFIT = VERDICTS = "fit for use", "plausible", "doubtful", "unfit"
 
-FIT_WITHOUT_A_LIMIT = ("fit for use: nothing contradicts the figures. Whether they suffice for a "
-                       "purpose, --accept decides, such as --accept 5m.")
-"""What the verdict means where no accuracy is asked for."""
+USABLE = (FIT, PLAUSIBLE)
+"""Verdicts with which an image gets a map."""
+
+MEANING_OF_PLAUSIBLE = ("plausible: nothing contradicts the figures. Whether they suffice for a "
+                        "purpose, --accept decides, such as --accept 5m.")
 
 MANY_BLUNDERS = 0.2
 """Share of the points that are blunders, from which on the rest is doubted, too."""
@@ -113,7 +116,7 @@ def _verdict_on_image(
         against += _too_uncertain_clause(row)
         if against:
             return DOUBTFUL, "; ".join(against)
-        return FIT, f"nothing contradicts its figures{_how_verified(row)}"
+        return PLAUSIBLE, f"nothing contradicts its figures{_how_verified(row)}"
     interval = _rmse_interval(row, accept.unit)
     if interval is None:
         return DOUBTFUL, f"its RMSE is not known in {accept.unit}"

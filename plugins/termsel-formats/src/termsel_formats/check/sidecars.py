@@ -49,11 +49,12 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
         return
     size = None if result is None else result.features.image_size
     if size is None:
-        raise TermselError("this file belongs to an image, and no image of its name lies beside it",
-                           file=path, hint="Put the image beside it, or give --result DIR of a run "
-                           "with --image." if result is None else
-                           "Put the image beside it: the run of --result does not know its size, "
-                           "as it had no --image.")
+        wanted = candidates[0].name if auxiliary else f"{stem}.tif"
+        remedy = "or give --result DIR of a run with --image" if result is None else \
+            "as the run of --result had no --image and does not know its size"
+        raise TermselError(
+            f"this file belongs to an image such as {wanted}, which is not beside it", file=path,
+            hint=f"Put the image beside it under the name {wanted}, {remedy}.")
     if is_world_file:
         _require_world_file(path)
     with private_folder() as folder:

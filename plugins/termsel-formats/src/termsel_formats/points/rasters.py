@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 
@@ -50,8 +51,9 @@ class GdalGcps(Reader):
             size = raster.shape
         if not gcps:
             raise TermselError("this raster has no ground control points", file=path,
-                               hint="Give the file of its points instead, or with it to termsel "
-                                    f"run. Or collect points on it: termsel app {path} --map MAP.")
+                               hint="If its points are in a file of their own, give that file. If "
+                                    "not, measure some: termsel app "
+                                    f"{quote(str(path))} --map MAP.")
         corner = CORNER if self.options["gcp_origin"] == "corner" else 0.0
         points = points_of(path, [str(gcp.id or "") for gcp in gcps], [
             (gcp.row - corner, gcp.col - corner, gcp.x, gcp.y, np.nan if gcp.z is None else gcp.z)

@@ -66,8 +66,9 @@ def start_by_overview(picture: GreyRaster, reference: Path | str, band: int | No
             agree = np.asarray(inliers).ravel().astype(bool)
     if agree.sum() < max(_MIN_PAIRS, _MIN_SHARE * len(image_number)):
         raise TermselError(
-            f"without a start the image is not found in the reference: {int(agree.sum())} of "
-            f"{len(image_number)} similar places agree", file=picture.path,
+            "the image is not found in the reference: only "
+            f"{int(agree.sum())} of {len(image_number)} places that look alike agree with each "
+            "other", file=picture.path,
             hint="If the reference shows the same place, say where the image is: --start with "
                  "an RPC, a result or a file of some points.")
     # Centres of pixels are half a pixel from their corners, which the geotransform counts.
