@@ -68,7 +68,7 @@ def errors_of(name: str, count: int, seed: int) -> dict[str, float]:
         candidate = named(plain)
         if candidate is not None and candidate.declines(control) is None:
             try:
-                found[plain] = rmse_of(termsel.fit(control, candidate).errors(independent))
+                found[plain] = rmse_of(termsel.fit(mine, candidate).errors(independent))
             except TermselError:  # not determined
                 continue
     for spline in SPLINES if name in OLD_MAPS else ():

@@ -253,10 +253,8 @@ def _bad_value(error: click.BadParameter, param: click.Parameter) -> str:
         typed, kind = not_number.groups()
         # An option of several values takes the next words, whatever these are.
         if param.nargs > 1:
-            parts = re.findall(r"\d+(?:\.\d+)?", typed)
-            values = " ".join(parts) if len(parts) == param.nargs else _value_name(param)
-            return f"{name} takes {param.nargs} numbers, and {typed!r} is not a number. " \
-                   f"Type {name} {values}."
+            return (f"{name} takes {param.nargs} numbers, and {typed!r} is not a number. "
+                    f"Type {name} {_value_name(param)}: the numbers apart, in this order.")
         noun = "a whole number" if kind == "integer" else "a number"
         number = _NUMBER.match(typed)
         is_with_unit = number is not None and kind == "float"
