@@ -120,8 +120,8 @@ def weights_of(points: Points) -> FloatArray:
 
 def has_unlike_weights(points: Points) -> bool:
     """Return whether points state standard deviations that differ from point to point."""
-    return points.sigma is not None and len(points) > 0 \
-        and bool((np.ptp(points.sigma, axis=0) > 0.0).any())
+    return (points.sigma is not None and len(points) > 0
+            and bool((np.ptp(points.sigma, axis=0) > 0.0).any()))
 
 
 # Points and lines in an adjustment: their rows, positions of vertices, and weights.

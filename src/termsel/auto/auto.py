@@ -181,8 +181,9 @@ class Auto(Method):
             # An error of termsel's own is a mistake in termsel, and must be seen.
             if is_own(method):
                 raise
-            self.faults[method.name] = error if isinstance(error, PluginFault) else \
-                TermselError(f"method {method.name!r} says: {error.what}", hint=error.hint)
+            if not isinstance(error, PluginFault):
+                error = TermselError(f"method {method.name!r} says: {error.what}", hint=error.hint)
+            self.faults[method.name] = error
             return None
         return answer
 
@@ -195,8 +196,10 @@ class Auto(Method):
         sizes: dict[Method, Any] = {}
         for method in self.methods:
             # One that is asked for is fitted whatever its place among others would be.
-            has_a_place = not for_few if self.is_one_method \
-                else not method.only_shown and method.for_few == for_few
+            if self.is_one_method:
+                has_a_place = not for_few
+            else:
+                has_a_place = not method.only_shown and method.for_few == for_few
             if (has_a_place and method.name not in self.faults and count <= method.max_features
                     and self.ask(method, "declines", data) is None):
                 sizes[method] = self.ask(method, "size", data.heights)
@@ -486,8 +489,10 @@ class Auto(Method):
             remain.
             """
             remaining = _features_without(data, excluded)
-            chosen = None if len(remaining) < fewest else \
-                choice_for_parts.choose_features(remaining, watch, with_contained=False)
+            if len(remaining) < fewest:
+                chosen = None
+            else:
+                chosen = choice_for_parts.choose_features(remaining, watch, with_contained=False)
             fitted = None if chosen is None else chosen.chosen
             if chosen is None or not any(
                     method_of(compared).has_prior for compared in chosen.compared):

@@ -292,8 +292,8 @@ def _majority_of_polynomials(control: FitData,
     by_field = _judge_by_field(control, used, test, MAX_MINORITY)
     for agreeing, test_of_agreeing in (by_field, settled):
         minority = ~agreeing
-        if MIN_MINORITY < minority.mean() <= MAX_MINORITY \
-                and is_outvoted(control, minority, test_of_agreeing):
+        if (MIN_MINORITY < minority.mean() <= MAX_MINORITY
+                and is_outvoted(control, minority, test_of_agreeing)):
             return agreeing, test_of_agreeing
     return None
 

@@ -79,8 +79,8 @@ class Structure(Method):
         """Return whether errors of features held out are known: not of exact least squares."""
         model = self.model(data.heights)
         # A point has two equations, and so has a line.
-        return model is None or not isinstance(self.estimator, LeastSquares) \
-            or 2 * len(data) > len(model.terms)
+        return (model is None or not isinstance(self.estimator, LeastSquares)
+                or 2 * len(data) > len(model.terms))
 
     def fit(self, data: FitData) -> Fit:
         """Return the fit of the model by the estimator, which is offered all its terms."""

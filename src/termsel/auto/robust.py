@@ -72,8 +72,10 @@ def reweighted(equations: Equations, biweight: bool) -> tuple[FloatArray, FloatA
             scale = float(median_of(residuals)) / NORMAL_MEDIAN
             if scale <= np.finfo(float).eps * np.abs(b).max():  # half of the rows fit exactly
                 break
-            weights = _biweight(residuals / scale) if with_biweight else \
-                HUBER / np.maximum(residuals / scale, HUBER)
+            if with_biweight:
+                weights = _biweight(residuals / scale)
+            else:
+                weights = HUBER / np.maximum(residuals / scale, HUBER)
             root = np.sqrt(weights)
             previous = x
             x = np.linalg.lstsq(A * root[:, None], b * root)[0]

@@ -325,8 +325,8 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
     rivals = [base]
     for alternative in alternatives:
         is_clearly_better = gain(alternative, base) > required_gain(alternative, base)
-        if is_clearly_better or is_supported_and_smaller(alternative, base) \
-                or is_simpler_and_smaller(alternative, base):
+        if (is_clearly_better or is_supported_and_smaller(alternative, base)
+                or is_simpler_and_smaller(alternative, base)):
             rivals.append(alternative)
     chosen = min(rivals, key=beyond_rounding)
     if not explained:

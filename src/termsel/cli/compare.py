@@ -289,8 +289,9 @@ def _list_files(study: Path | None, keys: dict[str, Any]) -> None:
     for file in files[:MOST_LISTED]:
         target = file.resolve()
         link = "" if target == file else f"{target}, "
-        elsewhere = "" if target.is_relative_to(own_folder) else \
-            f" ({link}outside of the folder of the study)"
+        elsewhere = ""
+        if not target.is_relative_to(own_folder):
+            elsewhere = f" ({link}outside of the folder of the study)"
         echo(f"  {make_printable(str(file), keep='')}{make_printable(elsewhere, keep='')}")
     if len(files) > MOST_LISTED:
         echo(f"  and {len(files) - MOST_LISTED:,} more")

@@ -88,10 +88,12 @@ def _unknown_name_error(name: str, known_names: Iterable[str], hint: str) -> Ter
         words = {word: kind for kind in KINDS for word in (kind, KINDS[kind].word)}
         near = get_close_matches(name, words, n=1)
         kind = words[near[0]] if near else "models"
-        example = f"termsel list {kind} shows those of the {kind}" if near else \
-            f"termsel list {kind} shows those of {kind}, and so on"
-        error.hint = f"{hint} Give the name of a problem, model, solver or other thing: " \
-                     f"{example}.".strip()
+        if near:
+            example = f"termsel list {kind} shows those of the {kind}"
+        else:
+            example = f"termsel list {kind} shows those of {kind}, and so on"
+        error.hint = (f"{hint} Give the name of a problem, model, solver or other thing: "
+                      f"{example}.".strip())
     return error
 
 

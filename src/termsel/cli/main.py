@@ -228,9 +228,14 @@ def _suggested_commands(words: Sequence[str], error: TermselError) -> Iterator[s
             continue
         # A question mark is for the user to fill in: such a command cannot run as it is.
         asks = "?" in "".join(options.values())
-        verb = "Complete and run" if asks else "Ready to run" if not error.guesses else \
-            f"Guess {number} of {len(guesses)}, to check" if len(guesses) > 1 else \
-            "A guess, to check"
+        if asks:
+            verb = "Complete and run"
+        elif not error.guesses:
+            verb = "Ready to run"
+        elif len(guesses) > 1:
+            verb = f"Guess {number} of {len(guesses)}, to check"
+        else:
+            verb = "A guess, to check"
         yield f"{verb}: termsel {typed}"
 
 

@@ -258,8 +258,9 @@ def _bad_value(error: click.BadParameter, param: click.Parameter) -> str:
         noun = "a whole number" if kind == "integer" else "a number"
         number = _NUMBER.match(typed)
         is_with_unit = number is not None and kind == "float"
-        remedy = _remedy_for_unit(name, param, typed) if is_with_unit else \
-            f"Type {name} {param.metavar or 'N'}."
+        remedy = f"Type {name} {param.metavar or 'N'}."
+        if is_with_unit:
+            remedy = _remedy_for_unit(name, param, typed)
         return f"{name} is {typed!r}, which is not {noun}. {remedy}"
     outside = _OUTSIDE.match(message)
     if outside and isinstance(param.type, click.IntRange | click.FloatRange):
@@ -275,10 +276,10 @@ def _bad_value(error: click.BadParameter, param: click.Parameter) -> str:
     lost = _LOST.match(message)
     if lost:
         return f"{name} is {lost[1]!r}, which does not exist. Check the name and the folder."
-    other_kind = _IS_FILE.match(message) or _IS_FOLDER.match(message)
+    is_file = _IS_FILE.match(message)
+    other_kind = is_file or _IS_FOLDER.match(message)
     if other_kind:
-        kinds = "file, expected a folder" if _IS_FILE.match(message) else \
-            "folder, expected a file"
+        kinds = "file, expected a folder" if is_file else "folder, expected a file"
         return f"{name} is {other_kind[1]!r}, which is a {kinds}. Type {name} {_value_name(param)}."
     return f"{name}: {message.rstrip('.')}. Type {name} {_value_name(param)}."
 
@@ -305,7 +306,7 @@ def _extra_words(error: click.ClickException) -> str:
     remedy = "A name with spaces needs quotation marks." if takes_words else "Leave it out."
     if any("--points" in param.opts for param in ctx.command.params):
         # The folder of a result is none of points, which the command reads anew.
-        remedy = "It is a folder, and this command takes a file of points: --points FILE." \
-            if Path(extra[1]).is_dir() else \
-            f"A file of points is given so: --points {shlex.quote(extra[1])}."
+        remedy = f"A file of points is given so: --points {shlex.quote(extra[1])}."
+        if Path(extra[1]).is_dir():
+            remedy = "It is a folder, and this command takes a file of points: --points FILE."
     return f"{extra[1]!r} is more than this command takes: {ctx.command_path} {usage}. {remedy}"

@@ -119,8 +119,10 @@ def write_cog(
         return crc32(raster.read_masks(1, window=window).data, values) if masked else values
 
     try:
-        with atomic_path(path) as temporary, utf8_folder(temporary.parent) as folder, \
-                warnings.catch_warnings(), rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
+        with (atomic_path(path) as temporary,
+              utf8_folder(temporary.parent) as folder,
+              warnings.catch_warnings(),
+              rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True)):
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
             tiled_file = folder / "tiles.tif"
             cog_file = folder / "made.tif"

@@ -83,8 +83,12 @@ class DemDifference:
 
     def sentence(self, pixels: float | None = None) -> str:
         """Return the difference as one sentence, with its effect on a map [px] if that is known."""
-        effect = "" if pixels is None else f": {_rounded_metres_in_words(pixels)} px on a map" \
-            if pixels >= _VISIBLE else ", of which this model makes no use"
+        if pixels is None:
+            effect = ""
+        elif pixels >= _VISIBLE:
+            effect = f": {_rounded_metres_in_words(pixels)} px on a map"
+        else:
+            effect = ", of which this model makes no use"
         evidence = (f"median of {count_in_words(self.count, 'height')}, standard deviation "
                     f"{_rounded_metres_in_words(self.sigma)} m")
         cause = ""

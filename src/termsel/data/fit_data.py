@@ -113,8 +113,8 @@ def errors_hide_heights(control: FitData) -> bool:
     plane, z, _ = _plane_columns(control)
     off_plane_heights = _distances_about_plane(plane, z)[0]
     effects, noise = _effects_and_noise(control)
-    return _tell(off_plane_heights, effects, _usual_noise(control)) \
-        and not _tell(off_plane_heights, effects, noise)
+    return (_tell(off_plane_heights, effects, _usual_noise(control))
+            and not _tell(off_plane_heights, effects, noise))
 
 
 def relief_carriers(control: FitData, limit: int = 2) -> tuple[str, ...]:
@@ -158,9 +158,9 @@ def _view_confirms_heights(control: FitData, noise: float) -> bool:
     if len(control.features.lines) or metres is None:
         return False
     view = view_of(control.scaled.points)
-    return view is not None and view.matrix.shape[1] == 4 \
-        and view.sigma * control.scaling.image_scale <= noise \
-        and view.has_square_pixels(metres)
+    return (view is not None and view.matrix.shape[1] == 4
+            and view.sigma * control.scaling.image_scale <= noise
+            and view.has_square_pixels(metres))
 
 
 def distance_off_plane(control: FitData, ground: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -51,8 +51,8 @@ def warn_of_map(features: FeatureSet, image: Path | str) -> None:
     """
     with open_raster(image) as raster:
         transform = raster.transform
-        if raster.crs is None or transform.is_identity or transform.is_degenerate \
-                or normalise(features.crs) == LOCAL:
+        if (raster.crs is None or transform.is_identity or transform.is_degenerate
+                or normalise(features.crs) == LOCAL):
             return
         ground = features.ground_vertices()
         measured = features.image_vertices()

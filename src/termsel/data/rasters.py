@@ -296,8 +296,10 @@ def _unreadable_error(path: Path | str, reason: str) -> TermselError:
     if _UNREADABLE_PIXELS.search(reason):
         return TermselError("the pixels of this raster cannot be read: it is incomplete or damaged",
                             file=path, hint="Copy or download it again.")
-    hint = REMOTE_HINT if NO_PROXY_EXISTS in reason else \
-        "Copy it again if it is incomplete, or convert it: gdal_translate FILE map.tif."
+    if NO_PROXY_EXISTS in reason:
+        hint = REMOTE_HINT
+    else:
+        hint = "Copy it again if it is incomplete, or convert it: gdal_translate FILE map.tif."
     return TermselError(f"GDAL cannot read this raster: {reason}", file=path, hint=hint)
 
 

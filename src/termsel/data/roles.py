@@ -175,8 +175,8 @@ class Split:
         """
         with attribute_errors_to(self.assign, "assign"):
             assigned = self.assign(ids, ground.copy(), shares.copy(), rng)
-        if isinstance(assigned, str) or not isinstance(assigned, Sequence | np.ndarray) \
-                or len(assigned) != len(ids) or not set(map(str, assigned)) <= set(ASSIGNABLE):
+        if (isinstance(assigned, str) or not isinstance(assigned, Sequence | np.ndarray)
+                or len(assigned) != len(ids) or not set(map(str, assigned)) <= set(ASSIGNABLE)):
             raise fault_of_method(self.assign, "assign",
                                   f"returned {assigned!r:.200}; expected a role for "
                                   f"each of {len(ids)} points: {', '.join(ASSIGNABLE)}")
@@ -277,8 +277,8 @@ class Observations:
     def heights(self) -> bool:
         """Whether all features have heights, and these differ without any one or two of them."""
         # Of independent points nothing else is looked at.
-        return not np.isnan(self.independent.ground[:, 2]).any() \
-            and self.joint.heights and not self.carriers
+        return (not np.isnan(self.independent.ground[:, 2]).any()
+                and self.joint.heights and not self.carriers)
 
     @cached_property
     def pool(self) -> FitData:
@@ -328,8 +328,8 @@ def assign_roles(
     # The first role that needs a share: points are no control where lines are.
     first_role = 1 if lines else 0
     shares = np.array((0.0, *fractions[1:]) if lines else fractions, dtype=np.float64)
-    if shares.shape != (3,) or not np.isfinite(shares).all() or (shares < 0).any() \
-            or not shares[first_role]:
+    if (shares.shape != (3,) or not np.isfinite(shares).all() or (shares < 0).any()
+            or not shares[first_role]):
         raise TermselError(f"fractions {list(fractions)} do not assign the points",
                            hint="Give three numbers: control (above 0), check, independent.")
     shares = shares / shares.max()  # the sum of huge ones is infinite
@@ -514,8 +514,8 @@ def parse_shares(text: str, needs_check: bool) -> tuple[float, ...]:
         shares = tuple(float(number) for number in text.replace(",", ":").split(":"))
     except ValueError:
         shares = ()
-    if len(shares) != 3 or not np.isfinite(shares).all() or min(shares) < 0 \
-            or (needs_check and not shares[1]):
+    if (len(shares) != 3 or not np.isfinite(shares).all() or min(shares) < 0
+            or (needs_check and not shares[1])):
         raise TermselError(f"option 'fractions' cannot be {text!r}",
                            hint="It takes three numbers for control, check and independent, "
                                 "such as 1:1:1 or 0.4:0.3:0.3; check must be above 0 "

@@ -405,8 +405,10 @@ def accuracy_of(fitted: Fit, independent: Points) -> Accuracy | None:
         heights = np.nan_to_num(heights)
     offsets = (fitted.locate(independent.image, heights) - independent.ground)[:, :2]
     metres = offsets_in_metres(fitted.control.crs, independent.ground, offsets)
-    ground = None if metres is None or not np.isfinite(metres).all() \
-        else distance_figures(OnGround, metres)
+    if metres is None or not np.isfinite(metres).all():
+        ground = None
+    else:
+        ground = distance_figures(OnGround, metres)
     return Accuracy(distance_figures(InImage, errors), ground,
                     nssda_accuracy(len(independent), ground),
                     asprs_rmse(len(independent), ground))
@@ -434,8 +436,8 @@ def asprs_rmse(points: int, ground: OnGround | None) -> StandardFigure:
 def _why_missing(points: int, ground: OnGround | None, fewest: int, remedy: str = "") -> str | None:
     """Return why a figure of a standard is missing; None if it is not."""
     if points < fewest:
-        return f"{count_in_words(points, 'independent check point')}, at least {fewest} " \
-            f"needed{remedy}"
+        return (f"{count_in_words(points, 'independent check point')}, at least {fewest} "
+                f"needed{remedy}")
     if ground is None:
         return "the errors on the ground are not known in metres"
     return None

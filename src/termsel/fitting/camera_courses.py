@@ -229,23 +229,24 @@ class Control:
         # What affine columns, which nothing shrinks, leave of the others and of the deviations.
         affine = seen.products[:, :AFFINE_COLUMNS, :AFFINE_COLUMNS]
         across = seen.products[:, :AFFINE_COLUMNS, AFFINE_COLUMNS:]
-        products = seen.products[:, AFFINE_COLUMNS:, AFFINE_COLUMNS:] \
-            - across.swapaxes(1, 2) @ np.linalg.solve(affine, across)
+        products = (seen.products[:, AFFINE_COLUMNS:, AFFINE_COLUMNS:]
+                    - across.swapaxes(1, 2) @ np.linalg.solve(affine, across))
         # Of [[A, t], [t', .]] the factor is [[L, 0], [(L^-1 t)', .]], with A = L L' and t of both
         # axes, whatever stands in the corner, which must be large enough for there to be one.
         precisions = self.shrinkages.precisions[:, :, AFFINE_COLUMNS:]
         curved = f - AFFINE_COLUMNS
         systems = np.empty((*precisions.shape[:2], *products.shape))
         systems[...] = products
-        systems[..., curved:, curved:] = \
-            (1.0 + 2.0 * np.trace(products, axis1=1, axis2=2))[:, None, None] * np.eye(2)
+        systems[..., curved:, curved:] = (
+            (1.0 + 2.0 * np.trace(products, axis1=1, axis2=2))[:, None, None] * np.eye(2))
         diagonal_of(systems)[..., :curved] += precisions[:, :, None]
         factors = np.linalg.cholesky(systems)                                # (q, z, r, ...)
         explained = (factors[..., curved:, :curved]**2).sum(axis=4)          # (q, z, r, 2)
         squares = np.maximum(diagonal_of(products)[:, curved:] - explained, 0.0)
         # |S|^1/2, but for what all have in common, and |A|^1/2.
-        determinants = 0.5 * (np.log(seen.variances).sum(axis=1) + np.log(np.linalg.det(affine))) \
-            + np.log(diagonal_of(factors)[..., :curved]).sum(axis=3)         # (q, z, r)
+        determinants = (                                                     # (q, z, r)
+            0.5 * (np.log(seen.variances).sum(axis=1) + np.log(np.linalg.det(affine)))
+            + np.log(diagonal_of(factors)[..., :curved]).sum(axis=3))
         of_prior = self.shrinkages.log_determinants() + self.shrinkages.log_probabilities
         by_solution = of_prior[:, :, None] - determinants
         of_noises = (n - AFFINE_COLUMNS) * np.log(self.noises)
@@ -330,8 +331,8 @@ def camera_courses(points: Points, pixel: float) -> CameraCourses | None:
         # The noise is that of both axes, and so is whether there is a field.
         of_field = probabilities.sum(axis=0)
         seen = control.seen_by(field, ratios)
-        likelihoods = control.log_likelihoods(seen) \
-            + np.log(probabilities / of_field)[None, None, :, None]
+        likelihoods = (control.log_likelihoods(seen)
+                       + np.log(probabilities / of_field)[None, None, :, None])
         largest = likelihoods.max(axis=(1, 2), keepdims=True)
         relative = np.exp(likelihoods - largest)
         sums = relative.sum(axis=(1, 2))                                               # (q, 2, s)

@@ -418,8 +418,9 @@ class Fit(Glance):
             Line and sample [px].
         """
         scaled = self.scaling.image(image)
-        return np.zeros(len(scaled), dtype=bool) if self.view is None \
-            else self.view.above_horizon(scaled)
+        if self.view is None:
+            return np.zeros(len(scaled), dtype=bool)
+        return self.view.above_horizon(scaled)
 
     def holds(self, ground: ArrayLike) -> BoolArray:
         """Return whether a map may show ground points, (n,): no image of such a view is of use
@@ -436,8 +437,9 @@ class Fit(Glance):
         # What has no ground, such as the sky, has no coordinates.
         visible = np.asarray(~self.unseen(points) & np.isfinite(points[:, :2]).all(axis=1))
         # In front of the camera, and not so near the horizon that a pixel has no end on the ground.
-        return visible if self.view is None else \
-            visible & self.view.holds(self.scaling.ground(points))
+        if self.view is None:
+            return visible
+        return visible & self.view.holds(self.scaling.ground(points))
 
     @cached_property
     def _denominator_signs(self) -> FloatArray:
@@ -567,8 +569,8 @@ class Fit(Glance):
         original = self.original or self
         points = original.control.take(original.used).points
         misfit = original.misfit
-        if misfit is None or points.sigma is not None or len(points) >= UNDECIDED_POINTS \
-                or not UNDECIDED < misfit.probability < 1.0 - UNDECIDED:
+        if (misfit is None or points.sigma is not None or len(points) >= UNDECIDED_POINTS
+                or not UNDECIDED < misfit.probability < 1.0 - UNDECIDED):
             return ""
         return (f"{len(points)} control points cannot distinguish noise from local deformation: "
                 "with noise alone the standard deviation is smaller, with local deformation "

@@ -157,8 +157,9 @@ class Solutions:
                 scale = np.concatenate([np.full(n, squared_ratio), np.ones(columns)])
                 # s^2 by the variance of a coefficient beforehand: 0 of the affine ones.
                 precisions = np.zeros(columns)
-                precisions[TREND_COLUMNS[0]:] = noise[j, :, i].sum() \
-                    / shares[j, :, i].sum() / trend_variances[:columns - TREND_COLUMNS[0]]
+                precisions[TREND_COLUMNS[0]:] = (
+                    noise[j, :, i].sum()
+                    / shares[j, :, i].sum() / trend_variances[:columns - TREND_COLUMNS[0]])
                 scaled = scale[:, None] * _with_trend(
                     inverse, system.trend[:, :columns], precisions)
                 means[j, i, :n + columns] = scaled[:, :n] @ system.residuals
@@ -203,8 +204,8 @@ class Groups:
 
     def discrepancies(self, lengths: tuple[float, float], smoothness: float) -> FloatArray:
         """Return the variance of a field's mean less the field in the middle, by its own, (g,)."""
-        of_mean = 1.0 / self.counts \
-            + (1.0 - 1.0 / self.counts) * self.correlations(lengths, smoothness)
+        of_mean = (1.0 / self.counts
+                   + (1.0 - 1.0 / self.counts) * self.correlations(lengths, smoothness))
         to_middle = self._mean_correlations(
             self.from_middle, self.group_of_member, lengths, smoothness)
         return np.maximum(1.0 - 2.0 * to_middle + of_mean, 0.0)
@@ -352,8 +353,8 @@ def local_courses(points: Points, pixel: float) -> LocalCourses | None:
     relative_variances = prior.relative_variances(len(points))
     within = _variation_within_groups(positions, from_trend, relative_variances, groups)
     is_fine = within.freedom >= FINE_FREEDOM
-    noises = (FINE_NOISE_BY_TREND if is_fine else NOISE_BY_TREND) \
-        * np.sqrt((from_trend[spread]**2).mean())
+    noises = ((FINE_NOISE_BY_TREND if is_fine else NOISE_BY_TREND)
+              * np.sqrt((from_trend[spread]**2).mean()))
     log_prior = prior.log_probability(noises)
     control = System(positions, relative_variances, trend, deviations, noises)
     system = _means_of(control, groups)
@@ -403,15 +404,15 @@ def _log_likelihoods(system: System, within: Groups, lengths: tuple[float, float
         q, r = np.linalg.qr(whitened[:, :f])
         along = q.T @ whitened[:, f:]                                                  # (f, 2)
         squares = (whitened[:, f:]**2).sum(axis=0) - (along[:affine_columns]**2).sum(axis=0)
-        determinant = 0.5 * np.log(variances).sum() - np.log(scale).sum() \
-            + np.log(np.abs(np.diag(r)[:affine_columns])).sum()
-        affine = -(n - affine_columns) * np.log(system.noises) \
-            - 0.5 * squares[:, None] / system.noises**2 - determinant
+        determinant = (0.5 * np.log(variances).sum() - np.log(scale).sum()
+                       + np.log(np.abs(np.diag(r)[:affine_columns])).sum())
+        affine = (-(n - affine_columns) * np.log(system.noises)
+                  - 0.5 * squares[:, None] / system.noises**2 - determinant)
         affine += within.log_likelihood(1.0 + ratio**2 * share_apart, system.noises)
         for j, columns in enumerate(trends):
             explained = (along[affine_columns:columns]**2).sum(axis=0)[:, None] / system.noises**2
-            logs[j, :, i] = affine + 0.5 * explained * n / (n + 1.0) \
-                - 0.5 * (columns - affine_columns) * np.log(n + 1.0)
+            logs[j, :, i] = (affine + 0.5 * explained * n / (n + 1.0)
+                             - 0.5 * (columns - affine_columns) * np.log(n + 1.0))
     return np.asarray(logs - np.log(len(ratios)))
 
 
@@ -422,8 +423,8 @@ def _halve_rows(positions: FloatArray, rows: IntArray, most: int) -> list[IntArr
     axis = int(np.argmax(np.ptp(positions[rows], axis=0)))
     order = rows[np.argsort(positions[rows, axis], kind="stable")]
     middle = len(order) // 2
-    return _halve_rows(positions, order[:middle], most) \
-        + _halve_rows(positions, order[middle:], most)
+    return (_halve_rows(positions, order[:middle], most)
+            + _halve_rows(positions, order[middle:], most))
 
 
 def _groups_around(positions: FloatArray, centre: FloatArray, reach: float) -> list[IntArray]:
@@ -505,8 +506,8 @@ def _prior_covariances(field_ratios: tuple[float, ...],
     for smoothness in SMOOTHNESSES:
         for lengths in LENGTHS:
             yield equal, lengths, smoothness, field_ratios
-    unequal = FIELD_PROBABILITY * UNEQUAL_PROBABILITY \
-        / (len(UNEQUAL_LENGTHS) * len(UNEQUAL_SMOOTHNESSES) + len(SWATH_LENGTHS))
+    unequal = (FIELD_PROBABILITY * UNEQUAL_PROBABILITY
+               / (len(UNEQUAL_LENGTHS) * len(UNEQUAL_SMOOTHNESSES) + len(SWATH_LENGTHS)))
     for smoothness in UNEQUAL_SMOOTHNESSES:
         for lengths in UNEQUAL_LENGTHS:
             yield unequal, lengths, smoothness, field_ratios

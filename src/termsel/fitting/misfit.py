@@ -211,8 +211,8 @@ class Course:
             explained = ((columns @ self.explained[axis]) * columns).sum(axis=1)
             means = columns @ self.means[:, :, axis].T                                  # (m, r)
             distances = means - np.broadcast_to(deviations, squares.shape)[:, axis, None]
-            squares[:, axis] = np.maximum(self.variance[axis] - explained, 0.0) \
-                + distances**2 @ self.weights[axis]
+            squares[:, axis] = (np.maximum(self.variance[axis] - explained, 0.0)
+                                + distances**2 @ self.weights[axis])
         return squares
 
     def second_moments(self, places: FloatArray, columns: FloatArray, axis: int,
@@ -289,9 +289,9 @@ class System:
         targets = whitened[..., f:]
         squares = ((targets - q @ (q.swapaxes(2, 3) @ targets))**2).sum(axis=2)  # (l, r, 2)
         # |S|^1/2, that of the variances of measurements included, and |T' S^-1 T|^1/2.
-        determinants = 0.5 * (np.log(variances).sum(axis=2)
-                              + np.log(self.relative_variances).sum()) \
-            + np.log(np.abs(np.diagonal(triangle, axis1=2, axis2=3))).sum(axis=2)
+        determinants = (0.5 * (np.log(variances).sum(axis=2)
+                              + np.log(self.relative_variances).sum())
+                        + np.log(np.abs(np.diagonal(triangle, axis1=2, axis2=3))).sum(axis=2))
         freedom = len(self.residuals) - f
         return np.asarray(-freedom * np.log(self.noises)
                           - 0.5 * squares.swapaxes(1, 2)[..., None] / self.noises**2
@@ -412,8 +412,8 @@ def misfit_of(image: FloatArray, residuals: FloatArray, noise: NoisePrior,
     spectra = system.spectra(MISFIT_LENGTHS, MISFIT_SMOOTHNESS)
     by_size = noise.field_size_probabilities(noises)                                  # (r, s)
     probability = by_size.sum(axis=0)
-    by_ratios = system.log_likelihoods(spectra, MISFIT_RATIOS) \
-        + np.log(by_size / probability)                                               # (l, 2, r, s)
+    by_ratios = (system.log_likelihoods(spectra, MISFIT_RATIOS)
+                 + np.log(by_size / probability))                                 # (l, 2, r, s)
     by_noise = np.logaddexp.reduce(by_ratios, axis=2)                                 # (l, 2, s)
     without_field = np.maximum(1.0 - probability, np.finfo(float).tiny)
     logs = np.concatenate([

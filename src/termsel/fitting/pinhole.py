@@ -264,10 +264,10 @@ class Measured:
         losses, _ = self.counting((residuals**2).sum(axis=2), sigma)
         prior_residuals, _ = self.prior(cameras)
         # Focal length: normal. Principal point and tilt: Cauchy. Position: normal.
-        total = np.where(rows > 0.0, losses, 0.0).sum(axis=1) + prior_residuals[:, 0]**2 \
-            + 2.0 * np.log1p((prior_residuals[:, 1:3]**2).sum(axis=1)) \
-            + 2.0 * np.log1p((prior_residuals[:, self._tilts]**2).sum(axis=1)) \
-            + (prior_residuals[:, self._tilts.stop:]**2).sum(axis=1)
+        total = (np.where(rows > 0.0, losses, 0.0).sum(axis=1) + prior_residuals[:, 0]**2
+                 + 2.0 * np.log1p((prior_residuals[:, 1:3]**2).sum(axis=1))
+                 + 2.0 * np.log1p((prior_residuals[:, self._tilts]**2).sum(axis=1))
+                 + (prior_residuals[:, self._tilts.stop:]**2).sum(axis=1))
         return np.where(np.isfinite(total), total, np.inf)
 
     def system(self, cameras: Cameras, rows: FloatArray,

@@ -270,8 +270,8 @@ def shared_variance(model: SensorModel, control: FeatureSet) -> float | None:
     factors = believed.spread(points.ground, points.image).factors
     assert factors is not None
     # A point that is left out is less certain, and about as much alike others.
-    enlargement = np.sqrt((held_out.spread - 1.0) / weights**2) \
-        / np.maximum(np.linalg.norm(factors, axis=2), np.finfo(float).tiny)
+    enlargement = (np.sqrt((held_out.spread - 1.0) / weights**2)
+                   / np.maximum(np.linalg.norm(factors, axis=2), np.finfo(float).tiny))
     enlarged = (factors * enlargement[..., None]).reshape(-1, factors.shape[2])
     trace_of_square = ((enlarged.T @ enlarged) ** 2).sum()
     trace = (held_out.spread / weights**2).sum()
@@ -375,8 +375,8 @@ def _propagated_noise(model: SensorModel, control: FeatureSet, terms: BoolArray,
     moved = np.repeat(x[None], len(steps), axis=0)
     moved[:, terms] += np.diag(steps)
     moved_back = 2 * x - moved
-    slopes = (model.project(moved, ground) - model.project(moved_back, ground)) \
-        / (2 * steps[:, None, None])                                           # (k, m, 2)
+    difference = model.project(moved, ground) - model.project(moved_back, ground)  # (k, m, 2)
+    slopes = difference / (2 * steps[:, None, None])
     # The noise has a scaled inverse chi-square distribution, of which sigma0^2 is the scale.
     noise = adjustment.sigma0**2 * _mean_by_scale(adjustment.redundancy)
     # The covariance of coefficients is sigma^2 R^-1 R^-T: factors are sigma slopes' R^-1.

@@ -55,15 +55,16 @@ IMAGE_NAME = Option("image_name", None, "Name of the image, for files with sever
 def _answer_fault(_checked_object: Configurable, value: Any, *_args: Any) -> str | None:
     """Return how a yes or no is at fault; None if it is True or False."""
     # Plugins answer, and a truth value of another kind, such as a match, would pass as True.
-    return None if isinstance(value, bool | np.bool_) else \
-        f"returned {value!r:.100}; expected True or False"
+    if isinstance(value, bool | np.bool_):
+        return None
+    return f"returned {value!r:.100}; expected True or False"
 
 
 def _files_fault(_checked_object: Configurable, value: Any, *_args: Any) -> str | None:
     """Return how a value is at fault that should be a tuple of paths; None if it is not."""
-    return None if isinstance(value, tuple) and value \
-        and all(isinstance(file, Path) for file in value) \
-        else f"returned {value!r:.100}; expected a tuple of paths"
+    if isinstance(value, tuple) and value and all(isinstance(file, Path) for file in value):
+        return None
+    return f"returned {value!r:.100}; expected a tuple of paths"
 
 
 class Reader(Configurable, ABC):

@@ -31,8 +31,8 @@ def stated_crs(stated: str | None) -> str | None:
     # A name that is a file is one; all else, such as "EPSG:25832", is a CRS.
     # WKT is longer than any name of a file may be.
     # A string of PROJ may end in the name of a grid, "+geoidgrids=egm96.tif".
-    may_be_file = max(len(part.encode(errors="replace")) for part in path.parts or ("",)) < 256 \
-        and "\n" not in stated and bool(path.suffix) and "=" not in stated
+    may_be_file = (max(len(part.encode(errors="replace")) for part in path.parts or ("",)) < 256
+                   and "\n" not in stated and bool(path.suffix) and "=" not in stated)
     if may_be_file and is_there(path) and path.is_file():
         return _crs_of_file(path)
     if may_be_file and path.suffix.lower() in (*_TEXTS, *_OTHER_FILES) and not is_there(path):

@@ -46,8 +46,10 @@ def places_of(fitted: Fit, heights: tuple[float, float] | None = None) -> FloatA
     middle, half = fitted.ground_box()
     # Least, middle and greatest height of the ground, since the file may ignore heights.
     low, high = heights or (middle[2] - half[2], middle[2] + half[2])
-    levels: set[float] = {float(low + share * (high - low)) for share in (0.0, 0.5, 1.0)} \
-        if fitted.model.uses_height else {middle_height(fitted)}
+    if fitted.model.uses_height:
+        levels: set[float] = {float(low + share * (high - low)) for share in (0.0, 0.5, 1.0)}
+    else:
+        levels = {middle_height(fitted)}
     image = image_places(fitted, _GRID_NODES_ACROSS)
     ground = np.concatenate([ground_where_held(fitted, image, level) for level in sorted(levels)])
     return np.asarray(ground[np.isfinite(ground[:, :2]).all(axis=1)])
@@ -85,8 +87,10 @@ def say_deviation(name: str, fitted: Fit, ground: FloatArray, image: FloatArray,
     # Where the model sees the pixel at which the file puts the worst position, at its height.
     moved = fitted.locate(image[finite][worst:worst + 1], worst_ground[:, 2])
     metres = offsets_in_metres(fitted.control.crs, worst_ground, (moved - worst_ground)[:, :2])
-    length = "" if metres is None or not np.isfinite(metres).all() \
-        else f" ({_length_in_words(float(np.hypot(*metres[0])))} m on the ground)"
+    if metres is None or not np.isfinite(metres).all():
+        length = ""
+    else:
+        length = f" ({_length_in_words(float(np.hypot(*metres[0])))} m on the ground)"
     is_close = distance[worst] <= MAX_SILENT_DEVIATION
     level = logging.INFO if is_close else logging.WARNING
     beginning = "" if is_close else "Warning: "

@@ -88,8 +88,8 @@ class Dem:
     @property
     def is_as_stored(self) -> bool:
         """Whether the numbers in the file are the heights [m], without scale, offset or datum."""
-        return self.unit == 1.0 and self.to_datum is None \
-            and self.raster.scales[0] == 1.0 and self.raster.offsets[0] == 0.0
+        return (self.unit == 1.0 and self.to_datum is None
+                and self.raster.scales[0] == 1.0 and self.raster.offsets[0] == 0.0)
 
     @property
     def is_beyond_180(self) -> bool:
@@ -583,8 +583,10 @@ def with_heights(features: FeatureSet, dem: Path,
                     make_printable(dem.name), features.word, place_of(features), elsewhere)
     if still_unknown.any():
         names = list(dict.fromkeys(str(owner[i]) for i in np.flatnonzero(still_unknown)))
-        count = "all points" if len(names) == len(features) and not len(features.lines) else \
-            f"{len(names)} of {len(features)} {features.word}"
+        if len(names) == len(features) and not len(features.lines):
+            count = "all points"
+        else:
+            count = f"{len(names)} of {len(features)} {features.word}"
         error = _without_heights(names, count, ground[still_unknown, :2],
                                  surface_extent, is_outside, dem)
         if not covers_some:
@@ -653,8 +655,10 @@ def _without_heights(names: Sequence[str], count: str, xy: FloatArray, extent: F
                             hint="Is it the right raster? Give one with heights there."
                             if is_all else "Fill the holes of the raster, or leave these out: "
                                            "--off.")
-    reason = "outside the raster" if outside.all() else \
-        "outside the raster or in areas without data"
+    if outside.all():
+        reason = "outside the raster"
+    else:
+        reason = "outside the raster or in areas without data"
     vertices = np.array([xy.min(axis=0), xy.max(axis=0)])
     decimals = _decimals_of_side(extent)
     return TermselError(

@@ -114,8 +114,10 @@ def with_image_origin(features: FeatureSet, choice: str | None, states_own: bool
     if lines.max() > 0 or lines.min() >= -EDGE_MARGIN:
         return features
     if size is None or lines.min() < -(size[0] - 0.5 + EDGE_MARGIN):
-        size_in_words = "the height of the image is not known" if size is None else \
-            f"the image has {size[0]} lines"
+        if size is None:
+            size_in_words = "the height of the image is not known"
+        else:
+            size_in_words = f"the image has {size[0]} lines"
         raise TermselError(
             f"all lines are at most 0, from {lines.min():g} to {lines.max():g}, as if y pointed "
             f"upwards, and {size_in_words}",
@@ -189,8 +191,8 @@ def require_inside(features: FeatureSet, size: tuple[int, int] | None,
                 f"{last[1]:g}, and the image has {size[0]} lines and {size[1]} samples",
                 file=image, hint="Exchange them: --set swapped=line-sample. Or give the image in "
                                  f"which the {features.word} were measured.")
-        reason = f"but {features.word} extend to line {last[0]:g} and sample {last[1]:g}" \
-            f"{_ids_if_few(features, beyond)}"
+        reason = (f"but {features.word} extend to line {last[0]:g} and sample {last[1]:g}"
+                  f"{_ids_if_few(features, beyond)}")
         raise other_image_error(size, reason, image, _off_option(features, beyond))
     if before.any():
         remedy = f"or take the image in which the {features.word} were measured."

@@ -411,8 +411,10 @@ def _number_of_item(text: str, name: str, line: int | None = None) -> float:
     try:
         return float(text.replace("_", "?"))  # Python reads 1_000, no other program does
     except ValueError:
-        hint = "Write a decimal point." if "," in text else \
-            "Give the file as the vendor delivered it."
+        if "," in text:
+            hint = "Write a decimal point."
+        else:
+            hint = "Give the file as the vendor delivered it."
         raise TermselError(f"{name} is {text!r}, which is not a number", line=line,
                            hint=hint) from None
 

@@ -71,8 +71,8 @@ def read_toml(file: Path, kind: str, hint: str) -> tuple[dict[str, Any], str]:
         reason = _IN_WORDS.get(reason, reason)
         twice = _TWICE.match(reason)
         if twice:
-            reason = f"the key {twice[1]!r} is stated twice, or [{twice[1]}] stands where " \
-                   f"[[{twice[1]}]] should"
+            reason = (f"the key {twice[1]!r} is stated twice, or [{twice[1]}] stands where "
+                      f"[[{twice[1]}]] should")
         raise TermselError(f"this is not TOML: {reason or position}", file=file, line=line,
                            column=column, hint=hint) from error
     except (RecursionError, ValueError) as error:  # lists in lists, numbers of 20,000 digits

@@ -73,8 +73,8 @@ def prediction_of(result: Result) -> Prediction | None:
     points = len(result.fit.control.points)
     # An image of a block shares its control with others: its own cross-validation would not say it.
     if result.shared_sigma is not None:
-        method = "by the adjustment of the block that the image is part of, from the scatter of " \
-                 "its control and ties"
+        method = ("by the adjustment of the block that the image is part of, from the scatter of "
+                  "its control and ties")
     elif result.strategy is not None:
         method = (f"by cross-validation: the whole choice of the model was repeated "
                   f"{count_in_words(result.strategy.folds, 'time')} without some of the "
@@ -126,8 +126,10 @@ def accuracy_tags(result: Result, heights: HeightCaution | None = None) -> dict[
         f" of this run; an earlier result showed {accuracy.spent_count} of them"
         if accuracy.spent_count else "")
     # As in the summary, the surer of both figures is said first.
-    tags["ACCURACY_STATED"] = \
-        f"{predicted}; below {stated}" if is_prediction_surer(result) else stated
+    if is_prediction_surer(result):
+        tags["ACCURACY_STATED"] = f"{predicted}; below {stated}"
+    else:
+        tags["ACCURACY_STATED"] = stated
     tags["ACCURACY_POINTS"] = str(accuracy.image.n)
     low, high = accuracy.image.interval
     tags["ACCURACY_RMSE_PX_INTERVAL"] = f"{low:.4g} to {high:.4g} (90 %)"
@@ -154,6 +156,6 @@ def _tags_of_prediction(prediction: Prediction | None) -> dict[str, str]:
     if prediction.metres is not None:
         rmse, low, high = prediction.metres
         tags["ACCURACY_PREDICTED_RMSE_M"] = f"{rmse:.4g}"
-        tags["ACCURACY_PREDICTED_RMSE_M_INTERVAL"] = \
-            f"{low:.4g} to {high:.4g} ({100 * prediction.level:g} %)"
+        tags["ACCURACY_PREDICTED_RMSE_M_INTERVAL"] = (
+            f"{low:.4g} to {high:.4g} ({100 * prediction.level:g} %)")
     return tags

@@ -110,8 +110,8 @@ def map_crs(result: Result, crs: str | None) -> str:
 def _metric_crs(result: Result) -> str:
     """Return the CRS of the control if it is in metres, else the zone of UTM, or a polar one."""
     control_crs = result.features.crs
-    if not is_geographic(control_crs) \
-            and metres_per_unit(control_crs) in (1.0, None):  # None: nobody knows it
+    # None: nobody knows the unit.
+    if not is_geographic(control_crs) and metres_per_unit(control_crs) in (1.0, None):
         return horizontal_crs(control_crs)
     geodetic = transformation_between(control_crs, geodetic_of(control_crs))
     geodetic_positions = geodetic(result.fit.control.ground_vertices())
@@ -165,8 +165,8 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
             at_height = "" if height is None else f" at the height {height:g}"
             remedy = "Do not use it: choose another model, or measure more."
             if height is not None:
-                remedy = "Give the height of the ground (--height H). If it is right, choose " \
-                    "another model, or measure more."
+                remedy = ("Give the height of the ground (--height H). If it is right, choose "
+                          "another model, or measure more.")
             raise TermselError("the model gives no ground position anywhere in the image"
                                f"{at_height}", hint=remedy)
         control = result.fit.control
@@ -214,9 +214,10 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
                                     "image: give another --crs."))
     west = low[0] * resolution
     north = high[1] * resolution
-    return MapGrid(crs, int(lines), int(width), Affine(
-        resolution, 0.0, west, 0.0, -resolution, north)), \
-        float(np.isfinite(outline).all(axis=-1).mean())
+    grid = MapGrid(crs, int(lines), int(width),
+                   Affine(resolution, 0.0, west, 0.0, -resolution, north))
+    share_seen = float(np.isfinite(outline).all(axis=-1).mean())
+    return grid, share_seen
 
 
 def sees_all(result: Result, grid: MapGrid, height: float) -> bool:

@@ -178,8 +178,8 @@ def _common_nodata(values: tuple[float | None, ...]) -> tuple[float | None, bool
     """
     first = values[0]
     for value in values[1:]:
-        both_nan = value is not None and first is not None \
-            and np.isnan(value) and np.isnan(first)
+        both_nan = (value is not None and first is not None
+                    and np.isnan(value) and np.isnan(first))
         if value != first and not both_nan:
             return None, False
     return first, True

@@ -245,8 +245,8 @@ def _node_positions(shape: tuple[int, int], step: int) -> tuple[FloatArray, tupl
     """
     size = tuple(max(-(-(count - 1) // step), 1) + 1 for count in shape)
     lines, samples = np.indices(size)
-    return np.column_stack([lines.ravel(), samples.ravel()]) * float(step) + 0.5, \
-        (size[0], size[1])
+    nodes = np.column_stack([lines.ravel(), samples.ravel()]) * float(step) + 0.5
+    return nodes, (size[0], size[1])
 
 
 def _part_of(surface: Dem, positions: FloatArray) -> tuple[FloatArray, FloatArray] | None:

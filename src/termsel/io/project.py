@@ -81,8 +81,8 @@ def project_table(
         try:
             table = _read_table(path, columns, "line", "sample", layer=layer)
         except TermselError as error:
-            if error.code == "column-missing" \
-                    and _has_columns(path, columns, "x", "y", layer=layer):
+            if (error.code == "column-missing"
+                    and _has_columns(path, columns, "x", "y", layer=layer)):
                 error.hint = ("These are ground positions: leave --inverse out for their positions "
                               "in the image.")
             elif error.code == "column-missing":
@@ -96,8 +96,8 @@ def project_table(
         with surface_of(dem, crs, 0.0 if height is None else height) as surface:
             say_difference(result.features, result.project, surface)
             ground = result.locate(image, surface)
-            if isinstance(surface, Dem) and not np.isfinite(ground).any() \
-                    and _is_elsewhere(surface, result.fit.control.ground_vertices()):
+            if (isinstance(surface, Dem) and not np.isfinite(ground).any()
+                    and _is_elsewhere(surface, result.fit.control.ground_vertices())):
                 raise TermselError("this raster of heights does not cover the control, which is "
                                    f"around {place_of(result.fit.control)}", file=dem,
                                    hint="Give a raster of that area.")
@@ -235,8 +235,8 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
             raise
         if _has_columns(path, columns, "line", "sample", layer=layer):
             error.code = "image-alone"
-            error.hint = f"These are image positions; ground positions {','.join(names)} are " \
-                "needed. termsel project --inverse computes them."
+            error.hint = (f"These are image positions; ground positions {','.join(names)} are "
+                          "needed. termsel project --inverse computes them.")
         elif _has_columns(path, columns, "x1", "y1", "x2", "y2", layer=layer):
             error.code = "lines"
             error.hint = f"These are lines, and points are needed: a table id,{','.join(names)}."
@@ -325,8 +325,8 @@ def _require_crs_of_control(ids: Sequence[str], ground: FloatArray, crs: str, pa
         if error.column == "z":
             raise
         swapped = "The columns look swapped. " if "swapped" in (error.hint or "") else ""
-        error.hint = f"{swapped}The points must be in the CRS of the control, " \
-            f"{short_crs_name(crs)}: transform them to it."
+        error.hint = (f"{swapped}The points must be in the CRS of the control, "
+                      f"{short_crs_name(crs)}: transform them to it.")
         raise
 
 

@@ -518,8 +518,10 @@ def _refuse_other_content(path: Path, head: bytes) -> None:
                                     text))
         if geometries & {"Point", "LineString"}:
             return  # an annotation of another format
-        content = f"geometry of the type {' and '.join(sorted(geometries))}" if geometries else \
-            "no geometry"
+        if geometries:
+            content = f"geometry of the type {' and '.join(sorted(geometries))}"
+        else:
+            content = "no geometry"
         raise TermselError(f"this is GeoJSON with {content}", file=path,
                            hint="termsel reads features of the type Point or LineString with the "
                                 "image coordinates among their properties.")
@@ -593,8 +595,10 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
         return read_with(crs=crs, options=options or {})
     except TermselError as error:
         if error.guesses:
-            turned = partial(read_with, origin=partial(with_image_origin, choice=UP, size=None)) \
-                if "--set" in error.options else read_with
+            if "--set" in error.options:
+                turned = partial(read_with, origin=partial(with_image_origin, choice=UP, size=None))
+            else:
+                turned = read_with
             error = keep_readable_guesses(error, partial(
                 _can_be_read, turned, crs, options or {}))
         columns = error.options.get("--columns", "?")

@@ -183,8 +183,10 @@ def rectify(
             options["RPC_DEM"] = str(stack.enter_context(utf8_name(options["RPC_DEM"])))
         with open_raster(source) as raster:
             zone = "the zone of UTM, " if UTM.fullmatch(target) else ""
-            crs_note = "" if crs is not None or target == horizontal_crs(result.features.crs) else \
-                f" ({zone}as the control is not in metres; --crs names another)"
+            if crs is not None or target == horizontal_crs(result.features.crs):
+                crs_note = ""
+            else:
+                crs_note = f" ({zone}as the control is not in metres; --crs names another)"
             _say(result, grid, crs_note, share, dem)
             say_stand_in(result.fit, grid.crs)
             warp(raster, output, grid, pixels, tags=accuracy_tags(result, caution),
@@ -305,5 +307,6 @@ def _why_not(result: Result, dem: Path | str | None) -> str:
     reason = why_not_shown(result.fit)
     if reason and (dem is None or reason != NEAR_OR_FAR):
         return f"it is {reason}"
-    return "the model has no ground position there" if dem is None \
-        else f"{dem} has no heights there"
+    if dem is None:
+        return "the model has no ground position there"
+    return f"{dem} has no heights there"

@@ -119,8 +119,10 @@ def _require_writable(file: Path, makes_folder: bool) -> None:
         # The folder itself is made, if the first one above it that exists allows it.
         folder = next(parent for parent in target.parents if os.path.lexists(parent))
     if not folder.is_dir():
-        why = "there is no such folder" if not os.path.lexists(folder) else \
-            f"{folder} is a file, not a folder"
+        if os.path.lexists(folder):
+            why = f"{folder} is a file, not a folder"
+        else:
+            why = "there is no such folder"
     elif not os.access(folder, os.W_OK | os.X_OK):
         why = f"no permission to write to the folder {folder}"
     else:

@@ -30,8 +30,8 @@ LINE, SAMPLE, BOTH = 0, 1, 2
 
 def _terms_fault(_model: SensorModel, value: Any) -> str | None:
     """Return how names of terms are at fault; None if they are not."""
-    if isinstance(value, tuple) and value and all(isinstance(name, str) for name in value) \
-            and len(set(value)) == len(value):
+    if (isinstance(value, tuple) and value and all(isinstance(name, str) for name in value)
+            and len(set(value)) == len(value)):
         return None
     return f"returned {value!r:.200}; expected a tuple of different names"
 

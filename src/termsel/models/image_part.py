@@ -136,16 +136,18 @@ def recognise_part(predicted: FloatArray, measured: FloatArray) -> ImagePart | N
     is_seen = np.isfinite(predicted).all(axis=1)
     predicted = predicted[is_seen]
     measured = measured[is_seen]
-    if len(predicted) < _MIN_PART_POINTS \
-            or np.median(np.linalg.norm(predicted - measured, axis=1)) < _FAR_PX:
+    if (len(predicted) < _MIN_PART_POINTS
+            or np.median(np.linalg.norm(predicted - measured, axis=1)) < _FAR_PX):
         return None
     # Ratios of distances do not depend on where the part begins, so the factor comes first.
     factor = _factor(predicted, measured)
     scale = _nearest_simple_factor(factor) if abs(factor - 1.0) > _REDUCED else 1.0
     start = np.median(predicted + 0.5 - scale * (measured + 0.5), axis=0)
     # Less than what vendors' RPCs are off is a shift of the RPC; more is where the part begins.
-    start = _ROUND * np.round(start / _ROUND) if np.abs(start).max() > _FAR_PX or scale == 1.0 \
-        else np.zeros(2)
+    if np.abs(start).max() > _FAR_PX or scale == 1.0:
+        start = _ROUND * np.round(start / _ROUND)
+    else:
+        start = np.zeros(2)
     image_part = ImagePart((float(start[0]), float(start[1])), scale)
     # The rest about its median: a shift is for the correction, only scatter speaks against the
     # part.

@@ -282,8 +282,10 @@ class Registry:
         """Return the entries and failures of a kind; plugins are asked once."""
         if kind not in self._provided:
             hook = f"{PROJECT}_{kind}"
-            entries, faults = \
-            self._entries_of_kind(kind) if kind in KINDS else self._plugin_commands()
+            if kind in KINDS:
+                entries, faults = self._entries_of_kind(kind)
+            else:
+                entries, faults = self._plugin_commands()
             owners = dict.fromkeys(COMMANDS, PROJECT) if kind == "commands" else {}
             # Whoever is called first, a built-in thing keeps its name.
             owners |= {entry.name: PROJECT for _, entry in entries if entry.provided_by == PROJECT}

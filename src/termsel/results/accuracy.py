@@ -57,8 +57,10 @@ def accuracy_lines(record: Record) -> list[str]:
         return [agreement_of_computed(record)]
     # The prediction must be of the fit that the points measured; that of the exported one has seen
     # them.
-    predicted = record.predicted if accuracy and not is_prediction_surer(record) else \
-        expected_rmse(record)
+    if accuracy and not is_prediction_surer(record):
+        predicted = record.predicted
+    else:
+        predicted = expected_rmse(record)
     if accuracy is None:
         return _accuracy_without_check_points(record, predicted)
     if predicted is None:
@@ -145,8 +147,10 @@ def is_exact(record: Record) -> bool:
 
 def _prediction_sentence(predicted: Predicted) -> str:
     """Return the predicted RMSE in px, and in metres where the size of a pixel is known."""
-    ground = \
-        f" / {rounded_size_text(predicted.rmse * predicted.pixel)} m" if predicted.pixel else ""
+    if predicted.pixel:
+        ground = f" / {rounded_size_text(predicted.rmse * predicted.pixel)} m"
+    else:
+        ground = ""
     return (f"{rounded_size_text(predicted.rmse)} px{ground}   RMSE {_predicted_by(predicted)} "
             f"{interval_text(predicted.low, predicted.high, 100 * predicted.level)}")
 

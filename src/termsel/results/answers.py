@@ -137,8 +137,8 @@ def _answer_on_accuracy(record: Record) -> Iterator[Block]:
             yield _prediction_sentence(predicted)
     if (strategy := record.strategy) and strategy.predicted is not None:
         # Compared as they are shown: a difference that nobody sees needs no sentence.
-        if accuracy and predicted \
-                and rounded_size_text(predicted.rmse) != rounded_size_text(strategy.predicted):
+        if (accuracy and predicted
+                and rounded_size_text(predicted.rmse) != rounded_size_text(strategy.predicted)):
             yield ("The independent check points have other heights than the control points. At "
                    "the heights of the control points the predicted RMSE is "
                    f"{rounded_size_text(strategy.predicted)} px.")
@@ -162,10 +162,12 @@ def _scope_of_choice(accuracy: Accuracy) -> str:
     """
     if not accuracy.spent_by:
         return ""
-    reused = f"{accuracy.spent_count} of them" if accuracy.spent_count < accuracy.image.n \
-        else "they"
-    return f" of this run ({reused} already assessed the fit in " \
-        f"{first_names_in_words(accuracy.spent_by)})"
+    if accuracy.spent_count < accuracy.image.n:
+        reused = f"{accuracy.spent_count} of them"
+    else:
+        reused = "they"
+    return (f" of this run ({reused} already assessed the fit in "
+            f"{first_names_in_words(accuracy.spent_by)})")
 
 
 def accuracy_statement(record: Record) -> str:
@@ -260,27 +262,35 @@ def _error_shape(of: InImage | OnGround, unit: str, rmse: dict[str, float]) -> I
     # chance.
     far = [axis for axis, mean in means.items()
            if abs(mean) > _FAR_DEVIATIONS * of.n**-0.5 * rmse[axis] > 0]
-    yield f"{sentence} The bias of {' and '.join(far)} is significant." if far \
-        else Detail(sentence)
+    if far:
+        yield f"{sentence} The bias of {' and '.join(far)} is significant."
+    else:
+        yield Detail(sentence)
     if of.normal:
         ground = isinstance(of, OnGround)  # nothing new, as they are those in the image
         test = "The same test on the ground" if ground else "Test of normality (Shapiro, Wilk)"
         chances = [f"{axis} {p:.2g}" for axis, p in zip(rmse, of.normal, strict=True)]
         sentence = f"{test}: p of {', '.join(chances)}."
-        yield f"{sentence} These errors are not normal; the intervals allow for it." \
-            if min(of.normal) < _UNLIKELY and not ground else Detail(sentence)
+        if min(of.normal) < _UNLIKELY and not ground:
+            yield f"{sentence} These errors are not normal; the intervals allow for it."
+        else:
+            yield Detail(sentence)
 
 
 def _prediction_sentence(
         predicted: Predicted, *, exported: bool = False, lattice: bool = False) -> str:
     """Return the predicted RMSE with its interval in a sentence."""
     # Whether the points to come are known decides what the prediction is about.
-    of = f"at {count_in_words(predicted.points, 'independent check point')}" if predicted.points \
-        else "of new points within the control area"
+    if predicted.points:
+        of = f"at {count_in_words(predicted.points, 'independent check point')}"
+    else:
+        of = "of new points within the control area"
     of = "between the points of the lattice" if lattice else of
     of += ", for the exported fit to all points" * exported
-    metres = f", {rounded_size_text(predicted.rmse * predicted.pixel)} m on the ground" \
-        if predicted.pixel else ""
+    if predicted.pixel:
+        metres = f", {rounded_size_text(predicted.rmse * predicted.pixel)} m on the ground"
+    else:
+        metres = ""
     return (f"Predicted RMSE {of}: {rounded_size_text(predicted.rmse)} px{metres} "
             f"({100 * predicted.level:.0f} % interval {rounded_size_text(predicted.low)} to "
             f"{rounded_size_text(predicted.high)} px).")
@@ -379,8 +389,10 @@ def _answer_on_bad_points(record: Record, view: View | None) -> Iterator[Block]:
     The verdict of the blunder test comes first, then the largest residuals as a chart and as a
     folded table. Of a line the vertex with the larger residual on the ground counts.
     """
-    yield from map(Detail, verdict_table(record)) if are_all_named(record) \
-        else verdict_table(record)
+    if are_all_named(record):
+        yield from map(Detail, verdict_table(record))
+    else:
+        yield from verdict_table(record)
     if view is None:
         return
     yield from chart_block(view, "worst", bars.bars_of_worst(view))
@@ -420,8 +432,10 @@ def _answer_on_weak_places(view: View | None) -> Iterator[Block]:
 def _origin_line(record: Record) -> str:
     """Return a line on model, method, seed and version of a result."""
     strategy = record.strategy
-    by = f"strategy {strategy.name}" if strategy else \
-        f"solver {record.solver}, criterion {record.criterion}"
+    if strategy:
+        by = f"strategy {strategy.name}"
+    else:
+        by = f"solver {record.solver}, criterion {record.criterion}"
     return (f"Model {record.model}, {by}, seed {record.seed}; termsel "
             f"{record.versions['termsel']}")
 

@@ -141,8 +141,10 @@ def _facts_on_data(record: Record, brief: int) -> Iterator[Fact]:
         features += f", a lattice of {read.lattice[0]} lines and {read.lattice[1]} columns"
     heights = ""
     if read.without_height:
-        heights = " without heights" if read.without_height == read.points + read.lines else \
-            f" ({read.without_height} without a height)"
+        if read.without_height == read.points + read.lines:
+            heights = " without heights"
+        else:
+            heights = f" ({read.without_height} without a height)"
     crs = "coordinates without a CRS" if data.crs == LOCAL else short_crs_name(data.crs)
     image_in_file = f" ({read.place})" if read.place else ""
     unit = f"; z in {read.z_unit}" if read.z_unit else ""
@@ -172,8 +174,10 @@ def roles_of(record: Record) -> str:
     independent = _number_in_words(counts.independent, "independent check point")
     # Nobody named them: the reader of the figures must know who did.
     if record.data.read and 0 < counts.independent == record.data.read.set_aside:
-        points = "independent check points" if counts.independent > 1 \
-            else "an independent check point"
+        if counts.independent > 1:
+            points = "independent check points"
+        else:
+            points = "an independent check point"
         independent = f"{counts.independent:,} set aside as {points}"
     if record.strategy:
         kinds = [count_in_words(number, noun) for number, noun in (
@@ -254,8 +258,10 @@ def _model_lines(record: Record) -> str:
                    if row.predicted is not None}
         # Cross-validation may prefer another model by less than its own noise.
         best = min(figures, key=lambda name: figures[name], default="") == strategy.chosen
-        how = f" ({'best of' if best else 'chosen among'} {len(figures)} in cross-validation)" \
-            if len(figures) > 1 else ""
+        if len(figures) > 1:
+            how = f" ({'best of' if best else 'chosen among'} {len(figures)} in cross-validation)"
+        else:
+            how = ""
         rpc = f". {strategy.rpc}" if strategy.rpc and not _why_rpc_unused(record) else ""
         return f"{title}{how}{rpc}"
     selection = record.selection
@@ -304,8 +310,10 @@ def outlier_lines(record: Record) -> list[str]:
     noun = record.data.counts.word
     lines = []
     if rejected:
-        outcome = "not selected by the search, which could select them" \
-            if were_selectable(record) else "rejected"
+        if were_selectable(record):
+            outcome = "not selected by the search, which could select them"
+        else:
+            outcome = "rejected"
         lines.append(f"{_count_in_words(rejected, noun)} {outcome}: {_list_worst(rejected)}")
     if used:
         lines.append(f"{_count_in_words(used, noun)} still in use: {_list_worst(used)}")
@@ -355,8 +363,8 @@ def _no_outlier_clause(record: Record) -> str:
     if record.options.data.get("tested"):
         return "tested in an earlier run, not in this one"
     # Independent points far outside the prediction are outliers as a whole, or the model is.
-    if accuracy and predicted and predicted.weighted is not True \
-            and accuracy.image.total > _CONTRADICTED * predicted.high:
+    if (accuracy and predicted and predicted.weighted is not True
+            and accuracy.image.total > _CONTRADICTED * predicted.high):
         return (f"none among the others, but the "
                 f"{count_in_words(accuracy.image.n, 'independent check point')} contradict"
                 f"{'s' if accuracy.image.n == 1 else ''} the prediction: check "
@@ -393,8 +401,8 @@ def _group_outliers(record: Record) -> tuple[list[Outlier], list[Outlier], list[
 
 def are_all_named(record: Record) -> bool:
     """Return whether the first screen names all outliers, with the option that leaves them out."""
-    return max(map(len, _group_outliers(record))) <= _MAX_OUTLIERS_NAMED and \
-        len(off_option(record)) <= _LONGEST_OPTION
+    return (max(map(len, _group_outliers(record))) <= _MAX_OUTLIERS_NAMED
+            and len(off_option(record)) <= _LONGEST_OPTION)
 
 
 def _list_worst(outliers: Sequence[Outlier]) -> str:
@@ -438,15 +446,18 @@ def _comparison_with_rival(record: Record, rival: BaselineRow) -> Iterator[str]:
         verdict = "the search gains nothing"
     elif rival_rmse > own_rmse:
         verdict = f"the search is better by {100 * (1 - own_rmse / rival_rmse):.0f} %"
+    elif record.solver == "all-terms":
+        verdict = "better; leave out --model"
     else:
-        verdict = "better; leave out --model" if record.solver == "all-terms" \
-            else "better; leave out the search"
+        verdict = "better; leave out the search"
     if by_held_out:
         # That of this model may be the prediction above, or the same as that of the other.
         own_text = rounded_size_text(own_rmse)
         rival_text = rounded_size_text(rival_rmse)
-        predicted_text = "" if record.predicted is None else \
-            rounded_size_text(record.predicted.rmse)
+        if record.predicted is None:
+            predicted_text = ""
+        else:
+            predicted_text = rounded_size_text(record.predicted.rmse)
         own = "" if own_text in (predicted_text, rival_text) else f" (this model {own_text})"
         yield f"{name} {rival_text} px in leave-one-out{own}: {verdict}"
     else:
@@ -478,8 +489,10 @@ def _conventional_rmse(record: Record, row: BaselineRow) -> Iterator[str]:
         return
     excluded = any(outlier.excluded for outlier in record.outliers)
     lacks_features = record.selection.n_features < record.offered.n_features
-    fitted = f"all {record.offered.n_features} {record.data.counts.word}" if lacks_features else \
-        f"all {record.offered.n_terms} terms"
+    if lacks_features:
+        fitted = f"all {record.offered.n_features} {record.data.counts.word}"
+    else:
+        fitted = f"all {record.offered.n_terms} terms"
     yield f"{fitted}{', outliers included' if excluded else ''}: {rounded_size_text(total)} px"
 
 
@@ -494,18 +507,21 @@ def _facts_on_search(record: Record) -> Iterator[str]:
         # A claim of another program is not repeated as a proof.
         subsets = amount_in_words(certificate.subsets, "subset")
         if certificate.optimal:
-            of_search = "proven optimum" if record.solver in _PROVING else \
-                f"{record.solver} found the optimum"
+            if record.solver in _PROVING:
+                of_search = "proven optimum"
+            else:
+                of_search = f"{record.solver} found the optimum"
             yield f"{of_search}: {subsets} enumerated or excluded by bounds"
         elif certificate.feasible is False:
             yield f"proven: no selection is feasible ({subsets})"
         elif isinstance(certificate.optimum, float) and isinstance(certificate.gap, float):
-            yield f"optimality gap {percent_text(certificate.gap)}; --solver exact finds the " \
-                "optimum"
+            yield (f"optimality gap {percent_text(certificate.gap)}; --solver exact finds the "
+                   "optimum")
         elif isinstance(certificate.gap, float):
-            yield "not proven: no selection is excluded yet, for lack of time" \
-                if certificate.gap > 1.0 else \
-                f"not proven: optimality gap at most {percent_text(certificate.gap)}"
+            if certificate.gap > 1.0:
+                yield "not proven: no selection is excluded yet, for lack of time"
+            else:
+                yield f"not proven: optimality gap at most {percent_text(certificate.gap)}"
     if len(record.front) > 1:
         sizes = [int(next(iter(member.objectives.values())) or 0) for member in record.front]
         noun = next(iter(record.front[0].objectives)).removeprefix("n_")
@@ -613,8 +629,10 @@ def _urgent_warnings(record: Record) -> Iterator[str]:
                f"too small to find a selection. Allow {FEW_EVALUATIONS:,} or more (--evaluations, "
                "--seconds)")
     elif not record.feasible:
-        why = "it did not converge" if record.adjustment.converged is False else \
-            "it breaks a condition (rank, pole or number of terms)"
+        if record.adjustment.converged is False:
+            why = "it did not converge"
+        else:
+            why = "it breaks a condition (rank, pole or number of terms)"
         yield f"do not use this fit: {why}. Measure more control points or take a smaller model"
     read = record.data.read
     if read and read.doubt:
@@ -661,13 +679,13 @@ def next_step_for_user(record: Record, folder: str = "") -> str:
     if off and len(off) <= _LONGEST_OPTION:
         return f"Next: run again with {off}"
     # Of a map whose projection was chosen the fit is in that projection.
-    is_like_a_map = read is not None and not read.lines and read.without_height == read.points \
-        and record.data.fit_crs == record.data.crs
+    is_like_a_map = (read is not None and not read.lines and read.without_height == read.points
+                     and record.data.fit_crs == record.data.crs)
     if is_like_a_map and is_geographic(record.data.crs) and does_nothing_fit(record):
         return "Next: if this is a map, --crs auto finds its projection"
     if not folder:
         return "Not saved: add --out DIR, then termsel report DIR"
-    if not record.data.counts.independent and record.data.counts.word == "points" \
-            and lattice_of(record) is None:
+    if (not record.data.counts.independent and record.data.counts.word == "points"
+            and lattice_of(record) is None):
         return f"Next: termsel plan {quote(folder)}   (best positions for further points)"
     return f"Next: termsel report {quote(folder)}"

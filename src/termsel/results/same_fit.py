@@ -98,8 +98,10 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
     Refuses a name that no estimator has, and errors held out that are not those of the features in
     use.
     """
-    estimator = by_plugin if by_plugin is not None and by_plugin.name == how.estimator \
-        else estimators.estimator(how.estimator, **how.options)
+    if by_plugin is not None and by_plugin.name == how.estimator:
+        estimator = by_plugin
+    else:
+        estimator = estimators.estimator(how.estimator, **how.options)
     # As every fit does: the model then knows its place on Earth.
     model = model.prepared(scaling, control.crs)
     terms = np.array([name in coefficients for name in model.terms], dtype=bool)

@@ -186,8 +186,8 @@ def _certificate_sentence(certificate: Certificate, exact: str) -> str:
                 f"{certificate.optimum:.4g} ({proven}); {exact} finds it")
     if certificate.feasible is False:
         return f"Proven: no selection{capped} is feasible ({decided if limit else proven})"
-    done = f"{amount_in_words(certificate.subsets)} of " \
-        f"{amount_in_words(certificate.of, 'subset')} enumerated"
+    done = (f"{amount_in_words(certificate.subsets)} of "
+            f"{amount_in_words(certificate.of, 'subset')} enumerated")
     if isinstance(certificate.gap, float):
         return (f"Not proven: at most {percent_text(certificate.gap)} above the optimum{capped}, "
                 f"which is {certificate.bound:.4g} or more ({done})")

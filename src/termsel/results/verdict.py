@@ -44,8 +44,9 @@ def verdict_on_choice(own_rmse: float, rival_rmse: float, rival: str, among: int
     if rival_rmse > own_rmse:
         return f"{times_in_words(rival_rmse / own_rmse)} as large"
     # The choice has kept to the simpler model, or averages, where the difference is small.
-    return "may be chance" if among > 1 and own_rmse <= CHANCE * rival_rmse else \
-        f"{label_of(rival)} is better by {100 * (1 - rival_rmse / own_rmse):.0f} %"
+    if among > 1 and own_rmse <= CHANCE * rival_rmse:
+        return "may be chance"
+    return f"{label_of(rival)} is better by {100 * (1 - rival_rmse / own_rmse):.0f} %"
 
 
 def times_in_words(ratio: float) -> str:
@@ -158,8 +159,8 @@ NO_FIT = 0.01
 def does_nothing_fit(record: Record) -> bool:
     """Return whether no model fits so many features that this is no matter of chance."""
     test = record.blunder_test
-    return test is not None and test.features >= NOT_FEW \
-        and size_of_errors(record) > NO_FIT * test.extent
+    return (test is not None and test.features >= NOT_FEW
+            and size_of_errors(record) > NO_FIT * test.extent)
 
 
 def are_too_few_to_test(test: BlunderTest, errors: float) -> bool:
@@ -211,9 +212,10 @@ def verdict_table(record: Record) -> Iterator[Block]:
         elif off:
             yield f"Leave them out with {off} and run again."
     else:
-        yield "Outliers were tested in an earlier run, not here." \
-            if record.options.data.get("tested") else \
-            _none_detected_in_words(record.blunder_test, size_of_errors(record))
+        if record.options.data.get("tested"):
+            yield "Outliers were tested in an earlier run, not here."
+        else:
+            yield _none_detected_in_words(record.blunder_test, size_of_errors(record))
     certainties = {outlier.certainty for outlier in outliers}
     if "probable" in certainties:
         yield "A probable blunder is more likely wrong than right: look at it in the image."

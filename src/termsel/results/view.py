@@ -94,8 +94,7 @@ class View:
         for i, (r, (dx, dy)) in enumerate(
                 zip(self._drawn_residuals, offsets.tolist(), strict=True)):
             if np.isfinite([dx, dy]).all():
-                length = None if metres is None else \
-                    _shorten_number(float(np.hypot(*metres[i])), 4)
+                length = None if metres is None else _shorten_number(float(np.hypot(*metres[i])), 4)
                 # Twelve digits: of northings in metres a hundredth of a millimetre.
                 rows.append({**self._row_of(r), "x": _shorten_number(r.x, 12),
                              "y": _shorten_number(r.y, 12),

@@ -154,8 +154,10 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
     choice = outcome.choice
     method = choice.method
     # A method that is asked for is held against those that are built in.
-    comparison = compare(clean, Auto(memory=auto.memory)) if auto.is_one_method \
-        else compare(clean, auto, choice)
+    if auto.is_one_method:
+        comparison = compare(clean, Auto(memory=auto.memory))
+    else:
+        comparison = compare(clean, auto, choice)
     # 3. What the errors held out predict of new points: the RMSE with its interval.
     errors, predicted = _held_out_accuracy(outcome, clean, observations.independent)
     # 4. The fit in the roles that the points play, and the verdict on independent points. No
@@ -169,8 +171,10 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
     predicted_final = None if final is None or predicted is None else predict_rmse_of_all(
         choice.chosen, predicted, agreeing.independent.ground)
     # 6. What the record says of the choice, and the notes for its reader.
-    rpc_notes = ("", "") if data.features.rpc is None else \
-        _notes_on_rpc(request, data, auto, choice.chosen)
+    if data.features.rpc is None:
+        rpc_notes = ("", "")
+    else:
+        rpc_notes = _notes_on_rpc(request, data, auto, choice.chosen)
     strategy = _strategy_record(choice, errors, predicted, data, clean, rpc_notes[0])
     notes = _Assessed(request, observations, clean, auto, outcome, verdict=verdict, fitted=fitted,
                       errors=errors, predicted=predicted, rpc_notes=rpc_notes).notes(
@@ -389,8 +393,10 @@ def _strategy_record(choice: Choice, errors: FloatArray | None, predicted: Predi
     held_out = None
     if errors is not None:
         # Between the lines of a lattice the predicted figure is that of the interval's middle.
-        held_out = predicted.rmse if clean.lattice is not None and predicted is not None \
-            else weighted_rmse(errors, data.features.points)
+        if clean.lattice is not None and predicted is not None:
+            held_out = predicted.rmse
+        else:
+            held_out = weighted_rmse(errors, data.features.points)
     candidates = tuple(
         CandidateRow(method_of(fitted).name, fitted.model.name, int(fitted.terms.sum()),
                      fitted.effective, finite_or_none(fitted.held_out_rmse))
@@ -444,8 +450,8 @@ def _notes_on_stated_geometry(data: FitData, auto: Auto, fitted: Fit) -> list[st
         return [doubt] if doubt else []
     notes = []
     for method in auto.methods:
-        if not method.from_one or method.family == RPC_CORRECTIONS \
-                or len(data) > method.max_features:
+        if (not method.from_one or method.family == RPC_CORRECTIONS
+                or len(data) > method.max_features):
             continue
         declined = auto.ask(method, "declines", data)
         # Of what is stated, heights alone are missing: a DEM would give them.
@@ -514,8 +520,7 @@ def _notes_on_choice(model: SensorModel, observations: Observations, errors: Flo
     elif observations.lattice is not None:
         pass  # another note says what its points show
     elif determined:
-        mirrored = " Nor do they show whether the image is mirrored." \
-            if len(features) == 2 else ""
+        mirrored = " Nor do they show whether the image is mirrored." if len(features) == 2 else ""
         exactly = is_determined_exactly(len(features), features.word.removesuffix("s"))
         notes.append(f"{exactly}, so its accuracy is not known.{mirrored}")
     elif errors is None:

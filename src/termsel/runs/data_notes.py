@@ -103,8 +103,10 @@ class TwoGroups:
 
     def sentence(self) -> str:
         """Return it as a sentence."""
-        axes = (("east", "west"), ("north", "south")) if self.is_compass else \
-            (("along +x", "along -x"), ("along +y", "along -y"))
+        if self.is_compass:
+            axes = (("east", "west"), ("north", "south"))
+        else:
+            axes = (("along +x", "along -x"), ("along +y", "along -y"))
         # Less than a metre along an axis is not worth a word.
         directions = [f"{abs(size):.0f} m {ahead if size > 0 else back}"
                       for size, (ahead, back) in zip(self.shift, axes, strict=True)
@@ -183,8 +185,8 @@ def find_two_groups(features: FeatureSet) -> TwoGroups | None:
         second = nearer
     # Two groups must leave far less than one, and lie far apart within their scatter.
     sigma = float(np.sqrt((residuals**2).sum() / (2 * (len(plan) - len(coefficients)))))
-    if np.sqrt((residuals**2).sum()) > _REST * np.sqrt((joint_residuals**2).sum()) \
-            or np.linalg.norm(move) < _APART * sigma:
+    if (np.sqrt((residuals**2).sum()) > _REST * np.sqrt((joint_residuals**2).sum())
+            or np.linalg.norm(move) < _APART * sigma):
         return None
     # Points on one line do not show in which direction the others are.
     if np.linalg.cond(coefficients[1:3]) > _LARGEST_CONDITION:
@@ -342,8 +344,10 @@ def _note_on_rpc_heights(features: FeatureSet, rpc: Rpc) -> Iterator[str]:
     outside = rpc.heights_outside(
         to_wgs84(features.crs)(ground[np.isfinite(ground).all(axis=1)])[:, 2])
     if outside:
-        remedy = "is the raster of heights the right one?" if features.heights else \
-            f"{CHECK_HEIGHTS}."
+        if features.heights:
+            remedy = "is the raster of heights the right one?"
+        else:
+            remedy = f"{CHECK_HEIGHTS}."
         yield f"{outside[0].upper()}{outside[1:]}: {remedy}"
 
 
@@ -406,8 +410,10 @@ def _note_on_flat(control: FitData, points: Points) -> Iterator[str]:
     if does[0] > 0.0:
         low, high = (f"{round(float(height) * unit, 1) + 0.0:g}" for height in (z.min(), z.max()))
         on_one_plane = "" if hidden or len(control) < FEWEST_FOR_HEIGHTS else " on one plane"
-        covered = f"the height {low} m alone" if low == high else \
-            f"heights from {low} to {high} m{on_one_plane}"
+        if low == high:
+            covered = f"the height {low} m alone"
+        else:
+            covered = f"heights from {low} to {high} m{on_one_plane}"
         error = _rounded_text(HIGH / unit * does[0] / above[0])
         yield (f"The control covers {covered}. Expect about {error} px error per "
                f"{HIGH:g} m outside it.")

@@ -161,8 +161,8 @@ def with_polar(observations: Observations) -> Observations:
     there, by leave-one-out over control and check, than in the coordinates as they are.
     """
     features = observations.together
-    if features.fit_crs or features.rpc is not None \
-            or not note_on_pole(features, observations.control):
+    if (features.fit_crs or features.rpc is not None
+            or not note_on_pole(features, observations.control)):
         return observations
     # Around a pole degrees of longitude shrink to nothing, and so does what they explain.
     polar = fit_crs_of(POLAR, observations.control)

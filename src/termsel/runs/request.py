@@ -159,8 +159,10 @@ def to_leave_out(features: FeatureSet) -> tuple[str, ...]:
     # Independent points must not decide what is fitted.
     deciding = with_heights.with_(points=with_heights.points.take(
         [role != "independent" for role in with_heights.points.roles]))
-    return tuple(missing) if len(with_heights) > len(missing) and len(deciding) \
-        and not relief_carriers(FitData.of(deciding, heights=False)) else ()
+    are_most_known = len(with_heights) > len(missing) and len(deciding) > 0
+    if are_most_known and not relief_carriers(FitData.of(deciding, heights=False)):
+        return tuple(missing)
+    return ()
 
 
 def note_on_blank(ids: Sequence[str], features: FeatureSet) -> str:
@@ -420,11 +422,12 @@ def _named_parts(recipe: Recipe, model: Any, solver: Any, criterion: Any,
     usual_solver = recipe.solver
     if issubclass(class_of(model_part), Interpolating):
         usual_solver = "all-terms"
-    # Solvers are loaded only where several objectives are asked for: a choice needs none.
-    elif split_names(OBJECTIVES.parse(settings.get("objectives",
-                                                   settings.get("problem.objectives")))) \
-            and names.get("solvers", recipe.solver).max_objectives == 1:
-        usual_solver = SEVERAL_OBJECTIVES
+    else:
+        stated = settings.get("objectives", settings.get("problem.objectives"))
+        # Solvers are loaded only where several objectives are asked for: a choice needs none.
+        if (split_names(OBJECTIVES.parse(stated))
+                and names.get("solvers", recipe.solver).max_objectives == 1):
+            usual_solver = SEVERAL_OBJECTIVES
     components = {
         "model": model_part,
         "criterion": names.resolve("criteria",

@@ -210,8 +210,8 @@ def _refuse_features_as_problem(problem: object) -> None:
     """Raise TermselError for features, or the name of their file, in place of the problem."""
     if isinstance(problem, str | Path):
         # A problem is one whatever files lie about; other names with an ending are those of files.
-        is_problem = isinstance(problem, str) \
-            and registry().known("problems", problem) is not None
+        is_problem = (isinstance(problem, str)
+                      and registry().known("problems", problem) is not None)
         if not is_problem and (Path(problem).suffix or Path(problem).is_file()
                                or isinstance(problem, Path)):
             raise TermselError(f"{str(problem)!r} is a file, and the first argument is a problem",
@@ -225,8 +225,10 @@ def _warn_of_search(task: Task, words: Sequence[str], *, is_in_place_of_auto: bo
     """Say where a search takes the place of the automatic choice, and where an RPC is not used."""
     if is_in_place_of_auto and task.recipe.for_methods:
         asks, them = ("asks", "it") if len(words) == 1 else ("ask", "them")
-        or_fit = "; to fit one model with all its terms, name a method: termsel list methods" \
-            if "model" in words else ""
+        if "model" in words:
+            or_fit = "; to fit one model with all its terms, name a method: termsel list methods"
+        else:
+            or_fit = ""
         log.warning("Note: %s %s for a search by %s, which takes the place of the automatic "
                     "choice. Leave %s out to have the model chosen automatically%s.",
                     " and ".join(words), asks, task.solver.name, them, or_fit)
@@ -332,7 +334,6 @@ def assess(method: Method, task: Task, *, seed: int = 1, observers: Iterable[Obs
     if isinstance(method, TaskMethod):
         return result_of(*method.find(task, memory))
     # One method is a choice among one: held out, compared and reported alike.
-    auto = method if isinstance(method, Auto) else \
-        Auto(methods=(method,), memory=memory)
+    auto = method if isinstance(method, Auto) else Auto(methods=(method,), memory=memory)
     return result_of(task.request, choose_for(
         task.request, task.observations, auto, seed, observers))

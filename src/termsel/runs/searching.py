@@ -315,8 +315,9 @@ def is_feasible(task: Task, search: SearchResult, fitted: Fit) -> bool:
     The coefficients may be others than those the search saw, so poles are looked for again.
     """
     # Least squares satisfy what the search saw; other coefficients must be looked at themselves.
-    return (search.violation == 0 if fitted.estimator.least_squares else fitted.determined) \
-        and fitted.adjustment.converged and not has_pole(fitted, task.observations.check)
+    satisfies = search.violation == 0 if fitted.estimator.least_squares else fitted.determined
+    return (satisfies and fitted.adjustment.converged
+            and not has_pole(fitted, task.observations.check))
 
 
 def estimated(task: Task, selection: Selection, search: SearchResult) -> Fit:
@@ -366,8 +367,9 @@ def _required_certificate(certificate: Mapping[str, Any], solver: str) -> dict[s
 
 def _proofs_by_size(task: Task, search: SearchResult) -> list[SizeProof]:
     """Return the solver's proofs of the selections of each size; [] of a plugin's solver."""
-    return [] if search.proof is None or "solver" in plugins_of(task.request) \
-        else search.proof.by_size(task.problem)
+    if search.proof is None or "solver" in plugins_of(task.request):
+        return []
+    return search.proof.by_size(task.problem)
 
 
 def _front_member(task: Task, genes: Genes) -> Member:

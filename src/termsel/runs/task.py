@@ -73,9 +73,10 @@ def require_enough(observations: Observations, criterion: Criterion, model: Sens
     if len(control) < fewest:
         noun = f"control {control.word.removesuffix('s')}"
         others = _others_in_words(observations)
-        would_do = criterion.needs_check and len(observations.together) >= fewest
-        without_selection = " Or choose by leave-one-out, without selection points: --criterion " \
-            "press." if would_do else ""
+        without_selection = ""
+        if criterion.needs_check and len(observations.together) >= fewest:
+            without_selection = (" Or choose by leave-one-out, without selection points: "
+                                 "--criterion press.")
         raise TermselError(
             f"{_count_of_control(control)}{others}; at least {count_in_words(fewest, noun)} "
             f"{'is' if fewest == 1 else 'are'} needed",
@@ -430,11 +431,11 @@ def with_shares(request: Request, *, auto: bool = False) -> Request:
         return request
     # Points that are off take no part, nor do they count.
     roles = [role for role in request.features.points.roles if role != "off"]
-    points_are_control = request.recipe.control == "points" \
-        or request.options["problem"].get("mixed")
+    points_are_control = (request.recipe.control == "points"
+                          or request.options["problem"].get("mixed"))
     has_few = len(roles) < MIN_POINTS_TO_DIVIDE and not {"control", "check"} & set(roles)
-    can_hold_out = points_are_control and of_data["roles"] == FILE \
-        and not request.criterion.needs_check
+    can_hold_out = (points_are_control and of_data["roles"] == FILE
+                    and not request.criterion.needs_check)
     if not can_hold_out:
         # A search that judges by selection points needs a third for these, a third for the verdict.
         shares = EQUAL_SHARES

@@ -60,8 +60,8 @@ def exchange_of(control: FitData) -> Exchange | None:
     nothing.
     """
     count = len(control.features.points)
-    if control.heights or len(control.features.lines) \
-            or not MIN_EXCHANGED_POINTS <= count <= MAX_EXCHANGED_POINTS:
+    if (control.heights or len(control.features.lines)
+            or not MIN_EXCHANGED_POINTS <= count <= MAX_EXCHANGED_POINTS):
         return None
     points = control.scaled.points
     ground = points.ground[:, :2]
@@ -286,8 +286,10 @@ def judge_independent(observations: Observations, choice: Choice | None, auto: A
     suspects = None
     if observations.lattice is not None:
         return Verdict(), observations
-    by_geometry = None if choice is None else \
-        _contradicting_known_image(choice.chosen, points, observations.heights, auto)
+    if choice is None:
+        by_geometry = None
+    else:
+        by_geometry = _contradicting_known_image(choice.chosen, points, observations.heights, auto)
     if by_geometry is not None:
         suspects = by_geometry
     elif choice is not None:
@@ -361,9 +363,12 @@ def _sorted_outliers(features: FeatureSet, roles: dict[str, Role],
         if not is_outlier[i]:
             continue
         name = features.ids[i]
-        certainty: Literal["certain", "probable", "possible"] = \
-            "possible" if suspects.undecided[i] else \
-            "probable" if suspects.probable[i] else "certain"
+        if suspects.undecided[i]:
+            certainty: Literal["certain", "probable", "possible"] = "possible"
+        elif suspects.probable[i]:
+            certainty = "probable"
+        else:
+            certainty = "certain"
         outliers.append(Outlier(name, "line" if name in lines else "point", roles[name],
                                 float(suspects.errors[i]), certainty, excluded=False))
     return tuple(outliers)

@@ -15,8 +15,8 @@ from termsel.formats.base import error_in_file, parse_json, read_head, read_text
 from termsel.simulate.pushbroom import Pushbroom
 
 GEOMETRY_SCHEMA = "termsel-pushbroom-1"
-_EXPECTED = f"Expected JSON with the schema {GEOMETRY_SCHEMA}, from " \
-    "termsel.simulate.write_geometry."
+_EXPECTED = (f"Expected JSON with the schema {GEOMETRY_SCHEMA}, from "
+             "termsel.simulate.write_geometry.")
 _TYPES = {**get_type_hints(Pushbroom), "offset": tuple[float, float, float]}
 
 

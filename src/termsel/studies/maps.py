@@ -99,8 +99,10 @@ def plan_maps(folder: Path, pictures: Path, out: Path, *, with_doubtful: bool, o
         planned = ImageMap(str(labels["data"]), str(row["verdict"]), folder / IMAGES / names[key],
                            out / f"{names[key]}.tif",
                            why=str(row["why"]) if row["verdict"] == DOUBTFUL else "")
-        planned = _image_without_map(planned, row) if row["verdict"] not in verdicts else \
-            _with_picture(planned, pictures, pictures_of, overwrite)
+        if row["verdict"] in verdicts:
+            planned = _with_picture(planned, pictures, pictures_of, overwrite)
+        else:
+            planned = _image_without_map(planned, row)
         maps.append(_with_earlier_map(planned))
     return maps
 
@@ -140,8 +142,10 @@ def _with_picture(planned: ImageMap, folder: Path, pictures_of: Mapping[str, Seq
         return replace(planned, state=KEPT, why="it was there; --overwrite makes it again")
     files = pictures_of[planned.image]
     if len(files) != 1:
-        why = f"{folder} has no image of the name {stem_of(planned.image)}" if not files else \
-            f"{folder} has several of this name: {', '.join(file.name for file in files)}"
+        if files:
+            why = f"{folder} has several of this name: {', '.join(file.name for file in files)}"
+        else:
+            why = f"{folder} has no image of the name {stem_of(planned.image)}"
         return replace(planned, state=FAILED, why=why)
     # Two files of points of one name, in two folders, are of two images.
     owners = sorted(label for label, others in pictures_of.items() if files[0] in others)
@@ -244,8 +248,8 @@ def next_command(study: Study, folder: Path) -> str:
     if usable:
         first = usable[0]
         place = Path(str(first["data"]).partition("#")[0].partition(" + ")[0]).parent
-        has_picture = place.is_dir() \
-            and len(_pictures_of(str(first["data"]), _pictures_in(place))) == 1
+        has_picture = (place.is_dir()
+                       and len(_pictures_of(str(first["data"]), _pictures_in(place))) == 1)
         words = ["termsel", "rectify", quote(str(folder)),
                  quote(str(place)) if has_picture else "IMAGES", "--output",
                  quote(str(folder.with_name(f"{folder.name}-maps")))]

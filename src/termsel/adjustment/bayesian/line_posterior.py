@@ -122,8 +122,8 @@ class LinePosterior:
                 feature = group.feature[selected]
                 rows = group.rows[selected]
                 redundancy = group.redundancy if selected.all() else group.redundancy[..., selected]
-                held_out, share, other_squares, quadratic = \
-                    self._held_out_errors_and_weights(redundancy, rows)
+                held_out, share, other_squares, quadratic = (
+                    self._held_out_errors_and_weights(redundancy, rows))
                 if in_use:
                     freedom = self.freedom - rows.shape[1]
                     variance = other_squares / freedom

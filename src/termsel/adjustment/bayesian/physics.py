@@ -244,10 +244,12 @@ class CameraSolutions:
         noise_share = normalise_probabilities(
             -0.5 * (np.log(NOISE_GRID / NOISE_MEDIAN) / NOISE_LOG_DEVIATION) ** 2)[0]
         squares = (self._precision @ self._along[..., None] ** 2)[..., 0]
-        self._logs = np.log(noise_share) - 0.5 * (
-            len(columns) * np.log(2 * np.pi) - np.log(self._precision).sum(axis=2) + squares) \
-            - np.log(np.abs(np.diag(equations.lead))).sum() + np.log(priors.share)[:, None]
-        # Minus half of n log 2 pi + log det + v' S^-1 v, with the priors of noise and of the views.
+        # log p = -(n log 2 pi + log det S + v' S^-1 v) / 2, less the determinant of the lead, with
+        # the priors of the noise and of the views.
+        deviance = len(columns) * np.log(2 * np.pi) - np.log(self._precision).sum(axis=2) + squares
+        log_lead = np.log(np.abs(np.diag(equations.lead))).sum()
+        self._logs = (np.log(noise_share) - 0.5 * deviance - log_lead
+                      + np.log(priors.share)[:, None])
         # Of each prior: the logarithm of its marginal likelihood, and how likely each noise is.
         self.share, self.log_evidence = normalise_probabilities(self._logs.T)
         self.share = self.share.T                                                       # (p, a)
@@ -285,8 +287,8 @@ class CameraSolutions:
         determinant = of_line * of_sample - of_both**2
         errors = np.stack([of_sample * right_line - of_both * right_sample,
                            of_line * right_sample - of_both * right_line]) / determinant
-        logs = self._logs[..., None] + np.log(2 * np.pi) - 0.5 * np.log(determinant) \
-            + 0.5 * (errors[0] * right_line + errors[1] * right_sample)
+        logs = (self._logs[..., None] + np.log(2 * np.pi) - 0.5 * np.log(determinant)
+                + 0.5 * (errors[0] * right_line + errors[1] * right_sample))
         share, log_each = normalise_probabilities(logs.swapaxes(0, 1))
         mean = np.einsum("apn,xpan->pnx", share, errors)
         return log_each, mean / self._equations.weights
@@ -336,8 +338,8 @@ class CameraSolutions:
             free = rest - q @ equations.free_projections                               # (m, c)
             by_views = free @ priors.covariances                                     # (v, m, c)
             for prior, share in enumerate(self.share):
-                spanned = priors.width[prior] ** 2 * by_views[priors.view[prior]] \
-                    + priors.size[prior] ** 2 * priors.departure**2 * free
+                spanned = (priors.width[prior] ** 2 * by_views[priors.view[prior]]
+                           + priors.size[prior] ** 2 * priors.departure**2 * free)
                 along = spanned @ equations.shrunken.T @ self._u[prior]                # (m, r)
                 precision = self._precision[prior].T                                   # (r, a)
                 means = along @ (precision * self._along[prior, :, None])              # (m, a)

@@ -464,9 +464,11 @@ def solve_posteriors(free_columns: FloatArray, shrunken: FloatArray, image: Floa
         weights_differ = bool((weights[:, 0] != weights[:, 1]).any())
         weights_of_axes = list(weights.T if weights_differ else weights.T[:1])
     for axis_weights in weights_of_axes:
-        of_axis = designs_of(free_columns, shrunken, scales, n_own) if axis_weights is None \
-            else designs_of(free_columns * axis_weights[:, None],
-                            shrunken * axis_weights[:, None], scales, n_own)
+        if axis_weights is None:
+            of_axis = designs_of(free_columns, shrunken, scales, n_own)
+        else:
+            of_axis = designs_of(free_columns * axis_weights[:, None],
+                                 shrunken * axis_weights[:, None], scales, n_own)
         if of_axis is None:
             return None
         designs.append(of_axis)

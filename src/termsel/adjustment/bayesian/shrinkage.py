@@ -151,8 +151,8 @@ def designs_of(free_columns: FloatArray, shrunken: FloatArray, scales: FloatArra
             q, r = orthogonal_factors(np.concatenate([free_columns, columns], axis=1))
             factors.append((q, r[:f, :f], r[:, f:]))
     q, triangle, _ = factors[0]
-    if (np.abs(np.diag(triangle)) <= TOLERANCE * np.linalg.norm(free_columns, axis=0)).any() \
-            or (1.0 - (q[:, :f]**2).sum(axis=1)).min() < TOLERANCE:
+    if ((np.abs(np.diag(triangle)) <= TOLERANCE * np.linalg.norm(free_columns, axis=0)).any()
+            or (1.0 - (q[:, :f]**2).sum(axis=1)).min() < TOLERANCE):
         return None
     in_basis = np.array([projections[f:] for *_, projections in factors])
     # Left singular vectors U and singular values S of the shared columns C: C C' = U S^2 U'.
@@ -257,8 +257,9 @@ class SharedShrinkage:
         correction = self._directions.T @ self._correction                            # (f, n, u)
         correction *= correction
         redundancies = shared_part - correction.sum(axis=0)
-        return None if (redundancies <= CANCELLATION * shared_part).any() else \
-            np.maximum(redundancies.T, MIN_REDUNDANCY, order="C")
+        if (redundancies <= CANCELLATION * shared_part).any():
+            return None
+        return np.asarray(np.maximum(redundancies.T, MIN_REDUNDANCY, order="C"))
 
     def solutions(self, target: FloatArray, solution_of_cell: IntArray) -> AxisSolutions:
         """Return the solutions for the measurements of one axis, `target` (n,).

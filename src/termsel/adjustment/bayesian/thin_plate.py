@@ -207,8 +207,8 @@ def _eigenvectors_of_splines(lead: FloatArray, positions: FloatArray, weights: F
     if n < f + 2:
         return None
     q = np.linalg.qr(lead)[0]
-    if np.linalg.matrix_rank(lead, TOLERANCE) < f or \
-            (1.0 - (q**2).sum(axis=1)).min() < TOLERANCE:
+    if (np.linalg.matrix_rank(lead, TOLERANCE) < f
+            or (1.0 - (q**2).sum(axis=1)).min() < TOLERANCE):
         return None
     if field_columns.root is None:
         return _basis_of_all(lead, q, field_columns(positions) * np.outer(weights, weights))

@@ -301,8 +301,8 @@ class RunOptions:
 
         options = dict(self.options)
         # Areas of a problem that takes points alone are used as their centroids.
-        if self.areas is not None and self.problem is not None \
-                and registry().get("problems", self.problem).control == "points":
+        if (self.areas is not None and self.problem is not None
+                and registry().get("problems", self.problem).control == "points"):
             options.setdefault("areas_as", "centroid")
         if not self.files:
             return None, options
@@ -382,8 +382,8 @@ def with_files(files: Sequence[Path], arguments: Mapping[str, Any]) -> dict[str,
         options[kind] = path
     # Of an image alone, the control points are those that it holds.
     names = ("points", "lines", "areas", "dataset", "problem")
-    if options["image"] is not None and not any(options[name] for name in names) \
-            and arguments["image"] is None:
+    if (options["image"] is not None and not any(options[name] for name in names)
+            and arguments["image"] is None):
         options["points"] = options["image"]
     return options
 
@@ -418,8 +418,8 @@ def _two_of_one_kind_error(kind: str, first: Path, second: Path) -> TermselError
                                      f"--off ID,{path}. Otherwise check the name and the folder.")
     hint = "Name each file: --points FILE, --lines FILE, --image FILE, --rpc FILE, --dem FILE."
     if kind == "points":
-        hint = "Points of one image: join them in one table. Points of two images: termsel " \
-               f"compare --points {shlex.quote(str(first))} {shlex.quote(str(second))} --out DIR."
+        hint = ("Points of one image: join them in one table. Points of two images: termsel "
+                f"compare --points {shlex.quote(str(first))} {shlex.quote(str(second))} --out DIR.")
     return TermselError(f"{first} and {second} are both {kind}, and a run takes one file of "
                         f"{kind}" if kind in ("points", "lines") else
                         f"{first} and {second} are both taken for the {kind}", hint=hint)

@@ -91,8 +91,10 @@ def make_folder(folder: Path, hint: str = "Choose another --out.") -> None:
         reason = f"this folder cannot be made: {error.strerror or error}"
         for parent in (folder, *folder.absolute().parents):
             if parent.is_file():
-                reason = "this is a file, expected a folder" if parent == folder else \
-                    f"this folder cannot be made, as {parent} is a file"
+                if parent == folder:
+                    reason = "this is a file, expected a folder"
+                else:
+                    reason = f"this folder cannot be made, as {parent} is a file"
                 break
         raise TermselError(reason, file=folder, hint=hint) from error
 

@@ -191,8 +191,8 @@ def refused_format_error(path: object, head: bytes, of: object = None) -> Termse
     elif is_text(head) or head.lstrip().startswith(b"{"):
         reason = "this is a file of text, not a raster"
         code = "text"
-        hint = "Give a raster, such as a GeoTIFF. A table of points is given by --points FILE, " \
-               "an RPC by --rpc FILE."
+        hint = ("Give a raster, such as a GeoTIFF. A table of points is given by --points FILE, "
+                "an RPC by --rpc FILE.")
     else:
         reason = "this is no raster of a format that termsel opens"
         hint = f"If a GIS shows it, convert it: {hint[len('Convert it: '):]}"
@@ -240,8 +240,8 @@ class _Chain:
         # GDAL tries a relative name next to the file that has it first, then in the current
         # folder; each that exists may be the one it opens.
         candidates = [name]
-        if folder and not os.path.isabs(name) and not _CONTAINERS.match(name) \
-                and name[:1] not in "<{":
+        if (folder and not os.path.isabs(name) and not _CONTAINERS.match(name)
+                and name[:1] not in "<{"):
             candidates = [os.path.join(folder, name), name]
             existing = [path for path in candidates
                         if _is_in_archive(path) or os.path.lexists(path)]
@@ -411,8 +411,8 @@ class _Chain:
         beginnings = _neighbour_beginnings(raster)
         for other_member in map(PurePosixPath, members):
             lower_name = other_member.name.casefold()
-            if other_member == raster or other_member.parent != raster.parent \
-                    or not lower_name.startswith(beginnings):
+            if (other_member == raster or other_member.parent != raster.parent
+                    or not lower_name.startswith(beginnings)):
                 continue
             if lower_name.endswith((".ovr", ".msk", ".aux", ".rrd")):
                 self.require(f"{prefix}/{other_member}", str(other_member), depth + 1)
@@ -467,8 +467,8 @@ class _Chain:
                 raise self.error("a virtual raster of raw bytes (VRTRawRasterBand) is not opened",
                                  "Convert it: gdal_translate FILE map.tif.")
             language = (element.text or "").strip()
-            if element.tag.rpartition("}")[2].casefold() == "pixelfunctionlanguage" \
-                    and language.casefold() == "python":
+            if (element.tag.rpartition("}")[2].casefold() == "pixelfunctionlanguage"
+                    and language.casefold() == "python"):
                 raise self.error("a virtual raster with code in Python is not opened",
                                  "Convert it: gdal_translate FILE map.tif.")
 
@@ -545,8 +545,8 @@ def _is_virtual(head: bytes) -> bool:
 
 def _is_known(path: Path, head: bytes) -> bool:
     """Return whether a file is of a format of `RASTER_DRIVERS`, other than a virtual raster."""
-    if head.startswith(tuple(magic for magic, _ in _MAGIC)) or _ASCII_GRID.match(head) \
-            or (head[:4] == b"RIFF" and head[8:12] == b"WEBP"):
+    if (head.startswith(tuple(magic for magic, _ in _MAGIC)) or _ASCII_GRID.match(head)
+            or (head[:4] == b"RIFF" and head[8:12] == b"WEBP")):
         return True
     if any(head[start:start + 4] == b"UHL1" for start in (0, 80, 160)):  # DTED
         return True
@@ -554,8 +554,8 @@ def _is_known(path: Path, head: bytes) -> bool:
         return True
     # Raw pixels are known by the header next to them.
     headers = (path.with_suffix(".hdr"), Path(f"{path}.hdr"), path.with_suffix(".HDR"))
-    return head.lstrip()[:1] not in (b"<", b"{") and any(map(os.path.isfile, headers)) \
-        and not os.path.islink(path)
+    return (head.lstrip()[:1] not in (b"<", b"{") and any(map(os.path.isfile, headers))
+            and not os.path.islink(path))
 
 
 @cache  # many files are sought in one folder

@@ -215,8 +215,8 @@ def attribute_errors_to(definition: Any, method: str, hint: str = HINT,
     # A plugin may raise anything at all, even leave the program.
     except BaseException as error:
         # Memory that is too small is no fault of the plugin.
-        if isinstance(error, KeyboardInterrupt | MemoryError) or is_own(type(error)) \
-                or is_marked(error):
+        if (isinstance(error, KeyboardInterrupt | MemoryError) or is_own(type(error))
+                or is_marked(error)):
             raise
         raise fault_of_error(error, f"{name or name_of(definition)} failed in {method}()", package,
                              hint) from error

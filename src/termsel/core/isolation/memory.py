@@ -35,8 +35,8 @@ def out_of_memory(error: MemoryError) -> TermselError:
         problem += f" for an array of {lengths}: {_bytes_in_words(required)}"
     if free is not None:
         problem += f"; {_bytes_in_words(free)} are free"
-    hint = "Give fewer points, a smaller part of the image or a simpler model, or run it on a " \
-           "machine, or with a limit (ulimit -v, or that of the batch system), of more memory."
+    hint = ("Give fewer points, a smaller part of the image or a simpler model, or run it on a "
+            "machine, or with a limit (ulimit -v, or that of the batch system), of more memory.")
     if free is not None and shape and required > free > 0:
         longest = max(shape)
         times = shape.count(longest)  # as of a matrix of all pairs of points

@@ -84,8 +84,8 @@ LEFT_OUT = f"is installed, but left out by the variable {PLUGINS_VARIABLE}"
 def is_left_out(package: str) -> bool:
     """Return whether a package is installed, but left out by a variable of the environment."""
     chosen = chosen_packages()
-    return bool(package) and chosen is not None and canonical_name(package) not in chosen \
-        and _is_installed(package)
+    return (bool(package) and chosen is not None and canonical_name(package) not in chosen
+            and _is_installed(package))
 
 
 def chosen_packages() -> set[str] | None:
@@ -116,8 +116,8 @@ def package_of_option(name: str) -> str:
     if _is_installed(package):
         return (f"It is an option of the package {package}, of which this run uses no part that "
                 "takes it. Choose one with --model or --method, or leave it out.")
-    return \
-        f"It is an option of the package {package}, which is not installed. {install_hint(package)}"
+    return (f"It is an option of the package {package}, which is not installed. "
+            f"{install_hint(package)}")
 
 
 SET = "--set"

@@ -173,10 +173,11 @@ def _question_on_meaning(text: str) -> str:
         return f"Did you mean EPSG:{text}? "
     zone = _UTM_WITHOUT_SIDE.fullmatch(text)
     if zone and 1 <= int(zone[1]) <= 60:
-        return f"Did you mean EPSG:326{int(zone[1]):02d} (north) or EPSG:327{int(zone[1]):02d} " \
-            "(south of the equator)? "
-    return "Did you mean EPSG:4326 (WGS84 longitude and latitude)? " if _DEGREES.search(text) \
-        else ""
+        return (f"Did you mean EPSG:326{int(zone[1]):02d} (north) or EPSG:327{int(zone[1]):02d} "
+                "(south of the equator)? ")
+    if _DEGREES.search(text):
+        return "Did you mean EPSG:4326 (WGS84 longitude and latitude)? "
+    return ""
 
 
 @lru_cache  # PROJ takes milliseconds, and each step of a run asks
@@ -209,8 +210,8 @@ def _crs_of_proj_string(text: str) -> str:
         if words.get("proj") in ("longlat", "latlong"):
             return "EPSG:4326"
         zone = words.get("zone", "")
-        if words.get("proj") == "utm" and zone.isdecimal() and 1 <= int(zone) <= 60 \
-                and words.get("units", "m") == "m":
+        if (words.get("proj") == "utm" and zone.isdecimal() and 1 <= int(zone) <= 60
+                and words.get("units", "m") == "m"):
             return f"EPSG:32{7 if 'south' in words else 6}{int(zone):02d}"
     if "proj" not in words or _NO_CRS.search(text):
         return ""
@@ -358,8 +359,9 @@ def metres_per_unit(crs: str) -> float | None:
     if UTM.fullmatch(crs):
         return 1.0
     parsed = None if crs == LOCAL or crs in WGS84 else _with_pyproj(crs)
-    return float(parsed.axis_info[0].unit_conversion_factor) \
-        if parsed is not None and parsed.is_projected else None
+    if parsed is not None and parsed.is_projected:
+        return float(parsed.axis_info[0].unit_conversion_factor)
+    return None
 
 
 def metres_per_height(crs: str) -> float:
@@ -371,8 +373,12 @@ def metres_per_height(crs: str) -> float:
 def height_axis_unit(crs: str) -> float | None:
     """Return the unit of the vertical axis of a CRS [m]; None if it has none."""
     crs = normalise(crs)
-    parsed = None if crs in (LOCAL, "", "EPSG:4326") or UTM.fullmatch(crs) else \
-        1.0 if crs == "EPSG:4979" else _with_pyproj(crs)
+    if crs in (LOCAL, "", "EPSG:4326") or UTM.fullmatch(crs):
+        parsed = None
+    elif crs == "EPSG:4979":
+        parsed = 1.0
+    else:
+        parsed = _with_pyproj(crs)
     if parsed is None or isinstance(parsed, float):
         return parsed
     return float(parsed.axis_info[2].unit_conversion_factor) if len(parsed.axis_info) > 2 else None
@@ -621,8 +627,9 @@ def horizontal_crs(crs: str) -> str:
 
 def with_stated_heights(crs: str, stated: str) -> str:
     """Return another CRS if it is this one with heights, else this one: in feet, for example."""
-    return normalise(stated) if height_axis_unit(crs) is None \
-        and horizontal_crs(stated) == horizontal_crs(crs) else normalise(crs)
+    if height_axis_unit(crs) is None and horizontal_crs(stated) == horizontal_crs(crs):
+        return normalise(stated)
+    return normalise(crs)
 
 
 @lru_cache  # an error is not kept with what raised it

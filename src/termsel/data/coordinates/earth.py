@@ -80,8 +80,10 @@ def note_on_turned(features: FeatureSet) -> str:
         location = place_of(features)
         are_ground = exchanging == "swapped=xy"
         other = "line and sample" if are_ground else "x and y"
-        condition = f"If {location} is {'' if are_ground else 'not '}the place" if location \
-            else "Or else"
+        if location:
+            condition = f"If {location} is {'' if are_ground else 'not '}the place"
+        else:
+            condition = "Or else"
         return (f"{doubt}. --set {exchanging} exchanges them. {condition}, {other} are swapped: "
                 f"--set {exchanging_others}.")
     # Computed points, and what names its sensor, say how the image was seen.
@@ -91,8 +93,10 @@ def note_on_turned(features: FeatureSet) -> str:
     if turn is not None and np.linalg.det(turn) < 0:
         is_upwards = turn[0, 0] > turn[1, 1]
         if has_compass_axes(features.crs, features.ground_vertices()):
-            direction = "line numbers grow to the north" if is_upwards else \
-                "sample numbers grow to the west"
+            if is_upwards:
+                direction = "line numbers grow to the north"
+            else:
+                direction = "sample numbers grow to the west"
         else:
             direction = "line numbers grow with y" if is_upwards else "sample numbers fall with x"
         upwards = (" If lines count from the lower edge of the image, give --set "
@@ -127,13 +131,15 @@ def unknown_crs_error(features: FeatureSet, may_turn: bool) -> TermselError:
     crs = "EPSG:4979" if has_heights else "EPSG:4326"
     # A map of some degrees was drawn in a projection, which degrees do not follow.
     extent = float(np.ptp(plane, axis=0).max())
-    projection = "" if has_heights or extent < _OF_A_COUNTRY else \
-        "; on a map, --crs auto finds its projection"
+    if has_heights or extent < _OF_A_COUNTRY:
+        projection = ""
+    else:
+        projection = "; on a map, --crs auto finds its projection"
     # Degrees of one scene are close to each other; near 0, 0 rather metres of an own plane.
     if extent > _WIDE or np.hypot(*plane.mean(axis=0)) < _WIDE:
         if extent > _OF_A_COUNTRY and not has_heights:
-            error.hint = f"{error.hint} If they are longitudes and latitudes: --crs {crs}" \
-                f"{projection}."
+            error.hint = (f"{error.hint} If they are longitudes and latitudes: --crs {crs}"
+                          f"{projection}.")
         return error
     error.options["--crs"] = crs
     error.hint = f"{error.hint} They look like degrees: --crs {crs}{projection}."
@@ -164,8 +170,8 @@ def find_swapped_axes(features: FeatureSet) -> str:
         as_they_stand = degrees_of(features.crs, ground)
         exchanged = degrees_of(features.crs, ground[:, [1, 0, 2]])
     # Scenes may reach beyond the area, so one that is near it is not outside.
-    if area is not None and exchanged is not None and is_inside(exchanged, area, 0.0) \
-            and (as_they_stand is None or not is_inside(as_they_stand, area, AREA_MARGIN)):
+    if (area is not None and exchanged is not None and is_inside(exchanged, area, 0.0)
+            and (as_they_stand is None or not is_inside(as_they_stand, area, AREA_MARGIN))):
         return (f"x and y look swapped: exchanged, they lie in the area of "
                 f"{short_crs_name(features.crs)}, and not as they stand")
     # A mirror image of the ground about a diagonal: exchanging makes it the view from above.
@@ -258,8 +264,8 @@ def zone_of_utm_instead(crs: str, features: FeatureSet) -> str:
     """
     area = area_of_use(crs)
     middle = degrees_of(features.crs, features.ground_vertices())
-    if area is None or middle is None or is_inside(middle, area, AREA_MARGIN) \
-            or not -80 <= middle[1] <= 84:
+    if (area is None or middle is None or is_inside(middle, area, AREA_MARGIN)
+            or not -80 <= middle[1] <= 84):
         return ""
     west, south, east, north = area
     return (f"{short_crs_name(crs)} is for the area from {position_in_words((west, south))} to "
@@ -274,8 +280,8 @@ def is_inside(position: tuple[float, float], area: tuple[float, float, float, fl
     west, south, east, north = area
     # Areas may lie across the 180 degree meridian, with west larger than east.
     wide = (east - west) % 360 or 360.0
-    return south - margin <= lat <= north + margin \
-        and ((lon - west + margin) % 360 <= wide + 2 * margin or wide + 2 * margin >= 360)
+    return (south - margin <= lat <= north + margin
+            and ((lon - west + margin) % 360 <= wide + 2 * margin or wide + 2 * margin >= 360))
 
 
 def degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
@@ -292,11 +298,15 @@ def degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
             # Medians, as one wild coordinate must not move the scene.
             middle = median_of(np.nan_to_num(ground).T)[None]
             geodetic = geodetic_of(crs)
-            turn = transformation_between(crs, geodetic) if is_geocentric(crs) else \
-                transformation_between(horizontal_crs(crs), horizontal_crs(geodetic), strict=False)
+            if is_geocentric(crs):
+                turn = transformation_between(crs, geodetic)
+            else:
+                turn = transformation_between(horizontal_crs(crs), horizontal_crs(geodetic),
+                                              strict=False)
             lon, lat = turn(middle)[0, :2].tolist()
     except TermselError:  # without a CRS or without pyproj nothing shows
         return None
-    return ((lon + 180.0) % 360.0 - 180.0, lat) if np.isfinite([lon, lat]).all() \
-        and abs(lat) <= 90 else None
+    if np.isfinite([lon, lat]).all() and abs(lat) <= 90:
+        return ((lon + 180.0) % 360.0 - 180.0, lat)
+    return None
 

@@ -84,8 +84,8 @@ def turn_of(crs: str) -> float:
     degree = float(np.median(np.diff(rows[0])))
     # Proportional to longitude at each latitude, but for the one jump.
     near = np.abs(np.diff(rows) - degree) < 1e-6 * abs(degree)
-    is_cylindrical = degree > 0 and (near.sum(axis=1) >= len(lon) - 2).all() \
-        and np.abs(rows[1] - rows[0]).max() < 1e-6 * degree
+    is_cylindrical = (degree > 0 and (near.sum(axis=1) >= len(lon) - 2).all()
+                      and np.abs(rows[1] - rows[0]).max() < 1e-6 * degree)
     return TURN * degree if is_cylindrical else 0.0
 
 

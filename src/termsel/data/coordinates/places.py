@@ -181,8 +181,8 @@ def lattice_of(points: Points) -> Lattice | None:
     column = _ranks_of_values(points.image[:, 1])
     lines = int(line.max()) + 1
     columns = int(column.max()) + 1
-    if min(lines, columns) < MIN_LATTICE_LINES or len(points) < FILLED * lines * columns \
-            or len(np.unique(line * columns + column)) < len(points):
+    if (min(lines, columns) < MIN_LATTICE_LINES or len(points) < FILLED * lines * columns
+            or len(np.unique(line * columns + column)) < len(points)):
         return None
     lattice = Lattice(line, column)
     noise = _noise_along_lines(points, lattice)

@@ -118,8 +118,10 @@ def _hint_of_heights(metres: FloatArray, beyond: IntArray, column: str) -> str:
     if len(beyond) <= _FEW_OUTSIDE * len(known):
         others = np.delete(metres, beyond)
         low, high = np.nanmin(others), np.nanmax(others)
-        which = "it, or remove its row" if len(beyond) == 1 else \
-            f"these {len(beyond)}, or remove their rows"
+        if len(beyond) == 1:
+            which = "it, or remove its row"
+        else:
+            which = f"these {len(beyond)}, or remove their rows"
         return (f"The other {len(known) - len(beyond)} are between {low:,.0f} and {high:,.0f} m: "
                 f"correct {which}.")
     another = f"another column has the heights: --columns {column}=NAME."
@@ -133,8 +135,8 @@ def _hint_of_heights(metres: FloatArray, beyond: IntArray, column: str) -> str:
 
 def _note_on_depths(features: FeatureSet) -> str:
     """Return a note on heights that are below any land; "" if none are."""
-    if not features.crs or kind_of(normalise(features.crs)) not in ("geographic", "projected") \
-            or body_of(features.crs) != EARTH:
+    if (not features.crs or kind_of(normalise(features.crs)) not in ("geographic", "projected")
+            or body_of(features.crs) != EARTH):
         return ""
     heights = features.ground_vertices()[:, 2] * _unit_of_heights(features, None)
     low = np.flatnonzero(heights < _LOWEST_LAND)
@@ -159,8 +161,10 @@ def _check_distance(ground: FloatArray, features: FeatureSet, crs: str) -> None:
     first = int(np.argmax(is_far))
     name, column = _name_vertex(features, first, 0)
     look_like_degrees = bool((np.abs(ground[:, :2]) <= (360, 90)).all())
-    hint = "These look like longitude, latitude and height: state --crs EPSG:4979." \
-        if look_like_degrees else "x, y and z must be metres from the centre."
+    if look_like_degrees:
+        hint = "These look like longitude, latitude and height: state --crs EPSG:4979."
+    else:
+        hint = "x, y and z must be metres from the centre."
     raise TermselError(
         f"{_feature_in_words(ground, name, first)}, z = {ground[first, 2]:.10g} is "
         f"{distance[first]:.5g} m "
@@ -369,8 +373,11 @@ def note_on_mixed(features: FeatureSet) -> str:
         return depths
     if len(points) < MIN_AFFINE_POINTS or not features.crs:
         return ""
-    in_plan = _note_on_minutes(features) if is_in_degrees(features.crs) else \
-        _note_on_kilometres(features) or _two_zones_note(features) or _note_on_area(features)
+    if is_in_degrees(features.crs):
+        in_plan = _note_on_minutes(features)
+    else:
+        in_plan = (_note_on_kilometres(features) or _two_zones_note(features)
+                   or _note_on_area(features))
     return in_plan or _note_on_heights_in_kilometres(features)
 
 
@@ -562,8 +569,10 @@ def _note_on_minutes(features: FeatureSet) -> str:
     first = ground[0, 0]
     value = decimals[0, 0] * 100
     typed = f"{degrees[0, 0]:.0f}\N{DEGREE SIGN}"
-    typed += f"{value:.6g}'" if name == "degrees and minutes" else \
-        f"{minutes[0, 0]:.0f}'{seconds[0, 0]:.6g}\""
+    if name == "degrees and minutes":
+        typed += f"{value:.6g}'"
+    else:  # with seconds
+        typed += f"{minutes[0, 0]:.0f}'{seconds[0, 0]:.6g}\""
     return (f"Coordinates look like {name} typed as decimals: {first:.10g} for {typed}. Write "
             "decimal degrees, or degrees and minutes with their signs.")
 

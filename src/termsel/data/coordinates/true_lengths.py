@@ -42,8 +42,10 @@ def note_on_scale(features: FeatureSet) -> None:
         return
     along_x, along_y = scales
     # On the ellipsoid both differ a little in Web Mercator, which is of a sphere.
-    words = f"{along_x:.3g} times" if abs(along_x / along_y - 1.0) < TRUE_SCALE else \
-        f"{along_x:.3g} times along x and {along_y:.3g} times along y"
+    if abs(along_x / along_y - 1.0) < TRUE_SCALE:
+        words = f"{along_x:.3g} times"
+    else:
+        words = f"{along_x:.3g} times along x and {along_y:.3g} times along y"
     log.info("Note: %s shows lengths here %s as long as they are on the ground. Accuracies in "
              "metres are those on the ground; coordinates and pixels of maps are not.",
              short_crs_name(features.crs), words)

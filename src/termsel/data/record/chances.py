@@ -107,8 +107,9 @@ def t_beyond(t: float, freedom: float) -> float:
     # P(|T| > t) = I_x(freedom / 2, 1 / 2) (26.5.27); the fraction converges fast for x below (a +
     # 1) / (a + b + 2), else the complement is computed.
     x = freedom / (freedom + t * t)
-    return _incomplete_beta(x, 1 - x, freedom / 2, 0.5) if x < (freedom + 2) / (freedom + 5) \
-        else 1 - _incomplete_beta(1 - x, x, 0.5, freedom / 2)
+    if x < (freedom + 2) / (freedom + 5):
+        return _incomplete_beta(x, 1 - x, freedom / 2, 0.5)
+    return 1 - _incomplete_beta(1 - x, x, 0.5, freedom / 2)
 
 
 def _incomplete_beta(x: float, complement: float, a: float, b: float) -> float:

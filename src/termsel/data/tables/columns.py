@@ -380,8 +380,8 @@ def _parse_degrees(row: int, text: str, angle: str) -> float | None:
     numbers = [number.replace(COMMA, POINT) for number in numbers if number]
     hemisphere = (before or after).upper()
     values = [abs(float(number)) for number in numbers]
-    if (before and after) or any(POINT in number for number in numbers[:-1]) or values[0] > 360 \
-            or not (hemisphere or len(numbers) == 3 or _MARKS.search(text)):
+    if ((before and after) or any(POINT in number for number in numbers[:-1]) or values[0] > 360
+            or not (hemisphere or len(numbers) == 3 or _MARKS.search(text))):
         return None
     if any(value >= 60 for value in values[1:]):
         raise BadCell(row, f"{text!r} has 60 or more minutes or seconds", "Correct the angle.")

@@ -145,8 +145,10 @@ def places_in_words(ids: Sequence[str], groups: Sequence[Sequence[int]]) -> str:
         surplus = [f"{len(rows) - _MAX_IN_PLACE} more"] if len(rows) > _MAX_IN_PLACE else []
         *first, last = [*listed, *surplus]
         named.append(f"{', '.join(first)} and {last}")
-    unnamed = f"; and those of {len(groups) - _MAX_NAMED} more positions" \
-        if len(groups) > _MAX_NAMED else ""
+    if len(groups) > _MAX_NAMED:
+        unnamed = f"; and those of {len(groups) - _MAX_NAMED} more positions"
+    else:
+        unnamed = ""
     each_group = " each" if len(groups) > 1 else ""
     return f"points {'; '.join(named)}{unnamed}{each_group} have the same ground coordinates"
 
@@ -232,8 +234,10 @@ def as_attributes(attributes: Mapping[str, Iterable[Any]], n: int, *reserved: st
         if name.casefold() in map(str.casefold, columns):
             raise TermselError(f"two columns of attributes have the name {name!r}",
                                hint="Upper and lower case count as the same.")
-        rows = [] if isinstance(values, str) or not isinstance(values, Iterable) \
-            else list(map(_cell_text, values))
+        if isinstance(values, str) or not isinstance(values, Iterable):
+            rows = []
+        else:
+            rows = list(map(_cell_text, values))
         if len(rows) != n:
             raise TermselError(f"the attributes {name!r} have {len(rows)} values for {n} rows",
                                hint="Give a list with a value for each.")

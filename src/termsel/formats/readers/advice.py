@@ -163,8 +163,8 @@ def _shows_ground(numbers: Mapping[int, FloatArray], reading: Mapping[str, int])
     if not all(reading.get(name) in numbers for name in _REQUIRED):
         return False
     heights = numbers.get(reading.get("z", -1), np.zeros(1))
-    return _is_ground(numbers, (reading["x"], reading["y"])) \
-        and bool(np.nanmax(np.abs(heights)) <= _HIGHEST)
+    return (_is_ground(numbers, (reading["x"], reading["y"]))
+            and bool(np.nanmax(np.abs(heights)) <= _HIGHEST))
 
 
 def _counts_upwards(lines: FloatArray) -> bool:
@@ -244,8 +244,8 @@ def _with_readings(error: TermselError, header: Sequence[str], rows: Sequence[Se
     free = len(header) - len(set(readings[0].values()) | set(fixed))
     if texts[0].count("=?") > free:  # no column is left to be declared
         if texts[0].count("=?") == 2 and "line=?,sample=?" in texts[0]:
-            error.what = "this table has ground coordinates alone: columns for line and sample " \
-                "are missing"
+            error.what = ("this table has ground coordinates alone: columns for line and sample "
+                          "are missing")
             error.code = "ground-alone"
             error.column = None
             error.hint = f"Add the image coordinates of each point. {_where_measured(header)}"
@@ -266,8 +266,9 @@ def _with_readings(error: TermselError, header: Sequence[str], rows: Sequence[Se
 def _where_measured(header: Sequence[str]) -> str:
     """Return where the places in the image are found that a table lacks."""
     # Metashape alone heads its table X/Longitude or X/Easting.
-    return _OF_METASHAPE if any(name.strip().lower().startswith("x/") for name in header) \
-        else TO_MEASURE
+    if any(name.strip().lower().startswith("x/") for name in header):
+        return _OF_METASHAPE
+    return TO_MEASURE
 
 
 def _guess(error: TermselError, before: str, guesses: list[str], first_points: list[str]) -> None:
@@ -289,8 +290,8 @@ def _columns_option(columns: Mapping[str, int], header: Sequence[str], aliases: 
         i = columns.get(meaning)
         if i is not None and i not in fixed:
             # A number where a name would be ambiguous, or end the list.
-            is_unambiguous = folded_names.count(folded_names[i]) == 1 and names[i] \
-                and "," not in names[i] and not names[i].isdecimal()
+            is_unambiguous = (folded_names.count(folded_names[i]) == 1 and names[i]
+                              and "," not in names[i] and not names[i].isdecimal())
             pairs.append(f"{meaning}={names[i] if is_unambiguous else i + 1}")
         elif i is None and meaning in ("line", "sample", "x", "y"):
             pairs.append(f"{meaning}=?")
@@ -337,14 +338,19 @@ def unknown_table_error(path: Path, expected: str, columns: str) -> TermselError
                for meaning, columns in columns_by_meaning(header, POINTS).items() if columns}
     if bare and all(map(_is_mark_of_opendronemap, rows)):
         images = list(dict.fromkeys(row[5].strip() for row in rows))
-        chosen = f" Then choose one of its {len(images)} images, such as --set " \
-            f"image_name={images[0]}." if len(images) > 1 else ""
+        choosing = ""
+        if len(images) > 1:
+            choosing = (f" Then choose one of its {len(images)} images, such as --set "
+                        f"image_name={images[0]}.")
         return TermselError(
             "these look like the rows of OpenDroneMap's gcp_list.txt (x y z column row image), "
             "without the CRS of x and y that its first line has", file=path, line=1,
-            hint=f"Write the CRS as the first line, such as EPSG:32639.{chosen}")
-    message = "this table has no header that names its columns" if bare else \
-        f"the header names too few columns that are known: {', '.join(map(str.strip, header))}"
+            hint=f"Write the CRS as the first line, such as EPSG:32639.{choosing}")
+    if bare:
+        message = "this table has no header that names its columns"
+    else:
+        names_in_words = ", ".join(map(str.strip, header))
+        message = f"the header names too few columns that are known: {names_in_words}"
     unnamed = TermselError(message, file=path, hint=expected,
                            code="header-missing" if bare else "")
     # Some programs write the CRS into the first line, without a #.
@@ -358,8 +364,8 @@ def unknown_table_error(path: Path, expected: str, columns: str) -> TermselError
 def _is_mark_of_opendronemap(row: Sequence[str]) -> bool:
     """Return whether a row has five numbers and the name of an image file."""
     numbers = _number_columns([row])
-    return len(row) > 5 and numbers.keys() >= set(range(5)) \
-        and _IMAGE_FILE.fullmatch(row[5].strip()) is not None
+    return (len(row) > 5 and numbers.keys() >= set(range(5))
+            and _IMAGE_FILE.fullmatch(row[5].strip()) is not None)
 
 
 def _missing_pair_error(path: Path, header: Sequence[str], numeric: Sequence[int],
@@ -479,8 +485,8 @@ def _id_and_flags(rows: Sequence[Sequence[str]], numbers: Mapping[int, FloatArra
     texts = []
     for i, cells in enumerate(zip(*rows, strict=True)):
         # The same text twice is no id, nor is the name of an image.
-        if i not in numbers and i not in others and len(set(cells)) == len(cells) \
-                and not any(Path(cell).suffix.lower() in RASTERS for cell in cells):
+        if (i not in numbers and i not in others and len(set(cells)) == len(cells)
+                and not any(Path(cell).suffix.lower() in RASTERS for cell in cells)):
             texts.append(i)
     # Consecutive numbers in the first column are ids.
     first = next(iter(numbers), None)
@@ -570,8 +576,8 @@ def _readings_of_pairs(values: Mapping[int, FloatArray]) -> list[dict[str, int]]
         for axes, order in zip(mirrored, (names, names[::-1]), strict=True):
             reading = dict(zip(axes, ground, strict=False)) | dict(zip(order, image, strict=True))
             # No latitude exceeds 90 degrees.
-            if np.nanmax(np.abs(values[reading["y"]])) <= 90.0 \
-                    or not _are_degrees(values, ground[:2]):
+            if (np.nanmax(np.abs(values[reading["y"]])) <= 90.0
+                    or not _are_degrees(values, ground[:2])):
                 readings.append(reading)
     # Sample before line and x before y is how most programs write them.
     return sorted(readings, key=lambda reading: reading["x"] > reading["y"])

@@ -201,10 +201,10 @@ def _with_header(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
     header = lines[first - 1].lstrip("# ")
     for delimiter in _delimiters_of(header):
         cells = _split_lines(header, delimiter)
-        if count_meanings(cells, aliases, stated) >= _FEWEST_NAMES \
-                and len(_split_lines(lines[first], delimiter)) == len(cells) \
+        if (count_meanings(cells, aliases, stated) >= _FEWEST_NAMES
+                and len(_split_lines(lines[first], delimiter)) == len(cells)
                 and not any(_names_in(line, aliases, stated) >= _FEWEST_NAMES
-                            for line in _first_lines(text)):
+                            for line in _first_lines(text))):
             return text.replace(lines[first - 1], header, 1)
     return text
 
@@ -304,8 +304,10 @@ def _without_crs_line(cells: Cells) -> Cells:
 
     Lists of OpenDroneMap begin so, and tables made from them.
     """
-    text = cells.delimiter.join(cells.rows[0]) if cells.delimiter and cells.rows else \
-        " ".join(chain.from_iterable(cells.rows[:1]))
+    if cells.delimiter and cells.rows:
+        text = cells.delimiter.join(cells.rows[0])
+    else:
+        text = " ".join(chain.from_iterable(cells.rows[:1]))
     if not begins_as_crs(text):
         return cells
     try:
@@ -421,8 +423,8 @@ def without_header(cells: Cells, stated: Mapping[str, str]) -> Cells:
         return cells
     header = [str(i + 1) for i in range(len(first))]
     title = " ".join(chain.from_iterable(cells.rows[:titles]))
-    above = f"{count_in_words(titles, cells.row_name)} above the points left out as a " \
-            f"title: {title}"
+    above = (f"{count_in_words(titles, cells.row_name)} above the points left out as a "
+             f"title: {title}")
     note = (above,) if titles else ()
     return replace(cells, rows=[header, *cells.rows[titles:]], lines=[0, *cells.lines[titles:]],
                    notes=(*cells.notes, *note))

@@ -98,8 +98,8 @@ def _check_pixels(table: Table, features: FeatureSet) -> None:
     """
     # Tables of GIS have x and y on the ground, tables of viewers in the image: next to lon and lat
     # they can only be the latter.
-    if [table.names.get(meaning, "").strip().casefold() for meaning in ("sample", "line")] \
-            != ["x", "y"] or not len(features.points):
+    if ([table.names.get(meaning, "").strip().casefold() for meaning in ("sample", "line")]
+            != ["x", "y"] or not len(features.points)):
         return
     if np.abs(features.points.image).max() > LARGEST_IMAGE:
         raise table.error("x and y are no pixels, and there are no other columns of the image", 0,

@@ -50,8 +50,8 @@ def _table_records(frame: Any) -> tuple[list[dict[str, Any]], str]:
             raise TermselError(f"the columns have different lengths: {sizes}",
                                hint="Give each column a value for every row.")
         return [dict(zip(frame, row, strict=True)) for row in zip(*frame.values(), strict=True)], ""
-    if isinstance(frame, Sequence) and not isinstance(frame, str | bytes) \
-            and all(isinstance(row, Mapping) for row in frame):
+    if (isinstance(frame, Sequence) and not isinstance(frame, str | bytes)
+            and all(isinstance(row, Mapping) for row in frame)):
         return [dict(row) for row in frame], ""
     if hasattr(frame, "to_dicts"):  # polars
         return list(frame.to_dicts()), ""

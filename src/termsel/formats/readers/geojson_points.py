@@ -168,8 +168,8 @@ def _table_of_features(path: Path, features: list[Feature], options: Mapping[str
             record["id"] = feature.text("id") or f"P{feature.number}"
         records.append(record)
     names = list(dict.fromkeys(chain.from_iterable(records)))
-    has_heights = _GROUND["z"] in names or "z" in stated \
-        or bool(columns_by_meaning(names, POINTS)["z"])
+    has_heights = (_GROUND["z"] in names or "z" in stated
+                   or bool(columns_by_meaning(names, POINTS)["z"]))
     if not has_heights:
         for record in records:  # heights that nothing shows are blank
             record[_GROUND["z"]] = nan

@@ -80,15 +80,17 @@ class VectorLines(Reader):
 
 def _no_join_error(path: Path, join: str, names: list[str], has_image_lines: bool) -> TermselError:
     """Return the error for ground lines without the property that shows which is which."""
-    properties_in_words = f"Their properties are {', '.join(names)}." if names else \
-        "They have no properties."
-    example = names[0] if len(names) == 1 else "PROPERTY"
-    remedy = f"Say which one does: --set join={example}." if names else \
-        f"Give each line a property {join!r}."
-    needed = "" if has_image_lines else \
-        f" The lines in the image are a table of their own: --lines {path} --image-lines FILE."
+    if names:
+        example = names[0] if len(names) == 1 else "PROPERTY"
+        hint = (f"Their properties are {', '.join(names)}. Say which one does: "
+                f"--set join={example}.")
+    else:
+        hint = f"They have no properties. Give each line a property {join!r}."
+    if not has_image_lines:
+        hint += (f" The lines in the image are a table of their own: --lines {path} "
+                 "--image-lines FILE.")
     error = TermselError(f"the ground lines have no property {join!r} that names each line",
-                         file=path, hint=f"{properties_in_words} {remedy}{needed}")
+                         file=path, hint=hint)
     if len(names) == 1 and has_image_lines:
         error.options["--set"] = f"join={names[0]}"
     return error

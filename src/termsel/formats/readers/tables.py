@@ -188,8 +188,10 @@ class Table:
         """Return the error for a row that is the copy of another, with how many more there are."""
         rows = [self._row(i) for i in range(len(self.lines))]
         further = len(rows) - len(set(rows)) - 1
-        more = f", and {count_in_words(further, 'more row')} " \
-            f"{'repeats' if further == 1 else 'repeat'} others" if further else ""
+        more = ""
+        if further:
+            verb = "repeats" if further == 1 else "repeat"
+            more = f", and {count_in_words(further, 'more row')} {verb} others"
         return self.error(f"this row repeats {self.row_name} {self.lines[first]}{more}", row, "id",
                           "Delete the copies: a point that is there twice would weigh twice.")
 
@@ -416,8 +418,8 @@ def _column_by_meaning(path: Path | None, line: int | None, header: Sequence[str
         candidates = [i for i in by_name[meaning] if i not in stated.values()]
         # Of sigma_line and sigma_sample, each needs the other.
         needs_other_sigma = has_sigma and meaning.startswith("sigma")
-        may_be_missing = (meaning in OPTIONAL and not needs_other_sigma) \
-            or (meaning in heights and without_heights)
+        may_be_missing = ((meaning in OPTIONAL and not needs_other_sigma)
+                          or (meaning in heights and without_heights))
         # What the user says goes before what the header says.
         if meaning in stated:
             columns[meaning] = stated[meaning]
@@ -492,8 +494,10 @@ def _require_stated(path: Path | None, line: int | None, header: Sequence[str],
     named = " and ".join(f"{name!r} for {meaning}" for meaning, name in lost.items())
     columns = "is no column" if len(lost) == 1 else "are no columns"
     by_name = columns_by_meaning(header, aliases)
-    remedy = " They have their usual names: leave --columns out." \
-        if all(len(by_name.get(meaning, ())) == 1 for meaning in stated) else ""
+    if all(len(by_name.get(meaning, ())) == 1 for meaning in stated):
+        remedy = " They have their usual names: leave --columns out."
+    else:
+        remedy = ""
     raise TermselError(f"there {columns} {named}", file=path, line=line,
                        hint=f"The columns here are: {_list_header(header)}.{remedy}")
 
@@ -515,8 +519,10 @@ def _ragged_row_error(path: Path | None, line: int, header: Sequence[str], row: 
         return TermselError(f"the row ends after {len(row)} of {len(header)} cells, before "
                             f"{first_names_in_words(missing, 4)}", file=path, line=line,
                             hint="Complete it, or delete it.")
-    comma = " If numbers have decimal commas, separate the columns by semicolons." \
-        if delimiter == "," else ""
+    if delimiter == ",":
+        comma = " If numbers have decimal commas, separate the columns by semicolons."
+    else:
+        comma = ""
     return TermselError(f"the row has {len(row)} cells, but the header has {len(header)}",
                         file=path, line=line,
                         hint=f"Every row needs one cell for each column.{comma}")
@@ -543,8 +549,10 @@ def _missing_column_error(path: Path | None, line: int | None, header: Sequence[
         ", ".join([name for name in aliases[absent] if name in TAKEN] or aliases[absent])
         for absent in missing)
     blank = f" The cells of {missing[-1]} may be blank." if missing[-1][0] == "z" else ""
-    which = f"is no column for {meaning}" if len(missing) == 1 else \
-        f"are no columns for {', '.join(missing[:-1])} and {missing[-1]}"
+    if len(missing) == 1:
+        which = f"is no column for {meaning}"
+    else:
+        which = f"are no columns for {', '.join(missing[:-1])} and {missing[-1]}"
     return TermselError(
         f"there {which}", file=path, line=line, column=meaning,
         code="column-missing",
@@ -670,8 +678,8 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
             raise _ragged_row_error(path, lines[i], header, rows[i], cells.delimiter)
     # A row of units below the header has a text in each of these columns.
     numbers = [i for meaning, i in column_of.items() if meaning not in USE]
-    if rows and not any(any(map(str.isdigit, rows[0][i])) for i in numbers) \
-            and any(rows[0][i].strip() for i in numbers) and len(rows) > 1:
+    if (rows and not any(any(map(str.isdigit, rows[0][i])) for i in numbers)
+            and any(rows[0][i].strip() for i in numbers) and len(rows) > 1):
         log.info("Note: line %s of %s, below the header, holds no numbers and is left out: %s.",
                  lines[0], path or "the table", " ".join(filter(None, rows[0])))
         header = _with_units_of_row(header, rows[0])

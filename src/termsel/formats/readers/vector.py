@@ -83,8 +83,8 @@ def open_layer(path: Path, layer: str | None, kinds: Container[str],
                            hint=f"It has {', '.join(layers)}.")
     if layer is None:
         # A layer of mixed geometries has the kind Unknown: the next best.
-        fitting = [key for key, kind in layers.items() if kind in kinds] \
-            or [key for key, kind in layers.items() if kind == "Unknown"]
+        fitting = ([key for key, kind in layers.items() if kind in kinds]
+                   or [key for key, kind in layers.items() if kind == "Unknown"])
         layer = fitting[0] if fitting else None
         if chooser is not None and len(fitting) > 1:
             log.info("Note: %s has the layers %s; %s is read, and %s chooses another.", path.name,
@@ -222,8 +222,10 @@ def _refused_driver_error(path: Path) -> TermselError:
         return TermselError("this is a raster (TIFF), expected vectors", file=path,
                             hint="Give a file of lines or points, such as a GeoPackage.")
     name = foreign_format(head)
-    reason = f"this is of the format {name}, which termsel does not open" if name else \
-        "this is no vector file of a format that termsel opens"
+    if name:
+        reason = f"this is of the format {name}, which termsel does not open"
+    else:
+        reason = "this is no vector file of a format that termsel opens"
     allowing = f" {DRIVER_HINT.format(name=name)}" if name else ""
     return TermselError(reason, file=path, hint=f"Convert it: ogr2ogr lines.gpkg FILE.{allowing}")
 

@@ -38,8 +38,9 @@ def term_bars(view: View) -> Any:
     base = alt.Chart(chart_rows(states)).encode(
         y=alt.Y("term:N", sort=order, title=None,
                 axis=alt.Axis(ticks=False, domain=False, grid=True, labelLimit=170)))
-    front = [alt.Tooltip("share:Q", title="share of the front", format=".0%")] \
-        if view.record.front else []
+    front = []
+    if view.record.front:
+        front = [alt.Tooltip("share:Q", title="share of the front", format=".0%")]
     shape = alt.Shape("state:N", scale=alt.Scale(domain=kinds, range=["circle", "diamond"]))
     title = ["|coefficient| / standard deviation, logarithmic"]
     if front:
@@ -84,8 +85,10 @@ def frequency_bars(view: View) -> Any:
         y=alt.Y("term:N", sort=[row["term"] for row in rows], title=None,
                 axis=alt.Axis(ticks=False, domain=False, labelLimit=170)))
     stability = view.record.stability
-    of = f"{stability.repeats} selections" if stability else \
-        f"{len(view.record.front)} members of the front"
+    if stability:
+        of = f"{stability.repeats} selections"
+    else:
+        of = f"{len(view.record.front)} members of the front"
     layers = [base.mark_bar(height={"band": 0.72}).encode(
         x=alt.X("share:Q", title=f"share of the {of}", axis=alt.Axis(format="%"),
                 scale=alt.Scale(domain=[0, 1])),
@@ -123,8 +126,9 @@ def why_no_frequencies(view: View) -> str:
     members = {tuple(member.selection.terms) for member in view.record.front}
     if len(members) > 1:
         return ""
-    return "all members of its front have the same terms" if members else \
-        "it is one selection, without a front and not of termsel stability"
+    if members:
+        return "all members of its front have the same terms"
+    return "it is one selection, without a front and not of termsel stability"
 
 
 def correlation_map(view: View) -> Any:

@@ -159,9 +159,9 @@ def _selection_fault(_problem: Problem, value: Any, *_args: Any) -> str | None:
 
 def _parts_fault(_problem: Problem, value: Any) -> str | None:
     """Return how a value is at fault that should be a tuple of enumerable parts."""
-    return None if isinstance(value, tuple) and all(
-        isinstance(subproblem, EnumerablePart) for subproblem in value) \
-        else f"returned {value!r:.200}; expected a tuple of EnumerablePart"
+    if isinstance(value, tuple) and all(isinstance(part, EnumerablePart) for part in value):
+        return None
+    return f"returned {value!r:.200}; expected a tuple of EnumerablePart"
 
 
 def _moves_fault(problem: Problem, value: Any, *_args: Any) -> str | None:

@@ -199,8 +199,8 @@ class Genome:
             Meant to be a population.
         """
         # The type must be that of the genome: solvers write into arrays of it.
-        if not isinstance(genes, np.ndarray) or genes.dtype != self.dtype or genes.ndim != 2 \
-                or genes.shape[1] != self.size:
+        if (not isinstance(genes, np.ndarray) or genes.dtype != self.dtype or genes.ndim != 2
+                or genes.shape[1] != self.size):
             got = (f"the type {genes.dtype} and the shape {genes.shape}"
                    if isinstance(genes, np.ndarray) else f"the type {type(genes).__name__}")
             return f"genes of {got}; expected {self.dtype} and (n, {self.size})"

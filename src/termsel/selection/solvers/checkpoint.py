@@ -167,8 +167,8 @@ class Stage:
             columns = len(problem.objectives) + 1
             n = len(values) // columns
             # The digest of the selections shows whether this is the same search.
-            if n == 0 or len(values) % columns or n > len(keys) \
-                    or line.digest != _checksum_of_state(keys[:n]):
+            if (n == 0 or len(values) % columns or n > len(keys)
+                    or line.digest != _checksum_of_state(keys[:n])):
                 raise self._error_for_other_search()
             # The last population of a smaller budget was cut short: it is evaluated as a whole.
             if n < len(keys):

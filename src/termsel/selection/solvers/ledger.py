@@ -103,8 +103,8 @@ class Ledger(ProblemAround):
         Genes beyond the budget are not evaluated; then BudgetSpent is raised, which ends the
         search.
         """
-        if self.deadline is not None and self.count and time.perf_counter() > self.deadline \
-                and not self.is_replaying:
+        may_end = self.count > 0 and not self.is_replaying
+        if self.deadline is not None and may_end and time.perf_counter() > self.deadline:
             raise BudgetSpent
         if fault := self.genome.fault(genes):
             raise fault_of_method(self.solver or type(self), "generations",

@@ -247,8 +247,8 @@ def search(
                 idle = 0 if not history or ledger.count > history[-1].evaluations else idle + 1
                 progress = ledger.progress(generation, budget.share(generation, ledger))
                 history.append(ledger.tally(generation))
-                if told.tell(progress) or budget.spent(generation, ledger) \
-                        or convergence.lost(ledger):
+                if (told.tell(progress) or budget.spent(generation, ledger)
+                        or convergence.lost(ledger)):
                     break
                 if idle >= IDLE and not solver.ends_by_itself:
                     notes = (f"The search ended after {IDLE:,} generations in which solver "
@@ -361,8 +361,8 @@ def _require_declared(problem: Problem) -> None:
     fault = ""
     if not isinstance(genome, Genome):
         fault = f"genome of problem {type(problem).__name__!r} is {genome!r:.200}, not a Genome"
-    elif not isinstance(names, tuple | list) or not names \
-            or not all(isinstance(name, str) for name in names):
+    elif (not isinstance(names, tuple | list) or not names
+            or not all(isinstance(name, str) for name in names)):
         fault = (f"objectives of problem {type(problem).__name__!r} are {names!r:.200}, "
                  "not a tuple of names")
     if fault:

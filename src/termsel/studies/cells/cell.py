@@ -68,8 +68,12 @@ def cells_of(spec: Spec, data: list[Data]) -> list[Cell]:
         # Each problem has a data set of its own, for studies that name none.
         for data_set in data_sets:
             # Without a problem the features say what it is: points, or lines as well.
-            name = problem.name if problem else None if data_set.features is None \
-                else problem_for(data_set.features)
+            if problem:
+                name = problem.name
+            elif data_set.features is None:
+                name = None
+            else:
+                name = problem_for(data_set.features)
             for split in spec.splits:
                 cells += list(_cells_of_data(spec, kinds, problem, name, data_set,
                                              alternatives=data_sets, split=split))

@@ -122,8 +122,8 @@ def _verdict_on_image(
         return DOUBTFUL, f"its RMSE is not known in {accept.unit}"
     low, rmse, high = interval
     asked = f"{accept.size:g} {accept.unit}"
-    figure = f"RMSE {rounded_size_text(rmse)} {accept.unit} ({rounded_size_text(low)} to " \
-        f"{rounded_size_text(high)})"
+    figure = (f"RMSE {rounded_size_text(rmse)} {accept.unit} ({rounded_size_text(low)} to "
+              f"{rounded_size_text(high)})")
     if low > accept.size:
         return UNFIT, f"{figure}, and {asked} is asked for"
     if high > accept.size:
@@ -148,15 +148,17 @@ def _why_unknown(row: Mapping[str, Any]) -> str:
     points = count_in_words(row["n_control"] or 0, "control point")
     if any(EXACTLY in note for note in row["notes"] or ()):
         return f": {points} determine the model exactly; measure at least one more"
-    return f": {points} are too few to be left out in turn; measure more" \
-        if (row["n_control"] or 0) < MANY_INDEPENDENT else ""
+    if (row["n_control"] or 0) < MANY_INDEPENDENT:
+        return f": {points} are too few to be left out in turn; measure more"
+    return ""
 
 
 def _how_verified(row: Mapping[str, Any]) -> str:
     """Return how an RMSE is known: by independent check points, or not verified by any."""
     number = row["n_independent"] or 0
-    return f"; {count_in_words(number, 'independent check point')}" if number else \
-        "; not verified, as there are no independent check points"
+    if number:
+        return f"; {count_in_words(number, 'independent check point')}"
+    return "; not verified, as there are no independent check points"
 
 
 def _rmse_interval(row: Mapping[str, Any], unit: str) -> tuple[float, float, float] | None:

@@ -49,8 +49,8 @@ def defer_interrupts(say: Callable[[], None]) -> Iterator[Stop]:
         say()
 
     # Only the main thread gets signals, and what ignores Ctrl-C, as nohup does, goes on.
-    if threading.current_thread() is not threading.main_thread() \
-            or signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    if (threading.current_thread() is not threading.main_thread()
+            or signal.getsignal(signal.SIGINT) == signal.SIG_IGN):
         yield lambda: False
         return
     before = signal.signal(signal.SIGINT, note)

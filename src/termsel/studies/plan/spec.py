@@ -133,8 +133,9 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
             raise at.error(method.path, f"the method {method.name!r} takes no options",
                            "In Python, give the object with its options.")
     # Searches where something of them is named, methods where they are; else the choice by auto.
-    usual = ("as-asked",) if searched and not methods else \
-        ("as-asked", "auto") if searched else ("auto",)
+    usual: tuple[str, ...] = ("auto",)
+    if searched:
+        usual = ("as-asked", "auto") if methods else ("as-asked",)
     measure = table.get("measure")
     measures = _parse_texts(at, ("measures",), table.get("measures", []))
     if measure is not None and measure not in (*MEASURES, *measures):

@@ -174,8 +174,8 @@ def _lower_limits(extra: FloatArray, n: int, count: int, upper: FloatArray, inve
     radius = max(0.0, 1.0 - 1.0 / inverse) + _LIMIT_ROUNDING
     gained = 0
     for k in range(c + 1):
-        across_h = max(0.0, length[k] - along_h[k] * along_h[k] / inverse) \
-            + _LIMIT_ROUNDING * length[k]
+        across_h = max(0.0, length[k] - along_h[k] * along_h[k] / inverse)
+        across_h += _LIMIT_ROUNDING * length[k]
         largest = along_h[k] / inverse + np.sqrt(radius * across_h)
         if largest < 0.0:
             return -1

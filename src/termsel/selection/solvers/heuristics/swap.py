@@ -185,8 +185,10 @@ def _combine_best_changes(problem: Problem, genes: Genes, evaluation: Evaluation
     changes = 0
     for columns in problem.genome.slices().values():
         changed = order[(around[order, columns] != genes[0, columns]).any(axis=1)][:1]
-        if len(changed) and _comparison_key(neighbour_evaluation.take(changed)) \
-                < _comparison_key(evaluation):
+        if not len(changed):
+            continue
+        key = _comparison_key(neighbour_evaluation.take(changed))
+        if key < _comparison_key(evaluation):
             joined[0, columns] = around[changed[0], columns]
             changes += 1
     return _better_of_two(*best, joined, problem.evaluate(joined)) if changes > 1 else best
