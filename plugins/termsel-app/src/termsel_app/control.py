@@ -210,7 +210,7 @@ def _place(value: Any, size: int) -> list[float | None]:
 
 def _number(value: Any) -> float:
     """Return a coordinate; raises TermselError if it is no finite number of usual size."""
-    if isinstance(value, bool) or not isinstance(value, int | float) \
-            or not abs(value) < COORDINATE_LIMIT:
+    if (isinstance(value, bool) or not isinstance(value, int | float)
+            or not abs(value) < COORDINATE_LIMIT):
         raise TermselError(f"{value!r:.40} is no coordinate", hint="Give finite numbers.")
     return float(value)

@@ -29,8 +29,8 @@ Box = tuple[float, float, float, float]
 
 def is_tiles(name: str) -> bool:
     """Return whether the name of a map is an address of tiles, with {x}, {y} and {z} in it."""
-    return name.startswith(("http://", "https://")) and "{x}" in name and "{z}" in name \
-        and ("{y}" in name or "{-y}" in name)
+    return (name.startswith(("http://", "https://")) and "{x}" in name and "{z}" in name
+            and ("{y}" in name or "{-y}" in name))
 
 
 def is_vector(name: str) -> bool:

@@ -162,10 +162,12 @@ def _records(points: Points, *, has_ids: bool, spaces: Sequence[str]) -> list[Re
     records = []
     for name, role, image, ground in zip(points.ids, points.roles, points.image.tolist(),
                                          points.ground.tolist(), strict=True):
+        # JSON has no NaN: an unknown height is None.
+        known_ground = [None if np.isnan(z) else z for z in ground]
         record = checked_record({
             "id": name, "kind": "point", "role": role,
             "image": image if "image" in spaces else None,
-            "ground": [None if z != z else z for z in ground] if "ground" in spaces else None})
+            "ground": known_ground if "ground" in spaces else None})
         # Ids that the reader made up may be those of other points.
         records.append(record if has_ids else {**record, "id": ""})
     return records
@@ -185,8 +187,8 @@ def _on_page(error: TermselError, path: Path) -> TermselError:
         hint = f"Put a line of names above the rows, if this is right: {'; or '.join(readings)}."
     elif error.code in ("format-unknown", "header-missing"):
         error.what = "the rows have no header that names their columns"
-        hint = f"Put one above them, such as {_EXAMPLE}. Rows without one begin with an id: " \
-            "A1, 512300.5, 5339520.1."
+        hint = (f"Put one above them, such as {_EXAMPLE}. Rows without one begin with an id: "
+                "A1, 512300.5, 5339520.1.")
     # What can be typed in a shell is no help on the page.
     elif "--" in hint or "termsel " in hint or hint.startswith("Give the image"):
         hint = "Correct the table, and paste it again."

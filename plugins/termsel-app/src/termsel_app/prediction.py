@@ -69,8 +69,9 @@ class Prediction:
     def height(self) -> float:
         """Return the median height of the control [m]; 0 where no height is known."""
         heights = self._control.ground_vertices()[:, 2]
-        return float(np.median(heights[np.isfinite(heights)])) if np.isfinite(heights).any() \
-            else 0.0
+        if np.isfinite(heights).any():
+            return float(np.median(heights[np.isfinite(heights)]))
+        return 0.0
 
     def ground(self, xy: Any) -> FloatArray:
         """Return the ground coordinates (n, 3) that the model takes for places on the map (n, 2).
@@ -98,14 +99,17 @@ class Prediction:
         """Return the places on the map (n, 2) of line and sample (n, 2); NaN where there are none.
         """
         image = np.asarray(image, dtype=np.float64).reshape(-1, 2)
-        surface = _FilledHeights(self.places, self.height()) \
-            if self.places.has_heights and not self.in_map else self.height()
+        surface: _FilledHeights | float = self.height()
+        if self.places.has_heights and not self.in_map:
+            surface = _FilledHeights(self.places, self.height())
         ground = self.result.locate(image, surface)
         finite = np.isfinite(ground[:, :2]).all(axis=1)
         xy = np.full((len(image), 2), np.nan)
         if finite.any():
-            xy[finite] = ground[finite, :2] if self.in_map \
-                else self.places.to_map(ground[finite])
+            if self.in_map:
+                xy[finite] = ground[finite, :2]
+            else:
+                xy[finite] = self.places.to_map(ground[finite])
         return xy
 
     def sigma(self, xy: Any) -> FloatArray:

@@ -150,8 +150,8 @@ class Raster:
         first_line, first_sample, height, width = box
         window = Window(first_sample, first_line, width, height)
         # The mean of two indices of a table is another colour altogether.
-        resampling = Resampling.average if average and self.colours is None \
-            else Resampling.nearest
+        averages = average and self.colours is None
+        resampling = Resampling.average if averages else Resampling.nearest
         with self.lock:
             if not self._step:
                 return np.zeros((*shape, 4), dtype=np.uint8)

@@ -335,10 +335,14 @@ class Session:
             before = self.control.records.get(name) if isinstance(name, str) else None
             if before is None and name is not None:
                 raise TermselError(f"there is no feature {name!r} any more", ids=[str(name)])
-            kind = values.get("kind", "point") if before is None else before["kind"]
-            after: Record = dict(before) if before else {
-                "id": self.control.new_id(kind), "kind": kind, "role": "", "image": None,
-                "ground": None}
+            after: Record
+            if before is None:
+                kind = values.get("kind", "point")
+                after = {"id": self.control.new_id(kind), "kind": kind, "role": "",
+                         "image": None, "ground": None}
+            else:
+                kind = before["kind"]
+                after = dict(before)
             after.update({key: values[key] for key in ("image", "ground", "role") if key in values})
             if values.get("map") is not None:
                 positions = values["map"] if kind == "line" else [values["map"]]
@@ -350,8 +354,8 @@ class Session:
             after = checked_record(after)
             if "image" in values:
                 self._require_in_image(after)
-            if after.get("ground") and kind == "point" and after["ground"][2] is None \
-                    and values.get("ground") is not None:
+            if (after.get("ground") and kind == "point" and after["ground"][2] is None
+                    and values.get("ground") is not None):
                 after["ground"] = self._with_height(after["ground"])
             # A click that changes nothing is no step to undo.
             if after != before:
@@ -611,8 +615,8 @@ def _require_same(files: Files, before: Files | None, folder: Path) -> None:
     # An image may be added later, or be left out.
     if before is None or files.image is None or before.image is None:
         return
-    if files.image != before.image and \
-            Path(files.image).absolute() != Path(before.image).absolute():
+    if (files.image != before.image
+            and Path(files.image).absolute() != Path(before.image).absolute()):
         raise TermselError(f"the session in this folder is of another image, {before.image}",
                            file=folder, hint="Choose another --out for this image.")
 

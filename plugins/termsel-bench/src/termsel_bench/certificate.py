@@ -129,8 +129,10 @@ def axis_of(name: str, terms: Sequence[str], system: Any, selection: Sequence[in
     Columns are those of allowed terms, numbered again. The limit is the sum of squares of the
     selection, less what counts as a tie: no selection is proven to be below it.
     """
-    allowed = np.flatnonzero(~system.forbidden) if system.forbidden is not None else \
-        np.arange(len(terms))
+    if system.forbidden is not None:
+        allowed = np.flatnonzero(~system.forbidden)
+    else:
+        allowed = np.arange(len(terms))
 
     def joined(design: FloatArray | None, target: FloatArray) -> list[list[float]]:
         return [] if design is None else np.column_stack([design[:, allowed], target]).tolist()
@@ -185,8 +187,10 @@ def tree_of(axis: dict[str, Any], max_steps: int,
             if closed:
                 continue
         # Beyond the path the column that leaves least open.
-        j = way[0][0] if way else \
-            columns.names[_branching_column(columns, checker.room - len(node.used))]
+        if way:
+            j = way[0][0]
+        else:
+            j = columns.names[_branching_column(columns, checker.room - len(node.used))]
         i = columns.names.index(j)
         steps.append(["split", j])
         without, using = checker.halves(node, j)

@@ -186,8 +186,10 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
     header, rows = ratios_by_kind(scored)
     print_table(header, rows)
     # Measured sets have blunders among their hidden points: a mean would show those alone.
-    figure = "median error of hidden points" if scored[0].set_name.startswith(MEASURED) \
-        else "RMSE of independent check points"
+    if scored[0].set_name.startswith(MEASURED):
+        figure = "median error of hidden points"
+    else:
+        figure = "RMSE of independent check points"
     echo(f"\nMedian ratio of the {figure} to the least of each set.")
     lost_sets = losses(scored, methods[0].title)
     if len(methods) > 1:

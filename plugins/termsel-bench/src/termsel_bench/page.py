@@ -58,15 +58,16 @@ def scores_document(scores: Sequence[Score], title: str = AUTO.title) -> Documen
         [(score.set_name, score.method.title, str(score.control), _px_text(score.rmse),
           _interval_text(score),
           _px_text(ratio_to_best(score, best)), score.why) for score in scores], folded=True)
-    named = any(score.method.title == title for score in scores)
+    sections = [Section("Which method is best on which kind of image?", (summary,))]
+    if any(score.method.title == title for score in scores):
+        blocks: list[str | TableBlock] = [f"It loses on {len(worse)} of {len(sets)} sets."]
+        if worse:
+            blocks.append(lost)
+        sections.append(Section(f"Where does {title} lose?", tuple(blocks)))
+    sections.append(Section("All scores", (all_scores,)))
     return Document(
         "termsel-bench", f"sets of version {VERSION}, termsel {__version__}",
-        (f"{len(rows)} methods on {len(sets)} sets. {protocol}",),
-        (Section("Which method is best on which kind of image?", (summary,)),
-         *([Section(f"Where does {title} lose?", (
-             f"It loses on {len(worse)} of {len(sets)} sets.", *([lost] if worse else [])))]
-           if named else []),
-         Section("All scores", (all_scores,))))
+        (f"{len(rows)} methods on {len(sets)} sets. {protocol}",), tuple(sections))
 
 
 def _px_text(value: float) -> str:

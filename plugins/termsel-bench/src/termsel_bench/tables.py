@@ -84,8 +84,8 @@ def losses(scores: Sequence[Score], title: str) -> list[tuple[Score, Score]]:
         rivals = [rival for rival in scores
                   if rival.set_name == score.set_name and rival.method.title != title]
         winner = min(rivals, key=lambda rival: rival.rmse, default=None)
-        if score.method.title == title and winner is not None \
-                and score.rmse > LOSS_RATIO * winner.rmse:
+        if (score.method.title == title and winner is not None
+                and score.rmse > LOSS_RATIO * winner.rmse):
             lost.append((score, winner))
     return sorted(lost, key=lambda pair: -pair[0].rmse / pair[1].rmse)
 

@@ -177,8 +177,8 @@ def _result_or_photos(result: BlockResult, progress: Callable[[float], None] | N
     before = _block_misfit(result.adjusted)
     after = _block_misfit(photos.adjusted)
     is_one = len(unstated) == 1
-    have = f"{count_in_words(len(unstated), 'image')} {'has' if is_one else 'have'} no RPC and " \
-        "no model"
+    have = (f"{count_in_words(len(unstated), 'image')} {'has' if is_one else 'have'} no RPC and "
+            "no model")
     if photos.adjusted.converged and after < _FAR_LESS * before:
         note = (f"{have}, and {'is' if is_one else 'are'} taken for photos (model "
                 f"{PHOTO}): control and ties agree to {after:.2g} px, by polynomials to "

@@ -228,8 +228,8 @@ def _observe_ties(sensors: list[Pushbroom], n: int, n_ties: int, extent: _Extent
     for stack in range((n + 2) // 3):
         lon, lat = middles[3 * stack]
         n_candidates = max(n_ties // 4, 1) if n > 3 else n_ties
-        east = rng.uniform(-0.55, 0.55, n_candidates) * width / _DEGREE_METRES \
-            / np.cos(np.radians(LAT))
+        east = (rng.uniform(-0.55, 0.55, n_candidates) * width / _DEGREE_METRES
+                / np.cos(np.radians(LAT)))
         north = rng.uniform(-0.55, 0.55, n_candidates) * width / _DEGREE_METRES
         xy = np.column_stack([lon + east, lat + north])
         ground = np.column_stack([xy, ground_heights(xy, hills)])

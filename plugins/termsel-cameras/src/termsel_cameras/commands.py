@@ -66,8 +66,10 @@ def map_series(sheets: tuple[Path, ...], crs: str | None, prime_meridian: str | 
         meridian_of(prime_meridian)  # refused before any sheet is
         meridian["prime_meridian"] = prime_meridian
     read_sheets = [_read_sheet(sheet, crs, meridian) for sheet in sheets]
-    projection = "" if all(sheet.crs in ("", LOCAL) for sheet in read_sheets) \
-        else _choose_projection(read_sheets, candidates, century)
+    if all(sheet.crs in ("", LOCAL) for sheet in read_sheets):
+        projection = ""
+    else:
+        projection = _choose_projection(read_sheets, candidates, century)
     series = series_of(read_sheets, projection)
     _say_paper(series)
     if output is not None:

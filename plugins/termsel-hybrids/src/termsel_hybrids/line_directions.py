@@ -160,8 +160,10 @@ class LineConformal(LineDirections):
         nearest such pair follows from the singular value decomposition, U V'. The equations are not
         linear in its quaternion, so that steps of Newton's method follow.
         """
-        equations = LineAffine().prepared(self.scaling, self.crs).equations(features) \
-            if self.scaling is not None else LineAffine().equations(features)
+        if self.scaling is not None:
+            equations = LineAffine().prepared(self.scaling, self.crs).equations(features)
+        else:
+            equations = LineAffine().equations(features)
         # The affine model first, which is linear; its two rows need not be orthogonal.
         affine = np.linalg.lstsq(equations.A, equations.b, rcond=1e-9)[0].reshape(2, 4)
         line, sample = affine[:, 1:] / self._units

@@ -147,8 +147,8 @@ def _fit_scaling(key: str, image: FloatArray, plane: FloatArray) -> Forward | No
     n = len(image)
     if key == "spline":
         # A spline through thousands of points fills the memory, that of viewers, too.
-        if not 3 <= n <= SPLINED or np.linalg.matrix_rank(image - image.mean(axis=0)) < 2 \
-                or len(np.unique(image, axis=0)) < n:
+        if (not 3 <= n <= SPLINED or np.linalg.matrix_rank(image - image.mean(axis=0)) < 2
+                or len(np.unique(image, axis=0)) < n):
             return None
         from scipy.interpolate import RBFInterpolator
 

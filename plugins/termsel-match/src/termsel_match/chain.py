@@ -254,8 +254,8 @@ def _judge_candidates(image: Path | str, reference: Path | str | None, candidate
     repeats = (0.0, 0.0)
     # All of the image, as places spread evenly over it.
     everywhere = np.ones((COVERS, COVERS), dtype=bool)
-    with open_masked(image, None, masks) as picture, \
-            open_dem(Path(dem), candidates.crs) as heights:
+    with (open_masked(image, None, masks) as picture,
+          open_dem(Path(dem), candidates.crs) as heights):
         if reference is None:
             overlap = picture.known_at(spread_pixels(picture.size,
                                                      everywhere.shape)).reshape(everywhere.shape)

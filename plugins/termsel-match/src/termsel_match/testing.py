@@ -135,8 +135,8 @@ def _window_pair(seed: int) -> tuple[Window, Window]:
     def seen(corner: tuple[int, int], size: int) -> Window:
         """Return a square window of the ground from a corner, with noise of its own."""
         first_line, first_sample = corner
-        pixels = ground[first_line:first_line + size, first_sample:first_sample + size] \
-            + rng.normal(0, 2, (size, size)).astype(np.float32)
+        pixels = (ground[first_line:first_line + size, first_sample:first_sample + size]
+                  + rng.normal(0, 2, (size, size)).astype(np.float32))
         return Window(pixels.astype(np.float32), np.ones((size, size), dtype=bool))
 
     inner = _WINDOW_BORDER + 16

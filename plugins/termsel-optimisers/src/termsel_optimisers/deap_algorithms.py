@@ -68,9 +68,10 @@ class Deap(Solver):
             register(box, role, o[role], problem.genome)
         loop = _algorithm_of_name(o["algorithm"])
         # eaSimple crosses and mutates each child, the others do one of both, or neither.
-        applies_both = o["algorithm"] == "eaSimple"
-        chances = {"cxpb": o["cxpb"] if o["cxpb"] is not None else 0.9 if applies_both else 0.7,
-                   "mutpb": o["mutpb"] if o["mutpb"] is not None else 1.0 if applies_both else 0.3}
+        chances = {"cxpb": 0.7, "mutpb": 0.3}
+        if o["algorithm"] == "eaSimple":
+            chances = {"cxpb": 0.9, "mutpb": 1.0}
+        chances.update({name: o[name] for name in chances if o[name] is not None})
         # A child is crossed, or mutated, or neither, never both: the chances add up.
         if "lambda_" in inspect.signature(loop).parameters and sum(chances.values()) > 1:
             raise TermselError(f"cxpb and mutpb of {o['algorithm']} add up to "

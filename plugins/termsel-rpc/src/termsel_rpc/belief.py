@@ -132,8 +132,8 @@ class Belief:
         square = (self.right @ self.right
                   - np.einsum("ck,ck->c", projected, solved)) / cells.noise**2
         # Evidence of each solution: log p - (log det M + square) / 2 - m log s.
-        log = cells.log - 0.5 * (np.linalg.slogdet(precision)[1] + square) \
-            - len(self.right) * np.log(cells.noise)
+        log = (cells.log - 0.5 * (np.linalg.slogdet(precision)[1] + square)
+               - len(self.right) * np.log(cells.noise))
         # Solutions less likely than e^-50 times the best change no figure.
         matters = log > log.max() - NEVER
         kept_grid = Grid(*(value[matters] for value in vars(cells).values()))
@@ -208,8 +208,8 @@ class Belief:
             away = np.linalg.solve(keep, residuals[:, rows, None])[..., 0]
             # Density of the feature given the others, by which each solution is weighed without it.
             square = np.einsum("cm,cm->c", residuals[:, rows], away) / cells.noise**2
-            log = 0.5 * (np.linalg.slogdet(keep)[1] - square) \
-                - len(rows) * (np.log(cells.noise) + 0.5 * np.log(2 * np.pi))
+            log = (0.5 * (np.linalg.slogdet(keep)[1] - square)
+                   - len(rows) * (np.log(cells.noise) + 0.5 * np.log(2 * np.pi)))
             log_weight = np.log(share) - log
             density[number] = -np.logaddexp.reduce(log_weight)
             # The average of all solutions, with the weights that they have without the feature.

@@ -85,10 +85,11 @@ class Refinement(SensorModel):
                 hint="Exchange them: --set swapped=xy.")
         image = _middle_in_words(low, high)
         control = _middle_in_words(lowest, greatest)
-        reason = f"is of another place ({image}) than the control ({control})" \
-            if image != control else \
-            f"covers {_ranges_in_words(low, high)}, but the control is in " \
-            f"{_ranges_in_words(lowest, greatest)}"
+        if image != control:
+            reason = f"is of another place ({image}) than the control ({control})"
+        else:
+            reason = (f"covers {_ranges_in_words(low, high)}, but the control is in "
+                      f"{_ranges_in_words(lowest, greatest)}")
         raise TermselError(f"{self.source} {reason}",
                            hint="Give the geometry of this image; x must be longitude or easting.")
 

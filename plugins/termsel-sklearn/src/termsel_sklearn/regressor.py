@@ -128,8 +128,10 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         image = np.broadcast_to(image, (len(X), 2))
         positions, image, weights = _merge_points(X, image, weights_of(sample_weight, X))
         # Only ratios count: with equal weights there are no standard deviations to state.
-        sigma = None if np.ptp(weights) == 0 else \
-            np.column_stack([np.sqrt(weights.mean() / weights)] * 2)
+        if np.ptp(weights) == 0:
+            sigma = None
+        else:
+            sigma = np.column_stack([np.sqrt(weights.mean() / weights)] * 2)
         try:
             points = Points(tuple(f"{i}" for i in range(len(positions))), image,
                             _ground_with_heights(positions),

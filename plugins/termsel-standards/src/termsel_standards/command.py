@@ -158,21 +158,21 @@ def _tested_lines(stated: Statements, took: str) -> Iterator[str]:
     from termsel.toolkit import count_in_words
 
     points = stated.distribution.points
-    yield f"{stated.source}: {count_in_words(points, 'independent check point')}, {took} no part " \
-          "in any choice"
+    yield (f"{stated.source}: {count_in_words(points, 'independent check point')}, {took} no part "
+           "in any choice")
     yield ""
     yield f"{'':8}{'mean':>10}{'std':>10}{'RMSE':>10}{'95 %':>10}{'largest':>10}  normal"
     for component in stated.components:
         normal = "-" if component.normal is None else f"p = {component.normal:.2g}"
-        yield f"{component.name:8}{component.mean:10.3f}{_value_or(component.deviation)}" \
-              f"{component.rmse:10.3f}{component.percentile95:10.3f}{component.maximum:10.3f}  " \
-              + normal
+        yield (f"{component.name:8}{component.mean:10.3f}{_value_or(component.deviation)}"
+               f"{component.rmse:10.3f}{component.percentile95:10.3f}{component.maximum:10.3f}  "
+               f"{normal}")
     yield ""
-    yield f"Horizontal RMSE {stated.horizontal:.3f} m, CE90 {stated.ce90:.3f} m, " \
-          f"CE95 {stated.ce95:.3f} m" + _survey_text(stated.survey_horizontal)
+    yield (f"Horizontal RMSE {stated.horizontal:.3f} m, CE90 {stated.ce90:.3f} m, "
+           f"CE95 {stated.ce95:.3f} m{_survey_text(stated.survey_horizontal)}")
     if stated.vertical is not None:
-        yield f"Vertical RMSE {stated.vertical:.3f} m, LE90 {stated.le90:.3f} m" \
-              + _survey_text(stated.survey_vertical)
+        yield (f"Vertical RMSE {stated.vertical:.3f} m, LE90 {stated.le90:.3f} m"
+               f"{_survey_text(stated.survey_vertical)}")
         yield f"Three-dimensional RMSE {stated.three_dimensional:.3f} m"
     distribution = stated.distribution
     area = "" if distribution.area is None else f" for {distribution.area:.3g} km2"

@@ -19,8 +19,8 @@ from termsel.toolkit.models import (
 )
 from termsel_standards.errors import GroundErrors
 
-ASPRS = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2, " \
-    "Version 2 (2024)"
+ASPRS = ("ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2, "
+         "Version 2 (2024)")
 """As statements of section 7.16 call it."""
 VERTICAL = 1.96
 """NSSDA's factor from the vertical RMSE to 95 % confidence (appendix 3-A)."""
@@ -257,10 +257,18 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
     with_survey = hypot(figures.total, survey_horizontal or 0.0)
     vertical = components[2].rmse if axes > 2 else None
     height = None if vertical is None else hypot(vertical, survey_vertical or 0.0)
+    three_dimensional = None if height is None else hypot(with_survey, height)
     distribution = distribution_of(ground_errors)
     # Every figure has a statement, or says why none can be made.
-    flat = "not stated, as no heights were tested"
+    vegetated_sentence = "not stated, as it is not known which check points are under vegetation"
+    if height is None:
+        vegetated_sentence = "not stated, as no heights were tested"
     by_nssda = nssda_accuracy(n, figures)
+    if by_nssda.value is None:
+        nssda_sentence = f"not stated: {by_nssda.reason}"
+    else:
+        nssda_sentence = (f"Tested {_size_text(by_nssda.value)} meters horizontal accuracy at 95% "
+                          "confidence level")
     too_few = f"{count_in_words(n, 'independent point')}, at least {NSSDA_POINTS} needed"
     horizontal = _asprs_statement("horizontal", n, with_survey, horizontal_class)
     if survey_horizontal is not None and survey_horizontal > IMPLAUSIBLE * figures.total:
@@ -269,15 +277,9 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
     statements = (
         horizontal,
         _asprs_statement("vertical", n, height, vertical_class),
-        _asprs_statement("three-dimensional", n, None if height is None
-                         else hypot(with_survey, height),
-                         None),
-        Statement("ASPRS vegetated vertical", None, flat if height is None else
-                  "not stated, as it is not known which check points are under vegetation"),
-        Statement("NSSDA horizontal", by_nssda.value,
-                  f"not stated: {by_nssda.reason}" if by_nssda.value is None else
-                  f"Tested {_size_text(by_nssda.value)} meters horizontal accuracy at 95% "
-                  "confidence level"),
+        _asprs_statement("three-dimensional", n, three_dimensional, None),
+        Statement("ASPRS vegetated vertical", None, vegetated_sentence),
+        Statement("NSSDA horizontal", by_nssda.value, nssda_sentence),
         _nssda_vertical(vertical, too_few if n < NSSDA_POINTS else None))
     notes = _limiting_notes(ground_errors, figures.total, survey_horizontal, distribution,
                             components,

@@ -97,8 +97,10 @@ def _claim_of_single(groups: Groups) -> list[str]:
         best = [method for method in repeated if alike(medians[method], least)]
         words = [_advantage_in_words(by_method[best[0]].values, rival, by_method[rival].values)
                  for rival in repeated if rival != best[0]]
-        lowest = f"{best[0]} has the lowest median" if len(best) == 1 else \
-            f"{' and '.join(best)} have the same lowest median"
+        if len(best) == 1:
+            lowest = f"{best[0]} has the lowest median"
+        else:
+            lowest = f"{' and '.join(best)} have the same lowest median"
         sentences.append(f"On {name}, {lowest} of the methods with several runs. {A12_IN_WORDS} "
                          f"The advantage of {best[0]} is {', '.join(words)}.")
     return sentences
@@ -149,8 +151,10 @@ def _claims_over_instances(comparison: Comparison) -> list[str]:
         sentences.append(f"Over {comparison.instances} instances the methods {verdict} (Friedman, "
                          f"p = {comparison.p:.2g}).")
     # Pairs are only looked at where the methods as a whole differ: Friedman's test comes first.
-    proven = [pair for pair in comparison.pairs if pair.corrected < SIGNIFICANCE] \
-        if comparison.p is None or comparison.p < SIGNIFICANCE else []
+    if comparison.p is None or comparison.p < SIGNIFICANCE:
+        proven = [pair for pair in comparison.pairs if pair.corrected < SIGNIFICANCE]
+    else:
+        proven = []
     for pair in proven:
         better = pair.first if pair.lower else pair.second
         worse = pair.second if pair.lower else pair.first

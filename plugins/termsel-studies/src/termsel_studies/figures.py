@@ -64,8 +64,8 @@ def figures_of(study: Study) -> list[Figure]:
             running_time_chart(groups, 0), running_time_chart(groups, 2), convergence_chart(groups)]
     values = medians_of(groups)
     # Ratios to the best one require that it has a result, and that nothing is below zero.
-    if len(values) > 1 and len(groups.methods) > 1 and np.isfinite(values).any(axis=1).all() \
-            and (values >= 0).all():
+    if (len(values) > 1 and len(groups.methods) > 1 and np.isfinite(values).any(axis=1).all()
+            and (values >= 0).all()):
         figures.append(profile(groups))
     comparison = compare_methods(groups.methods, values)
     if comparison is not None and comparison.difference is not None:

@@ -99,8 +99,9 @@ def _measure(rows: Sequence[Row]) -> str:
     # Methods that differ in the solver alone minimise the same fitness, whatever model and
     # criterion each problem has.
     only_solvers = _varying_labels(rows, METHOD, INSTANCE) == ["solver"]
-    return "fitness" if only_solvers and all(row["strategy"] == "as-asked" for row in rows) \
-        else "independent"
+    if only_solvers and all(row["strategy"] == "as-asked" for row in rows):
+        return "fitness"
+    return "independent"
 
 
 def _varying_labels(rows: Sequence[Row], labels: Sequence[str],

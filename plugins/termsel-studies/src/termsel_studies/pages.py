@@ -120,10 +120,14 @@ def _table_of_instance(groups: Groups, name: str, figures: list[Summary]) -> Tab
     best = min(figures, key=lambda figure: figure.quartiles[2]).method
     rows = []
     for figure in figures:
-        runs = str(figure.runs) if figure.finished == figure.runs \
-            else f"{figure.finished} of {figure.runs}"
-        effect = "" if figure.method == best else \
-            f"{effect_size(runs_of[best].values, runs_of[figure.method].values):.2f}"
+        if figure.finished == figure.runs:
+            runs = str(figure.runs)
+        else:
+            runs = f"{figure.finished} of {figure.runs}"
+        if figure.method == best:
+            effect = ""
+        else:
+            effect = f"{effect_size(runs_of[best].values, runs_of[figure.method].values):.2f}"
         row = [figure.method, runs, *(format_number(value, 4) for value in figure.quartiles),
                effect]
         if optimum is not None:
@@ -147,8 +151,10 @@ def _main_figures(groups: Groups, name: str, figures: list[Summary]) -> TableBlo
     for figure in figures:
         _, low, median, high, _ = (format_number(value, 3) for value in figure.quartiles)
         row = [figure.method, f"{median} [{low}-{high}]"]
-        row += [f"{figure.reached} of {figure.runs}", format_number(figure.expected, 0)] \
-            if optimum is not None else [str(figure.finished)]
+        if optimum is not None:
+            row += [f"{figure.reached} of {figure.runs}", format_number(figure.expected, 0)]
+        else:
+            row += [str(figure.finished)]
         row += [] if groups.measure == "independent" else [format_number(figure.independent, 3)]
         rows.append(tuple(row))
     return TableBlock(_title_of_study(name, optimum), tuple(header), rows)

@@ -64,8 +64,12 @@ class Method:
         """Name of the method in tables, with its problem and options."""
         suffixes = [*filter(None, [self.problem]),
                     *(f"{name}={value}" for name, value in self.options.items())]
-        label = "auto" if self.kind == "auto" else self.name if self.kind == "peer" else \
-            f"{self.kind} {self.name}"
+        if self.kind == "auto":
+            label = "auto"
+        elif self.kind == "peer":
+            label = self.name
+        else:
+            label = f"{self.kind} {self.name}"
         return " ".join([label, *suffixes])
 
     def require(self) -> None:

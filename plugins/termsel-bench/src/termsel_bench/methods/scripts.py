@@ -40,8 +40,10 @@ class Cubic:
         # All monomials to degree 3.
         self.powers = np.array([powers for powers in product(range(4), repeat=self.width)
                                 if sum(powers) <= 3])
-        control = np.array(points.roles) == "control" if any(points.roles) \
-            else np.arange(len(points)) % 3 != 2
+        if any(points.roles):
+            control = np.array(points.roles) == "control"
+        else:
+            control = np.arange(len(points)) % 3 != 2
         self.control, self.check = (self.columns(points.ground[mask])
                                     for mask in (control, ~control))
         self.image = points.image[control]

@@ -107,8 +107,8 @@ class Flying(Turning):
         up = vertical_directions(from_ecef(aim[None]))[0]
         off = np.stack([angle(time) for angle in self.sway], axis=1)
         # Straight on along the course, and off it by the sway.
-        station = aim + up * self.altitude + course * (self.speed * time)[:, None] \
-            + off @ np.stack([course, np.cross(up, course), up])
+        station = (aim + up * self.altitude + course * (self.speed * time)[:, None]
+                   + off @ np.stack([course, np.cross(up, course), up]))
         axes = np.stack([course, np.cross(-up, course), -up], axis=1)
         return station, axes @ _rotation_matrices(self.roll(time), self.pitch(time), self.yaw(time))
 
@@ -359,9 +359,9 @@ def _rotation_matrices(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> 
         return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
     # Rotations about x, y and z, in this order.
-    return matrix([ones, none, none], [none, cr, -sr], [none, sr, cr]) \
-        @ matrix([cp, none, sp], [none, ones, none], [-sp, none, cp]) \
-        @ matrix([cy, -sy, none], [sy, cy, none], [none, none, ones])
+    return (matrix([ones, none, none], [none, cr, -sr], [none, sr, cr])
+            @ matrix([cp, none, sp], [none, ones, none], [-sp, none, cp])
+            @ matrix([cy, -sy, none], [sy, cy, none], [none, none, ones]))
 
 
 def _axes_at(lon: float, lat: float) -> FloatArray:

@@ -223,8 +223,9 @@ def _model_by_ties(image: ImageInput, is_located: BoolArray, ties: FloatArray, f
     """
     local = ties[image.measured.tie[is_located]]
     position = image.measured.position[is_located]
-    camera = _empty_polynomial(local, position) if image.physical is None else \
-        image.physical.fitted(frame, local, position, image.name)
+    camera: Camera = _empty_polynomial(local, position)
+    if image.physical is not None:
+        camera = image.physical.fitted(frame, local, position, image.name)
     # Of each tie two rows, its line and its sample.
     return camera, _first_parameters(camera, np.repeat(local, 2, axis=0),
                                      np.tile(np.eye(2), (len(local), 1)), position.ravel())

@@ -227,8 +227,8 @@ def _check_names(names: Sequence[str], path: Path) -> None:
             raise TermselError(f"{count} images are called {name!r}", file=path,
                                hint="Give each image a different name.")
         # A name is a folder's name: no separator, no dot before it, printable, not too long.
-        if not name.strip() or name != Path(name).name or name.startswith(".") \
-                or not name.isprintable() or len(name.encode()) > _LONGEST_IMAGE_NAME:
+        if (not name.strip() or name != Path(name).name or name.startswith(".")
+                or not name.isprintable() or len(name.encode()) > _LONGEST_IMAGE_NAME):
             short_name = name if len(name) <= _LONGEST_IMAGE_NAME else f"{name[:20]}..."
             raise TermselError(f"{short_name!r} cannot be the name of an image, whose result gets "
                                "a folder of that name", file=path,
@@ -534,17 +534,21 @@ def _table_rows(file: Path) -> list[tuple[int, dict[str, str]]]:
                 # Cells beyond the header are decimal commas, unless they are empty.
                 if len(cells) <= max(at.values()) or any(
                         cell.strip() for cell in cells[len(header):]):
+                    hint = "Complete the row, or remove it."
+                    if len(cells) >= len(header):
+                        hint = ("Write decimal points, not commas, and put text with commas in "
+                                "quotes.")
                     raise TermselError(f"this row has {len(cells)} cells, expected "
                                        f"{len(header)}", file=file, line=reader.line_num,
-                                       hint="Complete the row, or remove it." if len(cells)
-                                       < len(header) else "Write decimal points, not commas, and "
-                                       "put text with commas in quotes.")
+                                       hint=hint)
                 rows.append((reader.line_num, {name: unguard_cell(cells[i].strip())
                                                for name, i in at.items()}))
             return rows
     except OSError as error:
-        reason = "this file of ties does not exist" if isinstance(error, FileNotFoundError) else \
-            f"cannot read the ties: {error.strerror}"
+        if isinstance(error, FileNotFoundError):
+            reason = "this file of ties does not exist"
+        else:
+            reason = f"cannot read the ties: {error.strerror}"
         raise TermselError(reason, file=file, hint="Check its name at ties = in the file of the "
                            "block. It is a table headed id,image,line,sample.") from error
     except (UnicodeDecodeError, csv.Error) as error:

@@ -225,9 +225,10 @@ def _control_and_ties(result: BlockResult, i: int, image: BlockImage) -> Feature
     state = result.adjusted.state
     ties = result.block.ties
     in_image = np.flatnonzero(ties.image == i)[state.in_use[i]]
-    most_ties = _MOST_TIES_PHYSICAL if isinstance(result.camera(i),
-                                                  PhysicalCamera) else _MOST_TIES.get(
-        correction_of(result, i), _MOST_TIES_OTHERS)
+    if isinstance(result.camera(i), PhysicalCamera):
+        most_ties = _MOST_TIES_PHYSICAL
+    else:
+        most_ties = _MOST_TIES.get(correction_of(result, i), _MOST_TIES_OTHERS)
     # Evenly over the list, which is in the order of the ties.
     if len(in_image) > most_ties:
         in_image = in_image[np.linspace(0, len(in_image) - 1, most_ties).astype(int)]

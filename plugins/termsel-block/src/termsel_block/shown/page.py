@@ -156,10 +156,12 @@ def _ground_chart(result: BlockResult) -> Any:
     y = alt.Y("north:Q", title="north [km]", scale=alt.Scale(domain=y_of, nice=False),
               axis=alt.Axis(tickCount=height / 60))
     names = list(dict.fromkeys(row["image"] for row in outlines))
-    # More colours than these nobody tells apart.
-    colour = alt.value("#888") if len(names) > _TOLD_APART else alt.Color(
-        "image:N", title="image", sort=names, legend=alt.Legend(columns=6),
-        scale=alt.Scale(scheme="tableau10" if len(names) <= 10 else "tableau20"))
+    # The schemes have 10 and 20 colours; more than _TOLD_APART nobody tells apart.
+    scheme = "tableau10" if len(names) <= 10 else "tableau20"
+    colour = alt.Color("image:N", title="image", sort=names, legend=alt.Legend(columns=6),
+                       scale=alt.Scale(scheme=scheme))
+    if len(names) > _TOLD_APART:
+        colour = alt.value("#888")
     hulls = alt.Chart(chart_rows(outlines)).mark_line(strokeWidth=1.5).encode(
         x=x, y=y, order="order:Q", detail="image:N", color=colour)
     points = alt.Chart(chart_rows(dots)).mark_circle(size=30, opacity=1.0).encode(

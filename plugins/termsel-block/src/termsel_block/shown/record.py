@@ -153,9 +153,10 @@ def _advice_on_photos(result: BlockResult) -> str:
     """Return the way out for photos that were taken for images of an unknown scanner, or ""."""
     unknown = [image for image in result.block.images if image.rpc is None
                and image.model == "auto"]
-    return "" if len(unknown) < 2 else (
-        ' If these are photos, state model = "frame" for each: polynomials are for images from '
-        "space.")
+    if len(unknown) < 2:
+        return ""
+    return (' If these are photos, state model = "frame" for each: polynomials are for images from '
+            "space.")
 
 
 def doubts_about_block(result: BlockResult) -> list[str]:

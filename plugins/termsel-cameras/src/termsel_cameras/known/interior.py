@@ -18,6 +18,15 @@ enlarged by some parts in a thousand."""
 SCANNED_SPREAD = 0.03
 """The same where the scale of a scan is told by its width, which margins enlarge."""
 
+_STATED_PIXEL_SPREAD = 0.003
+"""Relative standard deviation of the size of a pixel that is stated."""
+
+_SENSOR_SPREAD = 0.002
+"""The same where it follows from the width and the pixels of a sensor."""
+
+_SAME_SHAPE = 0.01
+"""Relative difference of the shorter sides below which an image has the shape of a sensor."""
+
 REACH = 0.002
 """Scale of the prior of the principal point about the middle of the image, by its half diagonal."""
 
@@ -253,33 +262,48 @@ def _pixel_size(stated: Mapping[str, str], named: SurveyCamera | None,
                 size: tuple[int, int] | None) -> tuple[float, float]:
     """Return the size of a pixel [mm], and its relative standard deviation.
 
-    It is stated in micrometres, or follows from the width of a named camera and the image's size. A
-    sensor has as many pixels as its maker says, or is enlarged by one factor; any other number is a
-    scan, whose scale is less certain. Raises TermselError where neither is known.
+    It is stated in micrometres, or follows from the width of a named camera [mm] and the image's
+    lines and samples, `size`. Raises TermselError where neither is known, or the stated size is no
+    positive number.
     """
     if "camera_pixel" in stated:
-        text = stated["camera_pixel"].lower().removesuffix("um").strip()
-        (pixel,) = _parse_numbers({"camera_pixel": text}, "camera_pixel", (1,))
-        return _require_positive(pixel, "camera_pixel") / 1e3, 0.003
-    if named is None or size is None:
-        lacks = "the size of a pixel" if named is None else "the size of the image"
-        raise TermselError(f"a focal length in mm does not give that in px without {lacks}",
-                           hint="Add the size of a pixel in micrometres, such as --set "
-                                "camera_pixel=4.4. --image FILE takes it from an image with "
-                                "EXIF."
-                           if named is None else
-                           "Give the image: --image FILE. Or add the size of a pixel in "
-                           "micrometres, such as --set camera_pixel=4.4.")
-    # A photo that was turned for display is as wide as its camera is high.
-    lengths = sorted((named.width, named.height))
-    pixels = sorted(size)
-    pixel = lengths[1] / pixels[1]
+        return _stated_pixel_size(stated["camera_pixel"]), _STATED_PIXEL_SPREAD
+    if named is None:
+        raise TermselError(
+            "a focal length in mm does not give that in px without the size of a pixel",
+            hint="Add the size of a pixel in micrometres, such as --set camera_pixel=4.4. --image "
+                 "FILE takes it from an image with EXIF.")
+    if size is None:
+        raise TermselError(
+            "a focal length in mm does not give that in px without the size of the image",
+            hint="Give the image: --image FILE. Or add the size of a pixel in micrometres, such as "
+                 "--set camera_pixel=4.4.")
+    pixel = max(named.width, named.height) / max(size)
+    return pixel, _SENSOR_SPREAD if _is_from_sensor(named, size) else SCANNED_SPREAD
+
+
+def _stated_pixel_size(text: str) -> float:
+    """Return a size stated in micrometres, such as "4.4" or "4.4 um", in mm.
+
+    Raises TermselError if the text is no positive number.
+    """
+    text = text.lower().removesuffix("um").strip()
+    (pixel,) = _parse_numbers({"camera_pixel": text}, "camera_pixel", (1,))
+    return _require_positive(pixel, "camera_pixel") / 1e3
+
+
+def _is_from_sensor(named: SurveyCamera, size: tuple[int, int]) -> bool:
+    """Return whether an image of this size has the pixels of the camera's sensor, or enlarged ones.
+
+    An image of any other shape is a scan, as is every image of a camera for film.
+    """
     if named.pixels == (0, 0):
-        return pixel, SCANNED_SPREAD
-    # A sensor has its pixels, or as many as an enlargement of it; a scan has any number.
-    enlarged = pixels[1] / max(named.pixels)
-    same_shape = abs(pixels[0] - min(named.pixels) * enlarged) < 0.01 * pixels[0]
-    return pixel, 0.002 if same_shape else SCANNED_SPREAD
+        return False
+    # A photo that was turned for display is as wide as its camera is high.
+    enlarged = max(size) / max(named.pixels)
+    expected = min(named.pixels) * enlarged
+    difference = abs(min(size) - expected)
+    return bool(difference < _SAME_SHAPE * min(size))
 
 
 def _with_middle(interior: Interior, stated: Mapping[str, str],
@@ -373,10 +397,10 @@ def _parse_numbers(stated: Mapping[str, str], name: str, counts: Any) -> tuple[f
     except ValueError:
         numbers = ()
     if len(numbers) not in counts or not np.isfinite(numbers).all():
-        raise TermselError(f"{name} does not accept {stated[name]!r:.80}",
-                           hint="It takes a number." if counts in ((1,), [1]) else
-                           f"It takes {' or '.join(map(str, counts))} numbers with commas "
-                           "between.")
+        hint = f"It takes {' or '.join(map(str, counts))} numbers with commas between."
+        if list(counts) == [1]:
+            hint = "It takes a number."
+        raise TermselError(f"{name} does not accept {stated[name]!r:.80}", hint=hint)
     return numbers
 
 

@@ -146,8 +146,8 @@ def _derivatives_through_lens(model: KnownFrame, camera: Pinhole, ground: FloatA
     bent = np.empty((len(ideal), 2, 2))
     for axis in range(2):
         step = _DERIVATIVE_STEP * np.eye(2)[axis]
-        bent[:, :, axis] = (model.with_lens(ideal + step) - model.with_lens(ideal - step)) \
-            / (2 * _DERIVATIVE_STEP)
+        bent[:, :, axis] = ((model.with_lens(ideal + step) - model.with_lens(ideal - step))
+                            / (2 * _DERIVATIVE_STEP))
     return np.asarray(bent @ slopes)
 
 
@@ -369,8 +369,10 @@ def _focal_of_points(fitted: Fit) -> str:
     spread = np.inf if free is None else _focal_spread(free)
     if spread < VAGUE_FOCAL:
         return ""
-    known_to = f": alone they tell it to {100 * spread:.0f} %" if spread < FREE_FOCAL_SPREAD / 2 \
-        else ""
+    if spread < FREE_FOCAL_SPREAD / 2:
+        known_to = f": alone they tell it to {100 * spread:.0f} %"
+    else:
+        known_to = ""
     return f" The points cannot show whether it is right{known_to}."
 
 

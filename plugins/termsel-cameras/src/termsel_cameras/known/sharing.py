@@ -138,8 +138,10 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
         flight.near_least(best))
     shared_focal = float(np.exp(solution[0]))
     if not _is_near(shared_focal, ends):
-        remedy = "If so, give --focal PX, or photos taken obliquely or over hills." \
-            if focal is None else "If so, check --focal, which is in px."
+        if focal is None:
+            remedy = "If so, give --focal PX, or photos taken obliquely or over hills."
+        else:
+            remedy = "If so, check --focal, which is in px."
         raise TermselError(
             "the points do not determine a focal length: none from "
             f"{ends[0]:,.0f} to {ends[1]:,.0f} px fits them best",
@@ -226,8 +228,8 @@ class _Flight:
             self.cameras[i] = camera
             rows = np.ones((1, len(photo)))
             # Twice the minus logarithm of the likelihood, whose size depends on the noise, too.
-            total += float(camera.measured.costs(camera.camera, rows, camera.sigma)[0]) \
-                + 4.0 * len(photo) * float(np.log(camera.sigma))
+            total += (float(camera.measured.costs(camera.camera, rows, camera.sigma)[0])
+                      + 4.0 * len(photo) * float(np.log(camera.sigma)))
         return total, float(np.median(self.residuals()))
 
     def residuals(self) -> list[float]:

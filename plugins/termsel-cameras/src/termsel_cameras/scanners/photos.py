@@ -173,8 +173,8 @@ class Photo(Physical):
         turned = self.rotation_of(x)
         # Relative to the middle of the control, and by the distance of the camera from it.
         in_camera = self.local(ground) @ turned.transpose(0, 2, 1)
-        return np.asarray(in_camera * (scale / focal)[:, None, None] + ray[:, None, :]), \
-            focal[:, None]
+        return (np.asarray(in_camera * (scale / focal)[:, None, None] + ray[:, None, :]),
+                focal[:, None])
 
     def rotation_of(self, x: dict[str, FloatArray]) -> FloatArray:
         """Return the directions of lines, samples and the view, as rows of (p, 3, 3)."""
@@ -298,8 +298,8 @@ class FrameCamera(Photo):
         line, sample = np.moveaxis(ideal * (1.0 + bent), -1, 0)
         affinity = FILM * x["affinity"][:, None]
         shear = FILM * x["shear"][:, None]
-        return np.stack([line * (1.0 + affinity) + shear * sample, sample], axis=-1) \
-            - middle[:, None]
+        return (np.stack([line * (1.0 + affinity) + shear * sample, sample], axis=-1)
+                - middle[:, None])
 
     def sensor_figures(self, coefficients: FloatArray) -> tuple[SensorFigure, ...]:
         """Return place, angles, focal length and principal point of the camera."""

@@ -159,8 +159,8 @@ class Physical(SensorModel):
         """Return Huber's loss of scaled points and priors, and residuals (n, 2), by the noise."""
         points = features.points
         unit = NOISE / require_scaling(self.scaling).image_scale
-        away = (points.image - self.image_of(values[None], points.ground)[0]) \
-            * _point_weights(features) / unit
+        away = ((points.image - self.image_of(values[None], points.ground)[0])
+                * _point_weights(features) / unit)
         large = np.linalg.norm(away, axis=1)
         # Square near 0, linear beyond, and smooth where they meet.
         loss = np.where(large > HUBER, 2 * HUBER * large - HUBER**2, large**2)
@@ -396,8 +396,9 @@ def _point_weights(features: FeatureSet) -> FloatArray:
     """Return the weights of points by their stated standard deviations, shape (n, 2)."""
     sigma = features.points.sigma
     # By the median, so that the usual point weighs 1.
-    return np.ones((len(features.points), 2)) if sigma is None else \
-        np.asarray(np.median(sigma) / sigma)
+    if sigma is None:
+        return np.ones((len(features.points), 2))
+    return np.asarray(np.median(sigma) / sigma)
 
 
 def _without_each(equations: Equations, values: FloatArray, count: int,

@@ -106,8 +106,8 @@ class Scanner(Physical):
         line = time_and_slope[..., 0] / period[:, None] / scaling.image_scale
         # Samples run to port; at the ends of the control the look angles are off by some px.
         sample = time_and_slope[..., 1] / ifov[:, None] / scaling.image_scale
-        bent = (x["look-2"][:, None] * sample**2 + x["look-3"][:, None] * sample**3) \
-            / scaling.image_scale
+        bent = ((x["look-2"][:, None] * sample**2 + x["look-3"][:, None] * sample**3)
+                / scaling.image_scale)
         return np.stack([line + x["line"][:, None],
                          sample + bent + x["sample"][:, None]], axis=-1)
 

@@ -142,14 +142,14 @@ def _check_sensor(content: object, path: Path) -> Sensor:
         if name not in content:
             raise TermselError(f"{path} lacks the field {name!r}", hint=hint)
     for name, value in content.items():
-        number = isinstance(value, int | float) and not isinstance(value, bool) \
-            and abs(value) < 1e5
+        number = (isinstance(value, int | float) and not isinstance(value, bool)
+                  and abs(value) < 1e5)
         if name != "source" and (not number or (
                 value <= 0 and name not in ("pixel", "forward"))):
             raise TermselError(f"{path}: {name} is {value!r}, which is no positive number",
                                hint=hint)
-    if not 300 <= content["altitude"] <= 1500 or not 0 < content["inclination"] < 180 \
-            or content["pixel"] < 0 or abs(content.get("forward", 0.0)) > 60:
+    if (not 300 <= content["altitude"] <= 1500 or not 0 < content["inclination"] < 180
+            or content["pixel"] < 0 or abs(content.get("forward", 0.0)) > 60):
         raise TermselError(f"{path}: altitude, inclination, pixel or forward is out of range",
                            hint="They must be 300 to 1500 km, 0 to 180 deg, at least 0 m, and "
                                 "-60 to 60 deg.")

@@ -70,8 +70,8 @@ class SheetOptions:
                             extra={ONCE: "grads"})
         if "series" in values:
             return _sheet_of_series(features, values)
-        if values.keys() & {"projection_candidates", "map_century"} \
-                and values.get("projection") != AUTO:
+        if (values.keys() & {"projection_candidates", "map_century"}
+                and values.get("projection") != AUTO):
             raise TermselError("candidates and century are for a projection that is chosen",
                                hint="Add --set projection=auto, or --crs auto.")
         if "projection" not in values:

@@ -71,8 +71,8 @@ def paper_of_text(text: str) -> Paper:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
         numbers = []
-    if len(numbers) != 2 * len(PAPER_NAMES) + 3 or not np.isfinite(numbers).all() \
-            or min(numbers[4:10]) <= 0.0:
+    if (len(numbers) != 2 * len(PAPER_NAMES) + 3 or not np.isfinite(numbers).all()
+            or min(numbers[4:10]) <= 0.0):
         raise Undetermined(f"the column {COLUMN} does not state what a series shows: {text!r:.60}",
                            hint="Read the points with --set series=FILE.json.")
     return Paper(tuple(numbers[:4]), tuple(numbers[4:8]), numbers[8], numbers[9], int(numbers[10]))

@@ -59,8 +59,9 @@ def series_of(sheets: Sequence[FeatureSet], projection: str) -> Series:
 def _without_blunders(sheet: FeatureSet, projection: str) -> FeatureSet:
     """Return a sheet without the points that are blunders in the projection of its series."""
     is_blunder = blunders_in(sheet, projection)
-    return sheet if is_blunder is None \
-        else sheet.with_(points=sheet.points.take(~is_blunder))
+    if is_blunder is None:
+        return sheet
+    return sheet.with_(points=sheet.points.take(~is_blunder))
 
 
 def read_series(path: Path | str) -> Series:
@@ -91,8 +92,8 @@ def _parse_sheet(item: Any) -> Sheet:
     variances = tuple(float(value) for value in item["variances"])
     noise, freedom = float(item["noise"]), int(item["freedom"])
     numbers = np.array([*values, *variances, noise])
-    if len(values) != len(PAPER_NAMES) or len(variances) != len(PAPER_NAMES) or freedom < 1 \
-            or not np.isfinite(numbers).all() or min(*variances, noise) <= 0.0:
+    if (len(values) != len(PAPER_NAMES) or len(variances) != len(PAPER_NAMES) or freedom < 1
+            or not np.isfinite(numbers).all() or min(*variances, noise) <= 0.0):
         raise ValueError
     return Sheet(values, variances, noise, freedom, tuple(str(mark) for mark in item["points"]))
 

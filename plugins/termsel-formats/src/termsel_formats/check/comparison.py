@@ -145,8 +145,10 @@ def _deviation_of(answer: Taken, result: Result, size: tuple[int, int]) -> Devia
     image = np.concatenate([inside * size - 0.5, border_places(size)])
     level = float(result.fit.ground_box()[0][2])
     try:
-        of_points = _ground_distances(answer, result, result.project(points), points, level) \
-            if len(points) else None
+        if len(points):
+            of_points = _ground_distances(answer, result, result.project(points), points, level)
+        else:
+            of_points = None
         of_image = _ground_distances(answer, result, image, result.locate(image, level), level)
     except (NoAnswer, TermselError) as error:
         return replace(deviation, said=error.what)
@@ -167,8 +169,10 @@ def _ground_distances(answer: Taken, result: Result, image: FloatArray, ground: 
     ground[:, 2] = np.where(np.isnan(ground[:, 2]), level, ground[:, 2])
     crs = result.features.crs
     # RPCs count heights from the ellipsoid.
-    heights = transformation_between(crs, "EPSG:4979")(ground)[:, 2] \
-        if crs != LOCAL and body_of(crs) == EARTH else ground[:, 2]
+    if crs != LOCAL and body_of(crs) == EARTH:
+        heights = transformation_between(crs, "EPSG:4979")(ground)[:, 2]
+    else:
+        heights = ground[:, 2]
     xy = answer.places(image, heights)
     if answer.crs and crs != LOCAL:
         xy = transformation_between(horizontal_crs(answer.crs), horizontal_crs(crs), strict=False)(

@@ -36,10 +36,13 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
     if not match and not auxiliary:
         yield path
         return
-    stem = path.name[:-len(_AUXILIARY)] if auxiliary else str(match and match["stem"])
-    candidates = [path.with_name(stem)] if auxiliary else [
-        entry for entry in sorted(path.parent.iterdir())
-        if entry.stem == stem and entry.suffix.lower() in _PICTURES]
+    if auxiliary:
+        stem = path.name[:-len(_AUXILIARY)]
+        candidates = [path.with_name(stem)]
+    else:
+        stem = str(match and match["stem"])
+        candidates = [entry for entry in sorted(path.parent.iterdir())
+                      if entry.stem == stem and entry.suffix.lower() in _PICTURES]
     picture = next((candidate for candidate in candidates if candidate.is_file()), None)
     is_world_file = match is not None and match["rest"].lower() not in ("_rpc.txt", ".rpb")
     if picture is not None:
@@ -50,8 +53,10 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
     size = None if result is None else result.features.image_size
     if size is None:
         wanted = candidates[0].name if auxiliary else f"{stem}.tif"
-        remedy = "or give --result DIR of a run with --image" if result is None else \
-            "as the run of --result had no --image and does not know its size"
+        if result is None:
+            remedy = "or give --result DIR of a run with --image"
+        else:
+            remedy = "as the run of --result had no --image and does not know its size"
         raise TermselError(
             f"this file belongs to an image such as {wanted}, which is not beside it", file=path,
             hint=f"Put the image beside it under the name {wanted}, {remedy}.")
@@ -71,8 +76,10 @@ def _require_world_file(path: Path) -> None:
     words = path.read_bytes().decode("utf-8", errors="replace").split()
     numbers = [word for word in words if _is_number(word)]
     if len(numbers) != _NUMBERS or len(words) != _NUMBERS:
-        words_that_are_none = "" if len(numbers) == len(words) else \
-            f", and {len(words) - len(numbers)} words that are none"
+        if len(numbers) == len(words):
+            words_that_are_none = ""
+        else:
+            words_that_are_none = f", and {len(words) - len(numbers)} words that are none"
         raise TermselError(
             f"a world file has {_NUMBERS} numbers, a line each, and this one has "
             f"{len(numbers)}{words_that_are_none}: programs ignore it", file=path,

@@ -18,7 +18,10 @@ CORNER = 0.5
 
 def utm_crs(zone: int, south: bool) -> str:
     """Return the CRS of a zone of UTM on WGS84; "" if there is no such zone."""
-    return f"EPSG:32{7 if south else 6}{zone:02d}" if 1 <= zone <= 60 else ""
+    if not 1 <= zone <= 60:
+        return ""
+    # EPSG:32601 to 32660 are the zones of the north, EPSG:32701 to 32760 those of the south.
+    return f"EPSG:{(32700 if south else 32600) + zone}"
 
 
 def xml_root(path: Path, hint: str) -> ElementTree.Element:

@@ -147,8 +147,10 @@ class GdalinfoText(Reader):
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name the file."""
         text = read_text(path)
-        ids, rows, crs, size = _gcps_of_json(path, text) if text.lstrip().startswith("{") \
-            else _gcps_of_text(text)
+        if text.lstrip().startswith("{"):
+            ids, rows, crs, size = _gcps_of_json(path, text)
+        else:
+            ids, rows, crs, size = _gcps_of_text(text)
         if not rows:
             raise TermselError("gdalinfo shows no ground control points here", file=path,
                                hint="Give what it prints of an image that has some.")

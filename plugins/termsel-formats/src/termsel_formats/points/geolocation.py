@@ -320,7 +320,9 @@ def _crs_of(stated: str, heights: bool) -> str:
         epsg = CRS.from_user_input(stated).to_epsg()
     except CRSError:
         return stated
-    return degrees if epsg == 4326 else stated if epsg is None else f"EPSG:{epsg}"
+    if epsg is None:
+        return stated
+    return degrees if epsg == 4326 else f"EPSG:{epsg}"
 
 
 def _sample_arrays(

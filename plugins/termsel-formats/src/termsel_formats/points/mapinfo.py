@@ -82,8 +82,8 @@ def _crs_of_table(text: str) -> str:
         return ""
     # UTM: scale 0.9996, false easting 500 km, and a central meridian of 6 zone - 183.
     zone = round((lon + 183.0) / 6.0)
-    if items[0] != "8" or items[2] not in ("m", "7") or (lat, scale, east) != (0, 0.9996, 500000) \
-            or lon != 6 * zone - 183 or north not in (0.0, 1e7):
+    if (items[0] != "8" or items[2] not in ("m", "7") or (lat, scale, east) != (0, 0.9996, 500000)
+            or lon != 6 * zone - 183 or north not in (0.0, 1e7)):
         return ""
     return utm_crs(zone, north > 0)
 
@@ -113,8 +113,10 @@ class MapInfoTabWriter(PointsWriter):
         system, unit = 'Projection 1, 104', "degree"
         if zone is not None:
             number, south = zone
-            system = f'Projection 8, 104, "m", {6 * number - 183}, 0, 0.9996, 500000, ' \
-                     f"{10000000 if south else 0}"
+            # Transverse Mercator (8) on WGS84 (104): the central meridian, the scale on it and
+            # what is added to east and north in UTM.
+            system = (f'Projection 8, 104, "m", {6 * number - 183}, 0, 0.9996, 500000, '
+                      f"{10000000 if south else 0}")
             unit = "m"
         rows = [f"  ({x!r},{y!r}) ({sample + CORNER!r},{line + CORNER!r}) "
                 f'Label "{_label_of_id(name, i)}"'

@@ -94,8 +94,10 @@ class PciGcp(Reader):
                                file=path, line=lines[0],
                                hint="Name the fields in their order, such as --set "
                                     "layout=IDXYZPL.")
-        sigma = table.sigma("sigma_line", "sigma_sample") \
-            if {"sigma_line", "sigma_sample"} <= set(columns) else None
+        if {"sigma_line", "sigma_sample"} <= set(columns):
+            sigma = table.sigma("sigma_line", "sigma_sample")
+        else:
+            sigma = None
         return FeatureSet(table.points(image, table.stack("x", "y", "z"), sigma, table.roles()),
                           crs="")
 
@@ -115,8 +117,10 @@ class PciGcp(Reader):
             return usual.split() + ["S"] * status
         fields = _TOKEN.findall(layout)
         meanings = [_MEANING[field] for field in fields if field in _MEANING]
-        if "".join(fields) != layout or len(set(meanings)) < len(meanings) \
-                or not {"sample", "line", "x", "y"} <= set(meanings):
+        has_other_characters = "".join(fields) != layout
+        names_field_twice = len(set(meanings)) < len(meanings)
+        lacks_position = not {"sample", "line", "x", "y"} <= set(meanings)
+        if has_other_characters or names_field_twice or lacks_position:
             raise TermselError(f"the layout {layout!r:.40} is none of PCI",
                                hint="It consists of ID, P, L, X, Y, Z, eP, eL, eX, eY, eZ and S; "
                                     "P, L, X and Y are required.")
@@ -175,5 +179,6 @@ class PciGcpWriter(PointsWriter):
 def _quote(name: str) -> str:
     """Return a name in quotes if it would otherwise be no single field."""
     name = guard_cell(name.replace('"', "'"))
-    return f'"{name}"' if _FIELD.findall(name) != [("", name)] or name.startswith(_COMMENT) \
-        else name
+    if _FIELD.findall(name) != [("", name)] or name.startswith(_COMMENT):
+        return f'"{name}"'
+    return name

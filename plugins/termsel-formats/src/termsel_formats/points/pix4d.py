@@ -85,9 +85,11 @@ class Pix4dMarks(Reader):
                                     "--set ground=FILE.")
         numbered_rows = _numbered_rows(ground_file, (3, 4, 5, 6), "label,x,y,z")
         ground_rows = {row[0]: (number, row) for number, row in numbered_rows}
-        image = image_of(path, (row[0] for _, row in marks if row[1] in ground_rows),
-                         self.options["image_name"], "image_name=NAME") \
-            if any(row[1] in ground_rows for _, row in marks) else None
+        if any(row[1] in ground_rows for _, row in marks):
+            image = image_of(path, (row[0] for _, row in marks if row[1] in ground_rows),
+                             self.options["image_name"], "image_name=NAME")
+        else:
+            image = None
         used = [(number, row) for number, row in marks if row[0] == image and row[1] in ground_rows]
         if not used:
             raise TermselError(f"no label of these marks is in {ground_file.name}", file=path,

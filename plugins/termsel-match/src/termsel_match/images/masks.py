@@ -86,8 +86,10 @@ def read_polygons(path: Path | str) -> tuple[NDArray[Any], str]:
     from pyproj import CRS
 
     meta, shapes, _ = open_layer(Path(path), None, ("Polygon", "MultiPolygon"), columns=[])
-    areas = np.empty(0, dtype=object) if shapes is None else \
-        shapes[(shapely.get_dimensions(shapes) == 2) & ~shapely.is_empty(shapes)]
+    if shapes is None:
+        areas = np.empty(0, dtype=object)
+    else:
+        areas = shapes[(shapely.get_dimensions(shapes) == 2) & ~shapely.is_empty(shapes)]
     if not len(areas):
         raise TermselError("this mask has no polygons", file=path,
                            hint="Draw areas, and save them in a layer of polygons.")

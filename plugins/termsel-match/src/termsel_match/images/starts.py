@@ -79,8 +79,7 @@ class Start:
             return
         if self.places is not None:
             self._warn_if_dem_beyond_rpc(Path(dem), self.places)
-        elif self.control is not None \
-                and np.isfinite(self.control.ground_vertices()[:, 2]).any():
+        elif self.control is not None and np.isfinite(self.control.ground_vertices()[:, 2]).any():
             with open_dem(Path(dem), self.crs) as surface:
                 say_difference(self.control, self.project, surface)
 

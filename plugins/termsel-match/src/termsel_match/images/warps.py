@@ -99,8 +99,10 @@ class Reference:
         """
         x, y = self.picture.raster.transform @ (at[:, 1] + 0.5, at[:, 0] + 0.5)
         plane = np.column_stack([x, y])
-        heights = self.map_heights(plane) if callable(self.map_heights) \
-            else np.full(len(plane), np.nan)
+        if callable(self.map_heights):
+            heights = self.map_heights(plane)
+        else:
+            heights = np.full(len(plane), np.nan)
         return np.column_stack([plane, heights])
 
     def patch(self, first_line: int, first_sample: int, shape: tuple[int, int],
@@ -184,8 +186,10 @@ class Reference:
         edge = self.ground(spread_pixels(self.picture.size, (_EDGE_PLACES, _EDGE_PLACES)))
         x, y = self.to_map.transform(edge[:, 0], edge[:, 1], direction="INVERSE")
         plane = np.column_stack([x, y])
-        heights = self.heights(plane) if callable(self.heights) else \
-            np.full(len(plane), self.heights)
+        if callable(self.heights):
+            heights = self.heights(plane)
+        else:
+            heights = np.full(len(plane), self.heights)
         at_image = self.start.project(np.column_stack([plane, heights]))
         at_image = at_image[np.isfinite(at_image).all(axis=1)]
         if not len(at_image):

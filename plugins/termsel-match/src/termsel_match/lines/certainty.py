@@ -42,8 +42,10 @@ class Decisive:
         if self.moved <= UNCERTAIN:
             return (f"Without any one vector the image moves by at most {self.moved:.2f} px "
                     f"(vector {self.vector}).")
-        far = f"the image moves by {self.moved:.2f} px" if np.isfinite(self.moved) else \
-            "the lines do not determine the model"
+        if np.isfinite(self.moved):
+            far = f"the image moves by {self.moved:.2f} px"
+        else:
+            far = "the lines do not determine the model"
         return (f"Uncertain: without vector {self.vector} {far}. Check that vector, or give more "
                 "vectors.")
 

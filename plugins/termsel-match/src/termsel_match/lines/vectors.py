@@ -93,8 +93,10 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
     owner = np.repeat(np.arange(len(lines)), [len(line) for line in lines])
     plane = np.concatenate(lines)
     with ExitStack() as stack:
-        heights = np.full(len(plane), start.height) if dem is None else \
-            stack.enter_context(open_dem(Path(dem), crs))(plane)
+        if dem is None:
+            heights = np.full(len(plane), start.height)
+        else:
+            heights = stack.enter_context(open_dem(Path(dem), crs))(plane)
     if not np.isfinite(heights).any():
         raise TermselError("the DEM does not cover any of the vectors", file=dem,
                            hint="Give a DEM of the area. Vectors may be in another CRS.")

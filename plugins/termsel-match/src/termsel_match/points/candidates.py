@@ -262,8 +262,10 @@ def _points_of_matches(matches: Matches, reference: Reference) -> Points:
     """Return matches as points with scores; with a DEM only those where it has a height."""
     assert matches.sigma is not None
     ground = reference.ground(matches.second)
-    has_height = np.isfinite(ground[:, 2]) if callable(reference.map_heights) \
-        else np.ones(len(ground), dtype=bool)
+    if callable(reference.map_heights):
+        has_height = np.isfinite(ground[:, 2])
+    else:
+        has_height = np.ones(len(ground), dtype=bool)
     ids = tuple(f"M{i + 1:03d}" for i in range(int(has_height.sum())))
     scores = np.array([f"{value:.3f}" for value in matches.score[has_height]], dtype=object)
     return Points(ids, matches.first[has_height], ground[has_height], matches.sigma[has_height],

@@ -156,8 +156,8 @@ def match_ties(
         looking = Looking(matcher_class() if isinstance(matcher_class, type) else matcher_class,
                           search, count, until,
                           tell)
-        with open_masked(paths[i], band, masks) as picture, \
-                _open_reference(paths[j], starts[j], starts[i], dem, band, masks) as seen_image:
+        with (open_masked(paths[i], band, masks) as picture,
+              _open_reference(paths[j], starts[j], starts[i], dem, band, masks) as seen_image):
             in_second = seen_image.seen(spread_pixels(picture.size, (COVERS, COVERS)))
             any_overlap |= bool(np.isfinite(in_second).any())
             if not _is_any_inside(seen_image, in_second):
@@ -183,10 +183,12 @@ def match_ties(
                            hint="Give heights of the area by --dem.")
     if not rows:
         over = until is not None and monotonic() > until
+        hint = ("Do they show the same ground? Give a larger --search, another --matcher, or the "
+                "right --dem.")
+        if over:
+            hint = "There was no time. Give more --seconds."
         raise TermselError("no ties were found between any two of the images", file=paths[0],
-                           hint="There was no time. Give more --seconds." if over else
-                           "Do they show the same ground? Give a larger --search, another "
-                           "--matcher, or the right --dem.")
+                           hint=hint)
     return MatchedTies(tuple(rows), tuple(pairs))
 
 

@@ -73,9 +73,11 @@ def _quality_elements(report: Quality) -> list[Element]:
 
 def _measure(measure: Measure) -> Element:
     """Return which measure a figure is of, as an element."""
-    identification = _x("mdq:measureIdentification",
-                        _identifier_element(measure.identifier, "ISO 19157:2013")) \
-        if measure.identifier else None
+    if measure.identifier:
+        identification = _x("mdq:measureIdentification",
+                            _identifier_element(measure.identifier, "ISO 19157:2013"))
+    else:
+        identification = None
     return _x("mdq:measure", _x("mdq:DQ_MeasureReference", identification,
                                 _string_element("mdq:nameOfMeasure", measure.name),
                                 _string_element("mdq:measureDescription", measure.description)))
@@ -149,8 +151,10 @@ def _extent_element(report: Quality) -> Element:
 def _organisation_element(name: str, role: str) -> Element:
     """Return an organisation with a role as an element; without a name that is unknown."""
     # The schema wants a name, or why there is none.
-    party = _string_element("cit:name", name) if name else \
-        _x("cit:name", attributes={"gco:nilReason": "unknown"})
+    if name:
+        party = _string_element("cit:name", name)
+    else:
+        party = _x("cit:name", attributes={"gco:nilReason": "unknown"})
     return _x("cit:CI_Responsibility", _x("cit:role", _code_element("cit:CI_RoleCode", role)),
               _x("cit:party", _x("cit:CI_Organisation", party)))
 

@@ -162,11 +162,14 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
     for plugin in result.plugins.values():
         software[plugin.name] = plugin.version
     prediction = prediction_of(result) if result.accuracy is None else None
-    method = "Positions that the model computes for independent points are compared with their " \
-             "surveyed positions, at the surveyed heights. No choice has used these points."
-    if result.accuracy is None:
-        method = "There was no test by independent points." if prediction is None else (
-            f"No test by independent points: the accuracy is predicted {prediction.method}.")
+    if result.accuracy is not None:
+        method = ("Positions that the model computes for independent points are compared with "
+                  "their surveyed positions, at the surveyed heights. No choice has used these "
+                  "points.")
+    elif prediction is not None:
+        method = f"No test by independent points: the accuracy is predicted {prediction.method}."
+    else:
+        method = "There was no test by independent points."
     return Quality(
         title=title or Path(result.data.source).stem or "scene", organisation=organisation,
         made=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
@@ -229,8 +232,9 @@ def _standard_statements(result: Result, prediction: Prediction | None) -> tuple
     """Return the statements of standards, or why they are not made."""
     accuracy = result.accuracy
     if accuracy is None:
-        return ("The accuracy is not known, as the result has no independent points",) \
-            if prediction is None else (prediction.sentence,)
+        if prediction is None:
+            return ("The accuracy is not known, as the result has no independent points",)
+        return (prediction.sentence,)
     statements = [f"{name}: not stated: {figure.reason}" for name, figure in (
         ("ASPRS", accuracy.asprs), ("NSSDA", accuracy.nssda)) if figure.value is None]
     if accuracy.nssda.value is not None:
