@@ -78,7 +78,10 @@ def check(path: str | Path) -> tuple[list[str], int]:
 
 
 def _read_certificate(path: Path) -> bytes:
-    """Return the bytes of a regular file that is not too large for a certificate."""
+    """Return the bytes of a regular file that is not too large for a certificate.
+
+    Raises Refused where there is no regular file, or one of more than `_LARGEST` bytes.
+    """
     if not path.is_file():
         raise Refused("is no file, or no regular one" if path.exists() else "there is no such file")
     if path.stat().st_size > _LARGEST:
@@ -186,7 +189,7 @@ def checksum(content: Any) -> str:
 
 
 def _name(term: Any) -> str:
-    """Return the name of a term, which is printed."""
+    """Return the name of a term, which is printed; ValueError for none of printable characters."""
     if type(term) is not str or not 0 < len(term) <= _LONGEST or not term.isprintable():
         raise ValueError("a term without a name of printable characters")
     return term
@@ -217,6 +220,8 @@ class Axis:
     """
 
     def __init__(self, content: dict[str, Any]) -> None:
+        """Read an axis of a certificate's content. Raises ValueError and the like for what is none.
+        """
         self.name = content["axis"]
         self.nodes = iter(content["nodes"])
         if self.name not in ("line", "sample"):  # it is printed
@@ -269,7 +274,11 @@ class Axis:
         return rows
 
     def proven(self) -> tuple[int, int, int]:
-        """Walk the tree; return the selections decided and left open, and the number of steps."""
+        """Walk the tree; return the selections decided and left open, and the number of steps.
+
+        Raises Refused, with axis and step, for a step that does not hold, and for a tree that ends
+        too early or goes on after all is decided.
+        """
         counts = [0, 0, 0]
         todo = [self.root()]
         while todo:
@@ -327,7 +336,10 @@ class Axis:
         return node
 
     def halves(self, node: Node, j: int) -> list[Node]:
-        """Return the node without an open column and, if there is room, the node that uses it."""
+        """Return the node without an open column and, if there is room, the node that uses it.
+
+        Raises Refused where column j is not open.
+        """
         if type(j) is not int or j not in node.rest:
             raise Refused("a split is by a term that is not open")
         # Without the column its row and its column of the lower half go.
@@ -385,6 +397,8 @@ class Axis:
         """Return whether no selection of a node is below the limit.
 
         That is because of its score, or because denominator k would have to be negative.
+
+        Raises ValueError where there is no denominator k.
         """
         if k is not None and not (self.rational and type(k) is int and 0 <= k < self.checks):
             raise ValueError("a denominator")

@@ -338,6 +338,8 @@ def solve_many(equations: Equations, terms: BoolArray | None, features: BoolArra
     Terms (p, k) and features (p, n_features) are masks of what is selected; None is all. Returned
     are the coefficients (p, k), 0 where a term is not selected, and throughout where a mask has no
     unique solution; and the violations (p,), selected terms minus rank.
+
+    Raises ValueError for masks whose shapes do not fit the equations.
     """
     shared = _kept_data_of(equations)
     k = equations.A.shape[1]

@@ -117,7 +117,13 @@ class Auto(Method):
     # What it is as a method.
 
     def fit(self, data: FitData) -> Fit:
-        """Return the fit of the method that is chosen (see `choose_features`)."""
+        """Return the fit of the method that is chosen (see `choose_features`).
+
+        Raises
+        ------
+        Undetermined
+            If the features are too few for a choice.
+        """
         choice = self.choose_features(data)
         if choice is None:
             raise Undetermined(f"the features are too few for a choice: it takes "
@@ -163,6 +169,8 @@ class Auto(Method):
         """Return what a hook of a method returns; None if it fails or has nothing to say.
 
         A method that fails is remembered in `faults`, and not asked again.
+
+        Raises TermselError only for a method of termsel's own, in which it is a mistake.
         """
         # What failed once is not asked again: it would slow the run and say the same.
         if method.name in self.faults:

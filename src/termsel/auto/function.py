@@ -40,6 +40,8 @@ class _Projects(Polynomial):
         """Return the function's image positions, scaled, (..., n, 2), for ground (n, 3).
 
         The coefficients (..., k) only give the shape; the function has none.
+
+        Raises PluginFault where the function returns no positions of the shape (n, 2).
         """
         scaling = self.scaling
         projection = self.projection

@@ -133,7 +133,10 @@ class _OfCamera(Structure):
         return None
 
     def fit(self, control: FitData) -> Fit:
-        """Fit the camera, where the points support one."""
+        """Fit the camera, where the points support one.
+
+        Raises Undetermined where the points do not show a photo by a camera without distortion.
+        """
         if not call_for_camera(control.scaled, control.scaling):
             raise Undetermined("the points do not show a photo by a camera without distortion",
                                hint="Choose another model, such as dlt or projective.")

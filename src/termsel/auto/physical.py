@@ -549,6 +549,8 @@ def _projection_coefficients(camera: Pinhole, model: Projective) -> FloatArray:
 
     They are those of line, sample and denominator by 1, X, Y and Z: the rows of the camera's matrix
     P. Without heights Z is that of the plane through the points, Z = z0 + a X + b Y.
+
+    Raises Undetermined where the middle of the points lies behind the camera.
     """
     matrix = camera.matrix
     if not model.uses_height:

@@ -70,7 +70,11 @@ class Averaging(Estimator):
 
     def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Fit a polynomial (see `Estimator.fit`) with all its terms."""
+        """Fit a polynomial (see `Estimator.fit`) with all its terms.
+
+        Raises Undetermined where the features without any one of them do not determine an affine
+        model.
+        """
         assert isinstance(model, Polynomial)
         scaled = scaling.features(control.take(used))
         average_of_all = average_with_lines(scaled, model) if len(scaled.lines) else average(

@@ -43,7 +43,10 @@ _UNWRITABLE = {errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, 
 
 @contextmanager
 def _stdout_may_end() -> Iterator[None]:
-    """End the program silently when the reader of its output, such as head, has ended."""
+    """End the program silently when the reader of its output, such as head, has ended.
+
+    Raises TermselError where stdout cannot be written for another reason, such as a full disk.
+    """
     try:
         yield
         stream_of_results().flush()
@@ -305,7 +308,11 @@ def _blame_plugin(command: click.Command) -> click.Command:
     invoke = command.invoke
 
     def blaming(ctx: click.Context) -> Any:
-        """Run a command of a plugin; an error of it that nobody meant names the plugin."""
+        """Run a command of a plugin; an error of it that nobody meant names the plugin.
+
+        It is raised as PluginFault. Errors of stdout, and those by which commands end on purpose,
+        pass unchanged.
+        """
         try:
             return invoke(ctx)
         # These are how commands end on purpose; all else is a fault of the plugin.
@@ -328,6 +335,7 @@ def _blame_plugin(command: click.Command) -> click.Command:
 def _broken_command(name: str, why: str) -> click.Command:
     """Return a command that explains why a plugin's command does not work."""
     def explain() -> None:
+        """Raise TermselError, which says why the command is broken."""
         raise TermselError(f"the command {name!r} is broken: {why}",
                            hint="Report it to its author, or install another version.")
 

@@ -28,7 +28,9 @@ def rectify_batch(folder: Path, pictures: Path, out: Path, *, doubtful: bool, dr
                   quiet: bool, **options: Any) -> None:
     """Write a map of every image of a batch whose verdict allows it, and a table of all.
 
-    `options` are those of `termsel.rectify`.
+    `options` are those of `termsel.rectify`. With `dry_run` the maps are only listed. Raises
+    TermselError, before the first map, where one depends on heights and `options` have none. The
+    program ends with the exit code `_FAILED` where a map could not be written.
     """
     from termsel.data.rasters import require_rasterio
     from termsel.studies.maps import (

@@ -87,6 +87,7 @@ class Option:
     from_files: bool | tuple[str, ...] = True
 
     def __post_init__(self) -> None:
+        """Raise TermselError for a type other than int, float, bool and str."""
         if self.type not in _TYPE_WORDS:
             raise TermselError(f"option {self.name!r} has the type {self.type!r:.100}",
                                hint="Give int, float, bool or str.")

@@ -50,7 +50,10 @@ def raster_in(path: Path) -> Path:
 
 
 def _only_raster(path: Path, rasters: list[Path]) -> Path:
-    """Return the only raster of a zip or folder, by its name for GDAL."""
+    """Return the only raster of a zip or folder, by its name for GDAL.
+
+    Raises TermselError where there is none, and where there are several.
+    """
     if not rasters:
         raise TermselError("there is no TIFF in it", file=path,
                            hint="Give the raster, or its place in the zip: FILE.zip/PLACE.tif.")
@@ -74,7 +77,10 @@ def _tiffs_in_folder(folder: Path) -> list[Path]:
 
 
 def _tiffs_in_zip(archive: Path) -> list[Path]:
-    """Return the TIFFs of a zip, as if it were a folder."""
+    """Return the TIFFs of a zip, as if it were a folder.
+
+    Raises TermselError for a zip that cannot be read, or has more than `MAX_ARCHIVE_FILES` files.
+    """
     try:
         with zipfile.ZipFile(archive) as packed:
             names = packed.namelist()

@@ -46,6 +46,7 @@ class Area:
     attributes: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        """Open the ring and check it; raises TermselError or `CornerError` as the class says."""
         image, ground = (np.array(ring, dtype=np.float64) for ring in (self.image, self.ground))
         n = len(image)
         if image.shape != (n, 2) or ground.shape != (n, 3):

@@ -75,6 +75,8 @@ class Points(Tabular):
     attributes: Attributes = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        """Check the points and make roles of their number; raises TermselError as the class says.
+        """
         self._check("point", ())
         n = len(self.ids)
         roles = tuple(self.roles) or ("",) * n
@@ -148,6 +150,7 @@ class Lines(Tabular):
     attributes: Attributes = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        """Check the lines; raises TermselError as the class says."""
         self._check("line", (2,), "sigma")
         if not self.ids:
             return
@@ -279,6 +282,7 @@ class FeatureSet(Glance):
     named_units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        """Take the CRS as text; TermselError where a point and a line have the same id."""
         # The class is frozen; nobody has seen the object yet.
         object.__setattr__(self, "crs", crs_text(self.crs))
         # Selections, results and messages name a feature by its id alone.

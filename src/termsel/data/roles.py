@@ -509,7 +509,11 @@ def check_as_control(observations: Observations) -> Observations:
 
 
 def parse_shares(text: str, needs_check: bool) -> tuple[float, ...]:
-    """Return the shares of control, check and independent points, from an option like "1:1:1"."""
+    """Return the shares of control, check and independent points, from an option like "1:1:1".
+
+    Raises TermselError for other than three finite numbers of at least 0, and for a share 0 of
+    check points where the criterion needs them.
+    """
     try:
         shares = tuple(float(number) for number in text.replace(",", ":").split(":"))
     except ValueError:

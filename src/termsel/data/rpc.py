@@ -93,6 +93,7 @@ class Rpc:
     control_digests: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
+        """Take the numbers as float; raises TermselError as the class says."""
         for name, value in vars(self).items():
             # numpy's numbers have another repr, which is written.
             if isinstance(value, tuple) and name != "control_digests":

@@ -274,6 +274,8 @@ def _predict_with_experience(fitted: Fit, errors: FloatArray, points: int,
 
     Its logarithm is that of both, each by its degrees of freedom. Those of held-out errors are of
     fits with one point less: a camera of three points has none, and its errors say nothing.
+
+    The errors (n, 2) are in px. Raises TermselError where the estimator's spread has no factors.
     """
     n = len(errors)
     spread = fitted.estimator.spread(fitted, fitted.scaled_control.take(fitted.used).points.ground)

@@ -577,7 +577,10 @@ class Fit(Glance):
                 "larger. More points, or columns sigma_line and sigma_sample, would decide.")
 
     def _ground_points(self, ground: ArrayLike) -> FloatArray:
-        """Return ground points (n, 3); a plane model also takes them without heights."""
+        """Return ground points (n, 3); a plane model also takes them without heights.
+
+        Raises TermselError for another shape.
+        """
         points = numbers_or_nan(ground)
         if points.shape[1:] == (2,) and not self.model.uses_height:
             # A plane model does not look at heights, so that they may be missing.

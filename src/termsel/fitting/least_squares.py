@@ -183,7 +183,10 @@ def adjust(model: SensorModel, features: FeatureSet, terms: BoolArray,
 
 def _linearised_equations(model: SensorModel, features: FeatureSet,
                           coefficients: FloatArray) -> Equations:
-    """Return the equations about a solution, of a model that has them."""
+    """Return the equations about a solution, of a model that has them.
+
+    Raises PluginFault where the model returns none.
+    """
     equations = model.linearised(features, coefficients)
     if equations is None:
         raise fault_of_method(model, "linearised",

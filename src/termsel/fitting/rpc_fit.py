@@ -120,6 +120,10 @@ def closest_rpc(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcF
     """Return the RPC of a fitted model as `rpc_of`, but without warnings of what it loses.
 
     A map needs one on the way, which nobody asked for.
+
+    Heights are the lowest and the highest [m] at which it has to hold. Raises TermselError where no
+    RPC comes near the model, and where the model has no ground position for over a fifth of the
+    image.
     """
     convert = to_wgs84(fitted.control.crs)
     refuse_sky(fitted, "an RPC")
@@ -242,7 +246,12 @@ def _places_in_image(fitted: Fit,
 
 def _grid_on_ground(fitted: Fit, convert: Callable[[FloatArray], FloatArray], across: int,
                     levels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return image positions (n, 2) and their ground at several heights in WGS84, (n, 3)."""
+    """Return image positions (n, 2) and their ground at several heights in WGS84, (n, 3).
+
+    There are `across` lines and samples at each of the heights `levels`; places where the model
+    does not hold are left out. Raises TermselError where it has no ground position for over a
+    fifth.
+    """
     steps = np.unique(levels)
     (first_line, first_sample), (last_line, last_sample) = fitted.image_box()
     lines = np.linspace(first_line, last_line, across)

@@ -187,6 +187,8 @@ class RunOptions:
     options: dict[str, str] = field(init=False)
 
     def __post_init__(self) -> None:
+        """Parse the settings; TermselError for options that exclude each other or require another.
+        """
         _refuse_options_of_command(self.settings)
         # The class is frozen; this one field follows from the others.
         object.__setattr__(self, "options", parse_settings(
@@ -454,7 +456,13 @@ def _kind_of(path: Path) -> str:
 
 
 def parse_settings(settings: tuple[str, ...], **named: str | None) -> dict[str, str]:
-    """Return the options of ``--set KEY=VALUE``, with those that commands have as their own."""
+    """Return the options of ``--set KEY=VALUE``, with those that commands have as their own.
+
+    Raises
+    ------
+    TermselError
+        For a setting that is not of the form KEY=VALUE, and for a key that is given twice.
+    """
     options: dict[str, str] = {}
     for setting in settings:
         key, equals, value = setting.partition("=")

@@ -107,6 +107,13 @@ def private_folder(parent: Path | None = None) -> Iterator[Path]:
     """Yield a new folder that only this user can read, and remove it at the end.
 
     The parent is by default the system's folder for temporary files.
+
+    Raises
+    ------
+    TermselError
+        If no folder can be made in the system's.
+    OSError
+        If none can be made in `parent`.
     """
     try:
         folder = _make_folder(Path(gettempdir()) if parent is None else parent)

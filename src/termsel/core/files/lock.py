@@ -44,7 +44,10 @@ def lock_folder(folder: Path,
 
 @contextmanager
 def _hold_lock(folder: Path, hint: str) -> Iterator[FileIO]:
-    """Yield the file of a lock that is held, and remove the file at the end."""
+    """Yield the file of a lock that is held, and remove the file at the end.
+
+    Raises TermselError, with `hint`, where another process still holds it after 0.4 s.
+    """
     # Who asks for the status holds it for a moment.
     for i in range(5):
         if i:
@@ -101,7 +104,10 @@ def lock_holder(folder: Path) -> str | None:
 
 @contextmanager
 def _open_lock(folder: Path, mode: Literal["a+b", "r+b"]) -> Iterator[FileIO]:
-    """Yield the open file of a folder's lock; a link in its place is not followed."""
+    """Yield the open file of a folder's lock; a link in its place is not followed.
+
+    Raises TermselError where it cannot be opened.
+    """
     try:
         file = open(folder / LOCK, mode, buffering=0,  # noqa: SIM115 (closed below)
                     opener=open_inside)
@@ -114,7 +120,10 @@ def _open_lock(folder: Path, mode: Literal["a+b", "r+b"]) -> Iterator[FileIO]:
 
 
 def _take_lock_of_folder(file: FileIO, folder: Path) -> bool:
-    """Take the lock of a folder if no other process has it."""
+    """Take the lock of a folder if no other process has it, and return whether it is taken.
+
+    Raises TermselError where the folder cannot be written to.
+    """
     try:
         return _try_lock(file)
     except OSError as error:

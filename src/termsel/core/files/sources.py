@@ -337,7 +337,11 @@ class _Chain:
         raise refused_format_error(path, head, self.start)
 
     def _require_neighbours(self, path: Path, depth: int) -> None:
-        """Require the overviews, masks and auxiliary files that GDAL would open as well."""
+        """Require the overviews, masks and auxiliary files that GDAL would open as well.
+
+        Raises TermselError for one that is not regular, or is XML of more than `_LARGEST_XML`
+        bytes.
+        """
         for entry in _names_next_to(path):
             name = entry.casefold()
             neighbour = path.parent / entry
@@ -365,7 +369,7 @@ class _Chain:
                                         depth, expected="")
 
     def _decode_xml(self, content: bytes, name: str) -> str:
-        """Return the text of XML, which has to be UTF-8 and not too long."""
+        """Return the text of XML; TermselError for what is not UTF-8, or is too long."""
         if len(content) > _LARGEST_XML:
             raise self._too_large_error(name)
         try:
@@ -376,7 +380,10 @@ class _Chain:
                              ) from None
 
     def _require_archive(self, name: str, depth: int) -> int:
-        """Require a file in an archive on this disk."""
+        """Require a file in an archive on this disk, and return how many sources are read.
+
+        Raises TermselError where the archive has no such file.
+        """
         archive, member = _archive_and_member(name)
         if archive is None:
             return 1  # GDAL says that there is none
@@ -398,6 +405,8 @@ class _Chain:
         `name` is how GDAL calls the file, `archive` the archive on the disk, and `member` the file
         in it, "" for its only one. GDAL opens overviews, masks and auxiliary XML beside a raster
         without being asked, in an archive as on the disk, and these may name further sources.
+
+        Raises TermselError for an archive that has two files of one name.
         """
         members = _list_archive(name, archive)
         if members is None:  # a single file, next to which are those of the disk

@@ -444,7 +444,7 @@ def transformation_between(source: str, target: str, *, strict: bool = True,
         _say_no_datum(without_datum)
 
     def convert(ground: FloatArray) -> FloatArray:
-        """Return ground coordinates (n, 3) in the other CRS."""
+        """Return ground coordinates (n, 3) in the other CRS; TermselError where PROJ has none."""
         # Heights that are not known are taken as 0, as the docstring says.
         known_heights = np.nan_to_num(ground, nan=0.0)
         try:

@@ -188,6 +188,8 @@ def metric_crs(crs: str, lon: float, lat: float) -> str:
 
     The zone of UTM; on another body than the Earth, that of `crs`, a transverse Mercator projection
     about the whole degrees next to the place.
+
+    Raises TermselError for a place on the Earth north of 84 N or south of 80 S, where UTM ends.
     """
     lon = (lon + 180) % 360 - 180
     if body_of(crs) != EARTH:

@@ -406,6 +406,7 @@ class Record(RecordPart, frozen=True, kw_only=True):
     """Checksums by which `termsel.read_result` refuses a result that was changed."""
 
     def __post_init__(self) -> None:
+        """Raise ValueError where there are more lookups than evaluations."""
         # A lookup is an evaluation whose figures were kept.
         if self.lookups > self.evaluations:
             raise ValueError("there are more lookups than evaluations")

@@ -193,6 +193,9 @@ def parse_columns(text: str) -> dict[str, str]:
     """Return the name or number of a column by its meaning, of pairs "line=Zeile,sample=4".
 
     Meanings may be called as columns are, such as row, col, lon, lat and height.
+
+    Raises TermselError for a pair without meaning or name, an unknown meaning, and one that is
+    declared twice.
     """
     meanings = POINTS | LINES | CORNER
     columns: dict[str, str] = {}
