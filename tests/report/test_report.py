@@ -223,8 +223,8 @@ def test_a_picture_is_written(call: Call, searched: Path, tmp_path: Path, suffix
 
 
 @pytest.mark.parametrize(("words", "says"), [
-    (("{}", "terms", "-o", "x.gif"), ".svg, .png, .pdf"),
-    (("{}", "terms", "-o", "x"), ".svg, .png, .pdf"),
+    (("{}", "terms", "-o", "x.gif"), ".svg, .png or .pdf"),
+    (("{}", "terms", "-o", "x"), ".svg, .png or .pdf"),
     (("{}", "termz", "-o", "x.svg"), "terms"),
     (("terms", "{}", "-o", "x.svg"), "Error: DIR comes before KIND: termsel plot "),
     (("{}", "candidates", "-o", "x.svg"), "it was not chosen automatically (strategy auto)"),

@@ -337,6 +337,6 @@ def test_an_image_of_one_pixel_shows_no_lines(place: Any) -> None:
 def test_points_are_refused(place: Any) -> None:
     points = place.world.independent()
     lines = Lines(("a",), np.array([[[0.0, 0], [9, 9]]]), points.ground[None, :2])
-    with pytest.raises(TermselError, match="only 1 control line, beside"):
+    with pytest.raises(TermselError, match="only 1 control line beside"):
         termsel.run("matched-lines", features=FeatureSet(
             replace(points, roles=()), lines, "EPSG:32633"))

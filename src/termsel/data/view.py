@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.special import fdtri
 
 from termsel.data.coordinates.places import spatial_order
 from termsel.data.features import BoolArray, FloatArray, Points, empty_points
@@ -205,6 +204,8 @@ def _heights_show(view: CentralView, points: Points) -> bool:
     other height is seen. With squares S of the projection and S0 of that without heights, f and
     f + 3 degrees of freedom, (S0 - S) / 3 by S / f is distributed as F where heights do nothing.
     """
+    from scipy.special import fdtri  # views without heights need not import it
+
     plane = _projection_columns(points.ground, 3)
     heights = points.ground[:, 2]
     off_plane = heights - plane @ np.linalg.lstsq(plane, heights)[0]
