@@ -220,8 +220,7 @@ class Axis:
     """
 
     def __init__(self, content: dict[str, Any]) -> None:
-        """Read an axis of a certificate's content. Raises ValueError and the like for what is none.
-        """
+        """Read an axis of a certificate's content; ValueError and the like for what is none."""
         self.name = content["axis"]
         self.nodes = iter(content["nodes"])
         if self.name not in ("line", "sample"):  # it is printed

@@ -71,8 +71,7 @@ class DistantRaster:
         self._question = partial(Question, next(_numbers), os.getcwd(), _request_settings())
 
     def __getattr__(self, name: str) -> Any:
-        """Return what the raster has by this name; AttributeError for names that begin with "_".
-        """
+        """Return what the raster has by this name; AttributeError for one that begins with "_"."""
         # Copying and pickling ask for such names before there is a helper.
         if name.startswith("_"):
             raise AttributeError(name)

@@ -312,7 +312,13 @@ def image_of(path: Path, images: Iterable[_Image], asked_for: _Image | None, opt
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a UTF-8 file, without a byte order mark, line ends as they are."""
+    """Return the text of a UTF-8 file, without a byte order mark, line ends as they are.
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be read, is binary, or is not UTF-8; the message has the line.
+    """
     data = read_data(path)
     # UTF-16 is distinguished by its mark, as the decoder would say something of a byte.
     if is_utf16(data):
@@ -409,6 +415,8 @@ def read_once(path: Path) -> Iterator[Path]:
     """Yield a file for readers, which open it several times: the path, or a copy of a pipe.
 
     Errors in the block that name the copy name the pipe.
+
+    Raises TermselError for a pipe that carries more than `MAX_FILE_BYTES`, or cannot be read.
     """
     # Pipes that no shell has opened are left to readers, which refuse them: nobody may ever write
     # to them.

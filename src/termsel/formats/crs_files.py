@@ -103,7 +103,7 @@ def _crs_of_text(path: Path) -> str:
 
 
 def _normalise_crs(path: Path, text: str) -> str:
-    """Return the normal form of a CRS; an error says in which file it is."""
+    """Return the normal form of a CRS; TermselError, with the file, for what is none."""
     try:
         return normalise(text)
     except TermselError as error:

@@ -368,13 +368,15 @@ def from_items(items: Mapping[str, str]) -> Rpc:
     numbers are ignored. Raises TermselError for items that are missing or not numbers.
     """
     def number_of(name: str) -> float:
+        """Return the number of an item; TermselError where it is missing or no number."""
         words = items.get(name, "").split()
         if not words:
             raise TermselError(f"the RPC lacks {name}", hint=_INCOMPLETE)
         return _number_of_item(words[0], name)
 
     def coefficients_of(name: str) -> tuple[float, ...]:
-        """Return the 20 coefficients of one polynomial."""
+        """Return the 20 coefficients of one polynomial; TermselError where there are not as many.
+        """
         # 20 numbers in one item, or an item each.
         if name not in items:
             return tuple(number_of(f"{name}_{i + 1}") for i in range(N_COEFFICIENTS))
@@ -407,7 +409,7 @@ def _error_or_none(error: float | None) -> float | None:
 
 
 def _number_of_item(text: str, name: str, line: int | None = None) -> float:
-    """Return a text as a number; errors name the item and its line."""
+    """Return a text as a number; TermselError, with the item and its line, for what is none."""
     try:
         return float(text.replace("_", "?"))  # Python reads 1_000, no other program does
     except ValueError:

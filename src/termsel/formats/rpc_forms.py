@@ -172,7 +172,10 @@ def _whole_lines(text: str) -> Iterator[str]:
 
 def _find_dictionaries(tree: object, path: tuple[str, ...],
                        ) -> Iterator[tuple[tuple[str, ...], dict[str, Any]]]:
-    """Yield the dictionaries of a tree, with the keys that lead to them."""
+    """Yield the dictionaries of a tree, with the keys that lead to them.
+
+    Raises TermselError for a tree that is more than `DEEPEST` levels deep.
+    """
     # A file can nest without end and still be small.
     if len(path) > DEEPEST:
         raise TermselError("the file is nested too deeply for one of RPCs",

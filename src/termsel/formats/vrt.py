@@ -105,7 +105,10 @@ def vrt_text(
 
 
 def _name_in_vrt(image: Path, folder: Path) -> str:
-    """Return the name of an image as seen from the folder of a VRT, if that can hold it."""
+    """Return the name of an image as seen from the folder of a VRT.
+
+    Raises TermselError for a name that XML cannot hold.
+    """
     # What is in an archive has no way from a folder.
     name = str(gdal_name(image)) if str(image).startswith("/vsi") else relative_name(image, folder)
     if not is_xml_text(name):

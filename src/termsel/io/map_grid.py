@@ -68,7 +68,10 @@ class MapGrid:
 
 
 def clip_grid(grid: MapGrid, bounds: tuple[float, float, float, float], crs: str) -> MapGrid:
-    """Return the part of a grid within least and largest x and y in a CRS, at whole pixels."""
+    """Return the part of a grid within least and largest x and y in a CRS, at whole pixels.
+
+    Raises TermselError where no pixel of the grid is within the bounds.
+    """
     from rasterio.warp import transform_bounds
 
     west, south, east, north = transform_bounds(horizontal_crs(crs), grid.crs, *bounds)

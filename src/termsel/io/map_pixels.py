@@ -190,6 +190,8 @@ def _prepare_for_resampling(picture: Picture, resampling: str | None) -> tuple[P
 
     Colours are resampled instead of the indices of a table, and grey instead of bits; so are
     tables with colours that are partly transparent, which a GeoTIFF does not hold.
+
+    Raises TermselError for an unknown resampling, and for one that would mix pixels of classes.
     """
     if resampling is not None and resampling not in RESAMPLING:
         raise unknown_name_error("resampling", resampling, RESAMPLING)
@@ -251,7 +253,11 @@ def warp(raster: Any, output: Path, grid: MapGrid, spec: MapPixels, *, tags: Map
     lost = 0
 
     def pixels(window: Any, transform: Any) -> tuple[Values, Mask]:
-        """Return the values of a tile of the map, and where it has any."""
+        """Return the values of a tile of the map, and where it has any.
+
+        They are (bands, lines, samples) and (lines, samples). Raises TermselError where the image
+        or the heights cannot be read.
+        """
         nonlocal lost
         shape = window.height, window.width
         try:

@@ -656,6 +656,9 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
     In this order, as each step needs the one before: the reader of each file, its features with
     axes exchanged and counted from the upper left, their kinds, the CRS in which all agree, units
     of columns, and positions that the CRS can have. Every error names the file.
+
+    Raises TermselError without any file, for more formats than files, and where one of these steps
+    fails.
     """
     if points is None and lines is None and areas is None:
         raise TermselError("no file of points or lines is given",
@@ -762,6 +765,8 @@ def _say_misspelt(path: Path, features: FeatureSet) -> None:
 
 
 def _check_areas(path: Path, reader: Reader, asked_for: bool) -> None:
+    """Raise TermselError for areas that are not given as such, and for other files given as areas.
+    """
     if not reader.areas:
         raise TermselError("this is a file of points or lines, not of areas", file=path,
                            hint="Give points with --points and lines with --lines.")
@@ -772,7 +777,11 @@ def _check_areas(path: Path, reader: Reader, asked_for: bool) -> None:
 
 
 def _with_areas(features: FeatureSet, areas: FeatureSet, path: Path) -> FeatureSet:
-    """Return the features together with the areas, as points or lines as they were read."""
+    """Return the features together with the areas, as points or lines as they were read.
+
+    Raises TermselError, with the file of the areas, for an id that both have, and for features that
+    do not go together.
+    """
     shared_ids = set(features.ids) & set(areas.ids)
     if shared_ids:
         raise TermselError(f"{min(shared_ids)!r} is the id of an area and of a point or line",

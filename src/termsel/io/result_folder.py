@@ -158,7 +158,11 @@ def _contents_by_file(result: Result) -> dict[str, str]:
 
 
 def _put_in_place(folder: Path) -> None:
-    """Replace the files of a folder by the pending ones; nothing without these."""
+    """Replace the files of a folder by the pending ones; nothing without these.
+
+    Raises TermselError for a pending file that is not part of a result, and where the folder cannot
+    be written to.
+    """
     pending = _pending_folder(folder)
     if not pending.is_dir():
         return

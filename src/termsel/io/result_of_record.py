@@ -73,7 +73,10 @@ def result_from(record: Record, features: FeatureSet) -> Result:
 
 
 def _model_of_selection(record: Record) -> SensorModel:
-    """Return the model of the selection."""
+    """Return the model of the selection.
+
+    Raises TermselError where the model that is installed lacks a term of the record.
+    """
     model_type = _model_type(record.plugins.get("model"), record.model)
     # A plugin may have changed its options since: that is said by its own error.
     declared: SensorModel = model_type(**record.options.model)
@@ -108,7 +111,10 @@ def _fit_of_selection(record: Record, model: SensorModel, observations: Observat
 
 def _merge_listed_points(features: FeatureSet, points: set[str],
                          ids: tuple[str, ...]) -> FeatureSet:
-    """Return some points with twins as one, and the lines among some ids."""
+    """Return some points with twins as one, and the lines among some ids.
+
+    Raises TermselError where these are others than the ids say.
+    """
     lines = features.lines
     chosen_features = with_merged_twins(features.with_(
         points=features.points.take([name in points for name in features.points.ids]),
@@ -156,7 +162,11 @@ def _estimator_of_method(record: Record) -> Estimator | None:
 
 
 def _model_type(plugin: PluginRecord | None, name: str) -> type[SensorModel]:
-    """Return the class of a model, as a plugin or this session provides it."""
+    """Return the class of a model, as a plugin or this session provides it.
+
+    Raises TermselError for a function of Python, which no file holds, and for a class or name that
+    nothing provides.
+    """
     names = registry()
     if name in (OfFunction.name, OfPlaneFunction.name):
         raise TermselError("this result is that of a function in Python, which no file holds",

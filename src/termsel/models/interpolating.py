@@ -79,7 +79,13 @@ class ThinPlate(Interpolating):
                                     "or generalised cross-validation.", choices=("reml", "gcv")))
 
     def interpolation(self, control: FeatureSet) -> Interpolation | None:
-        """Return the spline (see `SensorModel.interpolation`)."""
+        """Return the spline (see `SensorModel.interpolation`).
+
+        Raises
+        ------
+        TermselError
+            If an exact spline is asked for, and the points are too many for one.
+        """
         if self.options["smoothing"] == 0 and len(control.points) > MAX_EXACT_SPLINE:
             raise TermselError(
                 f"a spline that meets {amount_in_words(len(control.points), 'point')} exactly "

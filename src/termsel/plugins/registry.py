@@ -116,7 +116,10 @@ class Registry:
         return [entry.name for entry in self.entries(kind)]
 
     def get(self, kind: str, name: str) -> Any:
-        """Return the thing of a kind of `KINDS` that has a name, or ``distribution:name``."""
+        """Return the thing of a kind of `KINDS` that has a name, or ``distribution:name``.
+
+        Raises TermselError, with the nearest names, where there is none.
+        """
         if (item := self.known(kind, name)) is not None:
             return item
         raise unknown_name_error(KINDS[kind].in_words, name, self.names(kind),
@@ -152,7 +155,10 @@ class Registry:
         return value
 
     def register(self, item: Any) -> Any:
-        """Make a thing known by its name in this process (see `termsel.register`)."""
+        """Make a thing known by its name in this process (see `termsel.register`).
+
+        Raises TermselError for a thing of no kind.
+        """
         for kind in KINDS:
             # Classes are registered, not objects with options.
             if not KINDS[kind].is_of(item) or isinstance(item, Configurable):

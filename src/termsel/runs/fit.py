@@ -91,7 +91,10 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "
 
 @one_blas_thread
 def _fit_by_method(method: Method, features: FeatureSet) -> Fit:
-    """Return the fit by a method that the user names."""
+    """Return the fit by a method that the user names.
+
+    Raises TermselError, with its reason, where the method declines the features.
+    """
     # Check and independent points stay out, as in a run without them.
     data = FitData.of(control_of(_with_heights(features)))
     with attribute_errors_to(method, "fit"):

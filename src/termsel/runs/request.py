@@ -392,7 +392,13 @@ def _owners_of_options() -> dict[str, list[str]]:
 
 
 def problem_for(features: FeatureSet | None, dataset: str | DatasetSpec | None = None) -> str:
-    """Return the problem that features, or else a data set, are for where none is named."""
+    """Return the problem that features, or else a data set, are for where none is named.
+
+    Raises
+    ------
+    TermselError
+        If there are neither features nor a data set.
+    """
     if features is None and dataset is not None:
         features = load_dataset(registry().resolve("datasets", dataset))
     if features is None:

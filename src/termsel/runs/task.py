@@ -449,7 +449,12 @@ def with_shares(request: Request, *, auto: bool = False) -> Request:
 
 
 def _build_problem(request: Request, inputs: ProblemData) -> Problem:
-    """Return the recipe's problem, for solvers that can handle it."""
+    """Return the recipe's problem, for solvers that can handle it.
+
+    Raises TermselError where coefficients of a model that is not linear are to be shrunk, for
+    options that the problem does not have, and for solvers that cannot handle it; PluginFault where
+    the recipe builds no problem.
+    """
     # Shrunk are coefficients towards zero; of such a model 0 is no camera, and gave 65 px.
     if inputs.options.get("shrink") and inputs.model.start(inputs.control) is not None:
         raise TermselError(f"the model {inputs.model.name!r} is not linear in its terms, so its "

@@ -127,6 +127,7 @@ class Pushbroom:
     offset: tuple[float, float, float] | FloatArray = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
+        """Raise TermselError for a length, number or period that is not positive."""
         for name in ("altitude", "n_lines", "n_samples", "ifov", "line_period"):
             if not getattr(self, name) > 0:
                 raise TermselError(f"{name} of a pushbroom is {getattr(self, name)}, which is not "
@@ -335,7 +336,11 @@ def _refraction(target: FloatArray, up: FloatArray, height: FloatArray, station:
 
 
 def _meet(station: FloatArray, ray: FloatArray, height: FloatArray) -> FloatArray:
-    """Return the points where rays reach ellipsoidal heights, Earth-fixed [m], shape (n, 3)."""
+    """Return the points where rays reach ellipsoidal heights, Earth-fixed [m], shape (n, 3).
+
+    Station and ray are Earth-fixed (n, 3), heights (n,) [m]. Raises TermselError for rays that miss
+    the Earth.
+    """
     # Starts on the ellipsoid with both axes longer by the height, which is nearly the surface of
     # that height, and continues with Newton's method along the ray.
     axes = np.stack([SEMI_MAJOR + height, SEMI_MAJOR + height, SEMI_MINOR + height], axis=-1)

@@ -185,7 +185,10 @@ def _line_counts(scene: Scene, n_lines: int | None, wrong: int | None) -> tuple[
 
 
 def _random_streams(scene: Scene, seed: int | None) -> list[Generator]:
-    """Return generators of points, lines, mismatches and noise, each a separate stream."""
+    """Return generators of points, lines, mismatches and noise, each a separate stream.
+
+    Raises TermselError for a negative seed.
+    """
     if seed is not None and seed < 0:
         raise TermselError(f"the seed is {seed}", hint="Give a whole number of at least 0.")
     return np.random.default_rng([scene.number, seed or 0]).spawn(4)

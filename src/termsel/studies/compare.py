@@ -172,6 +172,8 @@ def plan_cells(spec: Spec, folder: Path, tables: frozenset[Path] = frozenset()) 
     """Return the cells of a study, all checked; file names are relative to `folder`.
 
     Files among `tables`, the resolved paths of what the study itself writes, are skipped.
+
+    Raises TermselError, with the place in the study, for an unknown format of its exports.
     """
     for i, name in enumerate(spec.exports):
         try:
@@ -286,7 +288,10 @@ def _mean_time(sizes: list[int], seconds: Mapping[int, float]) -> float | None:
 
 
 def _open_journal(stack: ExitStack, folder: Path, current_versions: Mapping[str, str]) -> Journal:
-    """Return the open journal of a folder that this process alone works in."""
+    """Return the open journal of a folder that this process alone works in.
+
+    Raises TermselError where another process works in it, and where it has files of other origin.
+    """
     make_folder(folder)
     stack.enter_context(lock_folder(
         folder, "Wait for it, or choose another --out. "

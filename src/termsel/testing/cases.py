@@ -126,7 +126,8 @@ def run_all(checks: Iterable[Check]) -> None:
 
 def _run(name: str, function: Callable[[Any], None], cases: tuple[Case, ...],
          reason: str | None) -> None:
-    """Run a check with its cases; one that is expected to fail must fail."""
+    """Run a check with its cases; AssertionError where it fails, or was expected to and does not.
+    """
     try:
         # One case that fails is enough, also where a failure is expected.
         for case in cases:
@@ -185,6 +186,8 @@ def check_declaration(kind: str, item: Any) -> None:
     """Require what the hooks require, a one-line summary, and options that parse.
 
     The kind is a plural, such as "models"; the thing a class, as a hook returns it, or an object.
+
+    Raises AssertionError where it does not have them.
     """
     try:
         # The very test by which a hook is refused, so that what passes here is accepted there.
@@ -222,7 +225,13 @@ def require_unchanged(arrays: Mapping[str, NDArray[Any]], method: str,
 
 
 def through_pickle(item: Subject) -> Subject:
-    """Return a copy through pickle, as in another process."""
+    """Return a copy through pickle, as in another process.
+
+    Raises
+    ------
+    AssertionError
+        If it cannot be sent there.
+    """
     try:
         # Studies send what they run to other processes.
         copy: Subject = pickle.loads(pickle.dumps(item))

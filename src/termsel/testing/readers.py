@@ -131,6 +131,8 @@ def line_ends(example: Example) -> None:
     """Text is read the same with line ends of Unix or Windows, without a last, and with a BOM.
 
     Nothing is required of a reader of binary files.
+
+    Raises AssertionError otherwise.
     """
     if example.text is None:
         return

@@ -35,6 +35,8 @@ def random_coefficients(model: SensorModel, rng: np.random.Generator) -> FloatAr
 
     They are near 0; those of a model with a start within 0.1 of it, for an image of half that size
     with north above.
+
+    Raises AssertionError where there are none.
     """
     ground = random_ground(rng, 500)
     change = rng.uniform(-1.0, 1.0, len(model.terms))
@@ -91,7 +93,10 @@ def make_experiment(model: SensorModel, points: int, lines: int, shrink: float =
 
 
 def accepted_scenes(model: SensorModel) -> list[FeatureSet]:
-    """Return features of the kinds of control that the model accepts, the fullest last."""
+    """Return features of the kinds of control that the model accepts, the fullest last.
+
+    Raises AssertionError where the model accepts none.
+    """
     accepted = []
     refusal: TermselError | None = None
     for mix in MIXES:

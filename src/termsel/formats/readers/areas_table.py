@@ -32,6 +32,9 @@ class AreasCsv(TableReader):
         The rows of one area are its corners in their order. An area becomes its centroid, measured
         once, or the lines of its boundary, by the option `areas_as`. Errors of corners name the row
         of the file.
+
+        Raises TermselError for an area with two roles, and for what `Area` and its points or lines
+        refuse.
         """
         rows = _rows_of_areas(table)
         image = table.stack("line", "sample")
@@ -68,7 +71,10 @@ class AreasCsv(TableReader):
 
 
 def _rows_of_areas(table: Table) -> dict[str, list[int]]:
-    """Return the rows of each area in the order of its corners."""
+    """Return the rows of each area in the order of its corners.
+
+    Raises TermselError where an area has two corners of one number.
+    """
     # Corners of an area need not be next to each other in the file.
     rows: dict[str, list[int]] = {}
     for row, name in enumerate(table.ids()):

@@ -100,7 +100,13 @@ def header_row(rows: Sequence[Sequence[str]], aliases: Aliases, stated: Mapping[
 
 def read_cells(path: Path, aliases: Aliases, stated: Mapping[str, str], layer: str | None = None,
                ) -> Cells:
-    """Return the rows of a file; `aliases` and `stated` choose its separator, or its sheet."""
+    """Return the rows of a file; `aliases` and `stated` choose its separator, or its sheet.
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be read, or is a text and a layer is asked for.
+    """
     data = read_data(path)
     # Spreadsheets are known by their first bytes, whatever their name.
     if data.startswith(_SHEETS):
@@ -268,6 +274,8 @@ def _rows_of_text(path: Path, text: str, delimiter: str) -> Cells:
     A row may go over several lines within quotation marks, so that its number is that of the line
     it begins on. Lines that begin with # between rows are comments, which may declare the CRS.
     Without a `delimiter` cells are separated by any number of blanks.
+
+    Raises TermselError, with the line, for a row that cannot be read, as of an open quotation mark.
     """
     rows: list[list[str]] = []
     lines: list[int] = []
@@ -320,7 +328,11 @@ def _without_crs_line(cells: Cells) -> Cells:
 
 def _choose_sheet(path: Path, aliases: Aliases, stated: Mapping[str, str],
                   layer: str | None) -> Cells:
-    """Return the rows of a sheet of a spreadsheet: the first visible one that names columns."""
+    """Return the rows of a sheet of a spreadsheet: the first visible one that names columns.
+
+    The sheet `layer`, if any, is chosen instead. Raises TermselError where there is no such sheet,
+    or none that is visible.
+    """
     with require_import("spreadsheets require", "python-calamine", '"termsel[tables]"', path):
         import python_calamine  # noqa: F401 (what the other process imports)
     # In a process of its own: a small file can claim billions of cells.
@@ -345,6 +357,8 @@ def _visible_sheets(path: Path, layer: str | None,
     """Return the names of the visible sheets, and the rows of the layer or of all of them.
 
     A sheet of a kilobyte can say that it has 17 billion cells: see `termsel.core.files.apart`.
+
+    Raises TermselError for a spreadsheet that cannot be read.
     """
     from python_calamine import CalamineError, CalamineWorkbook, SheetVisibleEnum
 

@@ -120,7 +120,11 @@ class LinesCsv(TableReader):
     required = (("line1",), ("sample1",), ("line2",), ("sample2",))
 
     def features(self, table: Table) -> FeatureSet:
-        """Return the lines that are not off; errors name file, line and column."""
+        """Return the lines that are not off; errors name file, line and column.
+
+        Raises TermselError for a line in the role check or independent, and for what `Lines`
+        refuses.
+        """
         # Lines are always control: what they check is the model itself.
         roles = table.roles()
         for row, role in enumerate(roles):

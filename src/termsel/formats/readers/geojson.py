@@ -104,6 +104,9 @@ def _parse_feature(path: Path, number: int, item: Any, kinds: Mapping[str, int])
     `kinds` has the geometries that are taken, by how deep their coordinates are nested: 0 for a
     point, 1 for a line, 2 for several lines. Every kind becomes lists of vertices, with NaN for a
     height that is missing. Errors name the feature by its number.
+
+    Raises TermselError for another geometry, and for coordinates that are not two or three finite
+    numbers each.
     """
     item = item if isinstance(item, dict) else {}
     # What is no object has no properties, and is refused by its geometry.
@@ -154,7 +157,10 @@ def _is_finite(number: float) -> bool:
 
 
 def _crs_member(path: Path, member: Any) -> str:
-    """Return the CRS of the old member "crs"; "" where there is none."""
+    """Return the CRS of the old member "crs"; "" where there is none.
+
+    Raises TermselError, with the file, for one that is not known.
+    """
     try:
         # "crs" is not in RFC 7946; without one coordinates are WGS 84.
         name = member["properties"]["name"]

@@ -188,7 +188,8 @@ def _sample_and_line(feature: Feature) -> list[float]:
 
 
 def _stated_sigma(feature: Feature) -> list[float]:
-    """Return the standard deviations of sample and line."""
+    """Return the standard deviations of sample and line [px]; TermselError where one is no number.
+    """
     value = feature.pixels("sigma_px")
     pair = value if isinstance(value, list) else [value, value]
     if not numbers_at(pair, 0, (2,)):

@@ -58,7 +58,10 @@ class PointsJson(PointsCsv):
         return parts_of(header, rows)
 
     def _object_cells(self, path: Path) -> Cells:
-        """Return the objects of the longest list as rows below their names."""
+        """Return the objects of the longest list as rows below their names.
+
+        Raises TermselError for what is no JSON, and for JSON without a list of objects.
+        """
         try:
             tree = parse_json(read_text(path), _HINT)
         except TermselError as error:

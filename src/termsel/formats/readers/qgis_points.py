@@ -79,6 +79,9 @@ class QgisPoints(TableReader):
 
         The columns may hold map coordinates of the image, or pixels upwards or downwards. The
         reading by which most points lie in the image counts; of equals the one that QGIS writes.
+
+        The size is lines and samples. Raises TermselError where pixels of QGIS are all outside the
+        image.
         """
         with open_raster(Path(self.options["raster"])) as raster:
             size = raster.shape

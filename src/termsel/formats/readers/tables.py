@@ -139,7 +139,13 @@ class Table:
         return self.at(error, rows[0] if len(rows) == 1 else None)
 
     def ids(self) -> list[str]:
-        """Return the ids, P1, P2, ... where the format has none."""
+        """Return the ids, P1, P2, ... where the format has none.
+
+        Raises
+        ------
+        TermselError
+            For an id that is not allowed, with its line and column.
+        """
         if "id" not in self.columns:
             numbers = range(1, len(self.lines) + 1) if self.row_name == "line" else self.lines
             return [f"P{number}" for number in numbers]
@@ -279,6 +285,8 @@ class Table:
         numbers that count west or south change their sign; and units in the name, such as km,
         become metres. A blank cell is NaN where it `may_be_blank`. A table without a column of
         heights has NaN for all.
+
+        Raises TermselError for a cell that is no number, and for a height that stands for none.
         """
         # A table without heights has none for any row.
         if meaning not in self.columns and meaning[0] == "z":
@@ -323,6 +331,8 @@ class Table:
         """Return angles that count west or south, by the name of their column, with a minus sign.
 
         Those that are negative already stay; plane coordinates have axes of their CRS.
+
+        Raises TermselError where only some of them are negative.
         """
         negative = np.flatnonzero(numbers < 0.0)
         if len(negative) == len(numbers) or np.abs(numbers).max(initial=0.0) > 360.0:
@@ -639,6 +649,9 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
     """Return the table of rows of cells, as `read_table`; `path` is for messages.
 
     `stated` has names or numbers of columns by meaning, as the user says.
+
+    Raises TermselError without a header or a row below it, for a row of more or fewer cells than
+    the header, and for columns that are declared or needed and not there.
     """
     crs = _declared_crs(path, cells.comments)
     # An empty file, or comments alone.

@@ -67,6 +67,11 @@ def open_layer(path: Path, layer: str | None, kinds: Container[str],
     The layer is by default the first that has such kinds, or that GDAL takes for the first. Of
     several such layers a note names all, and says that `chooser`, an option, or by default ogr2ogr
     chooses another; with None nothing is said.
+
+    Raises
+    ------
+    TermselError
+        If the file cannot be read, or has no layers or not this one.
     """
     if read_head(path, "Expected a GeoPackage, Shapefile or FlatGeobuf.").lstrip()[:1] == b"{":
         read_text(path)  # lest GDAL quotes what is no text
@@ -118,7 +123,10 @@ def _read_layer(path: Path, layer: str | None, columns: list[str] | None,
 
 @contextmanager
 def _name_for_drivers(path: Path) -> Iterator[Path]:
-    """Yield a name in a private folder by which the drivers that are allowed read a vector file."""
+    """Yield a name in a private folder by which the drivers that are allowed read a vector file.
+
+    Raises TermselError where reading it in the block fails, and for files of drivers that are off.
+    """
     from pyogrio.errors import DataLayerError, DataSourceError
 
     _turn_off_drivers()

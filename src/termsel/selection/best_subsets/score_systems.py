@@ -456,6 +456,9 @@ def _rows_of_systems(system: SubsetSystem, score: str, kind: int,
     """Return the rows of all systems of a score, and how often each row is held out at least.
 
     The first system has all rows of control. Of folds there is one more each, without its rows.
+
+    Raises ValueError for the score check without rows of selection points, and for kfold without
+    folds.
     """
     k = system.design.shape[1]
     control = np.column_stack([system.design, system.target])

@@ -141,7 +141,10 @@ def _axis_system(model: RationalModel, inputs: ProblemData, equations: Equations
 
 def _with_check(system: SubsetSystem, model: RationalModel, inputs: ProblemData,
                 image_axis: int) -> SubsetSystem:
-    """Return the system with the rows of the selection points."""
+    """Return the system with the rows of the selection points.
+
+    Raises TermselError for a model whose second step is not linear in its terms.
+    """
     check = inputs.check
     points = inputs.control.points
     check_equations = _axis_of_points(model, check, image_axis)
@@ -181,7 +184,10 @@ def _denominator_columns(model: RationalModel, ground: FloatArray,
 
 
 def _merge(axis_systems: list[SubsetSystem], genes: list[IntArray]) -> SubsetSystem:
-    """Return line and sample as two right-hand sides of one system."""
+    """Return line and sample as two right-hand sides of one system.
+
+    Raises TermselError where they have other columns, or denominators.
+    """
     line, sample = axis_systems
     same_columns = (np.array_equal(genes[0], genes[1]) and line.denominator is None
                     and np.array_equal(line.design, sample.design))

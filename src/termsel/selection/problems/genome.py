@@ -41,6 +41,7 @@ class Genome:
 
     def __init__(self, segments: Iterable[AnySegment], *, on: Iterable[str] = (),
                  off: Iterable[str] = ()) -> None:
+        """Lay out the segments and check what is forced; raises TermselError as the class says."""
         self.segments = tuple(segments)
         self._slices = _segment_slices([(s.name, s.size) for s in self.segments])
         if len(self._slices) < len(self.segments):

@@ -55,6 +55,7 @@ class ParameterProblem(Problem):
 
     def __init__(self, inputs: ProblemData, parameters: Iterable[str], *, terms: bool = False,
                  mask: str = "per-axis") -> None:
+        """Make a segment of each option of the model; raises TermselError as the class says."""
         self.inputs = inputs
         self._selects_terms = terms
         options = {option.name: option for option in inputs.model.declared_options}

@@ -77,6 +77,8 @@ class Recipe:
     source: str = ""
 
     def __post_init__(self) -> None:
+        """Raise TermselError for an unknown kind of control, and for options that are no `Option`.
+        """
         if self.control not in ("points", "lines", "both"):
             raise TermselError(f"recipe {self.name!r} has the control {self.control!r:.100}",
                                hint="Give points, lines or both.")
@@ -185,7 +187,12 @@ def term_options(**defaults: Any) -> tuple[Option, ...]:
 
 
 def with_defaults(declared: tuple[Option, ...], **defaults: Any) -> tuple[Option, ...]:
-    """Return options of which some, by name, have other defaults, and no longer show the usual one.
+    """Return options of which some, by name, have other defaults, and do not show the usual one.
+
+    Raises
+    ------
+    TermselError
+        For a default of an option that there is not.
     """
     options = {option.name: option for option in declared}
     for name, default in defaults.items():

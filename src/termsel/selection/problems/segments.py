@@ -214,6 +214,7 @@ class Categories(Named):
     choices: tuple[Any, ...]
 
     def __post_init__(self) -> None:
+        """Make tuples of labels and choices; TermselError where there are no choices."""
         # Segments are keys of caches: what lists were given becomes tuples.
         object.__setattr__(self, "labels", tuple(self.labels))
         object.__setattr__(self, "choices", tuple(self.choices))
@@ -302,6 +303,7 @@ class Subset(Named):
     m: int
 
     def __post_init__(self) -> None:
+        """Raise TermselError for an m that is not from 0 to the number of labels."""
         if not 0 <= self.m <= len(self.labels):
             raise TermselError(f"segment {self.name!r} cannot choose {self.m} of "
                                f"{len(self.labels)}")

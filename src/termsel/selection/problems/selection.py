@@ -77,6 +77,7 @@ class SelectionProblem(Problem):
 
     def __init__(self, inputs: ProblemData, *, terms: bool, features: bool,
                  mask: str = "per-axis", subset: bool = False) -> None:
+        """Lay out the genome of what is selected; raises TermselError as the class says."""
         model = inputs.model
         control = inputs.control
         self.inputs = inputs
@@ -384,7 +385,10 @@ def _iterated_model(inputs: ProblemData) -> RationalModel | None:
 
 
 def _terms_in_use(inputs: ProblemData) -> BoolArray:
-    """Return which terms are in use where they are not selected, shape (k,)."""
+    """Return which terms are in use where they are not selected, shape (k,).
+
+    Raises TermselError for the name of a term that the model does not have.
+    """
     names = inputs.model.terms
     selected = split_names(inputs.options.get("terms"))
     for name in selected:

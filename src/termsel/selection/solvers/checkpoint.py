@@ -74,6 +74,7 @@ class Checkpoint:
     """
 
     def __init__(self, path: Path | str) -> None:
+        """Read the file, or begin it; raises TermselError as the class says."""
         self.path = Path(path)
         self._lines: dict[int, list[_Line]] = {}
         self._stages = 0
@@ -184,7 +185,7 @@ class Stage:
         return None
 
     def _require_same(self, evaluation: Evaluation, problem: Problem, genes: Any) -> None:
-        """Evaluate one selection again: other data give other figures."""
+        """Evaluate one selection again; TermselError where its figures differ, as of other data."""
         evaluated_now = problem.evaluate(genes[:1])
         if not (_are_alike(evaluated_now.objectives[0], evaluation.objectives[0])
                 and _are_alike(evaluated_now.violation[:1], evaluation.violation[:1])):

@@ -110,7 +110,11 @@ def _require_few(spec: Spec, data: int) -> None:
 
 
 def _data_of_problem(spec: Spec, problem: PartSpec | None) -> Data:
-    """Return the data set of a problem, for a study that names no data."""
+    """Return the data set of a problem, for a study that names no data.
+
+    Raises TermselError, with the place in the study, where there is no problem either, or none of
+    this name.
+    """
     if problem is None:
         raise spec.places.error(("data",), "the study names neither data nor a problem",
                                 "Write [[data]] and points = \"*.csv\", or problems = [\"...\"].")

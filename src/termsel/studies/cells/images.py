@@ -73,7 +73,10 @@ def file_word(text: str, empty: str) -> str:
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write the files of a result into the folder of its image, each completely or not at all."""
+    """Write the files of a result into the folder of its image, each completely or not at all.
+
+    Raises TermselError where the folder cannot be written to.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with private_folder(folder) as new:

@@ -153,7 +153,10 @@ class Journal:
             self._file = None
 
     def _write(self, record: Mapping[str, Any]) -> None:
-        """Append a record as one line; a part of it that is written is taken back on failure."""
+        """Append a record as one line; a part of it that is written is taken back on failure.
+
+        Raises TermselError where the file cannot be written.
+        """
         assert self._file is not None
         line = _seal_record(record)
         try:

@@ -131,6 +131,7 @@ class _Trace:
             self.points.append([count, best, seconds])
 
     def __call__(self, progress: Progress) -> None:
+        """Note the progress of a search. Raises `_OutOfTime` after more than `timeout`."""
         if self._timeout is not None and time.perf_counter() - self._start > self._timeout:
             raise _OutOfTime(OUT_OF_TIME.format(self._timeout))
         if progress.evaluations < self._last:

@@ -50,6 +50,8 @@ def data_of(spec: Spec, folder: Path, tables: frozenset[Path] = frozenset()) -> 
     """Return all data that a study names, each once; file names are relative to `folder`.
 
     Files among `tables`, the resolved paths of what the study itself writes, are skipped.
+
+    Raises TermselError for data that are named twice, and where none of the data can be read.
     """
     data_sets: list[Data] = []
     # What is said of the heights of one file would stand there for each of hundreds.
@@ -153,7 +155,10 @@ def data_of_dataset(name: str, path: Keys = ()) -> Data:
 
 def _data_of_source(spec: Spec, source: Source, folder: Path,
                     tables: frozenset[Path]) -> Iterator[Data]:
-    """Yield the data of one source: feature sets, a data set, or files by pattern."""
+    """Yield the data of one source: feature sets, a data set, or files by pattern.
+
+    Raises TermselError, with the place in the study, for a data set that is not known.
+    """
     for label, features in source.features.items():
         yield Data(label, _group_key(features), label, features, path=source.path)
     if source.dataset is not None:
@@ -173,7 +178,10 @@ def _data_of_source(spec: Spec, source: Source, folder: Path,
 
 def _matching_files(spec: Spec, source: Source, kind: str, patterns: tuple[str, ...],
                     folder: Path) -> list[str]:
-    """Return the files of patterns, in the order of the patterns and then of their names."""
+    """Return the files of patterns, in the order of the patterns and then of their names.
+
+    Raises TermselError, with the place in the study, for a pattern that no file matches.
+    """
     files: list[str] = []
     for pattern in patterns:
         # A name without a wildcard is a file that must be there.

@@ -176,7 +176,11 @@ def _as_in_a_file(value: Any) -> Any:
 
 
 def _parts_of_kind(at: Places, kind: str, listed: Any) -> tuple[PartSpec, ...]:
-    """Return the parts of a kind that a study lists, each with a label of its own."""
+    """Return the parts of a kind that a study lists, each with a label of its own.
+
+    Raises TermselError, with the place in the study, for what is no list, and for a label that is
+    too long, has control characters or is given twice.
+    """
     if not isinstance(listed, Sequence) or isinstance(listed, str):
         raise at.error((kind,), f"{kind} is not a list", f'Write {kind} = ["name", ...].')
     components: list[PartSpec] = []
@@ -199,6 +203,8 @@ def _part_of_study(at: Places, path: Keys, declared: Any) -> PartSpec:
 
     `path` says where it stands in the study, for errors. The label, which tables of the study show,
     has the options that are not at their defaults, unless the table gives one.
+
+    Raises TermselError, with `path`, for what has no name.
     """
     if isinstance(declared, str):
         return PartSpec(declared, declared, path=path)
@@ -276,7 +282,7 @@ def _parse_sources(at: Places, listed: Any) -> list[Source]:
 
 def _parse_texts(at: Places, path: Keys, value: Any,
                  choices: tuple[str, ...] | None = None) -> tuple[str, ...]:
-    """Return one text or a list of texts as a tuple."""
+    """Return a text or a list of texts as a tuple; TermselError for others, or not in `choices`."""
     items = [value] if isinstance(value, str) else value
     if not isinstance(items, Sequence) or not all(isinstance(item, str) for item in items):
         raise at.error(path, f"{path[-1]} is neither text nor a list of texts")
@@ -288,7 +294,10 @@ def _parse_texts(at: Places, path: Keys, value: Any,
 
 
 def _parse_seeds(at: Places, key: str, value: Any, first: int) -> tuple[int, ...]:
-    """Return seeds: a list, or how many there are from the first on."""
+    """Return seeds: a list, or how many there are from the first on.
+
+    Raises TermselError for what is no such number or list.
+    """
     if isinstance(value, int) and not isinstance(value, bool):
         if not 1 <= value <= MOST_RUNS:
             raise at.error((key,), f"{value} {key} is not from 1 to {MOST_RUNS:,}",
@@ -319,7 +328,7 @@ def _parse_options(at: Places, path: Keys, table: Any) -> dict[str, Any]:
 
 
 def _parse_budget(at: Places, limits: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the limits of a study's searches, checked."""
+    """Return the limits of a study's searches; TermselError for an unknown one, or a bad value."""
     for key, value in limits.items():
         path = ("budget", key)
         if key not in BUDGETS:

@@ -82,6 +82,7 @@ class SubsetSystem:
     parents: BoolArray | None = None
 
     def __post_init__(self) -> None:
+        """Check shapes and values; raises TermselError and ValueError as the class says."""
         m, k = self.design.shape
         r = self.target.shape[1]
         c = 0 if self.check_design is None else len(self.check_design)

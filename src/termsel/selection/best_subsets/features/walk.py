@@ -90,6 +90,7 @@ class Selections:
     systems: tuple[RowSystem, ...] = ()
 
     def __post_init__(self) -> None:
+        """Raise TermselError for more free features than can be enumerated."""
         if len(self.free) > MAX_WALK_FEATURES:
             raise TermselError(f"the selections of {len(self.free)} features cannot be enumerated",
                                hint=f"Give at most {MAX_WALK_FEATURES}, fix some with --set "

@@ -280,6 +280,8 @@ def neighbours_of_segment(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
     Integers and real numbers are a half, a quarter, ... of their range away, or at a bound;
     categories are all others; a permutation has two of its things exchanged; a subset has one
     member replaced. All are valid and differ from the genes.
+
+    Raises TypeError for bits, of which `swap.neighbours` knows.
     """
     n = segment.size
     match segment:
