@@ -6,12 +6,14 @@ import json
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import termsel
+from termsel.data.features import FeatureSet
 from termsel.selection.solvers.search import SearchResult
 
 SOLVERS = ("ga", "pso", "ica", "swap", "nsga2")
@@ -100,7 +102,7 @@ def test_what_a_checkpoint_has_is_not_evaluated_again(tmp_path: Path) -> None:
 
     task.problem.evaluate = counting  # type: ignore[method-assign]
     found(task, checkpoint=tmp_path / "file")
-    assert counted == [1]  # whether the data are the same
+    assert counted == [20]  # one population: whether the data are the same
 
 
 def test_a_budget_may_grow(task: termsel.Task, tmp_path: Path) -> None:
@@ -157,6 +159,26 @@ def test_a_checkpoint_of_other_data_is_refused(task: termsel.Task, tmp_path: Pat
     other = termsel.prepare("poly-terms", options={"degree": 2, "roles": "random", "split": 1})
     with pytest.raises(termsel.TermselError, match="of other data, or of another problem"):
         found(other, checkpoint=file)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("role", ["control", "check"])
+def test_a_checkpoint_is_refused_once_one_reading_is_corrected(
+        seed: int, role: str, tmp_path: Path) -> None:
+    """The first selections of a search often have no solution, whatever the data are."""
+    scene = termsel.simulate_scene("ikonos-hamedan", seed=seed, roles=(30, 15, 15), n_lines=0)
+    points = scene.points
+    image = points.image.copy()
+    image[points.roles.index(role)] += [50.0, 0.0]
+    misread = scene.with_(points=replace(points, image=image))
+
+    def search(features: FeatureSet) -> termsel.Result:
+        return termsel.run("rfm-terms", features=features, solver="ga", seed=seed, evaluations=300,
+                           checkpoint=tmp_path / "file", options={"population": 60})
+
+    search(misread)
+    with pytest.raises(termsel.TermselError, match="of other data, or of another problem"):
+        search(scene)
 
 
 def test_another_file_stays_as_it_is(task: termsel.Task, tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ import pytest
 import rasterio
 
 import termsel
+from termsel_app.iiif import parse_image_info
 from termsel_app.quality import shown_accuracy
 from termsel_app.rasters import encode_png
 
@@ -571,6 +572,14 @@ def pictures(asked: list[str]) -> Iterator[str]:
 
 
 @pytest.mark.slow
+def test_tiles_without_a_height_are_square() -> None:
+    """As the Image API 3.0 has it in section 5.4; the page would draw lines at other places."""
+    description = {"id": "https://images.example/map1", "width": 4000, "height": 3000,
+                   "tiles": [{"width": 512, "scaleFactors": [1, 2]}, {"width": 256, "height": 128}]}
+    image = parse_image_info(json.dumps(description).encode(), "info.json")
+    assert [tile["height"] for tile in image.info["tiles"]] == [512, 128]
+
+
 def test_an_iiif_image_is_shown_where_servers_may_be_asked(browser: Any, example: Path) -> None:
     pytest.importorskip("termsel_iiif")
     asked: list[str] = []

@@ -91,5 +91,17 @@ def parse_image_info(content: bytes, address: str) -> IiifImage:
         raise TermselError("the description of this image does not state its size",
                            file=address,
                            hint="Save the image at full size, and give that file.")
-    return IiifImage({key: info[key] for key in KEPT if key in info}, name,
-                     (int(size[0] or 0), int(size[1] or 0)))
+    kept = {key: info[key] for key in KEPT if key in info}
+    if isinstance(kept.get("tiles"), list):
+        kept["tiles"] = [_square_without_height(tile) for tile in kept["tiles"]]
+    return IiifImage(kept, name, (int(size[0] or 0), int(size[1] or 0)))
+
+
+def _square_without_height(tile: Any) -> Any:
+    """Return the description of tiles with a height: that of the width, where it states none.
+
+    So the Image API has it (3.0, section 5.4); the page would ask for tiles of another size.
+    """
+    if isinstance(tile, dict) and "width" in tile:
+        return {"height": tile["width"], **tile}
+    return tile

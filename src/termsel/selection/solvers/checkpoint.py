@@ -150,6 +150,7 @@ class Stage:
         self._unwritten: list[_Line] = []
         self._written = time.perf_counter()
         self._n_replayed = 0
+        self._is_compared = False
 
     @property
     def is_replaying(self) -> bool:
@@ -177,18 +178,24 @@ class Stage:
             # A copy that can be written to, in the byte order of this machine.
             table = values.reshape(n, columns).astype(np.float64)
             evaluation = Evaluation(table[:, :-1], table[:, -1])
-            # Only once: the same data give the same figures ever after.
-            if not self._n_replayed:
+            # Once some selection was compared, the same data give the same figures ever after.
+            if not self._is_compared:
                 self._require_same(evaluation, problem, genes)
             self._n_replayed += n
             return evaluation
         return None
 
     def _require_same(self, evaluation: Evaluation, problem: Problem, genes: Any) -> None:
-        """Evaluate one selection again; TermselError where its figures differ, as of other data."""
-        evaluated_now = problem.evaluate(genes[:1])
-        if not (_are_alike(evaluated_now.objectives[0], evaluation.objectives[0])
-                and _are_alike(evaluated_now.violation[:1], evaluation.violation[:1])):
+        """Evaluate a population again: other data give other figures.
+
+        Raises TermselError if they differ. What has no solution shows nothing, as it is infinite
+        whatever the data.
+        """
+        evaluated_now = problem.evaluate(genes)
+        is_solved = (evaluation.violation <= 0) & np.isfinite(evaluation.objectives).all(axis=1)
+        self._is_compared = bool(is_solved.any())
+        if not (_are_alike(evaluated_now.objectives, evaluation.objectives)
+                and _are_alike(evaluated_now.violation, evaluation.violation)):
             raise TermselError("the checkpoint is of other data, or of another problem",
                                hint="Give the name of a new file, or what the file was made with.",
                                file=self.path)
