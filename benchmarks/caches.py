@@ -23,7 +23,7 @@ import termsel
 CACHES = {
     "data.scaling": ("Scaling.features",), "data.view": ("_view_of",),
     "data.roles": ("_order_and_labels",),
-    "data.coordinates.places": ("lattice_of",), "data.monomials": ("_cached_monomials",),
+    "data.coordinates.places": ("_lattice_of_points",), "data.monomials": ("_cached_monomials",),
     "models.quotient": ("guard_points",), "fitting.pinhole": ("camera_of",),
     "adjustment.bayesian.field": ("_cached_gaussian_process",),
     "adjustment.bayesian.kernels": ("_cached_spline_field",),

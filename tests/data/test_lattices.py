@@ -54,10 +54,28 @@ def test_a_lattice_in_numbers_of_32_bits_is_one() -> None:
     ground = np.column_stack([degrees, np.full(len(line), 500.0)])
     points = Points(tuple(map(str, range(len(line)))), np.column_stack([line, sample]) * 1.0,
                     ground.astype(np.float32).astype(np.float64))
-    assert lattice_of(points) is not None
+    features = FeatureSet(points, crs="EPSG:4979")
+    assert lattice_of(features) is not None
     rng = np.random.default_rng(0)
     measured = ground + rng.normal(0.0, 1.3e-6, ground.shape)
-    assert lattice_of(replace(points, ground=measured)) is None
+    assert lattice_of(features.with_(points=replace(points, ground=measured))) is None
+
+
+@pytest.mark.parametrize("middle", [14.0, 179.9, -180.0])
+def test_a_lattice_is_told_wherever_its_longitudes_are(middle: float) -> None:
+    """At 180 degrees they jump by a full turn."""
+    features = lattice()
+    x, y, height = features.points.ground.T
+    longitude = middle + (x - x.mean()) / 75000.0
+    ground = np.column_stack([(longitude + 180.0) % 360.0 - 180.0, 47.0 + (y - 5e6) / 111000.0,
+                              height])
+    result = termsel.run(features=FeatureSet(replace(features.points, ground=ground),
+                                             crs="EPSG:4979", image_size=(8001, 10001)))
+    text = " ".join(result.summary().split())
+    assert "a lattice of 9 lines and 11 columns" in text
+    assert "the points were computed" in text
+    assert "no independent check points" in text
+    assert len(result.fit.control) == LINES * COLUMNS
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

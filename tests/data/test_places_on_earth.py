@@ -49,6 +49,28 @@ def test_swapped_axes_of_an_image_seen_from_above_are_told(
     assert "Warning: line and sample look swapped" in said(exchanged(image, "image"), caplog)
 
 
+@pytest.mark.parametrize("turn", [0, 40, 100])
+@pytest.mark.parametrize("axes", [NORTH_UP, NORTH_UP * [[1.0], [-1.0]]], ids=["seen", "mirrored"])
+def test_axes_are_told_alike_where_longitudes_jump(
+        turn: float, axes: FloatArray, caplog: pytest.LogCaptureFixture) -> None:
+    image = scene("EPSG:4326", (0.0, 30.0), 1e-4, turn, axes)
+    ground = image.points.ground.copy()
+    ground[:, 0] = (ground[:, 0] + 360.0) % 360.0 - 180.0
+    jumping = image.with_(points=replace(image.points, ground=ground))
+    assert ("look swapped" in said(jumping, caplog)) == ("look swapped" in said(image, caplog))
+
+
+@pytest.mark.parametrize("turn", [80, 100, 260])
+def test_axes_that_an_annotation_states_are_not_doubted(
+        turn: float, caplog: pytest.LogCaptureFixture) -> None:
+    """Near a pole a radar flies to the west or to the east, and looks to its right all the same."""
+    image = scene("EPSG:4326", (-60.0, 85.0), 1e-5, turn, -NORTH_UP * [-1.0, 1.0])
+    assert "look swapped" in said(image, caplog)
+    names = np.array(["annotation.xml"] * len(image.points), dtype=object)
+    stated = image.with_(points=replace(image.points, attributes={"sensor": names}))
+    assert said(stated, caplog) == ""
+
+
 @pytest.mark.parametrize("turn", [0, 12, -35, 180, 192])
 def test_a_map_that_counts_to_the_north_and_a_radar_image_are_not_swapped(
         turn: float, caplog: pytest.LogCaptureFixture) -> None:

@@ -169,7 +169,7 @@ def folds_of(features: FeatureSet) -> int:
     """
     if len(features.lines):
         return min(FOLDS_WITH_LINES, len(features))
-    lattice = lattice_of(features.points)
+    lattice = lattice_of(features)
     if lattice is not None:
         return folds_along(lattice.lines) + folds_along(lattice.columns)
     clusters = clusters_of(features)

@@ -83,7 +83,7 @@ class FitData:
     def lattice(self) -> Lattice | None:
         """The lattice that the points form, as a processor computes them; None if they form none.
         """
-        return None if len(self.features.lines) else lattice_of(self.features.points)
+        return lattice_of(self.features)
 
     @property
     def scaled(self) -> FeatureSet:

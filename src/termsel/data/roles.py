@@ -292,7 +292,7 @@ class Observations:
         """The lattice that all points are, with the numbers of those in the pool; if they are one.
         """
         points = self.features.points
-        all_points = None if len(self.features.lines) else lattice_of(points)
+        all_points = lattice_of(self.features)
         if all_points is None:
             return None
         row_of = {name: index for index, name in enumerate(points.ids)}
@@ -455,7 +455,7 @@ def _order_and_labels(features: FeatureSet) -> tuple[FeatureSet, IntArray]:
     Points of one label share a role: twins, or a line of a lattice. Cells of a study share theirs.
     """
     features = without_jump(sorted_by_id(features))
-    lattice = None if len(features.lines) else lattice_of(features.points)
+    lattice = lattice_of(features)
     return features, find_twins(features.points.ground) if lattice is None else lattice.line
 
 

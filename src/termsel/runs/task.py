@@ -439,7 +439,7 @@ def with_shares(request: Request, *, auto: bool = False) -> Request:
     if not can_hold_out:
         # A search that judges by selection points needs a third for these, a third for the verdict.
         shares = EQUAL_SHARES
-    elif auto and lattice_of(request.features.points) is not None:
+    elif auto and lattice_of(request.features) is not None:
         shares = ALL_CONTROL  # whole lines and columns of a lattice are held out
     elif auto:
         shares = SPARED if len(roles) >= MANY and "independent" not in roles else ALL_CONTROL

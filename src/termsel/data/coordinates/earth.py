@@ -25,7 +25,7 @@ from termsel.data.coordinates.crs import (
     transformation_between,
 )
 from termsel.data.coordinates.crs_columns import crs_of_columns
-from termsel.data.coordinates.longitudes import unwrap_longitudes
+from termsel.data.coordinates.longitudes import unwrap_longitudes, without_jump
 from termsel.data.coordinates.metres import has_compass_axes, metric_crs, offsets_in_metres
 from termsel.data.coordinates.places import lattice_of
 from termsel.data.features import FeatureSet, FloatArray
@@ -87,7 +87,7 @@ def note_on_turned(features: FeatureSet) -> str:
         return (f"{doubt}. --set {exchanging} exchanges them. {condition}, {other} are swapped: "
                 f"--set {exchanging_others}.")
     # Computed points, and what names its sensor, say how the image was seen.
-    is_declared = lattice_of(features.points) is not None or _SENSOR in features.points.attributes
+    is_declared = lattice_of(features) is not None or _SENSOR in features.points.attributes
     turn = None if is_declared else _rotation_to_east_north_up(features)
     # A mirror image: one coordinate is counted other than from the upper left.
     if turn is not None and np.linalg.det(turn) < 0:
@@ -174,6 +174,10 @@ def find_swapped_axes(features: FeatureSet) -> str:
             and (as_they_stand is None or not is_inside(as_they_stand, area, AREA_MARGIN))):
         return (f"x and y look swapped: exchanged, they lie in the area of "
                 f"{short_crs_name(features.crs)}, and not as they stand")
+    # The annotation that points name states which axis is which; near a pole the columns of a radar
+    # image that looks to its right may run along either diagonal.
+    if _SENSOR in features.points.attributes:
+        return ""
     # A mirror image of the ground about a diagonal: exchanging makes it the view from above.
     turn = _rotation_to_east_north_up(features)
     if turn is None or np.linalg.det(turn) >= 0 or not _is_diagonal(turn):
@@ -218,7 +222,7 @@ def _rotation_matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
     lines = features.lines
     if len(points) + len(lines) // 1.5 < fewest:
         return None
-    ground = features.ground_vertices()[:, :2]
+    ground = without_jump(features).ground_vertices()[:, :2]
     from_middle = ground - ground.mean(axis=0)
     metres = offsets_in_metres(features.crs, ground, from_middle)
     design = np.column_stack([from_middle if metres is None else metres, np.ones(len(ground))])

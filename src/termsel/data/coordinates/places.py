@@ -10,6 +10,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike
 
+from termsel.data.coordinates.longitudes import without_jump
 from termsel.data.features import FeatureSet, FloatArray, IntArray, Points
 
 AREA_ROUNDING = 1e-14
@@ -171,9 +172,17 @@ class Lattice:
             "them, too: give it if you have it.")
 
 
+def lattice_of(features: FeatureSet) -> Lattice | None:
+    """Return the lattice that features are, or None if they are none or have lines.
+
+    Longitudes that jump at 180 degrees go on there: the jump is no noise.
+    """
+    return None if len(features.lines) else _lattice_of_points(without_jump(features).points)
+
+
 @lru_cache(maxsize=8)  # roles, folds and verdict ask about the same points
-def lattice_of(points: Points) -> Lattice | None:
-    """Return the lattice that points are, or None if they are none."""
+def _lattice_of_points(points: Points) -> Lattice | None:
+    """Return the lattice that points without jumps are, or None if they are none."""
     if len(points) < MIN_LATTICE_LINES**2 or points.sigma is not None:
         return None
     # Lines and columns are the values that occur, each once at every crossing.
