@@ -571,7 +571,6 @@ def pictures(asked: list[str]) -> Iterator[str]:
         server.shutdown()
 
 
-@pytest.mark.slow
 def test_tiles_without_a_height_are_square() -> None:
     """As the Image API 3.0 has it in section 5.4; the page would draw lines at other places."""
     description = {"id": "https://images.example/map1", "width": 4000, "height": 3000,
@@ -580,6 +579,7 @@ def test_tiles_without_a_height_are_square() -> None:
     assert [tile["height"] for tile in image.info["tiles"]] == [512, 128]
 
 
+@pytest.mark.slow
 def test_an_iiif_image_is_shown_where_servers_may_be_asked(browser: Any, example: Path) -> None:
     pytest.importorskip("termsel_iiif")
     asked: list[str] = []
