@@ -38,6 +38,30 @@ def test_a_method_by_its_name_takes_the_place_of_auto(scene: FeatureSet) -> None
             "affine", "an affine polynomial", termsel.Affine(), None)).fit.coefficients)
 
 
+@pytest.mark.parametrize("is_masked", [False, True])
+def test_a_function_without_a_position_outside_its_points_is_refused_by_name(
+        scene: FeatureSet, is_masked: bool) -> None:
+    """As what interpolates in triangles has none: of those held out at the rim nothing is known."""
+    def interpolation(features: FeatureSet) -> object:
+        west = features.points.ground[:, 0].min()
+        affine = AFFINE.fit(FitData.of(features))
+
+        def project(ground: np.ndarray) -> np.ndarray:
+            image = affine.project(ground)
+            is_outside = np.tile(ground[:, :1] < west, 2)
+            if is_masked:
+                return np.ma.masked_array(image, is_outside)
+            return np.where(is_outside, np.nan, image)
+        return project
+
+    westernmost = scene.ids[int(scene.points.ground[:, 0].argmin())]
+    method = termsel.FunctionMethod("mine", "a script", function=interpolation)
+    assert np.isfinite(method.fit(FitData.of(scene)).project(scene.points.ground)).all()
+    with pytest.raises(TermselError, match=r"no finite position for 1 of 24 features that it was "
+                                           rf"not fitted to \({westernmost}\)"):
+        termsel.run(features=scene, method=method)
+
+
 def test_a_method_next_to_a_solver_is_refused(scene: FeatureSet) -> None:
     with pytest.raises(TermselError, match="a method is fitted without a search, and solver"):
         termsel.run("rfm-terms", features=scene, method="affine", solver="ga")

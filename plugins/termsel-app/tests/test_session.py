@@ -16,12 +16,13 @@ import rasterio
 from rasterio.transform import Affine
 
 import termsel
-from termsel import TermselError
+from termsel import FeatureSet, Lines, TermselError
+from termsel_app.control import Patch
 from termsel_app.journal import JOURNAL_NAME, open_journal
 from termsel_app.places import Places
 from termsel_app.prediction import Prediction
 from termsel_app.quality import prediction_errors
-from termsel_app.session import Files, Session, open_session
+from termsel_app.session import Files, Session, open_session, records_of
 
 
 def write_raster(path: Path, pixels: Any, crs: str | None = None, transform: Any = None,
@@ -472,3 +473,26 @@ def test_a_list_of_places_is_sent_to_the_map(tmp_path: Path) -> None:
     with pytest.raises(TermselError) as error, open_session(files, tmp_path / "session"):
         pass
     assert "Give the list as a map" in str(error.value)
+
+
+def test_lines_of_one_name_get_names_that_no_other_feature_has() -> None:
+    image = np.arange(12.0).reshape(3, 2, 2)
+    lines = Lines(("L", "L", "L.2"), image, np.concatenate(
+        [image, np.zeros((3, 2, 1))], axis=2))
+    records = records_of(FeatureSet(lines=lines, crs="EPSG:25832"))
+    assert [record["id"] for record in records] == ["L", "L.3", "L.2"]
+    assert [record["image"] for record in records] == image.tolist()
+
+
+def test_a_full_session_lets_features_be_deleted(
+        scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    record = {"id": "P1", "kind": "point", "role": "", "image": [1.0, 2.0],
+              "ground": [500000.0, 5200000.0, None]}
+    with session_of(tmp_path / "folder", image=str(scan), crs="EPSG:25832") as session:
+        session.change([Patch(None, record)])
+        monkeypatch.setattr("termsel_app.session.MAX_FEATURES", 1)
+        with pytest.raises(TermselError, match="at most 1 feature"):
+            session.change([Patch(None, {**record, "id": "P2"})])
+        session.change([Patch(record, {**record, "role": "control"})])
+        session.change([Patch({**record, "role": "control"}, None)])
+        assert not session.control.records

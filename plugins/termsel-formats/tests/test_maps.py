@@ -122,6 +122,26 @@ def test_residuals_for_a_map(selected: Result, of_lines: Result, tmp_path: Path)
     assert pyogrio.read_info(path, layer="residuals")["features"] == 2 * 120 + 24 + 26
 
 
+@pytest.mark.parametrize("heights", [True, False])
+def test_points_of_the_residuals_are_read_as_they_were_measured(
+        selected: Result, heights: bool, tmp_path: Path) -> None:
+    pytest.importorskip("pyogrio")
+    features = selected.features
+    ground = features.points.ground.copy()
+    if not heights:
+        ground[:, 2] = np.nan
+    result = termsel.run(features=FeatureSet(replace(features.points, ground=ground),
+                                             crs=features.crs), method="affine")
+    path = tmp_path / "residuals.gpkg"
+    ResidualsGeopackage().write(result, path)
+    points = termsel.read(path).points
+    row = {name: i for i, name in enumerate(result.features.points.ids)}
+    order = [row[name] for name in points.ids]
+    assert len(order) == len(result.residuals)
+    assert points.image == pytest.approx(result.features.points.image[order])
+    assert points.ground == pytest.approx(result.features.points.ground[order], nan_ok=True)
+
+
 def test_the_median_vector_has_three_percent_of_the_map(selected: Result, tmp_path: Path) -> None:
     pyogrio = pytest.importorskip("pyogrio")
     shapely = pytest.importorskip("shapely")

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from termsel.auto.refits import held_out_by_refits
-from termsel.core.errors import TermselError
+from termsel.core.errors import TermselError, first_names_in_words
 from termsel.core.isolation.arrays import difference_from_shape
 from termsel.core.isolation.faults import attribute_errors_to, fault_of_method
+from termsel.data.arrays import numbers_or_nan
 from termsel.data.features import BoolArray, FeatureSet, FloatArray
 from termsel.data.fit_data import FitData
 from termsel.data.scaling import Scaling
@@ -24,6 +25,9 @@ from termsel.fitting.least_squares import LeastSquares, require_determined
 from termsel.fitting.method import Method
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial, Polynomial2D
+
+MAX_NAMED = 3
+"""Features that a message names."""
 
 Projection = Callable[[FloatArray], Any]
 """Line and sample [px], shape (n, 2), of ground places in the CRS of the features, shape (n, 3)."""
@@ -48,7 +52,7 @@ class _Projects(Polynomial):
         assert scaling is not None
         assert projection is not None
         with attribute_errors_to(projection, "project"):
-            positions = np.asarray(projection(scaling.unscaled(ground)), dtype=np.float64)
+            positions = numbers_or_nan(projection(scaling.unscaled(ground)))
         if fault := difference_from_shape(positions, (len(ground), 2), finite=False):
             raise fault_of_method(projection, "project", fault)
         image = scaling.image(positions)
@@ -125,6 +129,9 @@ class FunctionMethod(Method):
             held_out = held_out_by_refits(self._call_function, data.features, heights=data.heights)
         except Undetermined:
             return fitted
+        # Projected it can be where the function knows a position, but not judged: see `held_out`.
+        if not np.isfinite(held_out.squares).all():
+            return fitted
         # As much as errors grow where their features take no part, so many parameters there are:
         # PRESS = RSS / (1 - p / 2 n)^2, the generalised cross-validation of Craven and Wahba 1979.
         squares = fitted.control_errors(fitted.used)**2
@@ -134,9 +141,23 @@ class FunctionMethod(Method):
         return replace(fitted, trace=effective, stored_held_out=held_out)
 
     def held_out(self, fitted: Fit) -> HeldOut:
-        """Return the errors of features where the function is called again without them."""
-        return fitted.stored_held_out or held_out_by_refits(
+        """Return the errors of features where the function is called again without them.
+
+        Raises PluginFault where it has no position for some of them, as what interpolates has none
+        outside the others: nothing is known of its accuracy there.
+        """
+        held_out = fitted.stored_held_out or held_out_by_refits(
             self._call_function, fitted.control, heights=fitted.model.uses_height)
+        missing = np.flatnonzero(~np.isfinite(held_out.squares))
+        if missing.size:
+            names = first_names_in_words([fitted.control.ids[i] for i in missing], MAX_NAMED)
+            assert isinstance(fitted.model, _Projects)
+            raise fault_of_method(
+                fitted.model.projection, "project",
+                f"returned no finite position for {missing.size} of {len(fitted.control)} features "
+                f"that it was not fitted to ({names}), so that its accuracy is not known; expected "
+                "one for every place, beyond the features, too")
+        return held_out
 
     def _call_function(self, data: FitData) -> Fit:
         """Return the fit that projects by the user's function, with the terms of an affine model.

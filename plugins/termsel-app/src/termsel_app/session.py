@@ -208,7 +208,8 @@ class Session:
             if name is not None and name != before and name in self.control.records:
                 raise TermselError(f"there is a feature {name!r} already",
                                    hint="Choose another name.", ids=[name])
-        if len(self.control.records) + len(patches) > MAX_FEATURES:
+        added = sum((patch.before is None) - (patch.after is None) for patch in patches)
+        if added > 0 and len(self.control.records) + added > MAX_FEATURES:
             raise TermselError(f"a session has at most {MAX_FEATURES:,} features",
                                hint="Give so many as a table: termsel run --points FILE.")
 
@@ -622,18 +623,26 @@ def _require_same(files: Files, before: Files | None, folder: Path) -> None:
 
 
 def records_of(features: FeatureSet) -> list[Record]:
-    """Return features as records; of lines with one id, the second gets the id ID.2, and so on."""
+    """Return features as records; of lines with one id, the second gets the id ID.2, and so on.
+
+    Numbers that make the id of another feature are passed over.
+    """
     points = features.points
     records = [{"id": name, "kind": "point", "role": role, "image": image,
                 "ground": _with_none(ground)}
                for name, role, image, ground in zip(points.ids, points.roles, points.image.tolist(),
                                                     points.ground.tolist(), strict=True)]
     # Lines of one feature get names of their own: on the page each is measured alone.
-    counts: dict[str, int] = {}
+    taken = {*points.ids, *features.lines.ids}
+    met = set[str]()
     for name, image, ground in zip(features.lines.ids, features.lines.image.tolist(),
                                    features.lines.ground.tolist(), strict=True):
-        counts[name] = counts.get(name, 0) + 1
-        label = name if counts[name] == 1 else f"{name}.{counts[name]}"
+        label = name
+        if name in met:
+            label = next(one for one in (f"{name}.{number}" for number in count(2))
+                         if one not in taken)
+            taken.add(label)
+        met.add(name)
         records.append({"id": label, "kind": "line", "role": "", "image": image,
                         "ground": [_with_none(vertex) for vertex in ground]})
     return [checked_record(record) for record in records]

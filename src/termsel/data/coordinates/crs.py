@@ -374,14 +374,13 @@ def height_axis_unit(crs: str) -> float | None:
     """Return the unit of the vertical axis of a CRS [m]; None if it has none."""
     crs = normalise(crs)
     if crs in (LOCAL, "", "EPSG:4326") or UTM.fullmatch(crs):
-        parsed = None
-    elif crs == "EPSG:4979":
-        parsed = 1.0
-    else:
-        parsed = _with_pyproj(crs)
-    if parsed is None or isinstance(parsed, float):
-        return parsed
-    return float(parsed.axis_info[2].unit_conversion_factor) if len(parsed.axis_info) > 2 else None
+        return None
+    if crs == "EPSG:4979":
+        return 1.0
+    parsed = _with_pyproj(crs)
+    if parsed is None or len(parsed.axis_info) < 3:
+        return None
+    return float(parsed.axis_info[2].unit_conversion_factor)
 
 
 def has_ellipsoidal_metres(crs: str) -> bool:

@@ -24,7 +24,8 @@ class ResidualsGeopackage(Writer):
     """Residuals of all features as points, and as vectors drawn larger, in a GeoPackage.
 
     A vector leads from the feature on the ground to the place where the model sees its measured
-    image position, at the feature's height. QGIS shows both by role, the vectors as arrows.
+    image position, at the feature's height. QGIS shows both by role, the vectors as arrows. Points
+    have their measured line and sample and their height, too, so that they can be read again.
     """
 
     name = "residuals-gpkg"
@@ -53,9 +54,14 @@ class ResidualsGeopackage(Writer):
             from pyogrio.raw import write
         residuals = result.residuals
         columns: dict[str, Any] = {}
-        for name in ("id", "kind", "role", "used", "line", "sample", "distance", "blunder"):
+        for name in ("id", "kind", "role", "used"):
             columns[name] = np.array([getattr(residual, name) for residual in residuals])
         ground = residuals.ground
+        columns["line"], columns["sample"] = _measured_positions(result).T
+        columns["z"] = ground[:, 2]
+        for column, name in (("residual_line", "line"), ("residual_sample", "sample"),
+                             ("distance", "distance"), ("blunder", "blunder")):
+            columns[column] = np.array([getattr(residual, name) for residual in residuals])
         ends, exaggeration = self._vector_ends(result, ground)
         layers = {
             "residuals": shapely.points(ground[:, :2]),
@@ -97,6 +103,17 @@ class ResidualsGeopackage(Writer):
             extent = float(np.ptp(ground[:, :2], axis=0).max())
             exaggeration = float(f"{_SHARE * extent / length:.1g}") if length > 0 else 1.0
         return ground[:, :2] + exaggeration * vectors, float(exaggeration)
+
+
+def _measured_positions(result: Result) -> FloatArray:
+    """Return the measured line and sample of each residual [px], (n, 2); NaN of control lines."""
+    points = result.features.points
+    row = {name: i for i, name in enumerate(points.ids)}
+    positions = np.full((len(result.residuals), 2), np.nan)
+    for i, residual in enumerate(result.residuals):
+        if residual.id in row:
+            positions[i] = points.image[row[residual.id]]
+    return positions
 
 
 def _attribute_columns(result: Result, reserved: list[str]) -> dict[str, TextArray]:
