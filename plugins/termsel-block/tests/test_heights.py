@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
                     "pip install -e plugins/termsel-block")
 
+from termsel.toolkit.coordinates import normalise, transformation_between
 from termsel_block.accuracy import independent_points, predicted_errors, rms_length
 from termsel_block.block import Block
 from termsel_block.example import write_example
@@ -20,6 +21,7 @@ from termsel_block.geometry.frame import FloatArray, Frame
 from termsel_block.geometry.heights import ControlHeights, Heights
 from termsel_block.joint import BlockResult, adjust, heights_of
 from termsel_block.shown.record import record_of
+from termsel_block.shown.summary import read_in
 from termsel_block.simulated import LAT, LON, Hills, Simulated, ground_heights, simulate_block
 
 
@@ -105,6 +107,42 @@ def test_a_wrong_height_of_control_does_not_doubt_a_dem(tmp_path: Path) -> None:
     assert not record_of(wrong).notes
     assert wrong.adjusted.offset == pytest.approx(0, abs=1)
     assert error(wrong, 1) < 0.9
+
+
+FEET = normalise("+proj=utm +zone=39 +datum=WGS84 +units=us-ft +vunits=us-ft +type=crs")
+
+
+def moved_to(block: Block, crs: str) -> Block:
+    """Return the block in another CRS."""
+    to_crs = transformation_between(block.crs, crs)
+    images = []
+    for image in block.images:
+        assert image.features is not None
+        points = image.features.points
+        images.append(replace(image, features=replace(
+            image.features, crs=crs, points=replace(points, ground=to_crs(points.ground)))))
+    return replace(block, crs=crs, images=tuple(images))
+
+
+@pytest.mark.slow_cases("without control-dem")
+@pytest.mark.parametrize("with_dem", [False, True], ids=["level", "dem"])
+@pytest.mark.parametrize("control", [(6, 6), ()], ids=["control", "without control"])
+def test_a_block_is_the_same_in_feet(
+        control: tuple[int, ...], with_dem: bool, tmp_path: Path) -> None:
+    block = simulate_block(3, n_ties=60, rpcs=True, control=control, wrong=0.1, seed=2,
+                           vendor_height=50.0, independent=10).block
+    if with_dem:
+        block = replace(block, dem=dem(tmp_path / "dem.tif", Hills(), 28.0))
+    in_metres = record_of(adjust(block))
+    in_feet = record_of(adjust(moved_to(block, FEET)))
+    assert in_feet.notes == in_metres.notes
+    assert [(tie.id, tie.image) for tie in in_feet.wrong_ties] == [
+        (tie.id, tie.image) for tie in in_metres.wrong_ties]
+    np.testing.assert_allclose([tie.error for tie in in_feet.wrong_ties],
+                               [tie.error for tie in in_metres.wrong_ties], atol=0.05)
+    np.testing.assert_allclose([image.predicted for image in in_feet.images],
+                               [image.predicted for image in in_metres.images], rtol=0.02)
+    assert read_in(in_feet).endswith("observations), custom Transverse Mercator")
 
 
 def test_a_height_counts_while_most_of_its_rows_are_in_use() -> None:

@@ -176,3 +176,21 @@ def test_a_variance_that_data_leave_open_is_not_zero() -> None:
                                    np.full(6, 2.0)))
     assert min(kept) > 0.03**2
     assert 0.08 < np.sqrt(np.median(kept)) < 0.2
+
+
+def test_no_rejected_tie_is_said_to_be_farther_off_than_it_is() -> None:
+    """Ties that no image uses are where their rays meet, and not where the ground may be."""
+    simulated = simulate_block(3, rpcs=True, control=(6, 6), wrong=0.15, seed=4, independent=5)
+    block = simulated.block
+    ties = block.ties
+    true_error: dict[str, float] = {}
+    for i, sensor in enumerate(simulated.sensors):
+        rows = np.flatnonzero(ties.image == i)
+        away = ties.position[rows] - sensor.project(simulated.ties[ties.tie[rows]])
+        for tie, error in zip(ties.tie[rows], np.hypot(*away.T), strict=True):
+            name = ties.names[tie]
+            true_error[name] = max(true_error.get(name, 0.0), float(error))
+    wrong_ties = record_of(adjust(block)).wrong_ties
+    assert len(wrong_ties) > 20
+    for tie in wrong_ties:
+        assert tie.error < 1.1 * true_error[tie.id] + 1.0

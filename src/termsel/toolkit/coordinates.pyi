@@ -6,10 +6,12 @@ from termsel.data.coordinates.crs import horizontal_crs as horizontal_crs
 from termsel.data.coordinates.crs import is_geographic as is_geographic
 from termsel.data.coordinates.crs import normalise as normalise
 from termsel.data.coordinates.crs import plane_transformer as plane_transformer
+from termsel.data.coordinates.crs import short_crs_name as short_crs_name
 from termsel.data.coordinates.crs import to_wgs84 as to_wgs84
 from termsel.data.coordinates.crs import transformation_between as transformation_between
 from termsel.data.coordinates.longitudes import nearest_longitudes as nearest_longitudes
 from termsel.data.coordinates.longitudes import turn_of as turn_of
+from termsel.data.coordinates.metres import height_unit as height_unit
 from termsel.data.coordinates.metres import offsets_in_metres as offsets_in_metres
 from termsel.data.coordinates.plausible import check_ground as check_ground
 from termsel.data.coordinates.wgs84 import from_ecef as from_ecef

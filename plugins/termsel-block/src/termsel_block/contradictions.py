@@ -10,7 +10,7 @@ import numpy as np
 
 from termsel_block.block import Block, BlockImage
 from termsel_block.estimation.unknowns import Adjusted
-from termsel_block.geometry.frame import FloatArray
+from termsel_block.geometry.frame import FloatArray, Frame
 from termsel_block.geometry.heights import OFF, Surface
 from termsel_block.geometry.physical import Contradiction, PhysicalCamera
 
@@ -183,7 +183,7 @@ def doubts_of_models(block: Block, adjusted: Adjusted) -> list[str]:
 
 
 def compare_ground_with_dem(
-        ground: FloatArray, adjusted: Adjusted, dem: Surface) -> tuple[float, str]:
+        ground: FloatArray, frame: Frame, adjusted: Adjusted, dem: Surface) -> tuple[float, str]:
     """Return by how much the ground as adjusted without a DEM is off it [m], and that as a note.
 
     The note is empty where that may be chance.
@@ -191,12 +191,13 @@ def compare_ground_with_dem(
     Parameters
     ----------
     ground : ndarray, shape (t, 3)
-        Places of the ties in the CRS of the DEM.
+        Places of the ties in the CRS of the block.
+    frame : Frame
     adjusted : Adjusted
         The block without the DEM.
     """
     # How much higher the ties are than the DEM at the same place.
-    over = ground[:, 2] - dem(ground[:, :2])
+    over = frame.heights(ground) - dem(ground[:, :2])
     variance = adjusted.solved.covariance_of_ties()[:, 2, 2]
     # Ties off the raster have no height, and those of parallel rays none that says anything.
     is_known = np.isfinite(over) & (variance < _UNSEEN_SIGMA**2)

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from termsel import TermselError, open_dem
+from termsel import TermselError
 from termsel.toolkit import count_in_words, one_blas_thread
 from termsel_block.block import Block, BlockImage
 from termsel_block.contradictions import (
@@ -29,7 +29,7 @@ from termsel_block.estimation.unknowns import Adjusted, Measured
 from termsel_block.geometry.cameras import Camera, groups_of
 from termsel_block.geometry.control import OwnControl, control_equations, points_in_use
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
-from termsel_block.geometry.heights import ControlHeights, Heights, Surface
+from termsel_block.geometry.heights import ControlHeights, Heights, Surface, open_surface
 from termsel_block.geometry.physical import ABSURD, PhysicalModel
 
 log = logging.getLogger("termsel.block")
@@ -247,8 +247,8 @@ def _with_note_on_dem(result: BlockResult) -> BlockResult:
     except TermselError:
         # Nothing but the DEM holds the heights, so that they say nothing of it.
         return result
-    with open_dem(path, block.crs) as dem:
-        off, note = compare_ground_with_dem(free.ties, free.adjusted, dem)
+    with open_surface(path, block.crs) as dem:
+        off, note = compare_ground_with_dem(free.ties, free.frame, free.adjusted, dem)
     return result if not note else _adjust_as_stated(replace(
         block, notes=(*block.notes, note)), result.frame, None, doubt=abs(off))
 
@@ -271,7 +271,7 @@ def _adjust_as_stated(block: Block, frame: Frame, progress: Callable[[float], No
     usual.
     """
     with ExitStack() as files:
-        dem = files.enter_context(open_dem(block.dem, block.crs)) if block.dem else None
+        dem = files.enter_context(open_surface(block.dem, block.crs)) if block.dem else None
 
         inputs = []
         for i, image in enumerate(block.images):
@@ -318,8 +318,6 @@ def _frame_positions(block: Block) -> FloatArray:
     They are those of all points, whatever their role, of the ends of lines and of the middles of
     RPCs. Raises TermselError if no image has control in use or an RPC.
     """
-    from termsel.toolkit.coordinates import transformation_between
-
     features_of_images = [image.features for image in block.images if image.features is not None]
     grounds = [features.points.ground for features in features_of_images]
     grounds += [features.lines.ground.reshape(-1, 3) for features in features_of_images]
@@ -327,28 +325,37 @@ def _frame_positions(block: Block) -> FloatArray:
     # Independent points alone hold nothing, though their positions are known.
     has_control = any(len(points_in_use(features)) or len(features.lines)
                       for features in features_of_images)
-    rpcs = [image.rpc.ground_offset for image in block.images if image.rpc is not None]
-    if rpcs:
-        ground = np.concatenate([ground,
-                                 transformation_between("EPSG:4979", block.crs)(np.array(rpcs))])
-    if not has_control and not rpcs:
+    middles = _middles_of_rpcs(block)
+    if not has_control and not len(middles):
         raise TermselError("no image of the block has control or an RPC",
                            hint="Give at least one image points, lines or an RPC.")
-    return ground
+    return np.concatenate([ground, middles])
+
+
+def _middles_of_rpcs(block: Block) -> FloatArray:
+    """Return the middles (k, 3) of the areas of RPCs, in the CRS of the block; none without RPCs.
+    """
+    from termsel.toolkit.coordinates import transformation_between
+
+    middles = [image.rpc.ground_offset for image in block.images if image.rpc is not None]
+    if not middles:
+        return np.empty((0, 3))
+    return transformation_between("EPSG:4979", block.crs)(np.array(middles))
 
 
 def heights_of(block: Block, frame: Frame, dem: Surface | None) -> Heights:
     """Return what is known of heights beforehand, by RPCs, by the DEM and by control."""
     # Heights are taken where control is, as every image may see the same points.
     control, stated, of_rows = _control_places(block)
+    control_heights = frame.heights(control)
     rpcs = [image.rpc for image in block.images if image.rpc is not None]
     if rpcs:
-        mean = float(np.mean([rpc.ground_offset[2] for rpc in rpcs]))
+        mean = float(frame.heights(_middles_of_rpcs(block)).mean())
         spread = float(np.max([abs(rpc.ground_scale[2]) for rpc in rpcs]))
     else:
-        mean = float(control[:, 2].mean())
-        spread = max(3 * float(control[:, 2].std()), 100.0)
-    over = control[:, 2] - (mean if dem is None else dem(control[:, :2]))
+        mean = float(control_heights.mean())
+        spread = max(3 * float(control_heights.std()), 100.0)
+    over = control_heights - (mean if dem is None else dem(control[:, :2]))
     # A DEM has no height off its raster, and points of the DEM show nothing of it.
     is_usable = np.isfinite(over) & stated
     # Rows of images point to control; what shows no height is -1.

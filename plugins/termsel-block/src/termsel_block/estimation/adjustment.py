@@ -123,6 +123,8 @@ def adjust_block(state: BlockUnknowns, measured: Sequence[Measured], control: Se
     # Before `move_to_posterior_mean`, which moves images on purpose.
     moved = run.moved()
     draws = run.move_to_posterior_mean()
+    # Since they were judged, heights alone moved ties that no image uses.
+    run.place_unused_ties()
     residuals, of_control = run.residuals()
     return Adjusted(
         state=state, solved=run.solved, residuals=residuals, of_control=of_control,

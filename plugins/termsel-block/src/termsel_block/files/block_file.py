@@ -18,7 +18,7 @@ import numpy as np
 
 from termsel import FeatureSet, TermselError, get, open_raster, read, read_rpc
 from termsel.toolkit import count_in_words, options_of_file, require_regular, unguard_cell
-from termsel.toolkit.coordinates import LOCAL, normalise
+from termsel.toolkit.coordinates import LOCAL, normalise, short_crs_name
 from termsel.toolkit.files import (
     KINDS_OF_JSON,
     is_cut,
@@ -394,8 +394,9 @@ def _control_features(stated: _Image, folder: Path, crs: str, dem: Path | None,
     features = _read_control(stated, folder, crs, dem)
     # Control of another CRS would be transformed by none of what follows.
     if normalise(features.crs) != crs:
-        raise TermselError(f"the control of image {stated.name!r} is in {features.crs}, the block "
-                           f"in {crs}", file=points or path,
+        raise TermselError(f"the control of image {stated.name!r} is in "
+                           f"{short_crs_name(features.crs)}, the block in {short_crs_name(crs)}",
+                           file=points or path,
                            hint="Transform it, or state its CRS as that of the block.")
     heights = np.concatenate([features.points.ground[:, 2], features.lines.ground[..., 2].ravel()])
     if np.isnan(heights).any():

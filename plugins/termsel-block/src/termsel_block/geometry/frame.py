@@ -8,7 +8,14 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from termsel.toolkit.coordinates import LOCAL, from_ecef, to_ecef, to_wgs84, transformation_between
+from termsel.toolkit.coordinates import (
+    LOCAL,
+    from_ecef,
+    height_unit,
+    to_ecef,
+    to_wgs84,
+    transformation_between,
+)
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -61,6 +68,10 @@ class Frame:
         if self.crs == LOCAL:
             return np.asarray(local + self.origin)
         return np.asarray(transformation_between("EPSG:4979", self.crs)(self.geodetic(local)))
+
+    def heights(self, ground: FloatArray) -> FloatArray:
+        """Return the heights (n,) [m] of ground coordinates (n, 3), above what their CRS says."""
+        return np.asarray(ground[:, 2] * height_unit(self.crs))
 
     def geodetic(self, local: FloatArray) -> FloatArray:
         """Return WGS84 longitude, latitude and ellipsoidal height of metres."""

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
+from termsel import open_dem
+from termsel.toolkit.coordinates import height_unit
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
 
 Surface = Callable[[FloatArray], FloatArray]
-"""Heights at ground coordinates x and y (n, 2)."""
+"""Heights [m] at ground coordinates x and y (n, 2), above what their CRS says."""
 
 # In m.
 _SLOPE_OVER = 10.0
@@ -26,6 +30,13 @@ _AS_MANY = 2.0
 # Robust standard deviations beyond which a height shows nothing more of the roughness.
 _OUTLYING = 4.0
 _MAD = 1.4826
+
+
+@contextmanager
+def open_surface(path: Path, crs: str) -> Iterator[Surface]:
+    """Open a DEM as heights in metres at ground coordinates of a CRS, whatever its unit."""
+    with open_dem(path, crs) as dem:
+        yield lambda xy: np.asarray(dem(xy) * height_unit(crs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,9 +99,9 @@ class Heights:
     ----------
     frame : Frame
     mean, spread : float
-        Height and its uncertainty where there is no DEM [m].
+        Height, above what the CRS says, and its uncertainty where there is no DEM [m].
     surface : callable, optional
-        Heights of the DEM at ground coordinates x and y (n, 2); not finite where it has none.
+        Heights [m] of the DEM at ground coordinates x and y (n, 2); not finite where it has none.
     control_heights : ControlHeights
         Heights of control.
     crowd : float
@@ -245,10 +256,11 @@ class Heights:
         The offset is part of it where the surface covers the tie, or there is none.
         """
         ground = self.frame.ground(ties)
-        over = self.mean - ground[:, 2]
+        heights = self.frame.heights(ground)
+        over = self.mean - heights
         if self.surface is None:
             return over + self.offset, np.ones(len(ties), bool)
-        height = self.surface(ground[:, :2])
+        surface = self.surface(ground[:, :2])
         # Off the DEM the mean height holds, and the offset has no part in it.
-        is_known = np.isfinite(height)
-        return np.where(is_known, height + self.offset - ground[:, 2], over), is_known
+        is_known = np.isfinite(surface)
+        return np.where(is_known, surface + self.offset - heights, over), is_known

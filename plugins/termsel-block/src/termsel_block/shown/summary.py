@@ -8,6 +8,7 @@ from shlex import quote
 
 from termsel.toolkit import count_in_words
 from termsel.toolkit.charts import Fact
+from termsel.toolkit.coordinates import short_crs_name
 from termsel_block.estimation.adjustment import WRONG
 from termsel_block.shown.record import BlockRecord, ImageRecord, WrongControl, WrongTie
 
@@ -61,7 +62,7 @@ def read_in(record: BlockRecord) -> str:
     with_control = sum(image.control > 0 for image in record.images)
     where = f" in {with_control} of them" if points else ""
     return (f"{len(record.images)} images, {points} GCP observations{where}, {record.ties} ties "
-            f"({record.measurements} observations), {record.crs}")
+            f"({record.measurements} observations), {short_crs_name(record.crs)}")
 
 
 def block_facts(record: BlockRecord) -> list[Fact]:
