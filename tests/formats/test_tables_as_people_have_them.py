@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -382,3 +383,20 @@ def test_readers_of_binary_files_pass_the_suite(kind: str, tmp_path: Path) -> No
     expected = reader().read(path)
     agree(replace(expected, crs="EPSG:4979"))
     check(reader(), content=path.read_bytes(), expected=expected, filename=path.name)
+
+
+@pytest.mark.parametrize(("names", "ids"), [
+    (["", "", ""], ("P1", "P2", "P3")), (["", "church", ""], ("P1", "church", "P3"))])
+def test_names_may_be_blank(names: list[str], ids: tuple[str, ...], tmp_path: Path,
+                            caplog: pytest.LogCaptureFixture) -> None:
+    """In the table that MapWarper takes and gives, x,y,lon,lat,name, few points have a name."""
+    places = [(1145, 825, -2.9085, 53.3825), (1028, 857, -2.9129, 53.3829),
+              (905, 977, -2.9168, 53.3815)]
+    path = tmp_path / "gcps.csv"
+    path.write_text("x,y,lon,lat,name\n" + "".join(
+        f"{','.join(map(str, place))},{name}\n" for place, name in zip(places, names, strict=True)))
+    with caplog.at_level(logging.INFO, logger="termsel"):
+        points = termsel.read(path, crs="EPSG:4326").points
+    assert points.ids == ids
+    np.testing.assert_array_equal(points.image, [place[1::-1] for place in places])
+    assert "where column 'name' of" in caplog.text

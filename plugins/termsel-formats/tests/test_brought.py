@@ -205,6 +205,35 @@ def test_measures_of_micmac_find_their_ground(tmp_path: Path) -> None:
         termsel.read(tmp_path / "a-S3D.xml", crs="EPSG:32633")
 
 
+def test_measures_of_several_images_ask_which(tmp_path: Path) -> None:
+    """The file that SaisieAppuisPredic writes has a MesureAppuiFlottant1Im for each image."""
+    start, end = "<MesureAppuiFlottant1Im>", "</MesureAppuiFlottant1Im>"
+    first = start + micmac().partition(start)[2].partition(end)[0] + end
+    (tmp_path / "a-S2D.xml").write_text(
+        micmac().replace(appuis(), "").replace(first, first + first.replace("a.tif", "b.tif")))
+    (tmp_path / "a-S3D.xml").write_text(appuis())
+    with pytest.raises(TermselError, match=r"images a\.tif \(4\), b\.tif.*termsel compare"):
+        termsel.read(tmp_path / "a-S2D.xml", crs="EPSG:32633")
+    same(termsel.read(tmp_path / "a-S2D.xml", crs="EPSG:32633", image_name="b.tif"), "EPSG:32633")
+
+
+def test_the_ground_of_pix4d_is_found_beside_the_marks(tmp_path: Path) -> None:
+    (tmp_path / "marks.csv").write_text("".join(
+        f"IMG_1.JPG,{name},{sample + 0.5},{line + 0.5}\n"
+        for name, (line, sample) in zip(IDS, IMAGE, strict=True)))
+    (tmp_path / "survey.csv").write_text("".join(
+        f"{name},{x},{y},{z}\n" for name, (x, y, z) in zip(IDS, GROUND, strict=True)))
+    same(termsel.read(tmp_path / "marks.csv", crs="EPSG:32633", ground="survey.csv"), "EPSG:32633")
+
+
+def test_links_with_a_header_between_commas(tmp_path: Path) -> None:
+    (tmp_path / "links.csv").write_text(
+        "Link,X Source,Y Source,X Map,Y Map,Residual X,Residual Y,Residual\n" + "".join(
+            f"{i},{row.replace(chr(9), ',')},0.1,-0.2,0.22\n"
+            for i, row in enumerate(links().splitlines(), 1)))
+    same(termsel.read(tmp_path / "links.csv", crs="EPSG:32633"), "EPSG:32633", heights=False)
+
+
 def test_the_ground_of_micmac_is_found_beside_the_measures(tmp_path: Path) -> None:
     (tmp_path / "Mesure.xml").write_text(micmac().replace(appuis(), ""))
     (tmp_path / "Appuis.xml").write_text(appuis())

@@ -35,6 +35,7 @@ _DELIMITERS = (",", ";", "\t", "|", "")
 
 _FEWEST_NAMES = 3  # of a header
 _HEADER_WITHIN = 4_000  # characters in which a header is looked for among comments
+_PLAIN_COMMA = re.compile(r"(?<!\d),|,(?!\d)")  # not between digits
 _XML_OR_JSON = re.compile(r"\s*(<|\{|\[\s*\{)")
 _SEARCHED = 20  # rows in which a header may be found, below a title
 WIDEST = 1_000  # columns
@@ -222,8 +223,12 @@ def _names_in(line: str, aliases: Aliases, stated: Mapping[str, str]) -> int:
 
 
 def _delimiters_of(line: str) -> tuple[str, ...]:
-    """Return the separators that a line may have: next to tabs, spaces are within cells."""
-    return _DELIMITERS[:-1] if re.search(r"[;\t|]", line.strip()) else _DELIMITERS
+    """Return the separators that a line may have: next to tabs, spaces are within cells.
+
+    Next to three commas that are not decimal they are, too.
+    """
+    has_separators = re.search(r"[;\t|]", line.strip()) or len(_PLAIN_COMMA.findall(line)) > 2
+    return _DELIMITERS[:-1] if has_separators else _DELIMITERS
 
 
 def _split_lines(line: str, delimiter: str) -> list[str]:

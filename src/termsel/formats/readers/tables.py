@@ -146,16 +146,26 @@ class Table:
         TermselError
             For an id that is not allowed, with its line and column.
         """
+        numbers = range(1, len(self.lines) + 1) if self.row_name == "line" else self.lines
+        by_number = [f"P{number}" for number in numbers]
         if "id" not in self.columns:
-            numbers = range(1, len(self.lines) + 1) if self.row_name == "line" else self.lines
-            return [f"P{number}" for number in numbers]
+            return by_number
         # Spreadsheets guard text against being read as a formula; that is taken off again.
         names = [unguard_cell(cell.strip()) for cell in self.columns["id"]]
+        if self.may_lack_names():
+            names = [name or number for name, number in zip(names, by_number, strict=True)]
         for row, name in enumerate(names):
             if wrong := reason_to_refuse_id(name):
                 raise self.error(f"the id {wrong}", row, "id", "Give every point or line a short "
                                                                "id of letters, digits and signs.")
         return names
+
+    def may_lack_names(self) -> bool:
+        """Return whether blank ids are no mistake: all are blank, or the column is one of names.
+
+        Points of MapWarper have a name where somebody gave them one.
+        """
+        return not any(map(str.strip, self.columns["id"])) or self.names["id"].casefold() != "id"
 
     def points(self, image: FloatArray, ground: FloatArray, sigma: FloatArray | None,
                roles: Sequence[str]) -> Points:
@@ -714,6 +724,9 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
     if "id" in aliases and "id" not in column_of:
         log.info("Note: %s has no column of ids, so its rows are called P1, P2, ... in order.",
                  path or "the table", extra={PENDING: ON_SUCCESS})
+    elif "id" in aliases and not all(map(str.strip, columns["id"])) and table.may_lack_names():
+        log.info("Note: where column %r of %s is blank, points are called P1, P2, ... by their "
+                 "rows.", column_names["id"], path or "the table", extra={PENDING: ON_SUCCESS})
     # Further columns are kept as texts: nobody has said what they mean.
     attributes = {}
     for name, i in _attribute_columns(header, {*column_of.values(), *cells.fixed.values()}).items():

@@ -41,6 +41,15 @@ def xml_root(path: Path, hint: str) -> ElementTree.Element:
         raise TermselError(f"this is not XML: {error}", file=path, hint=hint) from error
 
 
+def file_beside(path: Path, name: str) -> Path:
+    """Return the path of a file that an option names, which may lie next to another file.
+
+    A name alone, or a path that is not there, is that of a file in the folder of `path`.
+    """
+    beside = path.with_name(Path(name).name)
+    return beside if not Path(name).is_file() and beside.is_file() else Path(name)
+
+
 def what_lacks(error: KeyError | ValueError) -> str:
     """Return, for users, what a KeyError or ValueError of reading attributes is about."""
     return f"it has no {error.args[0]}" if isinstance(error, KeyError) else str(error)

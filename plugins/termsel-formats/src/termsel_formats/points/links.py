@@ -96,10 +96,9 @@ class ArcgisLinks(Reader):
         table = Table(path, "", names, columns, lines)
         image = table.stack("line", "sample") * [-1.0, 1.0] - CORNER
         # No header says so: the signs of the second column show.
-        log.info("Note: %s has no header. It is read as links of ArcGIS, X Source, Y Source, X "
-                 "Map, Y Map, whose Y Source counts upwards; the first is at sample %.6g, line "
-                 "%.6g, x %s, y %s.", path, image[0, 1], image[0, 0], columns["x"][0],
-                 columns["y"][0])
+        log.info("Note: %s is read as links of ArcGIS, X Source, Y Source, X Map, Y Map, whose Y "
+                 "Source counts upwards; the first is at sample %.6g, line %.6g, x %s, y %s.",
+                 path, image[0, 1], image[0, 0], columns["x"][0], columns["y"][0])
         return FeatureSet(table.points(image, table.stack("x", "y", "z"), None, ()), crs="")
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from termsel import FeatureSet, Option, Points, Reader, Result, TermselError
 from termsel.toolkit import write_text, xml_document
 from termsel.toolkit.files import IMAGE_NAME, atomic_path, error_in_file, image_of, utf8_bytes
-from termsel_formats.points.common import xml_root
+from termsel_formats.points.common import file_beside, xml_root
 from termsel_formats.points.written import (
     IMAGE_OPTION,
     PointsWriter,
@@ -57,7 +57,9 @@ class MicmacXml(Reader):
         """Return the points of one image; errors name file and point."""
         marks = _marks_by_image(path)
         ground = self._places_by_name(path)
-        image = image_of(path, marks, self.options["image_name"], "image_name=NAME")
+        # Once for each of its points, which a message counts.
+        images = [image for image, image_marks in marks.items() for _ in image_marks]
+        image = image_of(path, images, self.options["image_name"], "image_name=NAME")
         ids = [name for name in marks[image] if name in ground]
         if not ids:
             raise TermselError(f"no point of the image {image} has ground coordinates",
@@ -86,10 +88,7 @@ class MicmacXml(Reader):
         # Some programs write both into one file.
         if stated is None and root.find(".//OneAppuisDAF") is not None:
             return _ground_of(root, path)
-        ground = _ground_file(path) if stated is None else Path(stated)
-        # A name alone is that of a file next to the measures.
-        if not ground.is_file() and path.with_name(ground.name).is_file():
-            ground = path.with_name(ground.name)
+        ground = _ground_file(path) if stated is None else file_beside(path, stated)
         if not ground.is_file():
             raise TermselError("the measures have image coordinates only", file=path,
                                hint="Name the file of their ground coordinates (Appuis), "

@@ -31,7 +31,7 @@ from termsel.toolkit.files import (
     is_number,
     utf8_bytes,
 )
-from termsel_formats.points.common import CORNER
+from termsel_formats.points.common import CORNER, file_beside
 from termsel_formats.points.written import (
     IMAGE_OPTION,
     PointsWriter,
@@ -78,7 +78,7 @@ class Pix4dMarks(Reader):
         """
         marks = _numbered_rows(path, (4, 5), "image,label,x,y")
         stated = self.options["ground"]
-        ground_file = _ground_file(path) if stated is None else Path(stated)
+        ground_file = _ground_file(path) if stated is None else file_beside(path, stated)
         if stated is None and not ground_file.is_file():
             raise TermselError("the marks have image coordinates only", file=path,
                                hint="Name the file of their ground coordinates, "
