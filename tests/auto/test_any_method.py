@@ -29,7 +29,7 @@ def test_a_method_by_its_name_takes_the_place_of_auto(scene: FeatureSet) -> None
     assert result.strategy.chosen == "affine"
     assert [row.name for row in result.strategy.candidates] == ["affine"]
     assert result.predicted is not None
-    assert result.strategy.reason == "You named this method."
+    assert result.strategy.reason == "You named this method. All of its terms are in use."
     assert result.judgement.startswith("The method that was asked for is an affine polynomial")
     assert "quadratic" in [row.name for row in result.baselines]  # it is held against others
     assert "automatic choice" not in result.summary(verbose=True)
@@ -179,7 +179,8 @@ def test_methods_that_auto_does_not_choose_are_fitted_where_they_are_asked_for(
 
 def test_a_method_that_cannot_be_held_against_features_says_why(scene: FeatureSet) -> None:
     with pytest.raises(TermselError,
-                       match="points cannot test a third-order rational function model by ridge"):
+                       match="points do not determine a third-order rational function model by "
+                             "ridge"):
         termsel.run(features=scene, method="ridge")
 
 

@@ -49,6 +49,7 @@ from termsel.core.isolation.faults import (
 from termsel.data.coordinates.places import Lattice
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, empty_lines
 from termsel.data.fit_data import FitData, relief_carriers
+from termsel.data.record.search import ALL_TERMS_IN_USE, NAMED_BY_USER
 from termsel.fitting.fit import Fit, HeldOut, Undetermined
 from termsel.fitting.method import Method, Suspects
 from termsel.models.base import SensorModel
@@ -305,7 +306,7 @@ class Auto(Method):
             compared = [*self.few(data), *compared]
         choice = self.best_of(compared, explained=with_contained)
         if choice is not None and self.is_one_method:
-            return replace(choice, reason="You named this method.")
+            return replace(choice, reason=_reason_of_only(choice.chosen))
         return choice
 
     @property
@@ -582,6 +583,31 @@ def minimal_fit(data: FitData) -> Choice:
     chosen = _without_redundancy(method, method.fit(plane))
     return Choice(chosen, (*Auto().few(plane), chosen),
                   f"{count} {data.features.word} determine it exactly.")
+
+
+def unjudged_fit(data: FitData, method: Method) -> Choice | None:
+    """Return the fit of the only method where features determine it, and none can be left out.
+
+    None where they do not determine it, or it has a pole at them.
+    """
+    if method.declines(data) is not None:
+        return None
+    try:
+        fitted = method.fit(data)
+    except Undetermined:
+        return None
+    unjudged = _without_redundancy(method, fitted)
+    if not fitted.estimator.least_squares or has_pole(unjudged):
+        return None
+    return Choice(unjudged, (unjudged,), _reason_of_only(unjudged))
+
+
+def _reason_of_only(fitted: Fit) -> str:
+    """Return the reason of the choice of an only method, with what is said of its terms."""
+    # An estimator may shrink or select terms, and a model that interpolates has more than terms.
+    all_terms = (fitted.estimator.least_squares and fitted.terms.all()
+                 and not fitted.model.corrects)
+    return f"{NAMED_BY_USER} {ALL_TERMS_IN_USE}" if all_terms else NAMED_BY_USER
 
 
 def minimal_view(data: FitData, choice: Choice, auto: Auto) -> Choice:

@@ -105,7 +105,7 @@ KEY_OPTIONS = 3
 
 _EXAMPLES = {
     "problems": "termsel run --problem {name} --points FILE{lines} --out result",
-    "models": "termsel run --points FILE --model {name} --solver all-terms --out result",
+    "models": "termsel run --points FILE --model {name} --out result",
     "solvers": "termsel run --problem rfm-terms --points FILE --solver {name} --out result",
     "criteria": "termsel run --problem rfm-terms --points FILE --criterion {name} --out result",
     "methods": "termsel run --points FILE --method {name} --out result",

@@ -26,7 +26,7 @@ from termsel.data.record.figures import (
     Outlier,
 )
 from termsel.data.record.record import Record, WhatWasRead
-from termsel.data.record.search import RPC_UNUSED
+from termsel.data.record.search import ALL_TERMS_IN_USE, NAMED_BY_USER, RPC_UNUSED
 from termsel.results.accuracy import accuracy_lines, is_exact, lattice_of, reused_points_in_words
 from termsel.results.blocks import Fact
 from termsel.results.verdict import (
@@ -182,10 +182,16 @@ def roles_of(record: Record) -> str:
     if record.strategy:
         kinds = [count_in_words(number, noun) for number, noun in (
             (counts.lines, "line"), (counts.control + counts.check, "point")) if number]
-        return f"{' and '.join(kinds)} to choose and fit the model, {independent}"
+        purpose = "fit" if is_only_method(record) else "choose and fit"
+        return f"{' and '.join(kinds)} to {purpose} the model, {independent}"
     kinds = [count_in_words(number, noun) for number, noun in (
         (counts.control, "control point"), (counts.lines, "control line")) if number]
     return f"{', '.join(kinds)}, {_number_in_words(counts.check, 'selection point')}, {independent}"
+
+
+def is_only_method(record: Record) -> bool:
+    """Return whether the user named the method or the model, so that nothing was chosen."""
+    return record.strategy is not None and record.strategy.reason.startswith(NAMED_BY_USER)
 
 
 def _number_in_words(number: int, noun: str) -> str:
@@ -209,6 +215,8 @@ def model_title(record: Record) -> str:
     # So few points in a plane decide nothing: what is called a cubic polynomial is mostly affine.
     if record.model == "field" and record.selection.n_features < SPLINE_MAX_POINTS:
         return "average of polynomials, a spline and local deformation"
+    if strategy.chosen == record.model and len(strategy.candidates) <= 1:
+        return _title_by_degree(record.model, record.options.model.get("degree"))
     if (candidate := BY_NAME.get(strategy.chosen)) is None:
         return label_of(strategy.chosen)
     _article, _, title = candidate.title.partition(" ")
@@ -260,6 +268,8 @@ def _model_lines(record: Record) -> str:
         best = min(figures, key=lambda name: figures[name], default="") == strategy.chosen
         if len(figures) > 1:
             how = f" ({'best of' if best else 'chosen among'} {len(figures)} in cross-validation)"
+        elif strategy.reason.endswith(ALL_TERMS_IN_USE) and not _shift_of(record):
+            how = f", all {record.offered.n_terms} terms"
         else:
             how = ""
         rpc = f". {strategy.rpc}" if strategy.rpc and not _why_rpc_unused(record) else ""

@@ -10,8 +10,9 @@ from functools import cache
 import numpy as np
 from msgspec.structs import replace as changed
 
-from termsel.auto.auto import MAX_EXACT_POINTS, Auto, minimal_fit, minimal_view
+from termsel.auto.auto import MAX_EXACT_POINTS, Auto, minimal_fit, minimal_view, unjudged_fit
 from termsel.auto.compare import compare
+from termsel.auto.named_model import NamedModel, as_far_as_determined
 from termsel.auto.rule import Choice, folds_of, has_pole, method_of
 from termsel.core.errors import TermselError, count_in_words, rounded_size_text
 from termsel.core.interrupts import take_pending_interrupt
@@ -149,6 +150,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
     blunders = verdict.blunders | verdict.high
     clean = leave_out(observations, blunders) if blunders else observations
     data = clean.pool
+    auto, note_on_terms = as_far_as_determined(auto, data)
     # 2. The choice, and its repetition without some features.
     outcome = _choose(clean, auto, watch, seed)
     choice = outcome.choice
@@ -179,7 +181,7 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
     notes = _Assessed(request, observations, clean, auto, outcome, verdict=verdict, fitted=fitted,
                       errors=errors, predicted=predicted, rpc_notes=rpc_notes).notes(
         INTERRUPTED.format(min(watch.count, watch.methods), watch.methods)
-        if outcome.interrupted else "", contradicting.notes)
+        if outcome.interrupted else "", contradicting.notes, note_on_terms)
 
     @cache  # they are asked for by who judges and by who writes
     def baselines(in_roles: Observations) -> tuple[Baseline, ...]:
@@ -193,13 +195,17 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
                             request.features.noise, held_out=predicted_of.get(method.name),
                             among=len(predicted_of), is_asked_for=auto.is_one_method)
 
+    parts: dict[str, object] = {"model": type(fitted.model)}
+    # A model that the user named is all that there is to be found again.
+    if not isinstance(method, NamedModel):
+        parts["method"] = method
     # The objective of the record is what the rule of the choice compares.
     rmse = choice.chosen.held_out_rmse
     stated = {
         "solver": "auto", "criterion": "press", "seed": seed,
         "options": {"problem": {}, "data": request.options["data"],
                     "model": fitted.model.options, "solver": {}, "criterion": {}, "search": {}},
-        "plugins": plugins_of(request, model=type(fitted.model), method=method),
+        "plugins": plugins_of(request, **parts),
         "reference": best_conventional(method, baselines(clean)), "notes": notes,
         "objectives": {"press": rmse} if np.isfinite(rmse) else {}, "predicted": predicted,
         "strategy": strategy,
@@ -255,11 +261,12 @@ class _Assessed:
     predicted: Predicted | None
     rpc_notes: tuple[str, str]
 
-    def notes(self, interrupted: str, on_independent: Iterable[str]) -> tuple[str, ...]:
+    def notes(self, interrupted: str, on_independent: Iterable[str],
+              on_terms: str = "") -> tuple[str, ...]:
         """Return the notes in the order in which a reader acts on them.
 
-        The RPC and other geometry that is stated come first, then the data, the figures, the
-        features that were left out, and the independent points.
+        The RPC and other geometry that is stated come first, then the terms of a named model, the
+        data, the figures, the features that were left out, and the independent points.
         """
         clean = self.clean
         fitted = self.fitted
@@ -276,7 +283,7 @@ class _Assessed:
             uncertain_places = [*uncertain_between_points(chosen, self.predicted),
                                 *uncertain_corners(fitted, self.predicted.rmse)]
         return (
-            *filter(None, [doubt]),
+            *filter(None, [doubt, on_terms]),
             *_notes_on_stated_geometry(clean.pool, self.auto, chosen),
             *notes_on_dem(self.request.features, fitted),
             *filter(None, (rpc_unused, rpc_correction)),
@@ -284,7 +291,7 @@ class _Assessed:
                            blank=self.request.blank, clean=clean),
             *_notes_on_choice(self.request.model, clean, self.errors, interrupted,
                               plane=not fitted.model.uses_height, determined=self.outcome.exact,
-                              has_geometry=method.from_one),
+                              has_geometry=method.from_one, is_named=self.auto.is_one_method),
             *uncertain_places,
             *([] if lattice is None else [lattice.sentence(known=method.from_one)]),
             *self._notes_on_left_out(), *on_independent, *self.auto.notes)
@@ -320,7 +327,7 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
     """
     data = clean.pool
     features = data.features
-    is_enough = len(features) >= auto.fewest(data)
+    is_enough = auto.is_one_method or len(features) >= auto.fewest(data)
     choice: Choice | None = None
     try:
         if len(features) < LEAST and not is_enough:
@@ -328,7 +335,10 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
                 f"one point is not enough for a model. {_why_rpc_unused(data, auto)}".strip(),
                 hint="Measure more.")
         choice = auto.choose_features(data, watch.method) if is_enough else minimal_fit(data)
-        if choice and is_enough and len(features) > MAX_EXACT_POINTS:
+        if choice is None and auto.is_one_method:
+            choice = unjudged_fit(data, auto.methods[0])
+            is_enough = choice is None
+        if choice and is_enough and len(features) > MAX_EXACT_POINTS and not auto.is_one_method:
             # An oblique view that the points determine exactly has no errors to be chosen by.
             view = minimal_view(data, choice, auto)
             is_enough = view is choice
@@ -356,7 +366,9 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
             # of it is known, and the others alone would promise too much.
             if errors is not None and not np.isfinite(errors[:len(features.points) or None]).all():
                 errors = None
-        return _Chosen(choice, errors, not is_enough)
+        # A model that is asked for may leave redundancy and yet need every point.
+        needs_all = auto.is_one_method and choice.chosen.adjustment.redundancy > 0
+        return _Chosen(choice, errors, exact=not is_enough and not needs_all)
     except KeyboardInterrupt:
         # Of a choice that was cut short the best method so far is the result.
         best = choice or auto.best_of(watch.fits)
@@ -374,17 +386,18 @@ def _no_choice_error(auto: Auto, data: FitData) -> TermselError:
         return TermselError(f"{features} lie so that no model can be tested by them",
                             hint=f"{more}.")
     method = auto.methods[0]
-    failure = f"{features} cannot test {method.title}"
+    failure = f"{features} do not determine {method.title}"
+    option = "--model" if isinstance(method, NamedModel) else "--method"
+    otherwise = f"or leave {option} out: the program then chooses one"
     reason = method.declines(data)
     if reason is not None:
-        return TermselError(f"{failure}: {reason}",
-                            hint="Or omit --method: the program then chooses one.")
+        return TermselError(f"{failure}: {reason}", hint=f"{otherwise[3:].capitalize()}.")
     reason = "it leaves no redundancy, or has a pole in the scene"
     try:
         method.fit(data)
     except Undetermined as error:
         reason = error.what
-    return TermselError(f"{failure}: {reason}", hint=f"{more}, or choose another method.")
+    return TermselError(f"{failure}: {reason}", hint=f"{more}, {otherwise}.")
 
 
 def _strategy_record(choice: Choice, errors: FloatArray | None, predicted: Predicted | None,
@@ -505,12 +518,12 @@ def _why_rpc_unused(data: FitData, auto: Auto, fitted: Fit | None = None) -> str
 
 def _notes_on_choice(model: SensorModel, observations: Observations, errors: FloatArray | None,
                      interrupted: str = "", *, plane: bool, determined: bool,
-                     has_geometry: bool) -> list[str]:
+                     has_geometry: bool, is_named: bool = False) -> list[str]:
     """Return notes on the control and on the figures of a choice; [] if all is as usual.
 
     `model` is that of the request, which the user may compare; `plane` is whether the chosen one
-    is, `determined` whether the features leave it no freedom, and `has_geometry` whether it knows
-    the view. At most one note is on why no accuracy is known.
+    is, `determined` whether the features leave it no freedom, `has_geometry` whether it knows the
+    view, and `is_named` whether the user named it. At most one note is on why no accuracy is known.
     """
     features = observations.together
     in_use = np.ones(len(features), dtype=bool)
@@ -523,6 +536,9 @@ def _notes_on_choice(model: SensorModel, observations: Observations, errors: Flo
         mirrored = " Nor do they show whether the image is mirrored." if len(features) == 2 else ""
         exactly = is_determined_exactly(len(features), features.word.removesuffix("s"))
         notes.append(f"{exactly}, so its accuracy is not known.{mirrored}")
+    elif errors is None and is_named:
+        notes.append(f"Without one of the {features.word} the model is not determined, so no "
+                     "accuracy is predicted.")
     elif errors is None:
         notes.append("One point cannot be predicted by others, so no accuracy is predicted."
                      if len(features) == 1 else

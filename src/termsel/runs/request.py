@@ -14,6 +14,7 @@ from msgspec import json
 from termsel.auto.auto import Auto
 from termsel.auto.function import FunctionMethod
 from termsel.auto.memory import Memory
+from termsel.auto.named_model import named_model
 from termsel.core.errors import TermselError, count_in_words, first_names_in_words, make_printable
 from termsel.core.isolation.arrays import difference_from_type
 from termsel.core.isolation.faults import attribute_errors_to, fault_of_method
@@ -260,6 +261,25 @@ def method_words(model: Any = None, solver: Any = None, criterion: Any = None,
     named = [role for role, component in (
         ("model", model), ("solver", solver), ("criterion", criterion)) if component]
     return [*named, *(f"the option {key}" for key in options or () if key not in of_data)]
+
+
+def is_model_alone(words: Sequence[str], model: Any, options: Mapping[str, Any] | None) -> bool:
+    """Return whether a model is all that is asked for of a method, with options of its own.
+
+    `words` are those of `method_words` and others for parts of a search.
+    """
+    if model is None:
+        return False
+    model_class = class_of(registry().resolve("models", model))
+    of_model = {option.name for option in model_class.declared_options}
+    of_model |= {f"model.{name}" for name in of_model}
+    return set(words) <= {"model", *(f"the option {key}" for key in options or ()
+                                     if key in of_model)}
+
+
+def method_of_model(request: Request) -> Method:
+    """Return the method that fits all terms of the model of a request."""
+    return named_model(request.model, request.set_options)
 
 
 def request_of(

@@ -29,7 +29,14 @@ from termsel.results.result import Result
 from termsel.runs.choosing import choose_for, uses_auto
 from termsel.runs.finding import result_of
 from termsel.runs.notebook import notebook_observer
-from termsel.runs.request import auto_of, method_words, problem_for, request_of
+from termsel.runs.request import (
+    auto_of,
+    is_model_alone,
+    method_of_model,
+    method_words,
+    problem_for,
+    request_of,
+)
 from termsel.runs.task import (
     Task,
     find_features,
@@ -99,7 +106,8 @@ def run(
         points that took no part; "as-asked" runs the problem's solver. By default "auto" where
         the problem allows it and neither model, solver, criterion, budget nor any option but
         those of the data is given; for problems that select features only where none is named. A
-        prepared task is always run as asked.
+        model alone, without a problem, is fitted with all its terms to all control. A prepared task
+        is always run as asked.
     method : str, Method or callable, optional
         A method in place of "auto", which chooses among them: its name, such as
         "regularised-cubic"; a `Method`, such as `Search` with a problem of its own; or a function,
@@ -177,7 +185,13 @@ def run(
             else:
                 # The choice among all methods, or among one.
                 sole_method = auto_of(method, memory)
-                task = task_of_method(request_of_method(named, model=model, **of_data), sole_method)
+                task = task_of_method(request_of_method(named, **of_data), sole_method)
+        elif (problem is None and strategy is None and recipe.for_methods
+              and is_model_alone(words, model, options)):
+            request = request_of_method(named, features=features, dataset=dataset, source=source,
+                                        options=options, model=model)
+            sole_method = auto_of(method_of_model(request), memory)
+            task = task_of_method(request, sole_method)
         else:
             task = task_of(request_of(named, features=features, **arguments))
             _warn_of_search(task, words, is_in_place_of_auto=strategy is None and problem is None)
@@ -225,10 +239,7 @@ def _warn_of_search(task: Task, words: Sequence[str], *, is_in_place_of_auto: bo
     """Say where a search takes the place of the automatic choice, and where an RPC is not used."""
     if is_in_place_of_auto and task.recipe.for_methods:
         asks, them = ("asks", "it") if len(words) == 1 else ("ask", "them")
-        if "model" in words:
-            or_fit = "; to fit one model with all its terms, name a method: termsel list methods"
-        else:
-            or_fit = ""
+        or_fit = "; a model alone is fitted with all its terms" if "model" in words else ""
         log.warning("Note: %s %s for a search by %s, which takes the place of the automatic "
                     "choice. Leave %s out to have the model chosen automatically%s.",
                     " and ".join(words), asks, task.solver.name, them, or_fit)

@@ -587,7 +587,8 @@ def request_of_method(problem: str | Recipe, *, options: Any = None, **arguments
         options["mixed"] = True
     request = request_of(problem, **{
         **arguments, "criterion": "press", "solver": AllTerms, "options": options})
-    if request.recipe.search_first and request.features.without_height():
+    is_named = arguments.get("model") is not None
+    if request.recipe.search_first and not is_named and request.features.without_height():
         # The model of the search is not asked for, so that it asks for no heights.
         request = replace(request, model=registry().get("models", "poly2d")())
     return with_shares(request, auto=True)

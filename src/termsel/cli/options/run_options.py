@@ -75,7 +75,8 @@ _OPTIONS = (
                       "point), independent (one that tests the result) or off. Several have commas "
                       "between them: P07=independent,P12=off; may be repeated."),
     click.option("--model", metavar="NAME", shell_complete=complete("models"),
-                 help="Sensor model; see `termsel list models`."),
+                 help="Model to fit, with all its terms; with --solver or --problem, the model "
+                      "whose terms are selected. See `termsel list models`."),
     click.option("--solver", metavar="NAME", shell_complete=complete("solvers"),
                  help="Solver; see `termsel list solvers`."),
     click.option("--then", metavar="NAME", shell_complete=complete("solvers"),
@@ -88,8 +89,8 @@ _OPTIONS = (
     click.option("--strategy", type=click.Choice(["auto", "as-asked"]),
                  help="`auto` chooses among conventional and regularised models by predicted "
                       "RMSE; `as-asked` runs the problem's solver. auto is the default for "
-                      "rfm-terms, poly-terms, and without --problem, unless you name a method or "
-                      "a budget."),
+                      "rfm-terms, poly-terms, and without --problem, unless you name a model, a "
+                      "method or a budget."),
     click.option("--set", "settings", metavar="KEY=VALUE", multiple=True,
                  help="An option of the problem, model, solver, criterion, data or file format; "
                       "may be repeated. `termsel describe NAME` lists them."),

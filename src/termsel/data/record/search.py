@@ -108,6 +108,12 @@ class CandidateRow(RecordPart, frozen=True):
     """RMSE by leave-one-out [px]."""
 
 
+NAMED_BY_USER = "You named this method."
+"""How the reason begins of the choice of a method, or a model, that the user named."""
+
+ALL_TERMS_IN_USE = "All of its terms are in use."
+"""How that reason ends where a model consists of terms, and nothing selects or shrinks them."""
+
 RPC_UNUSED = "The RPC is not used"
 """How a strategy's sentence on an RPC begins that is given and not used."""
 
