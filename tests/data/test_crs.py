@@ -23,7 +23,7 @@ from termsel.data.coordinates.crs import (
     to_wgs84,
 )
 from termsel.data.coordinates.metres import ground_for_warping, offsets_in_metres
-from termsel.data.coordinates.plausible import check_ground, note_on_mixed
+from termsel.data.coordinates.plausible import check_ground, note_on_wrong_coordinates
 from termsel.data.features import FeatureSet, Lines, Points, empty_points
 
 
@@ -181,13 +181,13 @@ def test_heights_of_the_earth_are_taken() -> None:
                                ("EPSG:4979", (29_032.0, 100.0), "ft"),
                                ("EPSG:32631", (29_032.0, 100.0), "us-ft")):
         check_ground(_at_heights(crs, (np.nan, *heights)), unit)
-        assert not note_on_mixed(_at_heights(crs, heights[1:]))
+        assert not note_on_wrong_coordinates(_at_heights(crs, heights[1:]))
     with pytest.raises(TermselError, match="beyond any ground"):
         check_ground(_at_heights("EPSG:32631", (60_000.0, 100.0)), "ft")
 
 
 def test_heights_below_any_land_are_doubted() -> None:
-    note = note_on_mixed(_at_heights("EPSG:4979", (-1508.0, 20.0, -2176.0)))
+    note = note_on_wrong_coordinates(_at_heights("EPSG:4979", (-1508.0, 20.0, -2176.0)))
     assert note.startswith("2 heights are below any land, such as -1,508 m at a.")
     assert "heights upwards" in note
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import termsel
-from termsel.data.coordinates.plausible import note_on_mixed
+from termsel.data.coordinates.plausible import note_on_wrong_coordinates
 from termsel.data.features import FeatureSet, Points
 from termsel.results.first_screen import next_step_for_user
 
@@ -47,20 +47,20 @@ def test_places_on_a_map_are_told_from_pixels() -> None:
     x, y = places(268_500.0, 4_488_300.0, 900.0, 700.0)
     on_map = np.column_stack([y - 0.4, x + 0.3])
     for crs in ("local", "EPSG:2100"):
-        assert "map coordinates of a georeferenced image" in note_on_mixed(
+        assert "map coordinates of a georeferenced image" in note_on_wrong_coordinates(
             features(on_map, x, y, crs))
     pixels = on_map - on_map.min(axis=0)
-    assert note_on_mixed(features(pixels, x, y, "local")) == ""
+    assert note_on_wrong_coordinates(features(pixels, x, y, "local")) == ""
     # Two images of one size: both are pixels.
-    assert note_on_mixed(features(pixels, pixels[:, 1], pixels[:, 0], "local")) == ""
+    assert note_on_wrong_coordinates(features(pixels, pixels[:, 1], pixels[:, 0], "local")) == ""
 
 
 @pytest.mark.parametrize("stated", [32, 33])
 def test_points_of_the_next_zone_of_utm_are_named(stated: int) -> None:
     lon, lat = places(11.6, 47.0, 0.8, 0.5)
     zones = [33 if one > 12 else 32 for one in lon]
-    note = note_on_mixed(features(seen(lon, lat), *in_zones(lon, lat, zones),
-                                  f"EPSG:{32600 + stated}"))
+    note = note_on_wrong_coordinates(features(
+        seen(lon, lat), *in_zones(lon, lat, zones), f"EPSG:{32600 + stated}"))
     fewer = min((32, 33), key=zones.count)
     assert note.startswith(f"{zones.count(fewer)} of 14 points look as if they were in the zone of "
                            f"UTM {'west' if fewer == 32 else 'east'} of that of the others")
@@ -69,18 +69,18 @@ def test_points_of_the_next_zone_of_utm_are_named(stated: int) -> None:
 
 def test_one_zone_has_no_note_in_either_hemisphere_nor_beyond_its_border() -> None:
     lon, lat = places(11.6, 47.0, 0.8, 0.5)
-    assert note_on_mixed(features(seen(lon, lat), *in_zones(lon, lat, [32] * 14),
-                                  "EPSG:32632")) == ""
+    assert note_on_wrong_coordinates(features(
+        seen(lon, lat), *in_zones(lon, lat, [32] * 14), "EPSG:32632")) == ""
     lon, lat = places(-70.5, -33.5, 5.0, 0.5)  # wide, with gaps
-    assert note_on_mixed(features(seen(lon, lat), *in_zones(lon, lat, [19] * 14, 32700),
-                                  "EPSG:32719")) == ""
+    assert note_on_wrong_coordinates(features(
+        seen(lon, lat), *in_zones(lon, lat, [19] * 14, 32700), "EPSG:32719")) == ""
 
 
 def test_a_blunder_is_no_other_zone() -> None:
     lon, lat = places(11.6, 47.0, 0.3, 0.3)
     x, y = in_zones(lon, lat, [32] * 14)
     x[3] += 300_000.0
-    assert note_on_mixed(features(seen(lon, lat), x, y, "EPSG:32632")) == ""
+    assert note_on_wrong_coordinates(features(seen(lon, lat), x, y, "EPSG:32632")) == ""
 
 
 def typed(angle: np.ndarray, *, seconds: bool = False) -> np.ndarray:
@@ -95,7 +95,7 @@ def typed(angle: np.ndarray, *, seconds: bool = False) -> np.ndarray:
 @pytest.mark.parametrize("seconds", [False, True])
 def test_minutes_typed_as_decimals_are_named(west: float, south: float, seconds: bool) -> None:
     lon, lat = places(west, south, 0.8, 0.6)
-    note = note_on_mixed(features(seen(lon, lat), typed(lon, seconds=seconds),
+    note = note_on_wrong_coordinates(features(seen(lon, lat), typed(lon, seconds=seconds),
                                   typed(lat, seconds=seconds), "EPSG:4326"))
     words = "degrees, minutes and seconds" if seconds else "degrees and minutes"
     assert note.startswith(f"Coordinates look like {words} typed as decimals: ")
@@ -104,10 +104,10 @@ def test_minutes_typed_as_decimals_are_named(west: float, south: float, seconds:
 def test_decimal_degrees_have_no_note() -> None:
     for seed_west in (10.6, 10.05, -71.3):
         lon, lat = places(seed_west, 48.05, 0.8, 0.4)
-        assert note_on_mixed(features(seen(lon, lat), lon, lat, "EPSG:4326")) == ""
+        assert note_on_wrong_coordinates(features(seen(lon, lat), lon, lat, "EPSG:4326")) == ""
     few = slice(0, 5)
     lon, lat = places(10.6, 48.1, 0.8, 0.6)
-    assert note_on_mixed(features(seen(lon, lat)[few], typed(lon)[few], typed(lat)[few],
+    assert note_on_wrong_coordinates(features(seen(lon, lat)[few], typed(lon)[few], typed(lat)[few],
                                   "EPSG:4326")) == ""
 
 
@@ -141,7 +141,7 @@ def test_what_to_do_next_is_to_correct_the_coordinates(kind: str) -> None:
     assert "correct the coordinates first: " in words
     assert "Next: run again with --off" not in words
     assert next_step_for_user(result, "result") == "Next: correct the coordinates, then run again"
-    assert result.data.read.mixed == note_on_mixed(given)
+    assert result.data.read.mixed == note_on_wrong_coordinates(given)
 
 
 @pytest.mark.parametrize("crs", ["EPSG:32632", "EPSG:3035", "EPSG:27700"])
@@ -149,8 +149,9 @@ def test_eastings_and_northings_in_kilometres_are_named(crs: str) -> None:
     lon, lat = places(-2.5, 52.0, 0.1, 0.1) if crs == "EPSG:27700" else places(9.0, 47.0, 0.1, 0.1)
     image = 10.0 * seen(lon, lat)
     x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lon, lat)
-    assert not note_on_mixed(features(image, x, y, crs))
-    assert "x and y look like kilometres: times 1,000 they are in the area of" in note_on_mixed(
+    assert not note_on_wrong_coordinates(features(image, x, y, crs))
+    sign = "x and y look like kilometres: times 1,000 they are in the area of"
+    assert sign in note_on_wrong_coordinates(
         features(image, x / 1000, y / 1000, crs))
 
 
@@ -163,12 +164,12 @@ def test_heights_in_kilometres_are_named_where_the_image_shows_them(tilt: float)
     for heights, is_named in ((z, False), (z / 1000, True)):
         ground = np.column_stack([6e5 + x, 5e6 + y, heights])
         points = Points(tuple(map(str, range(20))), image, ground)
-        note = note_on_mixed(FeatureSet(points, crs="EPSG:32632"))
+        note = note_on_wrong_coordinates(FeatureSet(points, crs="EPSG:32632"))
         assert ("look like kilometres" in note) == is_named
     flat = np.column_stack([6e5 + x, 5e6 + y, rng.uniform(0, 2, 20)])
     image = np.column_stack([(4000 - y) / 2, x / 2]) + rng.normal(0, 0.5, (20, 2))
-    assert not note_on_mixed(FeatureSet(Points(tuple(map(str, range(20))), image, flat),
-                                        crs="EPSG:32632"))
+    points = Points(tuple(map(str, range(20))), image, flat)
+    assert not note_on_wrong_coordinates(FeatureSet(points, crs="EPSG:32632"))
 
 
 @pytest.mark.parametrize("crs", ["EPSG:3068", "EPSG:2454"])
@@ -176,8 +177,9 @@ def test_metres_near_the_origin_of_a_crs_are_no_kilometres(crs: str) -> None:
     # A thousand times as far from the origin, the projection has no ground.
     x, y = places(12_000.0, 13_000.0, 4000.0, 4000.0)
     image = np.column_stack([y.max() - y, x - x.min()])
-    assert note_on_mixed(features(image, x, y, crs)) == ""
-    assert "look like kilometres" in note_on_mixed(features(image, x / 1000, y / 1000, crs))
+    assert note_on_wrong_coordinates(features(image, x, y, crs)) == ""
+    note = note_on_wrong_coordinates(features(image, x / 1000, y / 1000, crs))
+    assert "look like kilometres" in note
 
 
 def test_a_bend_along_a_slope_is_no_sign_of_kilometres() -> None:
@@ -187,7 +189,7 @@ def test_a_bend_along_a_slope_is_no_sign_of_kilometres() -> None:
     heights = 8 * u**2 + rng.uniform(0, 0.3, 30)
     ground = np.column_stack([5e5 + 5000 * u, 5e6 - 5000 * v, heights])
     points = Points(tuple(map(str, range(30))), image, ground)
-    assert not note_on_mixed(FeatureSet(points, crs="EPSG:32632"))
+    assert not note_on_wrong_coordinates(FeatureSet(points, crs="EPSG:32632"))
 
 
 @pytest.mark.parametrize(("crs", "x", "y"), [
@@ -201,10 +203,11 @@ def test_coordinates_of_another_grid_than_the_crs_are_named(
     [sample], [line] = np.random.default_rng(1).uniform(0, 2000, (2, 1, 14))
     found = features(np.column_stack([line, sample]), x[0] + sample * (x[1] - x[0]) / 2000,
                      y[1] - line * (y[1] - y[0]) / 2000, crs)
-    note = note_on_mixed(found)
+    note = note_on_wrong_coordinates(found)
     assert f"{crs} is for the area from" in note
     assert "of another grid" in note
-    assert note_on_mixed(features(found.points.image, *found.points.ground[:, :2].T, "local")) == ""
+    in_a_plane = features(found.points.image, *found.points.ground[:, :2].T, "local")
+    assert note_on_wrong_coordinates(in_a_plane) == ""
 
 
 @pytest.mark.parametrize(("crs", "lon", "lat"), [
@@ -215,7 +218,7 @@ def test_points_in_or_next_to_the_area_of_their_crs_are_not(
         crs: str, lon: float, lat: float) -> None:
     lons, lats = places(lon, lat, 0.4, 0.3)
     x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(lons, lats)
-    assert note_on_mixed(features(seen(lons, lats), x, y, crs)) == ""
+    assert note_on_wrong_coordinates(features(seen(lons, lats), x, y, crs)) == ""
 
 
 @pytest.mark.parametrize(("zeros", "of", "said"), [
@@ -230,7 +233,8 @@ def test_zeros_that_stand_for_unknown_places_are_named(zeros: int, of: str, said
         image[:zeros] = 0.0
     # Points of one place are refused as they are read, unless their heights differ.
     ground = np.column_stack([x, y, 10.0 * np.arange(len(x))])
-    note = note_on_mixed(FeatureSet(Points(tuple(f"P{i}" for i in range(len(x))), image, ground)))
+    points = Points(tuple(f"P{i}" for i in range(len(x))), image, ground)
+    note = note_on_wrong_coordinates(FeatureSet(points))
     assert note.startswith(said) if said else "lie at" not in note
     assert not said or "P0" in note
 

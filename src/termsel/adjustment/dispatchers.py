@@ -53,13 +53,16 @@ class _Cache(FunctionCache):
         return *super()._index_key(sig, codegen), self._inner
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the code kept, None if there is none and no other process compiles it."""
+        """Return the code kept for a signature; None if this process has to compile it.
+
+        While another process compiles the same kernel, its code is waited for, `PATIENCE` at most.
+        """
         code = self._read(sig, target_context)
-        # None is kept: while another process compiles it, wait for its code, once at most.
         if code is None and self._turn is None and _Cache._waits:
             self._turn = turn(Path(self._cache_file._index_path).with_suffix(".lock"), PATIENCE)
+            # A process that waited in vain does not wait for each further kernel.
             _Cache._waits = self._turn is not None
-            code = self._read(sig, target_context)  # that of another process, meanwhile
+            code = self._read(sig, target_context)  # of another process, which compiled meanwhile
         return code
 
     def end(self) -> None:
@@ -69,14 +72,16 @@ class _Cache(FunctionCache):
             self._turn = None
 
     def _read(self, sig: Any, target_context: Any) -> Any:
-        """Return the code kept, None if there is none, or none that can be read."""
+        """Return the code kept, None if there is none; code that cannot be read is removed."""
         try:
-            # Numba first makes itself ready to compile, too, which takes 0.2 s.
+            # Not super().load_overload, which first makes the compiler ready and takes 0.2 s.
+            # Loading needs only the runtime that arrays are allocated by, and that where kernels
+            # allocate any.
             if self._allocates:
-                rtsys.initialize(target_context)  # what arrays are allocated by
+                rtsys.initialize(target_context)
             with self._guard_against_spurious_io_errors():
                 return self._load_overload(sig, target_context)
-        except _UNREADABLE:  # emptied, truncated, not to be read
+        except _UNREADABLE:
             self._forget()
             return None
 

@@ -293,37 +293,40 @@ class IndependentPart:
 
 
 def independent_parts(equations: Equations, axis: IntArray) -> tuple[IndependentPart, ...]:
-    """Split a system by image axis, unless a row or a term belongs to both.
+    """Return the parts of a system for line and for sample, or the system as one part.
 
-    The axis of each term (k,) is 0 line, 1 sample, 2 both.
+    It is one part where a row or a term belongs to both axes. The axis of each term (k,) is 0 for
+    line, 1 for sample, 2 for both.
     """
     # A control line has equations of both axes, and a shared denominator is a term of both.
     rows = row_axes(equations.A, axis)
     if (rows == 2).any() or (axis == 2).any():
         return (IndependentPart(np.ones(len(axis), dtype=bool), equations),)
-    systems = []
+    parts = []
     for image_axis in (0, 1):  # line, sample
         columns = axis == image_axis
-        systems.append(IndependentPart(columns, equations.take(rows == image_axis, columns)))
-    return tuple(systems)
+        parts.append(IndependentPart(columns, equations.take(rows == image_axis, columns)))
+    return tuple(parts)
 
 
-def solve_parts(systems: tuple[IndependentPart, ...], terms: BoolArray, features: BoolArray | None,
+def solve_parts(parts: tuple[IndependentPart, ...], terms: BoolArray, features: BoolArray | None,
                 near: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
-    """Solve a population part by part, of selected terms (p, k) and features (p, n), None for all.
+    """Solve each part for p individuals with their own terms (p, k) and features (p, n).
 
-    With a selection of features (n,) that all are `near`, all terms must be selected. Return the
-    coefficients (p, k), 0 where a term is not selected, and the number of selected terms that are
-    not determined (p,).
+    `features` is None where all individuals use all of them. `near` (n,) is a selection of features
+    from which each individual differs in few: its solution is corrected, instead of solving anew.
+    All terms must be selected then, and `terms` is not read.
+
+    Returns the coefficients (p, k), 0 where a term is not selected, and how many of the selected
+    terms are not determined (p,).
     """
     coefficients = np.zeros(terms.shape)
-    violation = np.zeros(len(terms))
-    for system in systems:
+    undetermined_terms = np.zeros(len(terms))
+    for part in parts:
         if near is None or features is None:
-            solution, undetermined = solve_many(system.equations, terms[:, system.columns],
-                                                features)
+            solution, undetermined = solve_many(part.equations, terms[:, part.columns], features)
         else:
-            solution, undetermined = solve_near(system.equations, near, features)
-        coefficients[:, system.columns] = solution
-        violation += undetermined
-    return coefficients, violation
+            solution, undetermined = solve_near(part.equations, near, features)
+        coefficients[:, part.columns] = solution
+        undetermined_terms += undetermined
+    return coefficients, undetermined_terms

@@ -128,45 +128,53 @@ def _write_qgis_points(path: Path, ground: FloatArray, image: FloatArray, crs: s
 
 
 def _write_matches(folder: Path, to_map: Callable[[FloatArray], FloatArray]) -> None:
-    """Write a map of the board, and matches of the image with it; every 7th is wrong.
+    """Write a map of the board, and 120 matches of the image with it; every 7th is wrong.
 
-    They are written as three programs have them: termsel's CSV, a match file of the Ames Stereo
-    Pipeline and a table of AROSICS, so that the pages show how each is read. `to_map` takes ground
-    positions to the map. Those that are wrong are 8 to 40 px off.
+    The matches are written as three programs have them: termsel's CSV, a match file of the Ames
+    Stereo Pipeline and a table of AROSICS, so that the pages show how each is read. `to_map` takes
+    ground positions (n, 3) to the map. Wrong matches are off by 8 to 40 px in line and in sample.
     """
-    to_ground = transformation_between(MAP_CRS, CRS)
-    east, north, _ = np.array(to_map(ground_of_corners())).T
-    west = np.floor(east.min() / GSD) * GSD - 200.0
-    top = np.ceil(north.max() / GSD) * GSD + 200.0
-    shape = (int((top - north.min()) / GSD) + 20, int((east.max() - west) / GSD) + 20)
-    middles = np.column_stack(
-        [_pixel_middles(west, top, GSD, shape), np.zeros(shape[0] * shape[1])])
-    board = BOARD(np.asarray(to_ground(middles))[:, :2]).reshape(shape).astype(np.uint8)
-    _write_map(folder / "ortho.tif", board, west, top, GSD, MAP_CRS)
-
+    west, top = _write_ortho(folder / "ortho.tif", to_map)
     # A seed, so that the pages can quote what comes out.
     rng = np.random.default_rng(5)
     ground = ground_of_corners()[rng.permutation(len(ground_of_corners()))[:120]]
     image = SENSOR.project(ground) + rng.normal(0.0, 0.3, (len(ground), 2))
-    # Blunders of 8 to 40 px in either direction, which matching has to find.
+    # Blunders, which matching has to find.
     image[::7] += rng.choice([-1, 1], image[::7].shape) * rng.uniform(8, 40, image[::7].shape)
     mapped = np.asarray(to_map(ground))
-    # Pixels of the map from the centre of the upper-left one.
+    # From the corner of the map to the centre of its upper-left pixel it is half a pixel.
     reference = np.column_stack([top - mapped[:, 1], mapped[:, 0] - west]) / GSD - 0.5
     image = image.round(3)
     reference = reference.round(3)
     _write_rows(folder / "matches.csv", np.hstack([image, reference]).tolist(),
                 "image_line,image_sample,reference_line,reference_sample")
+    # The counts of both images, then their interest points; of each nine more numbers follow.
     zeros = [0] * 9
     _write_rows(folder / "matches.txt", [(f"{len(image)} {len(image)}",), *(
         (" ".join(map(str, (sample, line, *zeros))),)
         for line, sample in [*image.tolist(), *reference.tolist()])])
-    # AROSICS states the image where it believed it to be, and the shift from there.
+    # AROSICS counts pixels from the corner of the image. It states a place on the map where it
+    # believed the image to be, here 20 m west and 10 m north, and the shift from there.
     _write_rows(folder / "tiepoints.csv", [
         (i, sample + 0.5, line + 0.5, round(x - 20, 3), round(y + 10, 3), 20, -10)
         for i, ((line, sample), (x, y, _)) in enumerate(
             zip(image.tolist(), mapped.tolist(), strict=True), 1)],
         "POINT_ID,X_IM,Y_IM,X_MAP,Y_MAP,X_SHIFT_M,Y_SHIFT_M")
+
+
+def _write_ortho(path: Path, to_map: Callable[[FloatArray], FloatArray]) -> tuple[float, float]:
+    """Write a map of the board with some ground around it; return its west and north edge [m]."""
+    to_ground = transformation_between(MAP_CRS, CRS)
+    east, north, _ = np.array(to_map(ground_of_corners())).T
+    west = np.floor(east.min() / GSD) * GSD - 200.0  # m
+    top = np.ceil(north.max() / GSD) * GSD + 200.0
+    shape = (int((top - north.min()) / GSD) + 20, int((east.max() - west) / GSD) + 20)  # px
+    # The board has no heights.
+    middles = np.column_stack(
+        [_pixel_middles(west, top, GSD, shape), np.zeros(shape[0] * shape[1])])
+    board = BOARD(np.asarray(to_ground(middles))[:, :2]).reshape(shape).astype(np.uint8)
+    _write_map(path, board, west, top, GSD, MAP_CRS)
+    return float(west), float(top)
 
 
 def _write_places(folder: Path) -> None:

@@ -21,7 +21,7 @@ from termsel.data.coordinates.crs import (
     plane_transformer,
     transformation_between,
 )
-from termsel.data.coordinates.earth import place_of, zone_of_utm_instead
+from termsel.data.coordinates.earth import note_on_utm_zone, place_of
 from termsel.data.coordinates.longitudes import turn_of, unwrap_longitudes
 from termsel.data.coordinates.metres import is_polar, metric_crs, polar_crs
 from termsel.data.features import FloatArray
@@ -105,7 +105,7 @@ def map_crs(result: Result, crs: str | None) -> str:
         raise TermselError(f"a map cannot be in the geocentric CRS {target}, which has no plane",
                            hint="Give --crs with a projected or geographic CRS, such as "
                                 "EPSG:32631.")
-    if crs is not None and (doubt := zone_of_utm_instead(target, result.features)):
+    if crs is not None and (doubt := note_on_utm_zone(target, result.features)):
         log.warning("Warning: %s.", doubt)
     return target
 

@@ -31,7 +31,7 @@ from termsel.data.coordinates.crs import (
 )
 from termsel.data.coordinates.crs_columns import note_on_other_crs
 from termsel.data.coordinates.earth import say_turned, unknown_crs_error
-from termsel.data.coordinates.plausible import check_ground, note_on_mixed
+from termsel.data.coordinates.plausible import check_ground, note_on_wrong_coordinates
 from termsel.data.coordinates.true_lengths import note_on_scale, with_degrees
 from termsel.data.features import FeatureSet, empty_lines, empty_points
 from termsel.data.georeferenced import warn_of_incomplete, warn_of_map
@@ -739,7 +739,7 @@ def _say_doubts(features: FeatureSet) -> None:
     if other := note_on_other_crs(features):
         log.warning("Warning: %s", other)
     # Of coordinates of two kinds it means nothing how they are turned.
-    if mixed := note_on_mixed(features):
+    if mixed := note_on_wrong_coordinates(features):
         log.warning("Warning: %s", mixed)
     else:
         say_turned(features)

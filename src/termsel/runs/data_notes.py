@@ -27,7 +27,7 @@ from termsel.data.coordinates.metres import (
     plan_of,
 )
 from termsel.data.coordinates.places import distance_beyond_hull, feature_centres
-from termsel.data.coordinates.plausible import note_on_mixed
+from termsel.data.coordinates.plausible import note_on_wrong_coordinates
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points
 from termsel.data.fit_data import (
     MEASURED,
@@ -248,7 +248,7 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     """
     if blank:
         yield note_on_blank(blank, read)
-    if mixed := note_on_mixed(read):
+    if mixed := note_on_wrong_coordinates(read):
         yield mixed
     elif turned := note_on_turned(read):
         yield f"{turned[0].upper()}{turned[1:]}"

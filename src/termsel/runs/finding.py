@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from termsel.core.isolation.faults import is_own
 from termsel.data.coordinates.crs import height_reference
 from termsel.data.coordinates.earth import find_swapped_axes, place_of
-from termsel.data.coordinates.plausible import note_on_mixed
+from termsel.data.coordinates.plausible import note_on_wrong_coordinates
 from termsel.data.features import select
 from termsel.data.record.figures import Predicted
 from termsel.data.record.record import (
@@ -100,7 +100,7 @@ def _what_was_read(request: Request, observations: Observations) -> WhatWasRead:
         and difference.contradicts else "",
         two_groups="" if groups is None else groups.sentence(), image_origin=read.image_origin,
         lattice=None if lattice is None else (lattice.lines, lattice.columns),
-        mixed=note_on_mixed(request.features),
+        mixed=note_on_wrong_coordinates(request.features),
         set_aside=len({*observations.independent.ids} - {*select(
             points.ids, [role == "independent" for role in points.roles])}))
 

@@ -261,10 +261,11 @@ def _rotation_matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
     return turn if narrow > _FLAT * wide else None
 
 
-def zone_of_utm_instead(crs: str, features: FeatureSet) -> str:
-    """Return that the middle of features is far outside the area of a CRS of a map; "" if not.
+def note_on_utm_zone(crs: str, features: FeatureSet) -> str:
+    """Return a note that features are far outside the area of a projected CRS; "" if they are not.
 
-    It names the zone of UTM there, and says nothing where no zone reaches.
+    The note names the zone of UTM in which their middle lies. It is "" as well where no zone
+    reaches, or the area of the CRS or the place of the features is not known.
     """
     area = area_of_use(crs)
     middle = degrees_of(features.crs, features.ground_vertices())

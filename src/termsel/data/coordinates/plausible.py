@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
 
 import numpy as np
 
@@ -31,6 +30,7 @@ from termsel.data.coordinates.metres import is_in_degrees
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, IntArray, Points
 
 _NEAR_ORIGIN = 1000.0  # metres from the origin of a CRS
+_FAR_SPREADS = 10.0  # from the origin, as many times the spread of a scene do not reach it
 _DEGREE_RANGE = ((-180.0, -90.0), (360.0, 90.0))
 _WITH_ZONE = {31: "EPSG:5649", 32: "EPSG:4647", 33: "EPSG:5650"}  # zE-N
 _FOOT = 0.3048  # m
@@ -43,10 +43,10 @@ _UTM_RANGE = {"6": ((0.0, -9.4e6), (1e6, 9.4e6)), "7": ((0.0, 0.0), (1e6, 10.5e6
 def check_ground(features: FeatureSet, z_unit: str | None = None) -> None:
     """Raise TermselError for ground coordinates that cannot be in the CRS; "local" takes any.
 
-    Longitudes outside -180 to 360 or latitudes outside -90 to 90 degrees in a geographic CRS,
-    coordinates that look like degrees in a projected one, and eastings or northings that no UTM
-    zone has; heights of no ground, in the unit `z_unit` if the user states one; in a geocentric CRS
-    positions far from the surface of the body.
+    In a geographic CRS these are longitudes outside -180 to 360 or latitudes outside -90 to 90
+    degrees; in a projected CRS coordinates that look like degrees, and eastings or northings that
+    no UTM zone has; in both, heights beyond any ground, in the unit `z_unit` if the user states
+    one; in a geocentric CRS positions far from the surface of the body.
     """
     crs = normalise(features.crs)
     kind = kind_of(crs)
@@ -67,7 +67,7 @@ def check_ground(features: FeatureSet, z_unit: str | None = None) -> None:
             _check_range(xy, features, *_UTM_RANGE[utm[1]],
                          f"cannot be easting and northing in {crs} (UTM)",
                          lambda: _hint_of_utm(xy, features, int(crs[-2:]), *_UTM_RANGE[utm[1]]))
-    # What is wrong of x and y as well says more.
+    # Last, as a fault of x and y explains more.
     if kind in ("geographic", "projected"):
         _check_heights(ground[:, 2], features, z_unit)
 
@@ -113,24 +113,28 @@ def _check_heights(heights: FloatArray, features: FeatureSet, stated_unit: str |
 
 
 def _hint_of_heights(metres: FloatArray, beyond: IntArray, column: str) -> str:
-    """Return a sentence on the likely reason why some heights are beyond any ground."""
-    known = metres[np.isfinite(metres)]
-    if len(beyond) <= _FEW_OUTSIDE * len(known):
-        others = np.delete(metres, beyond)
-        low, high = np.nanmin(others), np.nanmax(others)
+    """Return a sentence on the likely reason why some heights are beyond any ground.
+
+    `metres` are all heights (n,), NaN where blank; `beyond` are the indices of the heights at
+    fault, `column` is the name of their column.
+    """
+    known_heights = metres[np.isfinite(metres)]
+    if len(beyond) <= _FEW_OUTSIDE * len(known_heights):
+        possible_heights = np.delete(metres, beyond)
+        low, high = np.nanmin(possible_heights), np.nanmax(possible_heights)
         if len(beyond) == 1:
-            which = "it, or remove its row"
+            what_to_correct = "it, or remove its row"
         else:
-            which = f"these {len(beyond)}, or remove their rows"
-        return (f"The other {len(known) - len(beyond)} are between {low:,.0f} and {high:,.0f} m: "
-                f"correct {which}.")
-    another = f"another column has the heights: --columns {column}=NAME."
-    largest = np.abs(known).max()
+            what_to_correct = f"these {len(beyond)}, or remove their rows"
+        return (f"The other {len(known_heights) - len(beyond)} are between {low:,.0f} and "
+                f"{high:,.0f} m: correct {what_to_correct}.")
+    declare_column = f"another column has the heights: --columns {column}=NAME."
+    low, high = known_heights.min(), known_heights.max()
     for unit, size, remedy in _LIKELY_UNITS:
-        if largest * size <= _HIGHEST_LAND:
-            return (f"They look like {unit}, {known.min() * size:,.0f} to {known.max() * size:,.0f}"
-                    f" m: {remedy}. Or {another}")
-    return f"Give heights in metres; or {another}"
+        if np.abs(known_heights).max() * size <= _HIGHEST_LAND:
+            return (f"They look like {unit}, {low * size:,.0f} to {high * size:,.0f} m: {remedy}. "
+                    f"Or {declare_column}")
+    return f"Give heights in metres; or {declare_column}"
 
 
 def _note_on_depths(features: FeatureSet) -> str:
@@ -191,13 +195,20 @@ def _hint_of_degrees(xy: FloatArray, features: FeatureSet) -> str:
 
 
 def _are_joined(xy: FloatArray, joined: float) -> bool:
-    """Return whether numbers (n, 2) may be degrees times 100 or 10,000, and minutes and seconds."""
+    """Return whether numbers (n, 2) may be degrees and minutes, or seconds too, in one number.
+
+    `joined` is what degrees are multiplied by: 100 in DDMM.mm, 10,000 in DDMMSS.ss.
+    """
     size = np.abs(xy)
     degrees = np.floor(size / joined)
-    rest = size - degrees * joined
-    minutes = rest if joined == 100.0 else np.floor(rest / 100.0)
-    seconds = np.zeros(1) if joined == 100.0 else rest % 100.0
-    # Latitudes have degrees, lest coordinates of any small plane do.
+    below_a_degree = size - degrees * joined
+    if joined == 100.0:
+        minutes = below_a_degree
+        seconds = np.zeros(1)
+    else:
+        minutes = np.floor(below_a_degree / 100.0)
+        seconds = below_a_degree % 100.0
+    # All latitudes must have degrees, lest small coordinates in a plane look so.
     return bool((degrees <= (180, 90)).all() and (minutes < 60).all() and (seconds < 60).all()
                 and (degrees[:, 1] > 0).all())
 
@@ -230,21 +241,21 @@ def _hint_of_utm(xy: FloatArray, features: FeatureSet, zone: int, low: tuple[flo
 def _check_metres(xy: FloatArray, features: FeatureSet, crs: str) -> None:
     """Refuse features in degrees under a projected CRS: all of them, or some far from the rest.
 
-    Whether a few small coordinates are degrees, the distance of the others shows: near the origin
-    of a CRS metres are as small. Raises TermselError with the first feature at fault.
+    Metres near the origin of a CRS are as small as degrees. So where only some coordinates (n, 2)
+    could be degrees, the others must be far from the origin. Raises TermselError with the first
+    feature at fault.
     """
     # Metres of a projected CRS are almost never so small.
-    degrees: BoolArray = np.all(np.abs(xy) <= (180, 90), axis=1)
-    if not degrees.any():
+    could_be_degrees: BoolArray = np.all(np.abs(xy) <= (180, 90), axis=1)
+    if not could_be_degrees.any():
         return
-    in_metres = xy[~degrees]
+    in_metres = xy[~could_be_degrees]
     if len(in_metres):
-        # Metres next to the origin of a CRS are as small.
         middle = np.median(in_metres, axis=0)
         spread = np.median(np.abs(in_metres - middle), axis=0).max()
-        if np.hypot(*middle) <= max(_NEAR_ORIGIN, 10 * spread):
+        if np.hypot(*middle) <= max(_NEAR_ORIGIN, _FAR_SPREADS * spread):
             return
-        n = len(np.unique(features.vertex_feature[degrees]))
+        n = len(np.unique(features.vertex_feature[could_be_degrees]))
         verb = "looks" if n == 1 else "look"
         problem = f"{n} of {len(features)} {features.word} {verb} like degrees"
         hint = "Transform them to the CRS of the others, or remove them."
@@ -253,7 +264,7 @@ def _check_metres(xy: FloatArray, features: FeatureSet, crs: str) -> None:
         hint = (f"Where {short_crs_name(crs)} is stated, in the file or by --crs, state EPSG:4979 "
                 "for longitude, latitude and ellipsoidal height, or local for plane coordinates "
                 "without a CRS.")
-    first = int(np.argmax(degrees))
+    first = int(np.argmax(could_be_degrees))
     name, column = _name_vertex(features, first, 0)
     raise TermselError(
         f"{problem}, but {short_crs_name(crs)} is a projected CRS: "
@@ -265,8 +276,8 @@ def _check_range(xy: FloatArray, features: FeatureSet, low: tuple[float, float],
                  high: tuple[float, float], problem: str, hint_of: Callable[[], str]) -> None:
     """Refuse coordinates (n, 2) outside a range; say so if exchanged columns would be inside.
 
-    `problem` ends the sentence on the first of them, and `hint_of` says what is likely wrong: it is
-    asked only where something is.
+    `problem` ends the sentence on the first feature at fault. `hint_of` returns what is likely
+    wrong; it is called only where something is.
     """
     beyond: BoolArray = np.asarray((xy < low) | (xy > high))
     is_outside = beyond.any(axis=1)
@@ -302,8 +313,8 @@ def _feature_in_words(xy: FloatArray, name: str, i: int) -> str:
 
 # Ground coordinates that are not all of one kind: zones of UTM, and minutes typed as decimals.
 #
-# What the image shows shows: read the other way, the points are its affine image, and as they stand
-# they are not.
+# The image shows it: read the other way, the points are nearly an affine image of it, and as they
+# stand they are not.
 
 MIN_AFFINE_POINTS = 6
 """Points from which on an affine image shows."""
@@ -345,55 +356,62 @@ _CERTAIN = 6.0
 """Slope by its standard deviation from which on it is no chance."""
 
 
-def note_on_mixed(features: FeatureSet) -> str:
-    """Return which coordinates look as if they were of another kind than they should be; or "".
+def note_on_wrong_coordinates(features: FeatureSet) -> str:
+    """Return a note on the first fault that the coordinates of points show, or "" for none.
 
-    The image tells: read rightly, the ground is about an affine image of it. Looked for are map
-    coordinates in place of pixels; of degrees, minutes typed as decimals; of metres, kilometres and
-    two zones of UTM; and heights in kilometres. Zeros that stand for unknown places come first. One
-    note is enough, the first that applies.
+    The faults are looked for in this order: zeros that stand for unknown places; map coordinates in
+    place of pixels, or lines and samples beyond any image; depths in place of heights; in degrees,
+    minutes typed as decimals; in metres, kilometres, two zones of UTM, or a place far outside the
+    area of the CRS; last heights in kilometres.
+
+    Minutes, zones and heights in kilometres show by the image: the ground, read rightly, is nearly
+    an affine image of it. They are not looked for in fewer than `MIN_AFFINE_POINTS` points, nor
+    without a CRS.
     """
     points = features.points
-    image = points.image
-    if zeros := _note_on_zeros(points):
-        return zeros
-    if len(image) and np.median(np.abs(image).max(axis=1)) >= NO_PIXEL:
-        # Line and sample may be northings and eastings, not pixels.
-        distance = float(np.median(np.abs(image - points.ground[:, [1, 0]]).max(axis=1)))
-        if distance <= SAME:
-            return (f"Line and sample are y and x themselves, to {distance:.2g}: they look like "
-                    "map coordinates of a georeferenced image, not pixels. What is stated in px is "
-                    "in units of the map then; for pixels, measure in the image without its "
-                    "georeferencing.")
-        largest = float(np.abs(image).max())
-        if largest > NO_IMAGE:
-            return (f"Line and sample are up to {largest:.2g}, and no image is so large. Give "
-                    "pixels.")
-    if depths := _note_on_depths(features):
-        return depths
-    if len(points) < MIN_AFFINE_POINTS or not features.crs:
-        return ""
+    before_the_crs = (_note_on_zeros(points) or _note_on_pixels(points)
+                      or _note_on_depths(features))
+    if before_the_crs or len(points) < MIN_AFFINE_POINTS or not features.crs:
+        return before_the_crs
     if is_in_degrees(features.crs):
         in_plan = _note_on_minutes(features)
     else:
-        in_plan = (_note_on_kilometres(features) or _two_zones_note(features)
+        in_plan = (_note_on_kilometres(features) or _note_on_two_zones(features)
                    or _note_on_area(features))
     return in_plan or _note_on_heights_in_kilometres(features)
 
 
-def _note_on_zeros(points: Points) -> str:
-    """Return a note on points at x = 0 and y = 0, or line = 0 and sample = 0, several alike; or "".
+def _note_on_pixels(points: Points) -> str:
+    """Return a note on lines and samples that are map coordinates or beyond any image; or ""."""
+    image = points.image
+    if not len(image) or np.median(np.abs(image).max(axis=1)) < NO_PIXEL:
+        return ""
+    # Line and sample may be northings and eastings, not pixels.
+    distance = float(np.median(np.abs(image - points.ground[:, [1, 0]]).max(axis=1)))
+    if distance <= SAME:
+        return (f"Line and sample are y and x themselves, to {distance:.2g}: they look like "
+                "map coordinates of a georeferenced image, not pixels. What is stated in px is "
+                "in units of the map then; for pixels, measure in the image without its "
+                "georeferencing.")
+    largest = float(np.abs(image).max())
+    if largest > NO_IMAGE:
+        return f"Line and sample are up to {largest:.2g}, and no image is so large. Give pixels."
+    return ""
 
-    Programs write zeros for places that they do not know. One point may lie there; those that are
-    off take no part.
+
+def _note_on_zeros(points: Points) -> str:
+    """Return a note on several points at x = 0 and y = 0, or at line = 0 and sample = 0; or "".
+
+    Programs write zeros for places that they do not know. A single point may lie there; points that
+    are off take no part.
     """
     in_use = np.array(points.roles, dtype=object) != "off"
-    for places, said in ((points.ground[:, :2], "x = 0 and y = 0"),
-                         (points.image, "line = 0 and sample = 0")):
-        at_zero = np.flatnonzero((places == 0.0).all(axis=1) & in_use)
+    for positions, origin in ((points.ground[:, :2], "x = 0 and y = 0"),
+                              (points.image, "line = 0 and sample = 0")):
+        at_zero = np.flatnonzero((positions == 0.0).all(axis=1) & in_use)
         if at_zero.size > 1:
             ids = first_names_in_words([points.ids[i] for i in at_zero], MAX_POINTS_NAMED)
-            return (f"{at_zero.size} points lie at {said}, which stands for places that are not "
+            return (f"{at_zero.size} points lie at {origin}, which stands for places that are not "
                     f"known: {ids}. Leave their rows out, or give their coordinates.")
     return ""
 
@@ -401,8 +419,8 @@ def _note_on_zeros(points: Points) -> str:
 def _note_on_kilometres(features: FeatureSet) -> str:
     """Return a note that eastings and northings look like kilometres; "" if they do not.
 
-    A thousand times as large they are in the area of their CRS; as they stand they are not, or an
-    image that shows metres of ground has pixels of millimetres.
+    They do where they are in the area of their CRS once multiplied by a thousand, and as they stand
+    either are outside it or would give the image pixels of less than `_SMALLEST_PIXEL`.
     """
     crs = normalise(features.crs)
     points = features.points
@@ -425,8 +443,8 @@ def _note_on_kilometres(features: FeatureSet) -> str:
 def _note_on_area(features: FeatureSet) -> str:
     """Return a note that the points are far outside the area of their projected CRS; "" if not.
 
-    Such are the coordinates of another grid, or of a local one, under the CRS of a project: they
-    have a place on the Earth, but not theirs, and lengths there may be of another unit.
+    That happens to the coordinates of another grid, or of a local one, under the CRS of a project:
+    they are read as a wrong place on the Earth, and lengths in them may be of another unit.
     """
     crs = normalise(features.crs)
     area = area_of_use(crs) if kind_of(crs) == "projected" else None
@@ -442,57 +460,58 @@ def _note_on_area(features: FeatureSet) -> str:
 
 
 def _is_in_area(ground: FloatArray, crs: str, area: tuple[float, float, float, float],
-                around: float) -> bool:
-    """Return whether the middle of positions (n, 3) is in an area, or within degrees around it."""
+                margin: float) -> bool:
+    """Return whether the middle of positions (n, 3) is in an area or a margin around it [deg]."""
     # Positions that are read in a wrong unit may be where the projection has no ground.
     middle = degrees_of(crs, ground)
-    return middle is not None and is_inside(middle, area, around)
+    return middle is not None and is_inside(middle, area, margin)
 
 
 def _note_on_heights_in_kilometres(features: FeatureSet) -> str:
     """Return a note that heights look like kilometres, by what the image shows of them; or "".
 
-    In an affine image of the ground, a metre of height moves a point by tan(angle of view) metres.
-    In kilometres the tangent is a thousand times as large. Quadratic terms of the plan take up what
-    the image bends by, which a slope would look like.
+    In an affine image of the ground, a metre of height moves a point by as much as tan(angle of
+    view) metres in plan. Of heights in kilometres that tangent is a thousand times as large. The
+    image is fitted by an affine function of plan and height, and by squares of the plan, lest what
+    bends the image were taken for a slope of the heights.
     """
-    ground = features.points.ground
+    is_known = np.isfinite(features.points.ground[:, 2])
+    ground = features.points.ground[is_known]
+    image = features.points.image[is_known]
     heights = ground[:, 2]
-    usable = np.isfinite(heights)
-    if usable.sum() < 2 * MIN_AFFINE_POINTS or np.abs(heights[usable]).max() > _HIGHEST_KILOMETRES:
+    if len(heights) < 2 * MIN_AFFINE_POINTS or np.abs(heights).max() > _HIGHEST_KILOMETRES:
         return ""
-    plan = ground[usable, :2] - ground[usable, :2].mean(axis=0)
+    plan = ground[:, :2] - ground[:, :2].mean(axis=0)
     if is_in_degrees(features.crs):
-        plan = plan * _DEGREE * [np.cos(np.radians(np.median(ground[usable, 1]))), 1.0]
-    above = heights[usable] - heights[usable].mean()
-    # About one, as their squares are.
+        plan = plan * _DEGREE * [np.cos(np.radians(np.median(ground[:, 1]))), 1.0]
+    # The plan is at most 1, so that its squares are of the same size.
     extent = max(float(np.abs(plan).max()), np.finfo(float).tiny)
     u, v = plan.T / extent
-    design = np.column_stack([np.ones(len(u)), u, v, above, u * u, u * v, v * v])
-    image = features.points.image[usable]
+    design = np.column_stack([np.ones(len(u)), u, v, heights - heights.mean(),
+                              u * u, u * v, v * v])
     slopes, _, rank, _ = np.linalg.lstsq(design, image, rcond=None)
+    # Square pixels a square metre of plan: its root is the scale of the image.
     determinant = abs(np.linalg.det(slopes[1:3])) / extent**2
     if rank < design.shape[1] or not determinant > 0.0:
         return ""
     residuals = image - design @ slopes
     sigma = np.sqrt((residuals**2).sum() / (residuals.size - slopes.size))
-    size = float(np.linalg.norm(slopes[3]))  # px a unit of height
+    height_slope = float(np.linalg.norm(slopes[3]))  # px a unit of height
     # The row of the pseudoinverse that gives the slope of the heights from the image.
     deviation = sigma * float(np.linalg.norm(np.linalg.pinv(design)[3]))
-    tangent = size / np.sqrt(determinant)
-    if tangent < _NO_TANGENT or size < _CERTAIN * deviation:
+    tangent = height_slope / np.sqrt(determinant)
+    if tangent < _NO_TANGENT or height_slope < _CERTAIN * deviation:
         return ""
-    low, high = heights[usable].min(), heights[usable].max()
-    return (f"The heights, from {low:.3g} to {high:.3g}, look like kilometres: as metres they "
-            "would move the image far more than any view does. Write them in metres, or end the "
-            "name of their column in km, such as z_km.")
+    return (f"The heights, from {heights.min():.3g} to {heights.max():.3g}, look like kilometres: "
+            "as metres they would move the image far more than any view does. Write them in "
+            "metres, or end the name of their column in km, such as z_km.")
 
 
-def _two_zones_note(features: FeatureSet) -> str:
+def _note_on_two_zones(features: FeatureSet) -> str:
     """Return a note on points that look as if they were in the next zone of UTM; "" if none do.
 
-    Their eastings are far from those of the others. Read in the zone beside, all points together
-    must be a far better affine image than as they stand.
+    Such points have eastings far from those of the others. With them read in the zone to the west
+    or east, all points together must be a far better affine image than as they stand.
     """
     crs = normalise(features.crs)
     if UTM.fullmatch(crs) is None:
@@ -501,19 +520,19 @@ def _two_zones_note(features: FeatureSet) -> str:
     far = _far_group(ground[:, 0])
     if far is None:
         return ""
-    as_it_stands = _rms_of_affine_fit(features.points.image, ground)
+    rms_as_it_stands = _rms_of_affine_fit(features.points.image, ground)
     zone = int(crs[-2:])
     for neighbour in (zone - 1, zone + 1):
         if not 1 <= neighbour <= 60:
             continue
-        read = ground.copy()
+        corrected = ground.copy()
         try:
             # The far group read as of the next zone, in the coordinates of this one.
-            turned = transformation_between(f"{crs[:-2]}{neighbour:02}", crs)(ground[far])
+            from_neighbour = transformation_between(f"{crs[:-2]}{neighbour:02}", crs)(ground[far])
         except TermselError:  # nothing can be where these coordinates are in that zone
             continue
-        read[far, :2] = turned[:, :2]
-        if _rms_of_affine_fit(features.points.image, read) < BETTER * as_it_stands:
+        corrected[far, :2] = from_neighbour[:, :2]
+        if _rms_of_affine_fit(features.points.image, corrected) < BETTER * rms_as_it_stands:
             ids = [features.points.ids[i] for i in np.flatnonzero(far)]
             # Which of the two is the zone of the CRS, the coordinates do not show.
             direction = "west" if neighbour < zone else "east"
@@ -525,25 +544,26 @@ def _two_zones_note(features: FeatureSet) -> str:
 
 
 def _far_group(eastings: FloatArray) -> BoolArray | None:
-    """Return the smaller of two groups of eastings (n,) with a wide gap between them.
+    """Return a mask (n,) of the smaller of two groups of eastings (n,) with a wide gap between.
 
-    It is a mask (n,); None where there is no such gap.
+    None comes back where there is no gap of `APART`.
     """
-    order = np.sort(eastings)
-    gaps = [second - first for first, second in pairwise(order.tolist())]
+    in_order = np.sort(eastings)
+    gaps = np.diff(in_order)
     widest = int(np.argmax(gaps))
     if gaps[widest] < APART:
         return None
     # The group of fewer points is the one to doubt.
-    above = np.asarray(eastings > order[widest])
-    return np.asarray(above if above.sum() <= len(above) / 2 else ~above)
+    is_east = np.asarray(eastings > in_order[widest])
+    return np.asarray(is_east if is_east.sum() <= len(is_east) / 2 else ~is_east)
 
 
 def _note_on_minutes(features: FeatureSet) -> str:
     """Return a note that degrees and minutes, or seconds too, look typed as decimals; or "".
 
-    The features are in degrees. Read as minutes, 47.30 of 34.4730 is larger than as decimals, so
-    that only one of the readings is an affine image, once the points span more than a degree.
+    The features are in degrees. 34.4730 may stand for 34 deg 47.30', or for 34 deg 47' 30". Either
+    reading stretches what lies within a degree: where the points span more than one degree, at most
+    one of the readings makes them an affine image.
     """
     ground = features.points.ground
     image = features.points.image
@@ -551,30 +571,27 @@ def _note_on_minutes(features: FeatureSet) -> str:
     sign = np.sign(ground[:, :2])
     # With a margin for decimals such as 35.0 that are stored as 34.999...
     degrees = np.floor(size + 1e-9)
-    decimals = size - np.floor(size + 1e-9)
+    decimals = size - degrees
     # Within one degree both readings are affine images of each other, and nothing shows.
     if not (np.ptp(degrees * sign, axis=0) > 0).any() or (decimals >= MINUTES).any():
         return ""
-    # 34.4730 may stand for 34 deg 47.30', or for 34 deg 47' 30".
     minutes = np.floor(decimals * 100 + 1e-6)
     seconds = (decimals * 100 - minutes) * 100
-    readings = {"degrees and minutes": degrees + decimals * 100 / 60,
-                "degrees, minutes and seconds": degrees + minutes / 60 + seconds / 3600}
-    if (seconds >= 60).any():
-        del readings["degrees, minutes and seconds"]
-    errors = {name: _rms_of_affine_fit(image, sign * read) for name, read in readings.items()}
-    name = min(errors, key=lambda reading: errors[reading])
-    if errors[name] >= BETTER * _rms_of_affine_fit(image, ground):
+    readings = {"degrees and minutes": degrees + decimals * 100 / 60}
+    if (seconds < 60).all():
+        readings["degrees, minutes and seconds"] = degrees + minutes / 60 + seconds / 3600
+    errors = {name: _rms_of_affine_fit(image, sign * size_as_read)
+              for name, size_as_read in readings.items()}
+    best_reading = min(errors, key=errors.__getitem__)
+    if errors[best_reading] >= BETTER * _rms_of_affine_fit(image, ground):
         return ""
-    first = ground[0, 0]
-    value = decimals[0, 0] * 100
-    typed = f"{degrees[0, 0]:.0f}\N{DEGREE SIGN}"
-    if name == "degrees and minutes":
-        typed += f"{value:.6g}'"
-    else:  # with seconds
-        typed += f"{minutes[0, 0]:.0f}'{seconds[0, 0]:.6g}\""
-    return (f"Coordinates look like {name} typed as decimals: {first:.10g} for {typed}. Write "
-            "decimal degrees, or degrees and minutes with their signs.")
+    meant = f"{degrees[0, 0]:.0f}\N{DEGREE SIGN}"
+    if best_reading == "degrees and minutes":
+        meant += f"{decimals[0, 0] * 100:.6g}'"
+    else:
+        meant += f"{minutes[0, 0]:.0f}'{seconds[0, 0]:.6g}\""
+    return (f"Coordinates look like {best_reading} typed as decimals: {ground[0, 0]:.10g} for "
+            f"{meant}. Write decimal degrees, or degrees and minutes with their signs.")
 
 
 def _rms_of_affine_fit(image: FloatArray, ground: FloatArray) -> float:

@@ -44,6 +44,7 @@ MOST_GUESSES = 2
 """Readings of a table that a message shows."""
 
 _ROWS = 200
+"""Rows of a table that are looked at: its columns show by then."""
 _BELONGS = 0.9
 """Share of a column's variance that ground explains of an image, or an image of its ground."""
 
@@ -54,16 +55,24 @@ _SHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 _HIGHEST = 30_000.0
 """Height of the highest ground, in feet."""
 
+_BEYOND_IMAGES = 1e5
+"""Numbers above this are map coordinates: few images are as large."""
+_WIDEST_SCENE = 10.0
+"""Degrees that a scene spans less than; an image spans more pixels."""
+
 _SMALL = 9.0
 """Numbers below this may be residuals or scores as well as heights."""
+
+_TINY = 1e-300
+"""What takes the place of a zero that is divided by."""
 
 _SCORES = frozenset((
     "score", "scores", "confidence", "conf", "mconf", "ncc", "cc", "corr", "correlation",
     "distance", "dist", "quality", "weight", "prob", "probability", "rms", "rmse", "residual",
     "residuals", "resid", "error", "err", "similarity", "ssim"))
 """Names of columns that say how good a match or a point is."""
-_NAMES_OF_SAMPLE = frozenset(("x", "col", "column", "cols"))
-_DOWN = frozenset(("y", "row", "rows"))
+_WORDS_ACROSS = frozenset(("x", "col", "column", "cols"))
+_WORDS_DOWN = frozenset(("y", "row", "rows"))
 """Words in names of columns that say along which axis they run."""
 
 _IMAGE_FILE = re.compile(r".+\.(jpe?g|tiff?|png|dng|jp2|bmp|arw|cr2|nef)", re.IGNORECASE)
@@ -115,41 +124,46 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
 
 def _by_axes_in_names(readings: Sequence[dict[str, int]], header: Sequence[str],
                       ) -> list[dict[str, int]]:
-    """Return readings in which pairs run as their names say, such as kp_x and kp_y; each once.
+    """Return readings whose pairs run as the names of their columns say, such as kp_x and kp_y.
 
-    Samples and x run across an image, lines and y down or up.
+    Samples and x run across an image, lines and y down or up: a pair that is read the other way
+    round is exchanged. Readings that become alike are one.
     """
     axes = [_axis_in_name(name) for name in header]
-    result: list[dict[str, int]] = []
+    distinct: list[dict[str, int]] = []
     for reading in readings:
-        changed = dict(reading)
+        corrected = dict(reading)
         for across, down in (("sample", "line"), ("x", "y")):
             if {across, down} <= reading.keys() and (
                     axes[reading[across]], axes[reading[down]]) == ("down", "across"):
-                changed |= {across: reading[down], down: reading[across]}
-        if changed not in result:
-            result.append(changed)
-    return result
+                corrected |= {across: reading[down], down: reading[across]}
+        if corrected not in distinct:
+            distinct.append(corrected)
+    return distinct
 
 
 def _ways_to_take_names(header: Sequence[str], known_columns: Mapping[str, int],
                         ) -> list[dict[str, int]]:
-    """Return the columns that are known by their names, and with x and y as those of the image.
+    """Return the ways to take the columns that are known by name, each as columns by meaning.
 
-    Tables of viewers call columns and rows x and y; so these are on the ground only for sure where
-    columns of the image have names of their own.
+    The first is what the names say. A second has x and y as sample and line, where they are called
+    just so and no column is named for the image: tables of viewers call columns and rows x and y.
     """
     ways = [dict(known_columns)]
-    are_plain = all(axis in known_columns and header[known_columns[axis]].strip().casefold() == axis
-                    for axis in ("x", "y"))
-    if are_plain and not {"line", "sample"} & known_columns.keys():
-        others = {name: i for name, i in known_columns.items() if name not in ("x", "y")}
-        ways.append({**others, "sample": known_columns["x"], "line": known_columns["y"]})
+    are_bare_letters = all(
+        axis in known_columns and header[known_columns[axis]].strip().casefold() == axis
+        for axis in ("x", "y"))
+    if are_bare_letters and not {"line", "sample"} & known_columns.keys():
+        without_x_y = {name: i for name, i in known_columns.items() if name not in ("x", "y")}
+        ways.append({**without_x_y, "sample": known_columns["x"], "line": known_columns["y"]})
     return ways
 
 
 def _is_in_an_image(numbers: Mapping[int, FloatArray], reading: Mapping[str, int]) -> bool:
-    """Return whether the columns of the image hold no numbers that are beyond any image."""
+    """Return whether line and sample of a reading hold no numbers that are beyond any image.
+
+    A column that the reading lacks, or that holds no numbers, does not count.
+    """
     columns = {name: numbers[reading[name]] for name in ("line", "sample")
                if reading.get(name) in numbers}
     # Lines alone may count upwards, and then are negative.
@@ -159,7 +173,8 @@ def _is_in_an_image(numbers: Mapping[int, FloatArray], reading: Mapping[str, int
 
 
 def _shows_ground(numbers: Mapping[int, FloatArray], reading: Mapping[str, int]) -> bool:
-    """Return whether a reading has all coordinates, and those of the ground look like such."""
+    """Return whether a reading has line, sample, x and y, and x, y and z look like ground.
+    """
     if not all(reading.get(name) in numbers for name in _REQUIRED):
         return False
     heights = numbers.get(reading.get("z", -1), np.zeros(1))
@@ -168,15 +183,17 @@ def _shows_ground(numbers: Mapping[int, FloatArray], reading: Mapping[str, int])
 
 
 def _counts_upwards(lines: FloatArray) -> bool:
-    """Return whether lines are at most 0, as those of programs whose y points upwards."""
+    """Return whether no line is above 0 and some are below, as in programs whose y points upwards.
+    """
     return bool(np.nanmax(lines) <= 0.0 and np.nanmin(lines) < 0.0)
 
 
 def _read_upwards(reading: Mapping[str, int], known_columns: Mapping[str, int],
                   ) -> dict[str, int] | None:
-    """Return a guess with the usual order, sample before line, where it puts the line first.
+    """Return a guess that puts the line first with line and sample exchanged, None for any other.
 
-    Image and ground are then no mirror images only if lines count downwards. None for others.
+    Sample before line, as x before y, is the usual order of columns. A guess departs from it where
+    the image would else mirror the ground; but it would not if lines counted upwards.
     """
     guessed = _REQUIRED - known_columns.keys()
     if guessed < _REQUIRED or reading["line"] > reading["sample"] or reading["x"] > reading["y"]:
@@ -192,55 +209,56 @@ def _are_two_images(numbers: Mapping[int, FloatArray], reading: Mapping[str, int
 
 def keep_readable_guesses(error: TermselError,
                           can_be_read: Callable[[str], bool]) -> TermselError:
-    """Return an error of the first guesses with which the file can be read.
+    """Return an error with the first of its guesses by which the file can be read.
 
-    Where it can with none, the first ones stay, as something else may be wrong.
+    Where it can be read by none, the first guesses stay, as something else may be wrong.
+    `can_be_read` takes a text of --columns.
     """
-    everything = range(len(error.guesses))
-    readable = [i for i in everything if can_be_read(error.guesses[i])] or list(everything)
+    every_guess = range(len(error.guesses))
+    readable = [i for i in every_guess if can_be_read(error.guesses[i])] or list(every_guess)
     # More than these nobody compares; all columns are declared by hand.
     readable = readable[:MOST_GUESSES]
     if 0 < len(readable) < len(error.guesses):
-        before = (error.hint or "").partition(_DECLARE)[0]
-        _guess(error, before, [error.guesses[i] for i in readable],
-               [error.first_points[i] for i in readable])
+        earlier_hint = (error.hint or "").partition(_DECLARE)[0]
+        _put_guesses(error, earlier_hint, [error.guesses[i] for i in readable],
+                     [error.first_points[i] for i in readable])
     return error
 
 
 def with_both_readings(error: TermselError, header: Sequence[str], rows: Sequence[Sequence[str]],
-                       named: Mapping[str, Sequence[int]], aliases: Aliases,
+                       by_name: Mapping[str, Sequence[int]], aliases: Aliases,
                        fixed: Collection[int] = ()) -> TermselError:
     """Return an error of a table with two columns of one meaning, with --columns for either.
 
-    `named` are the columns of each meaning by their names. What stands first goes with what stands
-    first, as x with y and lon with lat.
+    `by_name` are the columns of each meaning by their names. The first of each meaning make one
+    reading and the second another, as x goes with y and lon with lat; a meaning with one column has
+    it in both. Where a coordinate has no column by name, the others are guessed beside the first.
     """
-    if not {"line", "sample", "x", "y"} <= {meaning for meaning in named if named[meaning]}:
-        first = {meaning: columns[0] for meaning, columns in named.items() if columns}
-        return with_advice(error, header, rows, first, aliases, fixed)
-    readings = [{meaning: columns[min(k, len(columns) - 1)]
-                 for meaning, columns in named.items() if columns} for k in (0, 1)]
-    return _with_readings(error, header, rows, readings, {}, aliases, fixed)
+    columns_of = {meaning: columns for meaning, columns in by_name.items() if columns}
+    if not columns_of.keys() >= _REQUIRED:
+        first_columns = {meaning: columns[0] for meaning, columns in columns_of.items()}
+        return with_advice(error, header, rows, first_columns, aliases, fixed)
+    by_first = {meaning: columns[0] for meaning, columns in columns_of.items()}
+    by_second = {meaning: columns[:2][-1] for meaning, columns in columns_of.items()}
+    return _with_readings(error, header, rows, [by_first, by_second], {}, aliases, fixed)
 
 
 def _with_readings(error: TermselError, header: Sequence[str], rows: Sequence[Sequence[str]],
                    readings: Sequence[dict[str, int]], known_columns: Mapping[str, int],
                    aliases: Aliases, fixed: Collection[int]) -> TermselError:
-    """Return an error with readings as texts of --columns; what is not known are guesses.
+    """Return an error whose hint has readings as texts of --columns.
 
-    A reading says which column has which meaning. Where all readings share columns that are named,
-    they are certain; others are guesses, shown with the first point as each takes it, as only the
-    user knows. Where too few columns are left, the table lacks the image coordinates, and the error
-    says so.
+    A reading says which column has which meaning; those that give a column two meanings are left
+    out. Columns that are known by name are certain. The others are guesses: the error then shows
+    the first point as each reading takes it, as only the user can decide. Where fewer columns are
+    left than are needed, the table lacks image coordinates, and the error says so.
     """
-    # One column has one meaning.
-    single = [reading for reading in readings
-              if len(set(reading.values())) == len(reading.values())]
-    if not single:
+    readings = [reading for reading in readings
+                if len(set(reading.values())) == len(reading.values())]
+    if not readings:
         return error
-    readings = single
     texts = [_columns_option(reading, header, aliases, fixed) for reading in readings]
-    before = error.hint or ""
+    earlier_hint = error.hint or ""
     free = len(header) - len(set(readings[0].values()) | set(fixed))
     if texts[0].count("=?") > free:  # no column is left to be declared
         if texts[0].count("=?") == 2 and "line=?,sample=?" in texts[0]:
@@ -253,13 +271,14 @@ def _with_readings(error: TermselError, header: Sequence[str], rows: Sequence[Se
     # No reading has all columns; a point read so could not be shown.
     if "=?" in texts[0]:
         error.options["--columns"] = texts[0]
-        error.hint = f"{before}{_DECLARE} {texts[0]!r}. Put the column for each ?."
+        error.hint = f"{earlier_hint}{_DECLARE} {texts[0]!r}. Put the column for each ?."
     elif readings[0].keys() - known_columns:
-        first = next((row for row in rows if len(row) == len(header)), ())
-        _guess(error, before, texts, [_read_so(first, reading) for reading in readings])
+        first_row = next((row for row in rows if len(row) == len(header)), ())
+        first_points = [_point_in_words(first_row, reading) for reading in readings]
+        _put_guesses(error, earlier_hint, texts, first_points)
     else:
         error.options["--columns"] = texts[0]
-        error.hint = f"{before}{_DECLARE} {texts[0]!r}."
+        error.hint = f"{earlier_hint}{_DECLARE} {texts[0]!r}."
     return error
 
 
@@ -271,18 +290,27 @@ def _where_measured(header: Sequence[str]) -> str:
     return TO_MEASURE
 
 
-def _guess(error: TermselError, before: str, guesses: list[str], first_points: list[str]) -> None:
-    """Put guesses into an error, after the hint that it had before."""
+def _put_guesses(error: TermselError, earlier_hint: str, guesses: list[str],
+                 first_points: list[str]) -> None:
+    """Put guesses into an error, after the hint that it had before.
+
+    `guesses` are texts of --columns, the likeliest first; `first_points` has for each of them the
+    first point as it would be read.
+    """
     error.guesses = guesses
     error.first_points = first_points
     error.options["--columns"] = guesses[0]
-    error.hint = (f"{before}{_DECLARE} {guesses[0]!r}. This mapping is a guess; check it. The "
-                  f"first point would be {'; or '.join(first_points)}.")
+    error.hint = (f"{earlier_hint}{_DECLARE} {guesses[0]!r}. This mapping is a guess; check it. "
+                  f"The first point would be {'; or '.join(first_points)}.")
 
 
 def _columns_option(columns: Mapping[str, int], header: Sequence[str], aliases: Aliases,
                     fixed: Collection[int]) -> str:
-    """Return the text of --columns for a reading, with ? for a required column not known."""
+    """Return the text of --columns for a reading, in the order of `aliases`.
+
+    A required meaning without a column has a ? in place of one; columns that are `fixed` are left
+    out. A column is named as in the header, or numbered from 1.
+    """
     names = [name.strip() for name in header]
     folded_names = [name.casefold() for name in names]
     pairs = []
@@ -298,8 +326,8 @@ def _columns_option(columns: Mapping[str, int], header: Sequence[str], aliases: 
     return ",".join(pairs)
 
 
-def _read_so(row: Sequence[str], columns: Mapping[str, int]) -> str:
-    """Return a row as a reading takes it, in words."""
+def _point_in_words(row: Sequence[str], columns: Mapping[str, int]) -> str:
+    """Return the coordinates of a row as a reading takes them, such as "line 12, sample 40"."""
     return ", ".join(f"{meaning} {row[columns[meaning]].strip()}"
                      for meaning in ("line", "sample", "x", "y", "z")
                      if meaning in columns and columns[meaning] < len(row))
@@ -314,57 +342,69 @@ def unknown_table_error(path: Path, expected: str, columns: str) -> TermselError
     formats.
     """
     stated = parse_columns(columns)
+    is_spreadsheet = path.suffix.lower() in SPREADSHEETS
     try:
         cells = read_cells(path, POINTS, stated)
     except TermselError as error:
-        is_table = isinstance(error, BadText) or path.suffix.lower() in SPREADSHEETS
-        return error if is_table else None
+        return error if isinstance(error, BadText) or is_spreadsheet else None
     rows = [row for row in cells.rows[:_ROWS] if len(row) == len(cells.rows[-1]) <= WIDEST
             and not counts_columns(row)]
-    values = _number_columns(rows[1:])
-    if len(rows) >= 2 and rows[0] and (
-            missing := _missing_pair_error(path, rows[0], list(values), expected)):
-        return missing
-    if len(rows) < 3 or len(values) < 4:
-        return None if path.suffix.lower() not in SPREADSHEETS else TermselError(
-            "no visible sheet has a table of points"
-            if read_head(path, expected)[:4] in _SHEETS else
-            "this is text, not a spreadsheet, and has no table of points", file=path,
-            hint=expected)
+    number_columns = _number_columns(rows[1:])
+    if len(rows) >= 2 and rows[0]:
+        pair_missing = _missing_pair_error(path, rows[0], list(number_columns), expected)
+        if pair_missing is not None:
+            return pair_missing
+    # Two rows are no table of points, and a point has four coordinates.
+    if len(rows) < 3 or len(number_columns) < len(_REQUIRED):
+        return _no_points_in_sheets_error(path, expected) if is_spreadsheet else None
     # A header has no numbers above columns of numbers.
-    bare = any(i in _number_columns(rows[:1]) for i in values)
-    header = [str(i + 1) for i in range(len(rows[0]))] if bare else rows[0]
-    by_name = {meaning: columns[0]
-               for meaning, columns in columns_by_meaning(header, POINTS).items() if columns}
-    if bare and all(map(_is_mark_of_opendronemap, rows)):
-        images = list(dict.fromkeys(row[5].strip() for row in rows))
-        choosing = ""
-        if len(images) > 1:
-            choosing = (f" Then choose one of its {len(images)} images, such as --set "
-                        f"image_name={images[0]}.")
-        return TermselError(
-            "these look like the rows of OpenDroneMap's gcp_list.txt (x y z column row image), "
-            "without the CRS of x and y that its first line has", file=path, line=1,
-            hint=f"Write the CRS as the first line, such as EPSG:32639.{choosing}")
-    if bare:
+    is_bare = any(i in _number_columns(rows[:1]) for i in number_columns)
+    if is_bare and all(map(_is_mark_of_opendronemap, rows)):
+        return _opendronemap_without_crs_error(path, rows)
+    header = [str(i + 1) for i in range(len(rows[0]))] if is_bare else rows[0]
+    by_name = {meaning: indices[0]
+               for meaning, indices in columns_by_meaning(header, POINTS).items() if indices}
+    if is_bare:
         message = "this table has no header that names its columns"
     else:
         names_in_words = ", ".join(map(str.strip, header))
         message = f"the header names too few columns that are known: {names_in_words}"
     unnamed = TermselError(message, file=path, hint=expected,
-                           code="header-missing" if bare else "")
+                           code="header-missing" if is_bare else "")
     # Some programs write the CRS into the first line, without a #.
     if crs := _crs_of(cells.comments):
         unnamed.what += f", and its first line is the CRS {crs}"
-    return with_advice(unnamed, header, rows if bare else rows[1:],
+    return with_advice(unnamed, header, rows if is_bare else rows[1:],
                        {**by_name, **find_declared_columns(header, stated)}, POINTS,
                        names_may_mislead=not stated)
 
 
+def _no_points_in_sheets_error(path: Path, expected: str) -> TermselError:
+    """Return the error for a file that is called a spreadsheet and has no table of points."""
+    if read_head(path, expected)[:4] in _SHEETS:
+        what = "no visible sheet has a table of points"
+    else:
+        what = "this is text, not a spreadsheet, and has no table of points"
+    return TermselError(what, file=path, hint=expected)
+
+
+def _opendronemap_without_crs_error(path: Path, rows: Sequence[Sequence[str]]) -> TermselError:
+    """Return the error for the rows of OpenDroneMap's list of marks whose first line is missing."""
+    images = list(dict.fromkeys(row[5].strip() for row in rows))
+    choosing = ""
+    if len(images) > 1:
+        choosing = (f" Then choose one of its {len(images)} images, such as --set "
+                    f"image_name={images[0]}.")
+    return TermselError(
+        "these look like the rows of OpenDroneMap's gcp_list.txt (x y z column row image), "
+        "without the CRS of x and y that its first line has", file=path, line=1,
+        hint=f"Write the CRS as the first line, such as EPSG:32639.{choosing}")
+
+
 def _is_mark_of_opendronemap(row: Sequence[str]) -> bool:
     """Return whether a row has five numbers and the name of an image file."""
-    numbers = _number_columns([row])
-    return (len(row) > 5 and numbers.keys() >= set(range(5))
+    columns_with_numbers = _number_columns([row]).keys()
+    return (len(row) > 5 and columns_with_numbers >= set(range(5))
             and _IMAGE_FILE.fullmatch(row[5].strip()) is not None)
 
 
@@ -372,24 +412,25 @@ def _missing_pair_error(path: Path, header: Sequence[str], numeric: Sequence[int
                         expected: str) -> TermselError | None:
     """Return the error for a table that has image coordinates or ground coordinates alone.
 
-    None for other tables, and where two further columns hold numbers: these may be the other pair
-    under names not known.
+    `numeric` are the columns that hold numbers. None comes back for other tables, and where two
+    further columns hold numbers: these may be the other pair under names that are not known.
     """
     by_name = columns_by_meaning(header, POINTS)
-    named = [meaning for meaning, columns in by_name.items() if set(columns) & set(numeric)]
-    if len(numeric) - len(named) >= 2:
+    known_meanings = [meaning for meaning, columns in by_name.items()
+                      if set(columns) & set(numeric)]
+    if len(numeric) - len(known_meanings) >= 2:
         return None
     pairs = {"image": ("line", "sample"), "ground": ("x", "y")}
-    absent = {pair: [name for name in names if not by_name[name]] for pair, names in pairs.items()}
-    for present, other in (("image", "ground"), ("ground", "image")):
-        if not absent[present] and len(absent[other]) == 2:
-            names = " and ".join(pairs[other])
-            remedy = _where_measured(header) if other == "image" else expected
+    for present, absent in (("image", "ground"), ("ground", "image")):
+        if all(by_name[name] for name in pairs[present]) and not any(
+                by_name[name] for name in pairs[absent]):
+            names = " and ".join(pairs[absent])
+            remedy = _where_measured(header) if absent == "image" else expected
             return TermselError(
                 f"this table has {present} coordinates alone: columns for {names} are missing. Its "
                 f"columns are {', '.join(map(str.strip, header))}", file=path,
                 code=f"{present}-alone",
-                hint=f"Add the {other} coordinates of each point. {remedy}")
+                hint=f"Add the {absent} coordinates of each point. {remedy}")
     return None
 
 
@@ -400,7 +441,10 @@ def _crs_of(comments: Mapping[int, str]) -> str:
 
 
 def _number_columns(rows: Sequence[Sequence[str]]) -> dict[int, FloatArray]:
-    """Return the columns that hold numbers alone, (n,) each, by their index."""
+    """Return the columns that hold numbers alone, (n,) each, by their index.
+
+    A blank cell is NaN; a column of blanks is left out.
+    """
     numbers: dict[int, FloatArray] = {}
     for i, cells in enumerate(zip(*rows, strict=True)):
         try:
@@ -408,29 +452,36 @@ def _number_columns(rows: Sequence[Sequence[str]]) -> dict[int, FloatArray]:
             # Where the sign is open, either gives numbers in the same order, which is all that is
             # asked.
             sign = signs[""] or (POINT if POINT in "".join(cells) else COMMA)
-            values = read_numbers(cells, sign, may_be_blank=True, angle="x")
+            column = read_numbers(cells, sign, may_be_blank=True, angle="x")
         except BadCell:
             continue
-        if not np.isnan(values).all():
-            numbers[i] = values
+        if not np.isnan(column).all():
+            numbers[i] = column
     return numbers
 
 
 def _axis_in_name(name: str) -> str:
-    """Return whether a name says that its column runs across or down an image; "" if neither."""
+    """Return "across" or "down" for the way a column runs in an image by its name, else "".
+
+    "x_px" runs across, "row" down; a name with words of both, or of neither, says nothing.
+    """
     words = set(re.split(r"[\W_\d]+", name.casefold()))
-    across = bool(words & _NAMES_OF_SAMPLE)
-    down = bool(words & _DOWN)
-    return "" if across == down else "across" if across else "down"
+    runs_across = bool(words & _WORDS_ACROSS)
+    runs_down = bool(words & _WORDS_DOWN)
+    if runs_across == runs_down:
+        return ""
+    return "across" if runs_across else "down"
 
 
 def _possible_readings(rows: Sequence[Sequence[str]], width: int, known_columns: Mapping[str, int],
                        scores: Collection[int] = ()) -> list[dict[str, int]]:
-    """Return in which ways columns can be read whose meaning is not known, the likeliest first.
+    """Return the readings of the columns whose meaning is not known, the likeliest first.
 
-    Columns of `scores` have none. Flags and columns that hold one number are no coordinates; a
-    column that counts the points, or of text, is their id. Of the others, pairs lie next to each
-    other: sample and line, x and y.
+    Each reading is columns by meaning, without those of `known_columns`; there is at least one,
+    which may be empty. Rows of another `width` than the header's take no part. Columns of `scores`
+    have no meaning. Flags and columns that hold one number are no coordinates; a column that counts
+    the points, or of text, is their id. Of the others, pairs lie next to each other: sample and
+    line, x and y.
     """
     rows = [row for row in rows[:_ROWS] if len(row) == width]
     numbers = {i: column for i, column in _number_columns(rows).items()
@@ -439,63 +490,68 @@ def _possible_readings(rows: Sequence[Sequence[str]], width: int, known_columns:
                           has_id="id" in known_columns, has_flag="enabled" in known_columns)
     # A constant column is no coordinate.
     taken_columns = extra.values()
-    values = _without_scores({i: column for i, column in numbers.items() if i not in taken_columns
-                              and np.nanmin(column) < np.nanmax(column)})
+    candidates = _without_scores({
+        i: column for i, column in numbers.items()
+        if i not in taken_columns and np.nanmin(column) < np.nanmax(column)})
     coordinates = known_columns.keys() & {"line", "sample", "x", "y", "z"}
-    if not coordinates and len(values) in (4, 5):
-        of_pairs = _readings_of_pairs(values)
+    if not coordinates and len(candidates) in (4, 5):
+        with_pairs = _readings_of_pairs(candidates)
         # A fifth column of small numbers may be residuals as well as heights.
-        without = [{name: i for name, i in reading.items() if name != "z"} for reading in of_pairs
-                   if "z" in reading and np.nanmax(np.abs(values[reading["z"]])) < _SMALL]
-        return [extra | reading for reading in [*of_pairs, *without]]
-    of_pair = _readings_of_one_pair(_number_columns(rows), values, known_columns)
-    if of_pair:
-        return [extra | reading for reading in of_pair]
+        without_heights = [
+            {name: i for name, i in reading.items() if name != "z"} for reading in with_pairs
+            if "z" in reading and np.nanmax(np.abs(candidates[reading["z"]])) < _SMALL]
+        return [extra | reading for reading in [*with_pairs, *without_heights]]
+    with_one_pair = _readings_of_one_pair(_number_columns(rows), candidates, known_columns)
+    if with_one_pair:
+        return [extra | reading for reading in with_one_pair]
     missing = [name for name in ("x", "y", "z", "sample", "line") if name not in known_columns]
     for names in (missing, [name for name in missing if name != "z"]):
         # More columns than meanings: any assignment would be a guess at random.
-        if names and len(values) == len(names):
-            return [extra | reading for reading in _readings_with_missing(names, list(values))]
+        if names and len(candidates) == len(names):
+            return [extra | reading for reading in _readings_with_missing(names, list(candidates))]
     return [extra]
 
 
-def _without_scores(values: dict[int, FloatArray]) -> dict[int, FloatArray]:
-    """Return columns without scores from 0 to 1, residuals and the like.
+def _without_scores(numbers: dict[int, FloatArray]) -> dict[int, FloatArray]:
+    """Return columns of numbers, by index, without scores from 0 to 1, residuals and the like.
 
-    Where more than four columns are left, one that the others do not explain and that is within 0
-    and 1, as no heights are, goes; where more than five are left, each that they do not explain.
+    Four columns or fewer come back as they are: they may all be coordinates. Of more, those go that
+    lie within 0 and 1, as no heights do, and that the others do not explain, unless fewer than four
+    would remain. If more than five remain of which the others explain four, these four come back.
     """
-    if len(values) <= len(_REQUIRED):
-        return values
-    explained = {i for i in values if _share_explained(values, i) > _BELONGS}
-    no_scores = {i: column for i, column in values.items() if i in explained
+    if len(numbers) <= len(_REQUIRED):
+        return numbers
+    explained = {i for i in numbers if _share_explained(numbers, i) > _BELONGS}
+    no_scores = {i: column for i, column in numbers.items() if i in explained
                  or np.nanmin(column) < 0.0 or np.nanmax(column) > 1.0}
     if len(no_scores) > len(_REQUIRED) + 1 and len(explained) == len(_REQUIRED):
-        return {i: values[i] for i in explained}
-    return no_scores if len(no_scores) >= len(_REQUIRED) else values
+        return {i: numbers[i] for i in explained}
+    return no_scores if len(no_scores) >= len(_REQUIRED) else numbers
 
 
 def _id_and_flags(rows: Sequence[Sequence[str]], numbers: Mapping[int, FloatArray],
-                  others: Collection[int], *, has_id: bool, has_flag: bool) -> dict[str, int]:
-    """Return the column of ids, and of the flags 0 and 1 of points that are in use.
+                  excluded: Collection[int], *, has_id: bool, has_flag: bool) -> dict[str, int]:
+    """Return the columns of "id" and "enabled" that the cells show, as far as there are any.
 
-    A column of zeros alone is none: it would leave no point.
+    Ids are numbers that count the rows in the first column, or texts that are all different.
+    Flags are numbers 0 and 1; of zeros alone no point would be left, so these are none. Columns
+    among the `excluded` have another meaning; nothing is looked for that the table has already.
     """
     extra: dict[str, int] = {}
     texts = []
     for i, cells in enumerate(zip(*rows, strict=True)):
         # The same text twice is no id, nor is the name of an image.
-        if (i not in numbers and i not in others and len(set(cells)) == len(cells)
+        if (i not in numbers and i not in excluded and len(set(cells)) == len(cells)
                 and not any(Path(cell).suffix.lower() in RASTERS for cell in cells)):
             texts.append(i)
-    # Consecutive numbers in the first column are ids.
-    first = next(iter(numbers), None)
-    counts = first is not None and len(numbers) > 4 and np.array_equal(
-        numbers[first] - numbers[first][0], np.arange(len(numbers[first])))
-    if not has_id and counts and first is not None:
-        extra["id"] = first
-    elif not has_id and texts:
-        extra["id"] = texts[0]
+    if not has_id:
+        first_numbers = next(iter(numbers), None)
+        # Of four columns of numbers none can be spared: each is a coordinate.
+        if first_numbers is not None and len(numbers) > len(_REQUIRED) and _counts_rows(
+                numbers[first_numbers]):
+            extra["id"] = first_numbers
+        elif texts:
+            extra["id"] = texts[0]
     flags = [i for i, column in numbers.items()
              if np.isin(column, (0.0, 1.0)).all() and column.any()]
     if flags and not has_flag:
@@ -503,127 +559,157 @@ def _id_and_flags(rows: Sequence[Sequence[str]], numbers: Mapping[int, FloatArra
     return extra
 
 
-def _readings_of_one_pair(numbers: Mapping[int, FloatArray], values: Mapping[int, FloatArray],
-                          found: Mapping[str, int]) -> list[dict[str, int]]:
-    """Return readings where the pair of the ground is known and that of the image not, or reverse.
+def _counts_rows(column: FloatArray) -> bool:
+    """Return whether the numbers of a column (n,) rise by one from row to row, as numbering does.
+    """
+    return np.array_equal(column - column[0], np.arange(len(column)))
 
-    The other pair is what the known pair explains; none where fewer or more columns are explained.
-    What remains alone next to it are the heights, if those are not known.
+
+def _readings_of_one_pair(numbers: Mapping[int, FloatArray], candidates: Collection[int],
+                          known_columns: Mapping[str, int]) -> list[dict[str, int]]:
+    """Return the two readings of a table in which one pair of coordinates is known by name.
+
+    That is x and y, or sample and line; the other pair are the two columns among the `candidates`
+    that the known pair explains. Each reading is the columns by meaning. The first has the order
+    in which the image is no mirror image of the ground, the second the reverse. A candidate that
+    remains alone is the height, if that is not known.
+
+    The list is empty where not exactly one pair is known, or the known pair explains fewer or more
+    than two columns. `numbers` are the columns of numbers (n,), by their index.
     """
     image, ground = ("sample", "line"), ("x", "y")
-    known, missing = (ground, image) if found.keys() >= set(ground) else (image, ground)
-    if not found.keys() >= set(known) or found.keys() & set(missing) or any(
-            found[name] not in numbers for name in known):
+    ground_is_known = known_columns.keys() >= set(ground)
+    known, missing = (ground, image) if ground_is_known else (image, ground)
+    if not known_columns.keys() >= set(known) or known_columns.keys() & set(missing):
         return []
-    explained = [i for i in values if _share_explained(
-        {found[name]: numbers[found[name]] for name in known} | {i: values[i]}, i) > _BELONGS]
+    known_pair = {known_columns[name]: numbers[known_columns[name]] for name in known
+                  if known_columns[name] in numbers}
+    if len(known_pair) < 2:  # a cell of a known column is no number
+        return []
+    explained = [i for i in candidates
+                 if _share_explained({**known_pair, i: numbers[i]}, i) > _BELONGS]
     if len(explained) != 2:
         return []
-    pairs = {known: [found[name] for name in known], missing: explained}
-    upright = _upright_columns(numbers, pairs[image], pairs[ground])
-    names = missing if upright == image else missing[::-1]
-    unexplained = [i for i in values if i not in explained]
-    heights = {"z": unexplained[0]} if len(unexplained) == 1 and "z" not in found else {}
+    pairs = {known: list(known_pair), missing: explained}
+    # Where the known pair is taken as it stands, this order of the other mirrors nothing.
+    is_upright = _upright_columns(numbers, pairs[image], pairs[ground]) == image
+    names = missing if is_upright else missing[::-1]
+    unexplained = [i for i in candidates if i not in explained]
+    has_height = len(unexplained) == 1 and "z" not in known_columns
+    heights = {"z": unexplained[0]} if has_height else {}
     return [dict(zip(order, explained, strict=True)) | heights for order in (names, names[::-1])]
 
 
 def _readings_with_missing(missing: Sequence[str], free: Sequence[int]) -> list[dict[str, int]]:
-    """Return readings of columns in the order x, y, z, sample, line, and with a pair exchanged."""
-    # In the order in which most tables have them.
-    usual = dict(zip(missing, free, strict=True))
-    readings = [usual]
-    for first, second in (("sample", "line"), ("x", "y")):
-        if first in usual and second in usual:
-            readings.append({**usual, first: usual[second], second: usual[first]})
+    """Return readings that give the `missing` meanings to as many `free` columns, in their order.
+
+    The second and third reading, as far as there are any, have sample and line, or x and y,
+    exchanged.
+    """
+    in_order = dict(zip(missing, free, strict=True))
+    readings = [in_order]
+    for across, down in (("sample", "line"), ("x", "y")):
+        if across in in_order and down in in_order:
+            readings.append({**in_order, across: in_order[down], down: in_order[across]})
     return readings
 
 
-def _readings_of_pairs(values: Mapping[int, FloatArray]) -> list[dict[str, int]]:
+def _readings_of_pairs(numbers: Mapping[int, FloatArray]) -> list[dict[str, int]]:
     """Return readings of four or five columns: a pair of the image, a pair of the ground, heights.
 
     Seen from above, an image is no mirror image of the ground. With x to the east and y to the
     north, sample to the right and line downwards, the determinant of the affine map from (x, y) to
-    (sample, line) is negative. So the order within one pair decides that within the other.
+    (sample, line) is negative. So the order within one pair decides the order within the other.
+    One to four readings come back, those with x before y first. `numbers` are the columns of
+    numbers (n,), by their index.
     """
-    free = list(values)
-    z: list[int] = []
+    free = list(numbers)
+    height: list[int] = []
     if len(free) == 5:
         # Image and ground determine each other, a height is nearly free of both. Pairs lie next
         # to each other, so that it is the first, the middle or the last.
-        low = [i for i in free[::2] if np.nanmax(np.abs(values[i])) <= _HIGHEST]
-        z = [min(low or free[::2], key=lambda i: _share_explained(values, i))]
-    pairs = [i for i in free if i not in z]
-    # Columns of a pair are next to each other in every format that is known.
-    image_first = pairs[:2], [*pairs[2:], *z]
-    ground_first = pairs[2:], [*pairs[:2], *z]
-    first_is_ground = _is_ground(values, pairs[:2])
-    last_is_ground = _is_ground(values, pairs[2:])
+        low = [i for i in free[::2] if np.nanmax(np.abs(numbers[i])) <= _HIGHEST]
+        height = [min(low or free[::2], key=lambda i: _share_explained(numbers, i))]
+    in_pairs = [i for i in free if i not in height]
+    # Columns of a pair are next to each other in every format that is known. Either division is
+    # the columns of the image, then those of the ground.
+    if_image_first = in_pairs[:2], [*in_pairs[2:], *height]
+    if_ground_first = in_pairs[2:], [*in_pairs[:2], *height]
+    first_is_ground = _is_ground(numbers, in_pairs[:2])
+    last_is_ground = _is_ground(numbers, in_pairs[2:])
     if first_is_ground != last_is_ground:
-        divisions = [image_first if last_is_ground else ground_first]
-    elif z == free[2:3]:
-        divisions = [ground_first]
-    elif not z:
+        divisions = [if_image_first if last_is_ground else if_ground_first]
+    elif height == free[2:3]:
+        divisions = [if_ground_first]
+    elif not height:
         # Pixels of two images, or a place whose coordinates are as small as pixels.
-        divisions = [image_first, ground_first]
-    elif z == free[4:]:
-        divisions = [image_first]
+        divisions = [if_image_first, if_ground_first]
+    elif height == free[4:]:
+        divisions = [if_image_first]
     else:
-        divisions = [ground_first, image_first]
+        divisions = [if_ground_first, if_image_first]
     readings = []
     for image, ground in divisions:
-        names = _upright_columns(values, image, ground)
+        names = _upright_columns(numbers, image, ground)
         mirrored = ("x", "y", "z"), ("y", "x", "z")
         for axes, order in zip(mirrored, (names, names[::-1]), strict=True):
             reading = dict(zip(axes, ground, strict=False)) | dict(zip(order, image, strict=True))
             # No latitude exceeds 90 degrees.
-            if (np.nanmax(np.abs(values[reading["y"]])) <= 90.0
-                    or not _are_degrees(values, ground[:2])):
+            if (np.nanmax(np.abs(numbers[reading["y"]])) <= 90.0
+                    or not _are_degrees(numbers, ground[:2])):
                 readings.append(reading)
     # Sample before line and x before y is how most programs write them.
     return sorted(readings, key=lambda reading: reading["x"] > reading["y"])
 
 
-def _upright_columns(values: Mapping[int, FloatArray], image: Sequence[int],
+def _upright_columns(numbers: Mapping[int, FloatArray], image: Sequence[int],
                      ground: Sequence[int]) -> tuple[str, str]:
-    """Return the names of the columns of the image for which x, y is no mirror image of it."""
-    table = [values[i] for i in (*ground[:2], *image)]
-    if any(np.isnan(column).any() for column in table):
+    """Return the names of the two columns of the image with which it mirrors no ground x, y.
+
+    `image` and `ground` are indices of columns, x before y; more than two of the ground are not
+    read. The names are "sample", "line" where a cell is blank, so that nothing can be said.
+    """
+    columns = [numbers[i] for i in (*ground[:2], *image)]
+    if any(np.isnan(column).any() for column in columns):
         return "sample", "line"
-    # The affine map (x, y) -> (first, second), by least squares: its determinant is negative for a
-    # pair sample, line.
-    # Numbers without a positive one count the other way, as y upwards from the upper edge.
-    x, y, first, second = [*table[:2], *(-column if column.max() <= 0.0 else column
-                                         for column in table[2:])]
-    design = np.column_stack([x - x.mean(), y - y.mean()])
-    slopes = np.linalg.lstsq(design, np.column_stack([first, second]) - [
-        first.mean(), second.mean()], rcond=None)[0]
+    design = np.column_stack([column - column.mean() for column in columns[:2]])
+    # Columns without a positive number count the other way, as y upwards from the upper edge.
+    positive = [-column if column.max() <= 0.0 else column for column in columns[2:]]
+    right_hand_sides = np.column_stack([column - column.mean() for column in positive])
+    # The affine map from x, y to both, by least squares: its determinant is negative where the
+    # first is the sample and the second the line.
+    slopes = np.linalg.lstsq(design, right_hand_sides, rcond=None)[0]
     return ("line", "sample") if np.linalg.det(slopes) > 0.0 else ("sample", "line")
 
 
-def _are_degrees(values: Mapping[int, FloatArray], pair: Sequence[int]) -> bool:
+def _are_degrees(numbers: Mapping[int, FloatArray], pair: Sequence[int]) -> bool:
     """Return whether two columns can be longitude and latitude, in some order."""
-    sizes = sorted(float(np.nanmax(np.abs(values[i]))) for i in pair)
+    sizes = sorted(float(np.nanmax(np.abs(numbers[i]))) for i in pair)
     # Where both are below 90, their order stays open.
     return sizes[0] <= 90.0 < sizes[1] <= 180.0
 
 
-def _is_ground(values: Mapping[int, FloatArray], pair: Sequence[int]) -> bool:
+def _is_ground(numbers: Mapping[int, FloatArray], pair: Sequence[int]) -> bool:
     """Return whether two columns look like degrees within a place, or like metres of a map."""
-    size = max(np.nanmax(np.abs(values[i])) for i in pair)
-    # Map coordinates are beyond any image; degrees vary by less than an image does.
-    return bool(size > 1e5 or (size <= 180 and max(np.ptp(values[i]) for i in pair) < 10))
+    largest = max(np.nanmax(np.abs(numbers[i])) for i in pair)
+    if largest > _BEYOND_IMAGES:
+        return True
+    return bool(largest <= 180 and max(np.ptp(numbers[i]) for i in pair) < _WIDEST_SCENE)
 
 
-def _share_explained(values: Mapping[int, FloatArray], i: int) -> float:
-    """Return the share of a column's variance that a linear function of the others explains."""
-    table = np.column_stack([column for j, column in values.items() if j != i])
-    complete = ~np.isnan(np.column_stack([table, values[i]])).any(axis=1)
+def _share_explained(numbers: Mapping[int, FloatArray], i: int) -> float:
+    """Return the share of the variance of column `i` that a linear function of the others explains.
+
+    `numbers` are columns (n,) by their index. Rows with a blank take no part.
+    """
+    other_columns = np.column_stack([column for j, column in numbers.items() if j != i])
+    is_complete = ~np.isnan(np.column_stack([other_columns, numbers[i]])).any(axis=1)
     # A function of as many coefficients as there are rows explains anything.
-    if complete.sum() <= table.shape[1] + 1:
+    if is_complete.sum() <= other_columns.shape[1] + 1:
         return 1.0
-    y = values[i][complete] - values[i][complete].mean()
-    a = table[complete] - table[complete].mean(axis=0)
+    b = numbers[i][is_complete] - numbers[i][is_complete].mean()
+    A = other_columns[is_complete] - other_columns[is_complete].mean(axis=0)
     # Columns of degrees and of metres side by side would be near singular.
-    a = a / np.maximum(np.abs(a).max(axis=0), 1e-300)
-    residual = y - a @ np.linalg.lstsq(a, y, rcond=None)[0]
-    return float(1 - residual @ residual / max(y @ y, 1e-300))
+    A = A / np.maximum(np.abs(A).max(axis=0), _TINY)
+    residuals = b - A @ np.linalg.lstsq(A, b, rcond=None)[0]
+    return float(1 - residuals @ residuals / max(b @ b, _TINY))

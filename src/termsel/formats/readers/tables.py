@@ -212,56 +212,71 @@ class Table:
                           "Delete the copies: a point that is there twice would weigh twice.")
 
     def roles(self) -> list[str]:
-        """Return the role of each row, "off" where it is not enabled.
+        """Return the role of each row, in their order; "" where a blank cell leaves it open.
 
-        A table of QGIS has a column `enabled` in place of roles, other programs write 1.0 for 1. A
-        blank cell is "", so that roles can be assigned by place. Raises TermselError, at line and
-        column, for a role or flag that is unknown.
+        A table of QGIS has a column `enabled` in place of roles: rows that are not enabled are
+        "off". Where the command states the role of an id, its cell counts as blank, whatever is in
+        it.
+
+        Raises TermselError, at line and column, for a role or flag that is unknown.
         """
         cells = list(self.columns.get("role", [""] * len(self.lines)))
-        stated = ids_with_stated_roles()
-        if stated:
-            cells = ["" if name in stated else cell
+        ids_of_command = ids_with_stated_roles()
+        if ids_of_command:
+            cells = ["" if name in ids_of_command else cell
                      for name, cell in zip(self.ids(), cells, strict=True)]
-        # Few, whatever the rows; in their order.
+        # Each distinct cell once, in the order of the rows: there are few, however many rows.
         role_of_cell = {cell: cell.strip().lower() for cell in dict.fromkeys(cells)}
         unknown = [cell for cell, role in role_of_cell.items() if role not in ("", *ROLES)]
         if unknown:
             raise self._unknown_roles_error(cells, unknown)
-        flags = self.columns.get("enabled", ())
-        enabled = {}
-        for cell in set(flags):
-            # Programs that keep numbers alone write 1.0 for 1.
-            flag = cell.strip().lower()
-            whole_number = _WHOLE.fullmatch(flag)
-            enabled[cell] = _ENABLED.get(whole_number[1] if whole_number else flag)
-        for cell, on in enabled.items():
-            if on is None:
-                raise self.error(f"{cell.strip()!r} is neither true nor false",
-                                 flags.index(cell), "enabled", "Write 1 or 0.")
         roles = [role_of_cell[cell] for cell in cells]
-        for row, cell in enumerate(flags):
-            if not enabled[cell]:
+        is_enabled = self._enabled_by_cell()
+        for row, cell in enumerate(self.columns.get("enabled", ())):
+            if not is_enabled[cell]:
                 roles[row] = "off"
         return roles
 
-    def _unknown_roles_error(self, cells: Sequence[str], unknown: Sequence[str]) -> TermselError:
-        """Return the error for all cells that name no role, with what the field's words stand for.
+    def _enabled_by_cell(self) -> dict[str, bool]:
+        """Return whether each distinct cell of the column `enabled` stands for true.
+
+        Raises TermselError, at line and column, for a cell that stands for neither true nor false.
         """
-        rows = Counter(cells)
-        named = [f"{cell.strip()!r} ({count_in_words(rows[cell], 'row')})" for cell in unknown]
-        if len(unknown) == 1:
-            named = [f"{unknown[0].strip()!r}" + (
-                f" in {rows[unknown[0]]} rows" if rows[unknown[0]] > 1 else "")]
-        words = [FIELD_ROLES[folded] for folded in dict.fromkeys(
-            fold_name(cell) for cell in unknown) if folded in FIELD_ROLES]
-        hint = f"Roles are {', '.join(ROLES)}, or blank."
-        meant = " ".join(dict.fromkeys(words)) or (
+        flags = self.columns.get("enabled", ())
+        is_enabled = {}
+        for cell in dict.fromkeys(flags):
+            flag = cell.strip().lower()
+            # Programs that keep numbers alone write 1.0 for 1.
+            whole_number = _WHOLE.fullmatch(flag)
+            meaning = _ENABLED.get(whole_number[1] if whole_number else flag)
+            if meaning is None:
+                raise self.error(f"{cell.strip()!r} is neither true nor false",
+                                 flags.index(cell), "enabled", "Write 1 or 0.")
+            is_enabled[cell] = meaning
+        return is_enabled
+
+    def _unknown_roles_error(self, cells: Sequence[str], unknown: Sequence[str]) -> TermselError:
+        """Return the error for `unknown`, the distinct cells that name no role, at the first row.
+
+        It says in how many rows each of them is, and what words of the field stand for.
+        """
+        rows_with = Counter(cells)
+        first_unknown = unknown[0]
+        if len(unknown) > 1:
+            in_words = [f"{cell.strip()!r} ({count_in_words(rows_with[cell], 'row')})"
+                        for cell in unknown]
+            message = f"unknown roles {first_names_in_words(in_words)}"
+        else:
+            message = f"unknown role {first_unknown.strip()!r}"
+            if rows_with[first_unknown] > 1:
+                message += f" in {rows_with[first_unknown]} rows"
+        folded_names = [fold_name(cell) for cell in unknown]
+        explanations = [FIELD_ROLES[name] for name in folded_names if name in FIELD_ROLES]
+        explained = " ".join(dict.fromkeys(explanations)) or (
             "A GCP is control; a point that tests the result is independent; check points choose "
             "the model.")
-        return self.error(f"unknown role{'s' if len(unknown) > 1 else ''} "
-                          f"{first_names_in_words(named)}", cells.index(unknown[0]), "role",
-                          f"{hint} {meant}")
+        return self.error(message, cells.index(first_unknown), "role",
+                          f"Roles are {', '.join(ROLES)}, or blank. {explained}")
 
     def sigma(self, *meanings: str) -> FloatArray | None:
         """Return columns of standard deviations, (n, k); None without them, or if all are blank.

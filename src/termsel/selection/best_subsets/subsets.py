@@ -312,22 +312,23 @@ def _score_limits(cost: Cost | None, best: FloatArray, largest: float,
 
 
 def _competitive_scores(cost: Cost, best: FloatArray, largest: float) -> FloatArray:
-    """Return the score (k + 1,) that each size needs for the lowest figure up to it.
+    """Return the scores (k + 1,) up to which a subset of each size would have the lowest figure.
 
-    Of a size that has the lowest figure it is its best score. A figure rises with the score of its
-    size, so that bisection finds the score.
+    That is the largest score, at most `largest`, whose figure is no higher than the lowest figure
+    of all sizes up to it. A size that has this lowest figure itself keeps its best score. `cost`
+    turns scores into figures, each of which rises with the score of its size, so that bisection
+    finds the score.
     """
     figures = cost(best)
-    # The lowest figure up to each size; NaN where no subset is feasible.
+    # NaN where no subset is feasible.
     lowest_figures = np.minimum.accumulate(np.where(np.isnan(figures), np.inf, figures))
     low = np.full_like(best, largest * 1e-30)
     high = np.minimum(best, largest)
     for _ in range(_BISECTIONS):
         middle = np.sqrt(low * high)  # half of the interval in logarithms
-        too_high = cost(middle) > lowest_figures
-        # Both are of this step's interval, whichever end moves.
-        low = np.where(too_high, low, middle)
-        high = np.where(too_high, middle, high)
+        is_too_high = cost(middle) > lowest_figures
+        low = np.where(is_too_high, low, middle)
+        high = np.where(is_too_high, middle, high)
     return np.where(figures > lowest_figures, high, best)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
@@ -17,7 +17,14 @@ from termsel.plugins.registry import SESSION, registry
 from termsel.results.extras import Measure
 from termsel.runs.choosing import uses_auto
 from termsel.runs.request import DATA_OPTIONS, Request, auto_of, problem_for, request_of
-from termsel.runs.task import LEAST, Task, observe, with_problem_built, with_shares
+from termsel.runs.task import (
+    LEAST,
+    MIN_CONTROL,
+    Task,
+    observe,
+    with_problem_built,
+    with_shares,
+)
 from termsel.selection.solvers.base import Solver
 from termsel.selection.solvers.budget import SEARCH_OPTIONS
 from termsel.studies.cells.identity import checksum_of_code
@@ -55,17 +62,17 @@ def kind_of(labels: Mapping[str, Any]) -> tuple[str, ...]:
 def cells_of(spec: Spec, data: list[Data]) -> list[Cell]:
     """Return all cells of a study, in the order of its tables.
 
-    `data` is empty for each problem's own data set. Raises TermselError, with line and column of a
-    study file, for names and options that are not known, a solver that cannot handle the
-    objectives, or a kind of cell that none of the data allows.
+    Where `data` is empty, each problem has a data set of its own. Raises TermselError, with line
+    and column of a study file, for names and options that are not known, a solver that cannot
+    handle the objectives, a kind of cell that none of the data allows, data of which none can be
+    read, splits without effect, and two runs that are the same.
     """
     # Before anything is checked, as a few lines can ask for millions of cells.
     _require_few(spec, len(data) or 1)
     kinds = _Kinds(spec)
-    cells = []
+    cells: list[Cell] = []
     for problem in spec.problems or (None,):
         data_sets = list(data) or [_data_of_problem(spec, problem)]
-        # Each problem has a data set of its own, for studies that name none.
         for data_set in data_sets:
             # Without a problem the features say what it is: points, or lines as well.
             if problem:
@@ -75,8 +82,18 @@ def cells_of(spec: Spec, data: list[Data]) -> list[Cell]:
             else:
                 name = problem_for(data_set.features)
             for split in spec.splits:
-                cells += list(_cells_of_data(spec, kinds, problem, name, data_set,
-                                             alternatives=data_sets, split=split))
+                cells += _cells_of_data(spec, kinds, problem, name, data_set,
+                                        alternatives=data_sets, split=split)
+    _require_sound(spec, kinds, cells)
+    return cells
+
+
+def _require_sound(spec: Spec, kinds: _Kinds, cells: list[Cell]) -> None:
+    """Raise TermselError for a study none of whose cells can run, or that says a thing in vain.
+
+    These are options that no cell has, splits of data in which every point has a role, and cells
+    that are listed twice.
+    """
     if cells and all(cell.data.features is None for cell in cells):
         raise TermselError(cells[0].data.reason, hint=None if len(cells) == 1 else
                            f"None of the {len(cells)} cells can run; this is the first.")
@@ -89,7 +106,6 @@ def cells_of(spec: Spec, data: list[Data]) -> list[Cell]:
     if len({cell.key for cell in cells}) < len(cells):
         raise TermselError("two runs of the study are the same",
                            hint="Remove the problem, model or solver that is named twice.")
-    return cells
 
 
 def _require_few(spec: Spec, data: int) -> None:
@@ -200,7 +216,7 @@ class _Kinds:
         if key not in self._known:
             if specs["problem"] is None:  # the data cannot be read, so nothing is known
                 return _Kind({}, {}, chance=False)
-            self._known[key] = self._check_kind(strategy, specs, [data, *alternatives])
+            self._known[key] = self._first_possible_kind(strategy, specs, [data, *alternatives])
         return self._known[key]
 
     def require_used(self) -> None:
@@ -211,19 +227,18 @@ class _Kinds:
                     ("options", key), f"no run of the study has the option {key!r}",
                     "`termsel describe NAME` lists the options of a problem, model or solver.")
 
-    def _check_kind(self, strategy: str, specs: Mapping[str, PartSpec | None],
-                    data: list[Data]) -> _Kind:
-        """Return the values that all cells of a kind share, checked on the first data that fit.
+    def _first_possible_kind(self, strategy: str, specs: Mapping[str, PartSpec | None],
+                             data: list[Data]) -> _Kind:
+        """Return what all cells of a kind share, by the first of the data sets that allows it.
 
-        A kind is a problem with its model, criterion and solver, or a method. Whether they go
-        together depends on data, so the first that can be read and allow it decide. Checksums of
-        the code are part of what identifies a cell: a plugin that has changed makes its cells run
-        again. Where no data allow the kind, it has the reason.
+        A kind is a problem with its model, criterion and solver, or a method. Whether these go
+        together depends on data, so the data sets are tried in their order; those that cannot be
+        read are passed over. Where none allows the kind, its `unfit` is the error on the first.
+
+        Raises TermselError for names and options that are not known.
         """
-        spec = self._spec
-        first = None
-        measures = _measures_of(spec)
-        # The first data that allow the kind check it; the rest of them follow.
+        measures = _measures_of(self._spec)
+        first_error = None
         for data_set in data:
             if data_set.features is None:
                 continue
@@ -231,35 +246,34 @@ class _Kinds:
             without_options = self._request_of_run(strategy, specs, data_set, {})
             options = self._options_by_part(strategy, specs, without_options)
             request = self._request_of_run(strategy, specs, data_set, options)
-            checksums = {role: checksum_of_code(getattr(request, role))
-                         for role in ("recipe", "model", "criterion", "solver", "then")}
-            if strategy == "auto":
-                checksums["methods"] = checksum_of_code(
-                    list(auto_of(_resolve_method(specs.get("method"))).methods))
-            # The code of a measure is part of what the column says.
-            if measures:
-                checksums["measures"] = checksum_of_code([measure.compute for measure in measures])
-            solver: Solver = request.solver
             try:
-                observations = observe(with_shares(request, auto=strategy == "auto"),
-                                       LEAST if strategy == "auto" else 3)
-                if strategy != "auto":
-                    with_problem_built(Task(request, observations))
+                _require_possible(strategy, request)
             except TermselError as error:
-                first = first or error
+                first_error = first_error or error
                 continue
-            return _Kind(options, {"model": request.model.name, "solver": solver.name,
-                                   "criterion": request.criterion.name},
-                         # A deterministic solver followed by a local search that draws has chance
-                         # as well.
-                         chance=strategy != "auto" and (
-                             solver.uses_chance or bool(request.options["search"]["polish"])),
-                         made_of=checksums, others=_uses_foreign_parts(strategy, request, measures))
-        assert first is not None  # some data can be read, or there would be no study
-        named = next((spec_of_role for role in ("solver", "model", "criterion", "problem")
-                      if (spec_of_role := specs[role]) and spec_of_role.path), None)
-        return _Kind({}, {}, chance=False, reason=str(first), unfit=spec.places.error(
-            named.path if named else (), first.what, first.hint))
+            solver: Solver = request.solver
+            # A deterministic solver followed by a local search that draws has chance as well.
+            draws = solver.uses_chance or bool(request.options["search"]["polish"])
+            names = {"model": request.model.name, "solver": solver.name,
+                     "criterion": request.criterion.name}
+            return _Kind(options, names, chance=draws and strategy != "auto",
+                         made_of=_checksums_of_parts(strategy, request, specs, measures),
+                         others=_uses_foreign_parts(strategy, request, measures))
+        assert first_error is not None  # some data can be read, or there would be no study
+        return self._impossible_kind(specs, first_error)
+
+    def _impossible_kind(self, specs: Mapping[str, PartSpec | None],
+                         error: TermselError) -> _Kind:
+        """Return the kind that no data allow, with the error at the part the study names."""
+        path: tuple[Any, ...] = ()
+        # The part that is most often at fault comes first.
+        for role in ("solver", "model", "criterion", "problem"):
+            part = specs[role]
+            if part and part.path:
+                path = part.path
+                break
+        return _Kind({}, {}, chance=False, reason=str(error),
+                     unfit=self._spec.places.error(path, error.what, error.hint))
 
     def _request_of_run(self, strategy: str, specs: Mapping[str, PartSpec | None], data: Data,
                         options: Mapping[str, Any]) -> Request:
@@ -365,6 +379,31 @@ class _Kinds:
         if any(option.name == "workers" for option in declared.get("solver", ())):
             chosen.setdefault("solver.workers", 1)
         return chosen
+
+
+def _require_possible(strategy: str, request: Request) -> None:
+    """Raise TermselError where the data of a request are too few, or do not suit its parts."""
+    is_auto = strategy == "auto"
+    observations = observe(with_shares(request, auto=is_auto), LEAST if is_auto else MIN_CONTROL)
+    if not is_auto:
+        with_problem_built(Task(request, observations))
+
+
+def _checksums_of_parts(strategy: str, request: Request, specs: Mapping[str, PartSpec | None],
+                        measures: Sequence[Measure]) -> dict[str, str]:
+    """Return checksums of the code that cells run, by role.
+
+    They are part of what identifies a cell: a plugin that has changed makes its cells run again.
+    """
+    checksums = {role: checksum_of_code(getattr(request, role))
+                 for role in ("recipe", "model", "criterion", "solver", "then")}
+    if strategy == "auto":
+        method = _resolve_method(specs.get("method"))
+        checksums["methods"] = checksum_of_code(list(auto_of(method).methods))
+    # The code of a measure is part of what its column says.
+    if measures:
+        checksums["measures"] = checksum_of_code([measure.compute for measure in measures])
+    return checksums
 
 
 def _require_no_certificate(request: Request) -> Request:

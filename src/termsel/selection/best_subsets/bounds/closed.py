@@ -48,12 +48,14 @@ _SPHERE, _SCALE = 0.15, 0.1  # weights of facts 3 and 1; the rest is of fact 4
 @_compiled
 def first_closed_by_parts(top: FloatArray, extra: FloatArray, first: int, n: int, limit: float,
                           upper: FloatArray, rational: bool, space: BoundSpace) -> int:
-    """Return a column from which on no subset scores `limit`, the B of the module's text, or less.
+    """Return a column j such that all subsets that add some of j, ..., n - 1 alone score too much.
 
-    That is j: all subsets that add some of j, ..., n - 1 alone score more. It is `first` if none of
-    F = first, ..., n - 1 need be looked at, and n if nothing is known. `top` (n + 1, rows) and
-    `extra` (n + 1, c), or (n + 1, 2 c) with denominators, are one depth of `Vectors`, without the
-    columns in use. `upper` (c + 1,), U and tau, is lowered in place; it is 1 for scores without
+    Too much is more than `limit`, the B of the module's text. The column is `first` if none of the
+    columns F = first, ..., n - 1 need be looked at, and n if nothing is known.
+
+    `top` (n + 1, rows) has the vectors T and r, `extra` (n + 1, c) the V and e, and (n + 1, 2 c)
+    also d and D where there are denominators: they are one depth of `Vectors`, without the columns
+    in use. `upper` (c + 1,), U and tau, is lowered in place; it is 1 for scores without
     denominators.
     """
     count = n - first + 1
@@ -64,10 +66,10 @@ def first_closed_by_parts(top: FloatArray, extra: FloatArray, first: int, n: int
     h = space.x[1]
     y = space.x[2]
     # |r|^2: without a target in the control rows the sphere of fact 2 is a point.
-    square = 0.0
+    squared_r = 0.0
     for k in range(top.shape[1]):
-        square += top[n, k] * top[n, k]
-    if not square > 0.0:
+        squared_r += top[n, k] * top[n, k]
+    if not squared_r > 0.0:
         return n
     # The target is vector 0 and stands for -t; column n - i is vector i.
     for i in range(count):
@@ -76,7 +78,7 @@ def first_closed_by_parts(top: FloatArray, extra: FloatArray, first: int, n: int
             for k in range(top.shape[1]):
                 total += top[n - i, k] * top[n - j, k]
             # Fact 2 halves the target: 1/2 in products with it, 1/4 in its own.
-            gram[i, j] = 4.0 / square * total * (1.0 if j > 0 else 0.5 if i > 0 else 0.25)
+            gram[i, j] = 4.0 / squared_r * total * (1.0 if j > 0 else 0.5 if i > 0 else 0.25)
     closed = 0  # last columns of which no subset scores that little
     for _ in range(_DUAL_STEPS):
         tau = upper[c]
@@ -90,7 +92,7 @@ def first_closed_by_parts(top: FloatArray, extra: FloatArray, first: int, n: int
         # Cholesky's triangle L of the quadratic, vector by vector. With the sums s of the
         # denominators' columns its minimum is 1 / |L^-1 s|^2. After i steps that over the last i
         # columns alone is known, so one elimination tests every tail of F.
-        minimum = 0.0
+        squared_h = 0.0
         failed = False
         for i in range(count):
             for k in range(c):
@@ -124,42 +126,45 @@ def first_closed_by_parts(top: FloatArray, extra: FloatArray, first: int, n: int
                 break
             triangle[i, i] = np.sqrt(pivot)
             h[i] = total / triangle[i, i]
-            minimum += h[i] * h[i]  # its inverse
-            if minimum < 1.0 - _LIMIT_ROUNDING and i > closed:
+            squared_h += h[i] * h[i]
+            if squared_h < 1.0 - _LIMIT_ROUNDING and i > closed:  # the minimum is above 1
                 closed = i
         if failed or closed == count - 1 or not rational:
             return n - closed
-        gained = _lower_limits(extra, n, count, upper, minimum, space)
-        if gained < 0:
+        gain = _lower_limits(extra, n, count, upper, squared_h, space)
+        if gain < 0:
             return first
-        if gained == 0:
+        if gain == 0:
             return n - closed
     return n - closed
 
 
 @_compiled
-def _lower_limits(extra: FloatArray, n: int, count: int, upper: FloatArray, inverse: float,
+def _lower_limits(extra: FloatArray, n: int, count: int, upper: FloatArray, squared_h: float,
                   space: BoundSpace) -> int:
     """Lower the limits U and tau in `upper` (c + 1,) to their maxima on the ellipsoid q <= 1.
 
     `space` has the triangle L of the quadratic q of the target and the `count` - 1 columns before
-    n; `inverse` is |h|^2, one over the least q. With z = L'(-t, x) and h = L^-1 s its points are
-    |z|^2 <= 1 and h'z = 1. The maximum of a linear function a'z is a'h / |h|^2 + ((1 - 1 / |h|^2)
-    (|a|^2 - (a'h)^2 / |h|^2))^1/2. Return 1 if a limit is lower by some share, 0 if none is, -1 if
-    one is negative.
+    n; `squared_h` is |h|^2, one over the least q. `extra` (n + 1, 2 c) has the denominators in its
+    last c columns. With z = L'(-t, x) and h = L^-1 s the ellipsoid is |z|^2 <= 1 on the plane
+    h'z = 1. There a linear function a'z has the maximum
+    a'h / |h|^2 + ((1 - 1 / |h|^2) (|a|^2 - (a'h)^2 / |h|^2))^1/2.
+
+    Returns 1 if a limit is lower by some share, 0 if none is, -1 if one is negative.
     """
     c = len(upper) - 1
     triangle = space.triangle
     rows = space.rows
     along_h = space.x[0]
     h = space.x[1]
-    length = space.x[2]
+    squared_a = space.x[2]
     for k in range(c + 1):
-        along_h[k] = length[k] = 0.0
+        along_h[k] = squared_a[k] = 0.0
     for i in range(count):
+        # Each denominator t D + d x is a function to maximise, and t itself: the target is -t.
         for k in range(c):
             rows[i, k] = extra[n - i, c + k]
-        rows[i, c] = 0.0 if i > 0 else -1.0  # t is a function to maximise as well
+        rows[i, c] = 0.0 if i > 0 else -1.0
         # a in the basis of L, by forward substitution; along with it a'h and |a|^2.
         for j in range(i):
             ratio = triangle[i, j]
@@ -169,17 +174,17 @@ def _lower_limits(extra: FloatArray, n: int, count: int, upper: FloatArray, inve
         for k in range(c + 1):
             rows[i, k] *= ratio
             along_h[k] += rows[i, k] * h[i]
-            length[k] += rows[i, k] * rows[i, k]
+            squared_a[k] += rows[i, k] * rows[i, k]
     # Rounding may make either factor a little negative; limits are a little too high instead.
-    radius = max(0.0, 1.0 - 1.0 / inverse) + _LIMIT_ROUNDING
-    gained = 0
+    squared_radius = max(0.0, 1.0 - 1.0 / squared_h) + _LIMIT_ROUNDING
+    gain = 0
     for k in range(c + 1):
-        across_h = max(0.0, length[k] - along_h[k] * along_h[k] / inverse)
-        across_h += _LIMIT_ROUNDING * length[k]
-        largest = along_h[k] / inverse + np.sqrt(radius * across_h)
+        squared_across_h = max(0.0, squared_a[k] - along_h[k] * along_h[k] / squared_h)
+        squared_across_h += _LIMIT_ROUNDING * squared_a[k]
+        largest = along_h[k] / squared_h + np.sqrt(squared_radius * squared_across_h)
         if largest < 0.0:
             return -1
         if largest < _LIMIT_GAIN * upper[k]:
-            gained = 1
+            gain = 1
         upper[k] = min(upper[k], largest)
-    return gained
+    return gain
