@@ -159,10 +159,11 @@ class Auto(Method):
                      for fault in self.faults.values())
 
     def ask(self, method: Method, hook: str, *args: Any) -> Any:
-        """Return the value of a method's hook.
+        """Return what a hook of a method returns for these arguments.
 
-        None where the features do not determine the method, and where it fails: then it is left out
-        from now on, unless it is termsel's own.
+        None comes back where the features do not determine the method, and where the hook fails. A
+        method of a plugin that fails is left out from then on; a failure of termsel's own methods
+        is raised.
         """
         return self._call(method, hook, lambda: getattr(method, hook)(*args))
 
@@ -197,14 +198,19 @@ class Auto(Method):
         return answer
 
     def offered(self, data: FitData, *, for_few: bool = False) -> list[Method]:
-        """Return the methods to choose from for some features, the plainest first."""
-        # Those are counted that these are a part of; points where there are no lines, as a line has
-        # equations of its own kind.
+        """Return the methods to choose from for some features, the smallest first.
+
+        Those `for_few` features are a choice of their own. Left out are methods that are only
+        shown, that have failed, that decline the features, or that take fewer features than there
+        are.
+        """
+        # Parts of the features have the methods of all of them. Without lines in use, the points
+        # are counted alone.
         all_features = self.all_features or data.features
         count = len(all_features) if len(data.features.lines) else len(all_features.points)
         sizes: dict[Method, Any] = {}
         for method in self.methods:
-            # One that is asked for is fitted whatever its place among others would be.
+            # A single method is fitted whatever its place among others would be.
             if self.is_one_method:
                 has_a_place = not for_few
             else:
@@ -212,12 +218,13 @@ class Auto(Method):
             if (has_a_place and method.name not in self.faults and count <= method.max_features
                     and self.ask(method, "declines", data) is None):
                 sizes[method] = self.ask(method, "size", data.heights)
-        # Again, as what was asked just now may have failed.
-        sound = [method for method in sizes if method.name not in self.faults]
-        return sorted(sound, key=lambda method: sizes[method])
+        # The questions just asked may have made a method fail.
+        sound_methods = [method for method in sizes if method.name not in self.faults]
+        return sorted(sound_methods, key=sizes.__getitem__)
 
     def suspects(self, data: FitData) -> Suspects | None:
-        """Return the features that contradict the first method that knows of any; None without."""
+        """Return what the first method that suspects any features says of them; None if none does.
+        """
         answers = (self.ask(method, "suspects", data) for method in self.offered(data))
         return next((suspects for suspects in answers if suspects is not None), None)
 
@@ -227,7 +234,10 @@ class Auto(Method):
         return 1 if any(method.from_one for method in self.offered(data)) else MAX_EXACT_POINTS + 1
 
     def fit_of(self, method: Method, data: FitData) -> Fit | None:
-        """Return the fit of a method, or None as of `ask`; that of all features is remembered."""
+        """Return the fit of a method; None where `ask` returns none.
+
+        Fits of termsel's own methods to all features are kept in `memory`; fits to parts are not.
+        """
         if self.all_features is not None or not is_own(method):
             fitted: Fit | None = self.ask(method, "fit", data)
         else:
@@ -235,18 +245,19 @@ class Auto(Method):
         return fitted
 
     def validated(self, method: Method, data: FitData) -> Fit | None:
-        """Return a method fitted to features, with the errors of each held out.
+        """Return a method fitted to features, whose error at each held-out feature is known.
 
-        None where it is not tried on them, they do not determine it with redundancy, it has a pole,
-        or it fails.
+        None comes back where the method is not tried on them, fails, has a pole, or is not
+        determined by them with redundancy.
         """
         if method.name in self.hopeless or not self.ask(method, "tried", data):
             return None
-        unnamed = self.fit_of(method, data)
-        if unnamed is None:
+        fitted = self.fit_of(method, data)
+        if fitted is None:
             return None
-        fitted = unnamed if unnamed.method is method else replace(unnamed, method=method)
-        # An error without redundancy, or with a pole, would be one by chance.
+        if fitted.method is not method:
+            fitted = replace(fitted, method=method)
+        # Without redundancy, or with a pole, held-out errors say nothing.
         if fitted.stored_held_out is None and (
                 fitted.adjustment.redundancy < 1 or has_pole(fitted)):
             return None
@@ -276,31 +287,10 @@ class Auto(Method):
         fitted all the same, and the reason stated, to be shown.
         """
         candidates = self.offered(data)
-        # A method may say that nothing else is possible, as of a file that names its sensor.
-        # The first method that the features support alone is the choice.
-        for method in candidates:
-            reason = self._settles(method, data)
-            settled = self.validated(method, data) if reason else None
-            if settled is not None:
-                return Choice(settled, (settled,), str(reason))
-        fits: dict[str, Fit] = {}
-        # What contains others comes first where these need not be fitted then.
-        # In folds, where the whole comparison is not needed, the largest come first.
-        order = (
-            candidates
-            if with_contained
-            else sorted(candidates, key=lambda method: -len(method.contains))
-        )
-        for method in order:
-            called_for = fits.keys() >= set(method.needs) and (
-                with_contained or not is_contained(method, fits.values()))
-            fitted = self.validated(method, data) if called_for else None
-            if fitted:
-                fits[method.name] = fitted
-            if watch:
-                watch(fitted)
-        # In the order of the offer, whatever the order of fitting.
-        compared = [fits[method.name] for method in candidates if method.name in fits]
+        settled = self._settled_choice(candidates, data)
+        if settled is not None:
+            return settled
+        compared = self._validated_fits(candidates, data, watch, with_contained=with_contained)
         has_prior = any(method_of(fitted).has_prior for fitted in compared)
         if not has_prior or is_undecided(data):
             compared = [*self.few(data), *compared]
@@ -309,13 +299,47 @@ class Auto(Method):
             return replace(choice, reason=_reason_of_only(choice.chosen))
         return choice
 
+    def _settled_choice(self, candidates: Iterable[Method], data: FitData) -> Choice | None:
+        """Return the choice of the first method that the features support alone; None without one.
+
+        A method may say that nothing else is possible, as where a file names its sensor.
+        """
+        for method in candidates:
+            reason = self._settles(method, data)
+            fitted = self.validated(method, data) if reason else None
+            if fitted is not None:
+                return Choice(fitted, (fitted,), str(reason))
+        return None
+
+    def _validated_fits(self, candidates: Iterable[Method], data: FitData, watch: Watch | None, *,
+                        with_contained: bool) -> list[Fit]:
+        """Return the fits of the candidates that can be held against the features, in their order.
+
+        Methods that a fitted one contains are left out unless `with_contained`, as are methods that
+        need another one which has no fit. `watch` is told of each candidate.
+        """
+        fits: dict[str, Fit] = {}
+        in_fitting_order = list(candidates)
+        if not with_contained:
+            # The widest first, as what they contain need not be fitted then.
+            in_fitting_order.sort(key=lambda method: -len(method.contains))
+        for method in in_fitting_order:
+            is_wanted = fits.keys() >= set(method.needs) and (
+                with_contained or not is_contained(method, fits.values()))
+            fitted = self.validated(method, data) if is_wanted else None
+            if fitted:
+                fits[method.name] = fitted
+            if watch:
+                watch(fitted)
+        return [fits[method.name] for method in candidates if method.name in fits]
+
     @property
     def is_one_method(self) -> bool:
         """Whether only one method is offered, so that nothing is chosen."""
         return len(self.methods) == 1
 
     def _settles(self, method: Method, data: FitData) -> str | None:
-        """Return why the features support a method alone; None if they do not, or the method fails.
+        """Return why the features support no method but this one; None if they do, or it fails.
 
         Raises TermselError where the method says what the user must say first.
         """
@@ -335,10 +359,10 @@ class Auto(Method):
         return [fitted for fitted in fits if fitted]
 
     def best_of(self, fits: Iterable[Fit], *, explained: bool = True) -> Choice | None:
-        """Return the choice among fits by the rule; None if there is none.
+        """Return the choice among fits by the rule; None if there are no fits.
 
-        What would be chosen and runs away between the points is left out, unless all does. Only
-        where it is to be `explained` are methods asked to describe what supports them.
+        A fit that would be chosen but runs away between the points is left out, unless every choice
+        does. Only where the choice is to be `explained` are methods asked what supports them.
         """
         remaining = list(fits)
 
@@ -346,20 +370,21 @@ class Auto(Method):
             description: str | None = self.ask(method_of(fitted), "describe", fitted)
             return description
 
-        first = choice = best_of(remaining, describe, explained=explained)
+        choice_of_all = best_of(remaining, describe, explained=explained)
+        choice = choice_of_all
         while choice is not None and is_astray_between(choice.chosen):
             remaining.remove(choice.chosen)
             choice = best_of(remaining, describe, explained=explained)
-        return choice or first
+        return choice or choice_of_all
 
     def choose_features(self, data: FitData, watch: Watch | None = None, *,
                         with_contained: bool = True) -> Choice | None:
-        """Return the choice of `choose`, from points with lines or from the points alone.
+        """Return the choice from points with lines, or from the points alone if that is better.
 
-        Lines that add more error than redundancy are left out whole: where the points alone predict
-        the points, each by the others, better by PRIOR_MARGIN standard errors. The control of the
-        chosen fit then has no lines. `watch` is told of the choice from all features alone. None as
-        for `choose`.
+        Lines that add more error than redundancy are left out as a whole: where the points alone
+        predict the points, each by the others, better by more than PRIOR_MARGIN standard errors.
+        The control of the chosen fit then has no lines. `watch` is told only of the choice from all
+        features. None comes back where `choose` returns none for all features.
         """
         count = len(data.features.points)
         choice = self.choose(data, watch, with_contained=with_contained)
@@ -369,7 +394,7 @@ class Auto(Method):
         points_choice = self.choose(points, with_contained=with_contained)
         if points_choice is None:
             return choice
-        # Over the points, which both choices predict; lines are in one of them only.
+        # By the points, which both choices predict; only one of them has lines.
         advantage = gain_of(points_choice.chosen.held_out().squares,
                             choice.chosen.held_out().squares[:count], choice.chosen.rounding)
         comparison = (
@@ -385,11 +410,12 @@ class Auto(Method):
     # The choice, repeated without some of the features.
 
     def for_parts_of(self, data: FitData, choice: Choice | None = None) -> Auto:
-        """Return the choice for parts of features: of these all count for `Method.max_features`.
+        """Return the choice to be made from parts of these features, such as all but a fold.
 
-        With the choice from all of them, methods that it came nowhere near are not fitted: those
-        without a prior that predict no better than the one to be beaten, and those that all
-        features do not determine, or do not support, unless they say that parts may.
+        All features count for `Method.max_features`. Where the `choice` from all of them is given,
+        methods that came nowhere near it are not fitted to parts. These are methods without a prior
+        that predict no better than the fit to beat, and methods that all features do not determine
+        or do not support, unless they say that parts may.
         """
         choice_for_parts = replace(self, all_features=data.features, hopeless=frozenset())
         priors = [] if choice is None else [
@@ -397,7 +423,7 @@ class Auto(Method):
         if choice is None or not priors:
             return choice_for_parts
         base = fit_to_beat(priors)[0]
-        # Near is what gains on the fit to beat, or carries a prior that the choice rests on.
+        # Near the choice is a method that gains on the fit to beat, or has a prior.
         is_near = {method_of(fitted).name: method_of(fitted).has_prior or gain(fitted, base) > 0.0
                    for fitted in choice.compared}
 
@@ -415,32 +441,34 @@ class Auto(Method):
 
     def repeated(self, data: FitData, watch: Watch | None = None,
                  choice: Choice | None = None) -> FloatArray | None:
-        """Return the errors of features under choices made without them, (n_points + n_lines, 2).
+        """Return the errors of features under choices made without them, (n_points + 2 n_lines, 2).
 
-        In each fold, spread over the scene, the choice is made again, so that its errors are not
-        those that it was made by. They are measured minus predicted [px]: of a point its line and
-        sample; of a line the distances of its two vertices, weighted by how well the image line is
-        known there, so that they compare with two coordinates of a point. None if some fold leaves
-        too little to choose by, or lines alone that are too few to shrink. `choice` is that from
-        all features, if it is known.
+        The choice is made again without each of some folds, which are spread over the scene, so
+        that the errors are not those that it was made by. They are measured minus predicted [px]:
+        of a point its line and sample, then of each vertex of a line its distances, weighted by how
+        well the image line is known there, so that they compare with the coordinates of points.
+
+        None comes back if some fold leaves too little to choose by, or lines alone that are too few
+        to shrink. `choice` is the choice from all features, if it is known.
         """
-        count = 0
+        fits_told = 0
         folds = folds_of(data.features)
 
-        def see(fitted: Fit | None) -> None:
-            nonlocal count
-            count += 1
+        def tell(fitted: Fit | None) -> None:
+            nonlocal fits_told
+            fits_told += 1
             if watch:
                 watch(fitted)
 
-        def find() -> tuple[FloatArray | None, int]:
-            return self._errors_in_folds(data, see, folds, choice), count
+        def compute() -> tuple[FloatArray | None, int]:
+            return self._errors_in_folds(data, tell, folds, choice), fits_told
 
         errors: FloatArray | None
-        errors, fits_tried = self.recall(("repeated", folds), data, find)
-        # A progress bar was told how many fits there would be.
-        for _ in range(fits_tried - count):  # what was found before is told, too
-            see(None)
+        errors, fits_tried = self.recall(("repeated", folds), data, compute)
+        # A progress bar was told how many fits there would be: those of an answer that is
+        # remembered are told, too.
+        for _ in range(fits_tried - fits_told):
+            tell(None)
         return errors
 
     def recall(self, question: Any, data: FitData, find: Callable[[], Any]) -> Any:
@@ -450,17 +478,16 @@ class Auto(Method):
 
     def _errors_in_folds(self, data: FitData, watch: Watch, folds: int,
                          choice: Choice | None) -> FloatArray | None:
-        """Return errors [px] of points and line vertices, (m, 2), by choices without their fold.
+        """Return errors [px] of points, then line vertices, (m, 2), by choices without their fold.
 
-        None if the choice cannot be made without some fold. Errors of lines are multiplied by their
-        weights in the adjustment.
+        None comes back if the choice cannot be made without some fold. Errors of lines are
+        multiplied by their weights in the adjustment.
         """
         features = data.features
         fold_of_feature = fold_of_each(features, folds)
-        # Points first, then the vertices of lines.
         count = len(features.points)
-        owner = features.feature
-        errors = np.empty((len(owner), 2))
+        feature_of_row = features.feature
+        errors = np.empty((len(feature_of_row), 2))
         fit_without = self._fitting_without(data, watch, choice)
         for fold in range(folds):
             in_fold = fold_of_feature == fold
@@ -470,8 +497,8 @@ class Auto(Method):
                 return None
             distances = np.linalg.norm(fitted.line_errors(fold_features.lines), axis=2)
             errors[:count][in_fold[:count]] = fitted.errors(fold_features.points)
-            errors[count:][in_fold[owner[count:]]] = distances
-        if count < len(owner):
+            errors[count:][in_fold[feature_of_row[count:]]] = distances
+        if count < len(feature_of_row):
             # Errors of lines count by their length, as in the adjustment.
             weights = row_weights(data.scaled, heights=data.heights)
             errors[count:] *= weights[2 * count:].reshape(-1, 2)
@@ -480,9 +507,9 @@ class Auto(Method):
 
     def _fitting_without(self, data: FitData, watch: Watch,
                          choice: Choice | None) -> Callable[[BoolArray], Fit | None]:
-        """Return a function of a mask (n,) that makes the choice without these features.
+        """Return a function that makes the choice without the features of a mask (n,).
 
-        It returns the fit of the method chosen, None if too few features remain.
+        That function returns the fit of the method chosen, None if too few features remain.
         """
         features = data.features
         if self.is_one_method:
@@ -494,70 +521,72 @@ class Auto(Method):
         fewest = self.fewest(data)
 
         def fit_without(excluded: BoolArray) -> Fit | None:
-            """Return the fit of the method that is chosen without some features; None if too few
-            remain.
-            """
+            """Return the fit of the method chosen without some features; None if too few remain."""
             remaining = _features_without(data, excluded)
-            if len(remaining) < fewest:
-                chosen = None
-            else:
-                chosen = choice_for_parts.choose_features(remaining, watch, with_contained=False)
-            fitted = None if chosen is None else chosen.chosen
-            if chosen is None or not any(
-                    method_of(compared).has_prior for compared in chosen.compared):
-                if not len(features.points):
-                    return None
-                # Few features choose by luck: what all of them choose is fitted to these.
-                if usual := choice_of_all():
-                    fitted = self.ask(usual.method, "refit", usual.chosen,
-                                      replace(remaining, heights=data.heights)) or fitted
+            choice = None
+            if len(remaining) >= fewest:
+                choice = choice_for_parts.choose_features(remaining, watch, with_contained=False)
+            if choice is not None and any(
+                    method_of(compared).has_prior for compared in choice.compared):
+                return choice.chosen
+            if not len(features.points):
+                return None
+            # Few features choose by luck: the method that all of them choose is fitted to these.
+            fitted = None if choice is None else choice.chosen
+            if choice_from_all := choice_of_all():
+                refitted: Fit | None = self.ask(choice_from_all.method, "refit",
+                                                choice_from_all.chosen,
+                                                replace(remaining, heights=data.heights))
+                fitted = refitted or fitted
             return fitted
 
         return fit_without
 
-    def _alone_without(self, data: FitData, watch: Watch, out: BoolArray) -> Fit | None:
-        """Return the fit of the only method without some features; None if it fails.
+    def _alone_without(self, data: FitData, watch: Watch, excluded: BoolArray) -> Fit | None:
+        """Return the fit of the only method to features that are not excluded; None if it fails.
 
-        There is nothing to choose by. `watch` is told of the fit.
+        `watch` is told of the fit.
         """
-        fitted: Fit | None = self.ask(self.methods[0], "fit", _features_without(data, out))
+        fitted: Fit | None = self.ask(self.methods[0], "fit", _features_without(data, excluded))
         watch(fitted)
         return fitted
 
     def between_lines(self, data: FitData, lattice: Lattice, watch: Watch,
                       choice: Choice) -> tuple[FloatArray, IntArray] | None:
-        """Return errors of points of a lattice without their line [px], (m, 2), and the lines.
+        """Return errors [px] of points of a lattice without their line, (m, 2), and their lines.
 
-        Or without their column, where that makes greater ones. The choice is made again without
-        some lines, whose neighbours stay. The outermost ones always stay, as nothing is asked for
-        beyond them, and so do those next to them where there are others: one line on a side is not
-        enough to go on from. None if some part of the lattice leaves too little to choose by.
+        The choice is made again without some lines, whose neighbours stay. The m points are those
+        of lines that are held out. The outermost lines always stay, as nothing is asked for beyond
+        them, and so do those next to them where there are enough others: one line on a side is too
+        little to go on from. The same is done with the columns of the lattice, and the direction
+        with the larger errors comes back. None comes back if some part of the lattice leaves too
+        little to choose by.
         """
         fit_without = self._fitting_without(data, watch, choice)
         directions = []
-        for number in (lattice.line, lattice.column):
+        for line_numbers in (lattice.line, lattice.column):
             errors = np.full((len(data), 2), np.nan)
-            count = int(number.max()) + 1
+            count = int(line_numbers.max()) + 1
             first, last = held_out_lines(count)
-            inside = (number >= first) & (number <= last)
+            is_inside = (line_numbers >= first) & (line_numbers <= last)
             for fold in range(folds_along(count)):
-                in_fold = inside & ((number - first) % FOLDS_OF_LATTICE == fold)
+                in_fold = is_inside & ((line_numbers - first) % FOLDS_OF_LATTICE == fold)
                 fitted = fit_without(in_fold)
                 if fitted is None:
                     return None
                 errors[in_fold] = fitted.errors(data.features.take(in_fold).points)
-            directions.append((errors[inside], number[inside]))
-        # The worse of both directions is the one that is stated.
+            directions.append((errors[is_inside], line_numbers[is_inside]))
         return max(directions,
                    key=lambda direction: float((direction[0]**2).sum(axis=1).mean()))
 
 
-def _features_without(data: FitData, out: BoolArray) -> FitData:
-    """Return the features that are not `out`, (n,).
+def _features_without(data: FitData, excluded: BoolArray) -> FitData:
+    """Return the features that are not excluded, a mask (n,).
 
-    They count as plane where relief rested on one of those out: it shows nothing of these.
+    They count as plane where their heights show no relief by themselves, or where a single feature
+    makes all of it.
     """
-    remaining = data.take(~out)
+    remaining = data.take(~excluded)
     return replace(remaining, heights=remaining.heights and not relief_carriers(remaining, limit=1))
 
 
@@ -611,12 +640,12 @@ def _reason_of_only(fitted: Fit) -> str:
 
 
 def minimal_view(data: FitData, choice: Choice, auto: Auto) -> Choice:
-    """Return the projection that four points determine, where no other model fits.
+    """Return the choice for four points, which is a projection where they show an oblique view.
 
-    An affine transformation of four points leaves what a map or a vertical photo may leave; where
-    it leaves more, and no point would be behind the camera, they show an oblique view. It is that
-    of a camera without distortion where there is one, and else a projective transformation of the
-    plane. Otherwise the choice is returned.
+    They do where an affine transformation of them leaves more than a map or a vertical photo may,
+    and no point would be behind the camera. The projection is that of a camera without distortion
+    if the points support one, and else a projective transformation of the plane. In all other cases
+    the `choice` given comes back.
     """
     if len(data) != EXACT_PROJECTIVE_POINTS or len(
             data.features.points) != EXACT_PROJECTIVE_POINTS or choice.method.from_one:
@@ -625,19 +654,19 @@ def minimal_view(data: FitData, choice: Choice, auto: Auto) -> Choice:
     plane = replace(data, heights=False)
     projective = named("projective")
     try:
-        residuals = named("affine").fit(plane).control_rmse()
+        affine_rmse = named("affine").fit(plane).control_rmse()
         fitted = projective.fit(plane)
     except Undetermined:
         return choice
-    assert residuals is not None
-    shows_oblique_view = residuals.total >= OBLIQUE_RMSE * data.scaling.image_scale
+    assert affine_rmse is not None
+    shows_oblique_view = affine_rmse.total >= OBLIQUE_RMSE * data.scaling.image_scale
     camera = named("pinhole")
     camera_fit = auto.validated(camera, data) if camera in auto.offered(data) else None
     if camera_fit is not None and shows_oblique_view:
         return Choice(
             _without_redundancy(camera, camera_fit), choice.compared,
             f"{EXACT_PROJECTIVE_POINTS} points leave one equation of it. An affine polynomial "
-            f"leaves {residuals.total:.3g} px of them, more than a map or a vertical photo does.")
+            f"leaves {affine_rmse.total:.3g} px of them, more than a map or a vertical photo does.")
     # A point with a denominator of the other sign would be behind the camera.
     denominators = fitted.model.denominators(fitted.adjustment.coefficients,
                                              fitted.scaled_control.points.ground)
@@ -647,7 +676,7 @@ def minimal_view(data: FitData, choice: Choice, auto: Auto) -> Choice:
     return Choice(
         _without_redundancy(projective, fitted), choice.compared,
         f"{EXACT_PROJECTIVE_POINTS} points determine it exactly. An affine polynomial leaves "
-        f"{residuals.total:.3g} px of them, more than a map or a vertical photo does.")
+        f"{affine_rmse.total:.3g} px of them, more than a map or a vertical photo does.")
 
 
 def _without_redundancy(method: Method, fitted: Fit) -> Fit:

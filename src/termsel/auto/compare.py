@@ -55,16 +55,24 @@ class Comparison:
         return self.choice.method if self.choice else None
 
     def baselines(self, observations: Observations) -> tuple[Baseline, ...]:
-        """Return the figures of all fits for some observations."""
-        return tuple(
-            Baseline(name, fitted, BOTH, False, dict.fromkeys(("control", "check", "independent")))
-            if isinstance(fitted, int) else baseline_figures(
-                name, fitted, predicted, observations, refused=self.refused.get(name, ""))
-            for name, fitted, predicted in self.rows)
+        """Return the figures of all rows for these observations, in the order of the rows.
+
+        A method that the features do not determine has its number of terms and no figures.
+        """
+        result = []
+        for name, fitted, predicted in self.rows:
+            if isinstance(fitted, int):
+                no_figures = dict.fromkeys(("control", "check", "independent"))
+                baseline = Baseline(name, fitted, BOTH, False, no_figures)
+            else:
+                baseline = baseline_figures(name, fitted, predicted, observations,
+                                            refused=self.refused.get(name, ""))
+            result.append(baseline)
+        return tuple(result)
 
 
 def compare(observations: Observations, auto: Auto, choice: Choice | None = None) -> Comparison:
-    """Return the methods of a choice, each fitted to control and check points together.
+    """Return the comparison of methods, each fitted to control and check points together.
 
     Methods without a search need no check points, so that these serve as control.
 
@@ -75,13 +83,14 @@ def compare(observations: Observations, auto: Auto, choice: Choice | None = None
     auto : Auto
         The methods.
     choice : Choice, optional
-        That of `auto` for control and check; all methods are fitted to the features that it is
-        for, such as the points alone. It is made here by default.
+        The choice of `auto` for control and check; by default it is made here. All methods are
+        fitted to the same features as its fit, such as the points alone.
 
     Returns
     -------
     Comparison
-        With rational models that were refused for a pole, and the reason.
+        Its rows are in the order of the methods. Rational models that were refused for a pole are
+        among them, with the reason.
     """
     data = observations.pool
     choice = choice or auto.choose(data)
@@ -100,7 +109,7 @@ def compare(observations: Observations, auto: Auto, choice: Choice | None = None
         if method in ROBUST or (
                 name not in fits and auto.ask(method, "declines", data) is not None):
             continue
-        # A prior that so many points are not asked about has no errors to be shown.
+        # A method with a prior that is not tried on so many points has no errors to be shown.
         if method.has_prior and len(data) > method.max_features:
             continue
         model = auto.ask(method, "model", data.heights)
@@ -114,7 +123,7 @@ def compare(observations: Observations, auto: Auto, choice: Choice | None = None
         size = auto.ask(method, "size", data.heights) or np.inf
         if name in fits:
             rows.append((name, *fits[name]))
-        # A row with its size says that there are too few points for it.
+        # A size in place of a fit says that there are too few points for the method.
         elif np.isfinite(size) and not method.for_few:
             rows.append((name, int(size), None))
     return Comparison(tuple(rows), choice.method.name if choice else "", choice,
@@ -123,23 +132,23 @@ def compare(observations: Observations, auto: Auto, choice: Choice | None = None
 
 def compare_robustly(observations: Observations, auto: Auto,
                      blunders: Collection[str]) -> Comparison:
-    """Return the methods of a choice, as `compare` does, and fits that blunders do not spoil.
+    """Return the comparison of `compare` with fits added that blunders do not spoil.
 
-    These are M-estimators, and the method that is chosen without the blunders. Where there are
-    some, it is the reference.
+    These are M-estimators, and the method that is chosen without the blunders, whose ids are given.
+    That method is the reference where it can be chosen.
     """
     data = observations.pool
     comparison = compare(observations, auto)
-    robust = ((method.name, auto.ask(method, "fit", data)) for method in ROBUST
-              if method.model(data.heights))
-    rows = (*comparison.rows, *(
-        (name, fitted, None) for name, fitted in robust
-        if fitted is not None and fitted.adjustment.redundancy >= 1))
+    rows = list(comparison.rows)
+    for method in ROBUST:
+        fitted = auto.ask(method, "fit", data) if method.model(data.heights) else None
+        if fitted is not None and fitted.adjustment.redundancy >= 1:
+            rows.append((method.name, fitted, None))
     # By id: the pool is in another order than the control.
     is_blunder = np.isin(data.features.ids, list(blunders))
     choice = auto.choose(data.take(~is_blunder)) if is_blunder.any() else None
     if choice is None:
-        return replace(comparison, rows=rows)
+        return replace(comparison, rows=tuple(rows))
     chosen = choice.chosen
     return Comparison((*rows, (WITHOUT_BLUNDERS, chosen, chosen.held_out_rmse)),
                       WITHOUT_BLUNDERS, choice, int(is_blunder.sum()), comparison.refused)

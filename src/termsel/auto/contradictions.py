@@ -99,14 +99,17 @@ class Test:
                  judged: BoolArray) -> Suspects:
         """Return the findings on the `judged` features, in their order; all masks are (n,).
 
-        Its limits are the least errors that the test would have named, at each feature [px].
+        Beside each error stands its limit: the least error [px] there that the test would name.
         """
-        # The strain s whose chance (1 + 2 s^2 / f)^(-f/2), that of `chance_of`, is FALSE_ALARM / n.
-        threshold = np.sqrt(self.freedom / 2
-                            * ((FALSE_ALARM / judged.sum()) ** (-2 / self.freedom) - 1))
-        strain = np.maximum(max(MIN_STRAIN, float(threshold)), STRAIN_PER_SPREAD * self.spread)
+        # The chance of a strain s is (1 + 2 s^2 / f)^(-f/2), as of `chance_of`: this s is the one
+        # whose chance is FALSE_ALARM / n.
+        improbable_strain = np.sqrt(self.freedom / 2
+                                    * ((FALSE_ALARM / judged.sum()) ** (-2 / self.freedom) - 1))
+        least_strain = np.maximum(max(MIN_STRAIN, float(improbable_strain)),
+                                  STRAIN_PER_SPREAD * self.spread)
+        limits = np.maximum(least_strain * self.spread * self.noise, NEGLIGIBLE_ERROR)
         return Suspects(blunders[judged], probable[judged], undecided[judged], self.errors[judged],
-                        np.maximum(strain * self.spread * self.noise, NEGLIGIBLE_ERROR)[judged])
+                        limits[judged])
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,10 +121,10 @@ class Division:
 
     @cached_property
     def in_use(self) -> FitData:
-        """The features in use, with the scaling that all are predicted in.
+        """The features in use, with the scaling in which all features are predicted.
 
-        Points are tested in their own coordinates, whatever those of the fit, but around a pole,
-        where degrees are no plane coordinates.
+        Points are tested in the CRS of their own coordinates, even where the fit has another one.
+        Around a pole they are tested in the CRS of the fit: degrees are no plane coordinates there.
         """
         features = self.all_features.features
         # Lines are straight in the CRS of the fit only.
@@ -152,9 +155,9 @@ class Division:
         return self.local_test() or self.shrunken_test()
 
     def local_test(self) -> Test | None:
-        """Return the test by a random field of the points in use.
+        """Return the test of all points by a random field of those in use.
 
-        None where they do not support one, and where there are lines.
+        None comes back where the points do not support a field, and where there are lines.
         """
         if len(self.all_features.features.lines):
             return None
@@ -165,11 +168,11 @@ class Division:
         scaling = self.in_use.scaling
         used = self.used
         scaled = scaling.points(points)
-        # Variance of the field at each place, and noise of unit weight.
-        variance, unit = process.spread(scaled.ground)
-        noise = unit / weights_of(points) ** 2
+        # Variance of the field at each point, and of the noise of weight one; then of each point.
+        variance, unit_noise = process.spread(scaled.ground)
+        noise = unit_noise / weights_of(points) ** 2
         errors = scaled.image - process.predict(scaled.ground)
-        # Mean square of both coordinates, each by its own deviation.
+        # Mean of the squares of both coordinates' errors, each divided by its variance.
         statistic = (errors**2 / (variance + noise)).sum(axis=1) / 2
         # The noise has the freedom of the points, whatever the field.
         freedom = process.solutions[0].posterior.freedom
@@ -180,13 +183,13 @@ class Division:
         rows[used, :2] /= weights_of(self.in_use.features.points)
         pixels = rows[:, :2] * scaling.image_scale
         return Test(np.abs(pixels).max(axis=1), rows[:, 2], rows[:, 3], rows[:, 4],
-                    float(np.sqrt(unit[0])) * scaling.image_scale, freedom,
+                    float(np.sqrt(unit_noise[0])) * scaling.image_scale, freedom,
                     (pixels[used] ** 2).sum(axis=1), by_field=True)
 
     def shrunken_test(self) -> Test | None:
-        """Return the test by the regularised quadratic, or cubic if that is clearly better.
+        """Return the test by the regularised quadratic polynomial, or the cubic if clearly better.
 
-        None where the features in use are too few.
+        None comes back where the features in use are too few.
         """
         if len(self.all_features.features.lines):
             return _clearly_better_of(*(_test_of_lines(self, degree) for degree in (2, 3)))
@@ -194,11 +197,12 @@ class Division:
         return prediction.test() if prediction else None
 
     def test_by_projection(self, projection: Method) -> Test | None:
-        """Return the test by a central projection of the points in use.
+        """Return the test of all points by a central projection of those in use.
 
         With the leverage h of a point in use and its residual r, the others predict it with the
         error r / (1 - h) and the variance s^2 / (1 - h), s^2 being the noise that they leave. None
-        where they do not determine it.
+        comes back where the points in use do not determine the projection with redundancy, or some
+        point has no finite error.
         """
         try:
             # A central projection may be undetermined where a polynomial is not.
@@ -209,71 +213,75 @@ class Division:
         used = self.used
         spread = fitted.estimator.spread(fitted, fitted.scaling.ground(points.ground))
         weights = weights_of(points)
-        share = spread.variance / spread.noise * weights**2            # of the noise, at each point
+        # The leverage h: the variance of the prediction divided by that of the point's noise.
+        leverage = spread.variance / spread.noise * weights**2
         freedom = 2 * int(used.sum()) - round(fitted.effective)
         errors = fitted.errors(points)
-        if freedom <= 2 or not np.isfinite(share).all() or not np.isfinite(errors).all():
+        if freedom <= 2 or not np.isfinite(leverage).all() or not np.isfinite(errors).all():
             return None
-        # 1 - h of the leverage h; a point that determines itself has none.
-        redundancy = np.maximum(1.0 - np.minimum(share, 1.0), NEGLIGIBLE_ERROR)
+        # 1 - h, hardly above 0 of a point that determines the fit alone.
+        redundancy = np.maximum(1.0 - np.minimum(leverage, 1.0), NEGLIGIBLE_ERROR)
         squares = errors**2 * weights**2
-        total = float(squares[used].sum())
-        noise = np.full(len(points), total / freedom)
+        sum_in_use = float(squares[used].sum())
+        noise = np.full(len(points), sum_in_use / freedom)
         # Without a point the squares fall by r^2 / (1 - h), and the freedom by two.
-        noise[used] = (np.maximum(total - (squares / redundancy).sum(axis=1), NEGLIGIBLE_ERROR**2)
-                       / (freedom - 2))[used]
+        squares_without = np.maximum(sum_in_use - (squares / redundancy).sum(axis=1),
+                                     NEGLIGIBLE_ERROR**2)
+        noise[used] = (squares_without / (freedom - 2))[used]
         # r / (1 - h): the error if the point were left out.
         errors[used] /= redundancy[used]
-        relative_variance = np.where(used[:, None], 1.0 / redundancy, 1.0 + share)
+        relative_variance = np.where(used[:, None], 1.0 / redundancy, 1.0 + leverage)
         statistic = (errors**2 * weights**2 / relative_variance).sum(axis=1) / 2 / noise
         return Test(np.abs(errors).max(axis=1), chance_of(statistic, freedom - 2),
                     np.sqrt(statistic), np.sqrt(relative_variance.max(axis=1)),
-                    float(np.sqrt(total / freedom)), freedom, (errors[used]**2).sum(axis=1))
+                    float(np.sqrt(sum_in_use / freedom)), freedom, (errors[used]**2).sum(axis=1))
 
     def likeliest_blunder(self) -> int | None:
-        """Return the point in use that is likeliest a blunder, under all polynomials and fields.
+        """Return the index of the point in use that is likeliest a blunder; None if none is likely.
 
-        None if none is likelier a blunder than right. Beforehand one point of all is believed to be
-        one.
+        The odds are averaged over all polynomials and fields. Beforehand one point in use is
+        believed to be a blunder; a point is likely one if it is likelier a blunder than right.
         """
         process = self._gaussian_process
         if process is None:
             return None
-        # In a fit without errors rounding would decide which is worst.
-        large = np.abs(
-            process.errors).max(axis=1) * self.in_use.scaling.image_scale > NEGLIGIBLE_ERROR
-        doubtful = np.flatnonzero(large & (process.held_out.statistic > LOOK_STRAIN**2))
+        # In a fit without errors rounding would decide which point is worst.
+        largest_errors = np.abs(process.errors).max(axis=1) * self.in_use.scaling.image_scale
+        has_error = largest_errors > NEGLIGIBLE_ERROR
+        doubtful = np.flatnonzero(has_error & (process.held_out.statistic > LOOK_STRAIN**2))
         if not doubtful.size:
             return None
-        odds = process.blunder_odds(doubtful)
-        likely = odds.max() > self.log_odds_of_right_points
-        return int(np.flatnonzero(self.used)[doubtful[odds.argmax()]]) if likely else None
+        log_odds = process.blunder_odds(doubtful)
+        if not log_odds.max() > self.log_odds_of_right_points:
+            return None
+        return int(np.flatnonzero(self.used)[doubtful[log_odds.argmax()]])
 
     @property
     def log_odds_of_right_points(self) -> float:
-        """Odds beforehand of a point in use to be right: any of them may be the only blunder."""
+        """Log of the odds beforehand that a point in use is right, if one of them is a blunder."""
         return float(np.log(len(self.in_use) - 1))
 
     def candidates_of_bend(self) -> IntArray:
-        """Return the points out of use that a bend may explain, the likeliest first.
+        """Return the indices of points out of use that a bend may explain, the likeliest first.
 
-        They are those that a regularised polynomial which follows strong bends predicts within
-        chance, or too weakly to say.
+        A regularised polynomial which follows strong bends predicts these points within chance, or
+        too weakly to say.
         """
         prediction = _prediction_by(self, *_bending_polynomial(heights=self.all_features.heights))
         if prediction is None:
             return np.empty(0, dtype=np.intp)
         predicted = prediction.posterior.predict_unused(UNUSED_WEIGHT)
         strain = np.sqrt(predicted.statistic)
-        is_clear = ((predicted.probability < FALSE_ALARM / len(self.used))
-                    & (strain > STRAIN_PER_SPREAD * np.sqrt(predicted.spread.max(axis=1))))
-        likeliest = np.argsort(-predicted.probability, kind="stable")
-        return np.asarray(np.flatnonzero(~self.used)[likeliest[~is_clear[likeliest]]])
+        is_off_the_bend = ((predicted.probability < FALSE_ALARM / len(self.used))
+                           & (strain > STRAIN_PER_SPREAD * np.sqrt(predicted.spread.max(axis=1))))
+        likeliest_first = np.argsort(-predicted.probability, kind="stable")
+        possible = likeliest_first[~is_off_the_bend[likeliest_first]]
+        return np.asarray(np.flatnonzero(~self.used)[possible])
 
     def shows_bend_at(self, point: int) -> bool:
         """Return whether a point out of use is likelier right, on a bend, than a blunder.
 
-        That is under a regularised polynomial which follows strong bends, with the point in use.
+        It is judged by a regularised polynomial which follows strong bends, fitted with the point.
         """
         used = self.used.copy()
         used[point] = True
@@ -291,13 +299,13 @@ _Squares = TypeVar("_Squares", Test, "_PointPrediction")
 
 
 def _clearly_better_of(quadratic: _Squares | None, cubic: _Squares | None) -> _Squares | None:
-    """Return the cubic polynomial's test, if its squared errors are clearly smaller.
+    """Return the cubic polynomial's test if its errors are clearly smaller, else the quadratic's.
 
-    Else that of the quadratic. Where the points are too few for one, the other; None for neither.
+    Where the points are too few for one polynomial, the test by the other comes back; None where
+    they are too few for both.
     """
     if quadratic is None or cubic is None:
         return cubic or quadratic
-    # Clearly: by so many standard errors of the difference.
     gain = gain_of(cubic.squares, quadratic.squares, NEGLIGIBLE_ERROR)
     return cubic if gain > PRIOR_MARGIN else quadratic
 
@@ -323,9 +331,9 @@ class _PointPrediction:
     def squares(self) -> FloatArray:
         """Squared error of each point in use as the others predict it [px^2], shape (m,).
 
-        Of more than MAX_COMPARED_POINTS points only a part, evenly spread over the table.
+        Of more than MAX_COMPARED_POINTS points these are of a part, evenly spread over the table.
         """
-        # Each point left out costs as much, so that of many some have to do.
+        # Each point left out costs the same: of many a part must do.
         sample = slice(0, self.posterior.in_use, -(-self.posterior.in_use // MAX_COMPARED_POINTS))
         errors = (self.posterior.held_out
                   if sample.step == 1 else self.posterior.held_out_of(sample)).errors
@@ -333,7 +341,7 @@ class _PointPrediction:
                             * self.image_scale) ** 2).sum(axis=1))
 
     def test(self) -> Test:
-        """Return the test of all points, with those that are not in use."""
+        """Return the test of all points, whether they are in use or not."""
         posterior = self.posterior
         # The posterior counts points in use first: rows go back to the order of the features.
         rows = np.empty((len(self.order), 5))
@@ -355,21 +363,24 @@ def _prediction_of_points(division: Division, degree: int) -> _PointPrediction |
 
 
 def _bending_polynomial(*, heights: bool) -> tuple[Exponents, tuple[float, ...]]:
-    """Return the terms of a polynomial that follows strong bends, and how its degrees may fall.
+    """Return the terms of a polynomial that follows strong bends, and rates at which they may fall.
 
-    Bends are of the plane: heights have terms as in a cubic polynomial.
+    A rate is by how much coefficients are smaller in each degree than in the one before. Bends are
+    of the plane: heights have only the terms of a cubic polynomial.
     """
-    of_plane = graded_exponents(BEND_DEGREE, 2)
+    terms_of_plane = graded_exponents(BEND_DEGREE, 2)
     cubic = polynomial_of(heights, 3).exponents
-    return (*cubic, *of_plane[len(graded_exponents(3, 2)):]), (*FALLS, SLOW_FALL)
+    # Exponents are in the order of their degree, so that those up to the third come first.
+    beyond_cubic = terms_of_plane[len(graded_exponents(3, 2)):]
+    return (*cubic, *beyond_cubic), (*FALLS, SLOW_FALL)
 
 
 def _prediction_by(division: Division, exponents: Exponents,
                    falls: tuple[float, ...]) -> _PointPrediction | None:
-    """Return what a regularised polynomial of some terms predicts, by the points in use.
+    """Return what a regularised polynomial of these terms, fitted to the points in use, predicts.
 
-    None if they are too few. The other points take part with a tiny weight, which predicts them
-    with the same factors.
+    None comes back if the points in use are too few. The other points take part with a tiny weight:
+    so the same factorisation predicts them, too.
     """
     points = division.all_features.features.points
     used = division.used
@@ -377,12 +388,12 @@ def _prediction_by(division: Division, exponents: Exponents,
     scaled = scaling.points(points)
     powers = np.array(exponents).sum(axis=1)
     weights = weights_of(points)
-    # Those in use first, as the posterior counts them.
+    # The posterior takes the points in use first.
     order = np.argsort(~used, kind="stable")
-    weights_in_use = weights * np.where(used, 1.0, UNUSED_WEIGHT)[:, None]
+    weights_of_equations = weights * np.where(used, 1.0, UNUSED_WEIGHT)[:, None]
     posterior = solve_posterior(
         evaluate_monomials(scaled.ground[order], exponents), scaled.image[order], powers,
-        weights_in_use[order], scales_of(np.array(exponents)[powers > 1], falls=falls),
+        weights_of_equations[order], scales_of(np.array(exponents)[powers > 1], falls=falls),
         int(used.sum()))
     if posterior is None:
         return None
@@ -392,7 +403,7 @@ def _prediction_by(division: Division, exponents: Exponents,
 def _test_of_lines(division: Division, degree: int) -> Test | None:
     """Return the test of points and lines by a regularised polynomial; None if too few are in use.
 
-    Scales have no random factor for each term, as many tests are made.
+    The prior has no random factor for each term, which would take longer: many tests are made.
     """
     control = division.all_features
     used = division.used
@@ -419,10 +430,10 @@ def _test_of_lines(division: Division, degree: int) -> Test | None:
 
 
 def _point_figures(predictions: HeldOutPredictions) -> FloatArray:
-    """Return a row for each point, (m, 5): errors in line and sample, chance, strain and spread.
+    """Return a row for each point, (m, 5): errors in line and sample, probability, strain, spread.
 
-    The statistic is the mean square of both coordinates' errors by their variances, so that its
-    root is a strain in standard deviations.
+    The strain, in standard deviations, is the root of the statistic: of the mean square of both
+    coordinates' errors, each divided by its variance.
     """
     return np.stack([*predictions.errors.T, predictions.probability, np.sqrt(predictions.statistic),
                      np.sqrt(predictions.spread.max(axis=1))], axis=1)

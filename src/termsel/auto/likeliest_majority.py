@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import TypeAlias
 
 import numpy as np
@@ -25,6 +26,7 @@ import numpy as np
 from termsel.adjustment.equations import weights_of
 from termsel.auto.contradictions import Division, Test, polynomial_of
 from termsel.auto.majority import (
+    LEAST_VARIANCE,
     MAX_BLUNDER_SHARE,
     MAX_DEVIATION,
     MAX_SAMPLED_POINTS,
@@ -103,6 +105,9 @@ the root mean square. Of twenty independent errors it is 0.4 to 0.7."""
 PREDICTED_STRAIN = 3.0
 """Standard deviations within which the regularised polynomial takes a point into its next fit."""
 
+_TINY = 1e-300
+"""What takes the place of a zero that is divided by."""
+
 REGULARISED_STEPS = 12
 """Most fits of the regularised polynomial from one set; four are usual."""
 
@@ -154,9 +159,10 @@ class Likelihoods:
                           - self.distances**2 / (2 * self.mean_square))
 
     def judge(self, sets: BoolArray) -> SetsJudged:
-        """Fit the polynomial to each of m sets of points (m, n), and judge all points by it.
+        """Fit the polynomial to each of m sets of points (m, n), and judge all points by each fit.
 
-        Each set has the prior of the coefficients and the noise under which it is likeliest.
+        Each set is fitted under the prior of the coefficients, and with the noise, under which it
+        is likeliest.
         """
         count, n = sets.shape
         k = self.design.shape[1]
@@ -176,15 +182,15 @@ class Likelihoods:
 
         # The solution of each set: its coefficients, and what it predicts for all points.
         rows = np.arange(count)
-        vectors = self.scales[scale][:, :, None] * vectors[rows, scale]       # S V
+        scaled_vectors = self.scales[scale][:, :, None] * vectors[rows, scale]  # S V
         variance = self.noises[noise]**2
-        inverse = 1.0 / (values[rows, scale] + variance[:, None])             # (m, k)
-        coefficients = vectors @ (z[rows, scale] * inverse[:, :, None])
+        inverse = 1.0 / (values[rows, scale] + variance[:, None])               # (m, k)
+        coefficients = scaled_vectors @ (z[rows, scale] * inverse[:, :, None])
         errors = self.image - self.design @ coefficients
         # h = a' S V (w + s^2)^-1 V' S a, the variance of the prediction by that of the noise.
-        leverage = ((self.design @ vectors)**2 * inverse[:, None, :]).sum(axis=2)
+        leverage = ((self.design @ scaled_vectors)**2 * inverse[:, None, :]).sum(axis=2)
         # A point of the set is predicted by the others of it: r / (1 - h), with s^2 / (1 - h).
-        redundancy = np.maximum(1.0 - leverage, 1e-6)
+        redundancy = np.maximum(1.0 - leverage, LEAST_VARIANCE)
         errors = np.where(sets[:, :, None], errors / redundancy[:, :, None], errors)
         variances = variance[:, None] * np.where(sets, 1.0 / redundancy, 1.0 + leverage)
         log_right = (-np.log(2 * np.pi * variances) - (errors**2).sum(axis=2) / (2 * variances))
@@ -193,9 +199,11 @@ class Likelihoods:
 
     def _likeliest(self, values: FloatArray, z: FloatArray, squares: FloatArray,
                    points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the numbers of the scales and of the noise with the largest evidence, (m,) each.
+        """Return which scales and which noise have the largest evidence for each set, (m,) each.
 
-        The arguments are the w and z of `judge`, the squares b'b and the numbers of points.
+        They are numbers of rows of `scales` and of entries of `noises`. `values` (m, s, k) and `z`
+        (m, s, k, 2) are the w and z of `judge`, `squares` (m,) the sums b'b of both coordinates,
+        `points` (m,) how many points are in the sets.
         """
         # The evidence is the density of b as normal with the covariance C = A S^2 A' + s^2:
         # log |C| = sum log(1 + w / s^2) + n log s^2, b' C^-1 b = (b'b - sum z^2 / (w + s^2)) / s^2.
@@ -212,29 +220,29 @@ class Likelihoods:
         return np.divmod(best, len(variance))
 
     def climb(self, sets: BoolArray) -> list[tuple[float, BoolArray]]:
-        """Return the sets (n,) that climbing from m sets leads to, likeliest first.
+        """Return the log-likelihoods of all sets passed in climbing from m sets, and the sets (n,).
 
-        Each with its log-likelihood. A step takes the points that a set makes likelier right than
-        wrong as the next set, which is at least as likely (classification EM).
+        The likeliest come first, each once. A step takes the points that a set makes likelier right
+        than wrong as the next set, which is at least as likely (classification EM).
         """
         reached: dict[bytes, tuple[float, BoolArray]] = {}
         for _ in range(CLIMBED_STEPS):
-            # Sets often meet: each is judged once.
-            new = {each.tobytes(): each for each in sets if each.tobytes() not in reached}
-            if not new:
+            # Climbs often meet: each set is judged once.
+            new_sets = {used.tobytes(): used for used in sets if used.tobytes() not in reached}
+            if not new_sets:
                 break
-            sets = np.array(list(new.values()))
+            sets = np.array(list(new_sets.values()))
             judged = self.judge(sets)
-            for each, likelihood in zip(sets, judged.log_likelihood, strict=True):
-                reached[each.tobytes()] = float(likelihood), each
+            for used, likelihood in zip(sets, judged.log_likelihood, strict=True):
+                reached[used.tobytes()] = float(likelihood), used
             sets = likelier_right(judged.log_odds)
-        return sorted(reached.values(), key=lambda found: -found[0])
+        return sorted(reached.values(), key=lambda likelihood_and_set: -likelihood_and_set[0])
 
     def best_samples(self, rng: np.random.Generator) -> BoolArray:
         """Return sets (m, n) of the points that the best random samples make likelier right.
 
-        A sample predicts all others as a random field of these terms does, so that it says little
-        of places far from it.
+        These are SAMPLED_STARTS samples under each of the SAMPLED_SCALES. A sample predicts all
+        other points as a random field of these terms does: far from it the prediction is uncertain.
         """
         n = len(self.design)
         samples = np.argpartition(rng.random((SAMPLES, n)), SAMPLE_SIZE, axis=1)[:, :SAMPLE_SIZE]
@@ -252,19 +260,20 @@ class Likelihoods:
             squares = ((self.image - predicted)**2).sum(axis=2)
             log_odds = (-np.log(2 * np.pi * variances) - squares / (2 * variances)
                         - self.log_wrong)
-            # What a sample predicts of itself says nothing.
+            # What a sample predicts for its own points says nothing.
             np.put_along_axis(log_odds, samples, 0.0, axis=1)
             best = np.argsort(-np.logaddexp(log_odds, 0.0).sum(axis=1),
                               kind="stable")[:SAMPLED_STARTS]
-            odds_of_best = log_odds[best]
-            np.put_along_axis(odds_of_best, samples[best], np.inf, axis=1)
-            sets.append(likelier_right(odds_of_best))
+            # The points of a sample are in its set.
+            log_odds_of_best = log_odds[best]
+            np.put_along_axis(log_odds_of_best, samples[best], np.inf, axis=1)
+            sets.append(likelier_right(log_odds_of_best))
         return np.concatenate(sets)
 
     def is_contradicted(self, used: BoolArray) -> bool:
         """Return whether a set (n,) shows more than a third of all points to be gross blunders.
 
-        They are none where their errors may be relief, or a bend of the image.
+        Errors that may be relief, or a bend of the image, do not make blunders.
         """
         if (~used).mean() <= MAX_BLUNDER_SHARE:
             return False
@@ -277,9 +286,9 @@ class Likelihoods:
         return are_gross and not self.may_be_bend(used, CLEARLY_UNLIKE)
 
     def may_be_bend(self, used: BoolArray, max_unlikeness: float) -> bool:
-        """Return whether the errors of the points beyond a set (n,) may be a bend of the image.
+        """Return whether the errors of the points outside a set (n,) may be a bend of the image.
 
-        `max_unlikeness` is that of `majority.may_be_bend`.
+        `max_unlikeness` is as for `majority.may_be_bend`.
         """
         # The second and third term are the scaled coordinates of the plane.
         return may_be_bend(self.design[:, 1:3], used, self.judge(used[None]).errors[0, ~used],
@@ -298,20 +307,21 @@ def _may_be_relief(image: FloatArray, errors: FloatArray) -> bool:
     shift = errors.mean(axis=0)
     if np.linalg.norm(errors - shift) < MAX_DEVIATION * np.linalg.norm(shift) * len(errors)**0.5:
         return False
-    # By the root of its size, as the direction of a small error is noise.
+    # An error counts by the root of its size, as the direction of a small one is noise.
     sizes = np.linalg.norm(errors, axis=1)
-    line, sample = (errors / np.sqrt(np.maximum(sizes * sizes.mean(), 1e-300))[:, None]).T
+    line, sample = (errors / np.sqrt(np.maximum(sizes * sizes.mean(), _TINY))[:, None]).T
     rows = np.column_stack([line * image[:, 1] - sample * image[:, 0], sample, -line])
-    # As long as the others, whatever the extent of the image.
-    rows[:, 0] /= max(float(np.sqrt((rows[:, 0]**2).mean() * 2)), 1e-300)
+    # The first column becomes as long as the others, whatever the extent of the image.
+    rows[:, 0] /= max(float(np.sqrt((rows[:, 0]**2).mean() * 2)), _TINY)
     least = np.linalg.svd(rows, compute_uv=False)[-1]
     return bool(least < RELIEF_CROSS * len(rows)**0.5)
 
 
 def likelier_right(log_odds: FloatArray) -> BoolArray:
-    """Return the points (m, n) that are likelier right than wrong; at least half of the n are.
+    """Return masks (m, n) of the points that are likelier right than wrong by their log odds.
 
-    Where fewer are, the half with the largest odds is returned: a smaller set would fit ever fewer.
+    Where these are fewer than half of the n points, the half with the largest odds comes back: a
+    smaller set would fit fewer and fewer points.
     """
     rank = np.argsort(np.argsort(-log_odds, axis=1, kind="stable"), axis=1)
     return np.asarray((log_odds > 0) | (rank < log_odds.shape[1] // 2))
@@ -319,7 +329,7 @@ def likelier_right(log_odds: FloatArray) -> BoolArray:
 
 def likeliest_majority(control: FitData, of_polynomials: Majority | None,
                        halves: Halves | None = None) -> Majority | None:
-    """Return the points (n,) under which all are likeliest, and their test of all points.
+    """Return the majority of control points under which all points are likeliest, and its test.
 
     Parameters
     ----------
@@ -328,13 +338,14 @@ def likeliest_majority(control: FitData, of_polynomials: Majority | None,
     of_polynomials : tuple or None
         The majority that `termsel.auto.majority` found, which is returned where none is likelier.
     halves : Halves, optional
-        Those of the control, if they are known.
+        The halves of the control points, if they are known.
 
     Returns
     -------
     tuple of ndarray and Test, or None
-        None if neither is clear: a third of the points or fewer disagree, or not grossly, or one
-        polynomial makes all about as likely.
+        The mask (n,) of the majority, and its test of all points. None if no majority is clear: a
+        third of the points or fewer disagree, or not grossly, or one polynomial of all points makes
+        them about as likely.
     """
     n = len(control)
     if n < MIN_POINTS or len(control.features.lines):
@@ -360,11 +371,11 @@ def likeliest_majority(control: FitData, of_polynomials: Majority | None,
 
 def _likeliest_of(data: FitData, of_polynomials: Majority | None,
                   halves: Halves | None = None) -> Majority | None:
-    """Return the majority of at most MAX_SAMPLED_POINTS points that makes all likeliest.
+    """Return the majority of at most MAX_SAMPLED_POINTS points that makes all of them likeliest.
 
-    The climb starts from the best halves of polynomials; further random samples follow only where
-    these find something, but nothing clear. Where none is found, the majority of polynomials is
-    returned.
+    The climb starts from the best halves of polynomials. Further halves and random samples follow
+    only where these find something, but nothing clear. Where nothing is found, `of_polynomials`
+    comes back.
     """
     n = len(data)
     points = data.scaled.points
@@ -380,27 +391,29 @@ def _likeliest_of(data: FitData, of_polynomials: Majority | None,
     # A majority must make the points likelier than one polynomial of all of them does.
     likelihood_of_all = float(likelihoods.judge(everything[None]).log_likelihood[0])
     min_likelihood = likelihood_of_all + MIN_SEEN_GAIN * n
-    reached = likelihoods.climb(np.array([half for of_design in halves.of_designs
-                                          for half in of_design[:FIRST_STARTS]]))
+    first_starts: list[BoolArray] = []
+    for halves_of_design in halves.of_designs:
+        first_starts += halves_of_design[:FIRST_STARTS]
+    reached = likelihoods.climb(np.array(first_starts))
     # Most points without blunders end here.
     if not any(likelihood > min_likelihood and not likelihoods.may_be_bend(used, UNLIKE_AT_FIRST)
                for likelihood, used in reached[:REFINED]):
         return of_polynomials
     likelihood, used = reached[0]
     if likelihood - likelihood_of_all < CLEAR_GAIN * n or not likelihoods.is_contradicted(used):
-        starts = [half for of_design in halves.of_designs for half in of_design]
+        every_half = list(chain.from_iterable(halves.of_designs))
         rng = np.random.default_rng(0)  # the same points have the same majority
-        reached = likelihoods.climb(np.concatenate([starts, likelihoods.best_samples(rng)]))
+        reached = likelihoods.climb(np.concatenate([every_half, likelihoods.best_samples(rng)]))
     likely_sets = [used for likelihood, used in reached[:REFINED] if likelihood > min_likelihood]
     return _likeliest_fit(data, likelihoods, likely_sets, of_polynomials)
 
 
 def _likeliest_fit(data: FitData, likelihoods: Likelihoods, sets: Sequence[BoolArray],
                    of_polynomials: Majority | None) -> Majority | None:
-    """Return the likeliest points (n,) under the regularised polynomial, and their test.
+    """Return the likeliest majority under the regularised polynomial, sought from each of the sets.
 
-    It is fitted from each of the sets on. Where one polynomial makes all points about as likely,
-    or where nothing is likelier than the majority of polynomials, that is returned.
+    Where one polynomial of all points makes them about as likely, or no majority is likelier than
+    `of_polynomials`, that comes back.
     """
     distances = likelihoods.distances * data.scaling.image_scale
     weights = weights_of(data.features.points)
@@ -410,15 +423,17 @@ def _likeliest_fit(data: FitData, likelihoods: Likelihoods, sets: Sequence[BoolA
 
     everything = np.ones(len(data), dtype=bool)
     test_of_all = Division(data, everything).shrunken_test()
-    fits = {used.tobytes(): (used, test) for start in sets
-            for used, test in _regularised_fits(data, start)}
+    fits: dict[bytes, Majority] = {}
+    for start in sets:
+        for used, test in _regularised_fits(data, start):
+            fits[used.tobytes()] = used, test
     if not fits or test_of_all is None:
         return of_polynomials
     used, test = max(fits.values(), key=likelihood)
     gain = likelihood((used, test)) - likelihood((everything, test_of_all))
     if gain < MIN_GAIN * len(data) or not likelihoods.is_contradicted(used):
         return of_polynomials
-    # The likeliest are chosen for agreeing, and some that they predict are not among them.
+    # Some points that the majority predicts well may not be in it.
     used = used | (test.strain <= PREDICTED_STRAIN)
     test = Division(data, used).shrunken_test() or test
     if of_polynomials is not None and likelihood(of_polynomials) >= likelihood((used, test)):
@@ -427,14 +442,15 @@ def _likeliest_fit(data: FitData, likelihoods: Likelihoods, sets: Sequence[BoolA
 
 
 def _regularised_fits(data: FitData, start: BoolArray) -> list[Majority]:
-    """Return the points in use (n,) and the test of each step of refitting from a start on.
+    """Return the points in use (n,) and their test, for each step of refitting from a start (n,).
 
-    A step fits the regularised polynomial to the points in use; in use are next those that it
-    predicts within PREDICTED_STRAIN, or the closer half of all where these are fewer.
+    A step fits the regularised polynomial to the points in use. The next step uses the points that
+    it predicts within PREDICTED_STRAIN, or the closer half of all where these are fewer. The list
+    is empty where the points of the start are too few.
     """
     fits: dict[bytes, Majority] = {}
     used = start
-    # A set that comes back would come back for ever.
+    # A set that is met again would lead to the same sets for ever.
     while used.tobytes() not in fits and len(fits) < REGULARISED_STEPS:
         test = Division(data, used).shrunken_test()
         if test is None:
@@ -448,10 +464,10 @@ def _regularised_fits(data: FitData, start: BoolArray) -> list[Majority]:
 
 
 def _log_likelihood(test: Test, distances: FloatArray, weights: FloatArray) -> float:
-    """Return the log-likelihood of all points, each as likely right as wrong.
+    """Return the log-likelihood of all points, if each is right or wrong with equal probability.
 
-    The distances (n,) are those of all points from one polynomial, the weights (n, 2) those of
-    their coordinates.
+    `distances` (n,) are how far the points are from one polynomial of all, `weights` (n, 2) belong
+    to their coordinates.
     """
     # A right point is predicted by the others with the strain s and the variances u and v of both
     # coordinates: exp(-s^2) / (2 pi sqrt(u v)). The error of a wrong one is normal with the mean

@@ -57,6 +57,9 @@ CUBIC_OF_PLANE = ((3, 0, 0), (2, 1, 0), (1, 2, 0), (0, 3, 0))
 CONCENTRATED = 20
 """Samples that are improved."""
 
+RIDGE_SHARE = 1e-12
+"""Share of its trace that is added to the diagonal of a matrix before it is inverted."""
+
 STEPS = 30
 """Most concentration steps; squares fall with each of them, and five are usual."""
 
@@ -65,6 +68,10 @@ MAX_SAMPLED_POINTS = 300
 
 ADDED_PART = 40
 """One of so many points is added at a time to those that agree."""
+
+LEAST_NOISE = 1e-12
+LEAST_VARIANCE = 1e-6
+"""Noise in scaled units, and variance by that of the noise, that take the place of rounding."""
 
 NOISE_JUMP = 2.0
 """Noise by that of the half, beyond which no further point agrees."""
@@ -88,39 +95,40 @@ class Halves:
     """The halves of points that agree best with polynomials."""
 
     designs: list[FloatArray]  # (n, k): the terms of each polynomial
-    of_designs: list[list[BoolArray]]  # (n,): those with the least trimmed squares first
+    # For each design its halves, masks (n,), those with the least trimmed squares first.
+    of_designs: list[list[BoolArray]]
 
     @classmethod
     def of(cls, control: FitData) -> Self | None:
-        """Return those of points; None of fewer than MIN_SEEN_POINTS, and of lines.
+        """Return the halves of control points; None for fewer than MIN_SEEN_POINTS, and with lines.
 
-        Halves of a sample of points rank as those of all do, and cost less. The random numbers
-        begin with a fixed seed: the same points have the same blunders.
+        Of many points the halves are those of a random sample.
         """
         n = len(control)
         if n < MIN_SEEN_POINTS or len(control.features.lines):
             return None
         scaled = control.scaled.points
         designs, is_affine = polynomial_designs(scaled.ground, heights=control.heights)
-        rng = np.random.default_rng(0)  # the same points have the same blunders
+        # A fixed seed: the same points have the same blunders.
+        rng = np.random.default_rng(0)
         # Squares of a sample of the points rank halves as well as those of all do, and cost less.
-        sampled = rng.permutation(n)[:MAX_SAMPLED_POINTS]
-        of_sampled = closest_halves([columns[sampled] for columns in designs],
-                                    scaled.image[sampled], is_affine, rng)
+        sample = rng.permutation(n)[:MAX_SAMPLED_POINTS]
+        halves_of_sample = closest_halves([design[sample] for design in designs],
+                                          scaled.image[sample], is_affine, rng)
 
-        def among_all(closest: BoolArray) -> BoolArray:
+        def among_all(half_of_sample: BoolArray) -> BoolArray:
             half = np.zeros(n, dtype=bool)
-            half[sampled] = closest
+            half[sample] = half_of_sample
             return half
 
-        return cls(designs, [list(map(among_all, halves)) for halves in of_sampled])
+        return cls(designs, [list(map(among_all, halves)) for halves in halves_of_sample])
 
 
 def find_majority(control: FitData, halves: Halves | None = None) -> BoolArray | None:
     """Return which points (n,) agree with one polynomial; None where no majority is clear.
 
-    It is clear if more than a third of the points disagree with the others, and grossly. There is
-    none for fewer than MIN_SEEN_POINTS points, and none for lines. `halves` are those of the
+    A majority is clear if more than a third of the points disagree with it, and grossly. None comes
+    back for fewer than MIN_SEEN_POINTS points, and with lines. `halves` are the halves of these
     points, if they are known.
     """
     halves = halves or Halves.of(control)
@@ -155,7 +163,10 @@ def polynomial_designs(ground: FloatArray, *, heights: bool) -> tuple[list[Float
 
 def _majority_over_blunders(design: FloatArray, scaled: Points,
                             half: BoolArray) -> BoolArray | None:
-    """Return which points (n,) agree with a half if over a third are gross blunders; else None."""
+    """Return which points (n,) agree with a half, if over a third are gross blunders; else None.
+
+    `design` (n, k) are the terms of the polynomial, `half` is a mask (n,).
+    """
     n = len(half)
     agreeing, strains = _points_agreeing_with(design, scaled.image, half)
     minority = ~agreeing
@@ -163,13 +174,16 @@ def _majority_over_blunders(design: FloatArray, scaled: Points,
         return None
     if np.median(strains[minority]) < GROSS_STRAIN / AGREEING_STRAIN:
         return None
-    # Gross they are: but are they blunders, or a part of the image that bends away?
+    # Gross errors may be blunders, or a part of the image that bends away.
     errors = _residuals(design, scaled.image, agreeing)[minority]
     return None if may_be_bend(scaled.ground, agreeing, errors) else agreeing
 
 
 def is_outvoted(data: FitData, minority: BoolArray, test: Test) -> bool:
-    """Return whether points (n,) are gross blunders under a test by all others, and no bend."""
+    """Return whether a minority of points, a mask (n,), are gross blunders and no bend.
+
+    `test` is the test of all points by the majority.
+    """
     if np.median(test.strain[minority]) < GROSS_STRAIN:
         return False
     points = data.scaled.points
@@ -180,107 +194,111 @@ def is_outvoted(data: FitData, minority: BoolArray, test: Test) -> bool:
 
 def closest_halves(designs: Sequence[FloatArray], image: FloatArray, is_affine: BoolArray,
                     rng: np.random.Generator) -> list[list[BoolArray]]:
-    """Return for each design the halves (n,) that are found, those of least trimmed squares first.
+    """Return the closest halves, masks (n,), of each design, the least trimmed squares first.
 
-    Samples are of the first design (n, k). Halves of each design go on from those of the one
-    before it.
+    Random samples are of the first design (n, k), whose columns `is_affine` (k,) are affine. The
+    halves of each further design are sought from those of the design before it.
     """
-    first = designs[0]
     # Affine samples need few points, so that more of them have no blunder; others bend as well.
-    samples_of = [first[:, is_affine]]
+    sampled_designs = [designs[0][:, is_affine]]
     if not is_affine.all():
-        samples_of.append(first)
-    halves = np.concatenate([_best_random_halves(columns, image, rng) for columns in samples_of])
-    of_designs = []
+        sampled_designs.append(designs[0])
+    halves = np.concatenate([_best_random_halves(design, image, rng)
+                             for design in sampled_designs])
+    halves_of_designs = []
     for design in designs:
-        squares, halves = _concentrate_halves(design, image, halves)
+        trimmed_squares, halves = _concentrate_halves(design, image, halves)
         # Many samples lead to the same half.
-        smallest_of_half: dict[bytes, tuple[float, BoolArray]] = {}
-        for of_half, half in zip(squares.tolist(), halves, strict=True):
-            smallest_of_half.setdefault(half.tobytes(), (of_half, half))
-        of_designs.append([half for _, half in sorted(smallest_of_half.values(),
-                                                      key=lambda each: each[0])])
-    return of_designs
+        distinct: dict[bytes, tuple[float, BoolArray]] = {}
+        for squares, half in zip(trimmed_squares.tolist(), halves, strict=True):
+            distinct.setdefault(half.tobytes(), (squares, half))
+        in_order = sorted(distinct.values(), key=lambda squares_and_half: squares_and_half[0])
+        halves_of_designs.append([half for _, half in in_order])
+    return halves_of_designs
 
 
 def _best_random_halves(design: FloatArray, image: FloatArray,
                         rng: np.random.Generator) -> BoolArray:
-    """Return the closest halves (CONCENTRATED, n) of the best random samples.
+    """Return the closest halves (CONCENTRATED, n) of the best random samples, as masks.
 
-    A sample of k points determines the k coefficients; its half are the n // 2 points next to that
-    polynomial. The best samples have the least trimmed squares: the sum of those of their half.
+    A sample of k points determines the k coefficients of a polynomial; the half of the sample are
+    the n // 2 points closest to it. Samples are the better, the smaller the sum of squares of their
+    half is.
     """
     n, k = design.shape
     # The k lowest of n random numbers are a sample without repetition.
     samples = np.argpartition(rng.random((SAMPLES, n)), k, axis=1)[:, :k]
-    normal = design[samples]
+    sample_designs = design[samples]
     # Samples of points in line have no solution: a little is added to what is inverted.
-    gram = normal.transpose(0, 2, 1) @ normal
-    gram += 1e-12 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(k)
-    coefficients = np.linalg.solve(gram, normal.transpose(0, 2, 1) @ image[samples])
+    gram = sample_designs.transpose(0, 2, 1) @ sample_designs
+    gram += RIDGE_SHARE * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(k)
+    coefficients = np.linalg.solve(gram, sample_designs.transpose(0, 2, 1) @ image[samples])
     # One product of matrices for all samples, not one for each.
-    line, sample = (image[:, axis] - coefficients[:, :, axis] @ design.T
-                    for axis in (0, 1))                                            # (samples, n)
-    squares = line**2 + sample**2
+    line_errors, sample_errors = (image[:, axis] - coefficients[:, :, axis] @ design.T
+                                  for axis in (0, 1))                              # (samples, n)
+    squares = line_errors**2 + sample_errors**2
     trimmed = np.partition(squares, n // 2 - 1, axis=1)[:, :n // 2].sum(axis=1)
     best = np.argsort(trimmed, kind="stable")[:CONCENTRATED]
     return _closest(squares[best], n // 2)
 
 
 def _closest(squares: FloatArray, count: int) -> BoolArray:
-    """Return the points of the `count` least squares of each row, (m, n)."""
-    sets = np.zeros(squares.shape, dtype=bool)
-    np.put_along_axis(sets, np.argsort(squares, axis=1, kind="stable")[:, :count], True, axis=1)
-    return sets
+    """Return masks (m, n) of the `count` smallest of the n squares in each row."""
+    is_closest = np.zeros(squares.shape, dtype=bool)
+    smallest = np.argsort(squares, axis=1, kind="stable")[:, :count]
+    np.put_along_axis(is_closest, smallest, True, axis=1)
+    return is_closest
 
 
 def _concentrate_halves(design: FloatArray, image: FloatArray,
                         halves: BoolArray) -> tuple[FloatArray, BoolArray]:
-    """Return the least sums of trimmed squares that refitting halves leads to, and these, (m, n).
+    """Return the least trimmed squares (m,) to which refitting m halves leads, and these, (m, n).
 
-    A step fits each half, and takes the points closest to that fit as its next half.
+    Trimmed squares are the sum of squares over a half. A step fits the polynomial to each half, and
+    takes the points closest to that fit as its next half.
     """
     count = (len(design) + 1) // 2
     halves = halves.copy()
-    least = np.full(len(halves), np.inf)
-    falling = np.arange(len(halves))  # those whose squares still fall
+    least_squares = np.full(len(halves), np.inf)
+    improving = np.arange(len(halves))  # numbers of the halves whose squares still fall
     for _ in range(STEPS):
         # No step raises the sum: the fit is the best for the half, the next half the best for it.
-        squares = squared_distances_from_fits(design, image, halves[falling])
+        squares = squared_distances_from_fits(design, image, halves[improving])
         closest = _closest(squares, count)
         trimmed = np.where(closest, squares, 0.0).sum(axis=1)
-        falls = trimmed < least[falling]
-        # What is its own closest half is refitted to itself.
-        is_settled = (closest == halves[falling]).all(axis=1)
-        least[falling[falls]] = trimmed[falls]
-        halves[falling[falls]] = closest[falls]
-        falling = falling[falls & ~is_settled]
-        if not len(falling):
+        falls = trimmed < least_squares[improving]
+        # A half that is its own closest half would be refitted to itself.
+        is_settled = (closest == halves[improving]).all(axis=1)
+        least_squares[improving[falls]] = trimmed[falls]
+        halves[improving[falls]] = closest[falls]
+        improving = improving[falls & ~is_settled]
+        if not len(improving):
             break
-    return least, halves
+    return least_squares, halves
 
 
 def _points_agreeing_with(design: FloatArray, image: FloatArray,
                           half: BoolArray) -> tuple[BoolArray, FloatArray]:
-    """Return which points agree with a half, and the strain of each (n,) against these.
+    """Return which points agree with a half, and the strain of each point, (n,) both.
 
-    The closest of the others are added bit by bit, as a blunder among many new ones would bend the
-    fit towards further ones (forward search, Atkinson and Riani 2000). It ends before the noise
-    jumps: few points allow the next one so much that a blunder may be among what they allow.
+    The strain is against the points that agree, 1 being the limit. Starting from the half, the
+    closest of the others are added a few at a time, as a blunder among many new points would bend
+    the fit towards further ones (forward search, Atkinson and Riani 2000). The search ends before
+    the noise jumps: few points leave so wide a limit that a blunder may lie within it.
     """
     n = len(half)
     agreeing = half
-    at_once = max(1, n // ADDED_PART)
-    first_noise, strains = _noise_and_strains(design, image, half)
+    added_at_once = max(1, n // ADDED_PART)
+    noise_of_half, strains = _noise_and_strains(design, image, half)
     while not agreeing.all():
-        order = np.argsort(np.where(agreeing, np.inf, strains), kind="stable")[:at_once]
+        order = np.argsort(np.where(agreeing, np.inf, strains), kind="stable")[:added_at_once]
         closest = order[(strains[order] <= 1.0) & ~agreeing[order]]
         if not len(closest):
             break
         extended = agreeing.copy()
         extended[closest] = True
         noise, new_strains = _noise_and_strains(design, image, extended)
-        if noise > NOISE_JUMP * first_noise:
+        if noise > NOISE_JUMP * noise_of_half:
             break
         agreeing = extended
         strains = new_strains
@@ -293,35 +311,35 @@ def _noise_and_strains(
 ) -> tuple[float, FloatArray]:
     """Return the noise of the points in use, and the strain of each point (n,).
 
-    A strain is a point's distance from the fit by the largest that an agreeing point may have.
-    Few points leave the noise uncertain, so that this limit is a quantile of Student's
+    The strain is a point's distance from the fit divided by the largest that an agreeing point may
+    have. As few points leave the noise uncertain, this limit is a quantile of Student's
     distribution: as improbable as AGREEING_STRAIN standard deviations of a normal error.
     """
-    errors = distances_from_fit(design, image, used)
+    distances = distances_from_fit(design, image, used)
     freedom = 2 * max(int(used.sum()) - design.shape[1], 1)
-    # The closest points understate the noise: of normal vectors of the plane the shortest share g
-    # has the part 1 + (1 - g) ln(1 - g) / g of the mean square.
-    part = float(used.mean())
-    share = 1.0 if part == 1.0 else 1.0 + (1.0 - part) * np.log(1.0 - part) / part
-    noise = float(np.sqrt((errors[used] ** 2).sum() / freedom / share))
+    # The closest points understate the noise: of normal vectors in the plane, the shortest share g
+    # has a mean square that is 1 + (1 - g) ln(1 - g) / g of the mean square of all.
+    g = float(used.mean())
+    understatement = 1.0 if g == 1.0 else 1.0 + (1.0 - g) * np.log(1.0 - g) / g
+    noise = float(np.sqrt((distances[used] ** 2).sum() / freedom / understatement))
     # A point in use has the residual variance 1 - h, another the variance of prediction 1 + h, with
     # the leverage h = a' (A'A)^-1 a = |R'^-1 a|^2.
     triangle = np.linalg.qr(design[used])[1]
     leverage = (np.linalg.solve(triangle.T, design.T) ** 2).sum(axis=0)
-    variance = np.where(used, 1.0 - leverage, 1.0 + leverage).clip(1e-6)
+    variance = np.where(used, 1.0 - leverage, 1.0 + leverage).clip(LEAST_VARIANCE)
     limit = t_quantile(NormalDist().cdf(AGREEING_STRAIN), freedom)
-    return noise, errors / (limit * np.maximum(noise, 1e-12) * np.sqrt(variance))
+    return noise, distances / (limit * np.maximum(noise, LEAST_NOISE) * np.sqrt(variance))
 
 
 def distances_from_fit(design: FloatArray, image: FloatArray, used: BoolArray) -> FloatArray:
-    """Return the distances (n,) of all points from the polynomial fitted to those `used`."""
+    """Return the distances (n,) of all points from the polynomial fitted to those `used`, (n,)."""
     return np.asarray(np.linalg.norm(_residuals(design, image, used), axis=1))
 
 
 def _residuals(design: FloatArray, image: FloatArray, used: BoolArray) -> FloatArray:
-    """Return the residuals (n, 2) of all points, y - A x, with x fitted to those `used`."""
-    coefficients = np.linalg.lstsq(design[used], image[used])[0]
-    return np.asarray(image - design @ coefficients)
+    """Return the residuals (n, 2) of all points, y - A x, with x fitted to those `used`, (n,)."""
+    x = np.linalg.lstsq(design[used], image[used])[0]
+    return np.asarray(image - design @ x)
 
 
 def may_be_bend(ground: FloatArray, agreeing: BoolArray, errors: FloatArray,
@@ -354,15 +372,18 @@ def may_be_bend(ground: FloatArray, agreeing: BoolArray, errors: FloatArray,
 def _are_interleaved(ground: FloatArray, agreeing: BoolArray) -> bool:
     """Return whether points that disagree lie among those that agree, and not beside them.
 
-    Most of them must have agreeing points in at least three of the four quadrants about them.
+    Most of them must have agreeing points in at least three of the four quadrants about them. False
+    comes back where no point disagrees.
     """
     contradicting = _rows_spread_over_table(ground[~agreeing, None, :2])
+    if not len(contradicting):
+        return False
     is_beyond = _rows_spread_over_table(ground[agreeing, :2]) > contradicting
     is_right, is_above = np.moveaxis(is_beyond, 2, 0)
-    quadrants = np.stack([(is_right == right) & (is_above == above)
-                          for right in (False, True) for above in (False, True)])
-    surrounded = quadrants.any(axis=2).sum(axis=0) >= 3
-    return bool(len(contradicting)) and bool(surrounded.mean() > 0.5)
+    quadrants = np.stack([is_right & is_above, is_right & ~is_above,
+                          ~is_right & is_above, ~is_right & ~is_above])
+    is_surrounded = quadrants.any(axis=2).sum(axis=0) >= 3
+    return bool(is_surrounded.mean() > 0.5)
 
 
 def _rows_spread_over_table(rows: FloatArray) -> FloatArray:
@@ -379,8 +400,10 @@ def _unlikeness(ground: FloatArray, errors: FloatArray) -> float:
     """
     ground = _rows_spread_over_table(ground[:, :2])
     errors = _rows_spread_over_table(errors)
-    tempered = errors / np.sqrt(np.maximum(np.linalg.norm(errors, axis=1), 1e-12))[:, None]
+    sizes = np.maximum(np.linalg.norm(errors, axis=1), LEAST_NOISE)
+    tempered = errors / np.sqrt(sizes)[:, None]
     distances = np.linalg.norm(ground[:, None] - ground, axis=2)
     np.fill_diagonal(distances, np.inf)
     differences = tempered - tempered[distances.argmin(axis=1)]
+    # Where all errors are 0 there is nothing to divide by.
     return float((differences**2).sum() / np.maximum(2 * (tempered**2).sum(), 1e-300))

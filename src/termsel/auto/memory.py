@@ -57,16 +57,18 @@ class Memory:
 
     def recall(self, question: Hashable, data: FitData, find: Callable[[], _T],
                faults: Callable[[], int] = lambda: 0) -> _T:
-        """Return the earlier value for equal features, or what `find` gives.
+        """Return the answer that is kept for equal features, or the one that `find` gives.
 
-        `question` says what of, and by which methods. Nothing is kept where finding it raised the
-        number of `faults`, as it may not the next time.
+        `question` says what is asked, and of which methods. An answer of `find` is kept, unless the
+        number of `faults` has risen meanwhile: without the fault the answer may be another.
         """
         checksum = self._checksum(data)
         if checksum is None:
             return find()
         key = question, checksum
-        answer = self._answers.pop(key, None)  # put to the end; each step is one for all threads
+        # Taken out, to be put to the end again: the last used are kept. Each of these steps is one
+        # that no other thread can come between.
+        answer = self._answers.pop(key, None)
         if answer is None:
             faults_before = faults()
             answer = (find(),)
@@ -78,7 +80,7 @@ class Memory:
         return answer[0]
 
     def fit(self, method: Method, data: FitData) -> Fit:
-        """Return the fit of a method that is termsel's own, which is kept for who asks again.
+        """Return the fit of a method that is termsel's own, and keep it for equal features.
 
         Raises
         ------
@@ -87,7 +89,7 @@ class Memory:
         """
         if len(data) > MAX_KEPT_FEATURES:
             return method.fit(data)
-        # Of equal features, whatever run asks: a change that is taken back is fitted already.
+        # By the features, whatever run asks: of a change that is taken back the fit is known.
         key = method, self._checksum(data) or data
         fitted = self._fits.get(key)
         if fitted is None:

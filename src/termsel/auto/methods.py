@@ -69,14 +69,16 @@ class Structure(Method):
 
         It needs a model for features with heights, or without, as those of `data` are.
         """
-        # A structure has a model with heights, without, or both.
         if self.model(data.heights) is not None:
             return None
         return (f"{self.title} needs heights that are known and differ" if self.without is None
                 else f"{self.title} is for features without heights")
 
     def tried(self, data: FitData) -> bool:
-        """Return whether errors of features held out are known: not of exact least squares."""
+        """Return whether errors at held-out features can be known.
+
+        They cannot for least squares without redundancy, which fit every feature exactly.
+        """
         model = self.model(data.heights)
         # A point has two equations, and so has a line.
         return (model is None or not isinstance(self.estimator, LeastSquares)
@@ -86,8 +88,8 @@ class Structure(Method):
         """Return the fit of the model by the estimator, which is offered all its terms."""
         model = self.model(data.heights)
         assert model is not None
-        # All terms are offered; an estimator that selects takes fewer.
-        terms, used = (np.ones(n, dtype=bool) for n in (len(model.terms), len(data)))
+        terms = np.ones(len(model.terms), dtype=bool)
+        used = np.ones(len(data), dtype=bool)
         return require_determined(
             self.estimator.fit(model, data.features, data.scaling, terms, used))
 
@@ -101,11 +103,13 @@ class Structure(Method):
         return False
 
     def size(self, heights: bool) -> float:
-        """Return the number of terms, where no estimator selects or shrinks them by the points."""
-        # A number of terms compares sizes only where all of them are in use.
+        """Return the number of terms, or infinity where the estimator selects or shrinks them.
+
+        A number of terms compares sizes only where all of them are in use.
+        """
         model = self.model(heights)
-        fixed = isinstance(self.estimator, LeastSquares | RidgeByOrder)
-        return len(model.terms) if model is not None and fixed else np.inf
+        uses_all_terms = isinstance(self.estimator, LeastSquares | RidgeByOrder)
+        return len(model.terms) if model is not None and uses_all_terms else np.inf
 
 
 class _OfPlane(Structure):
@@ -146,12 +150,13 @@ class _OfCamera(Structure):
             replace(control, heights=heights_known and is_off_plane(control.scaled.points)))
 
     def refit(self, fitted: Fit, control: FitData) -> Fit:
-        """Return the camera of other points that is next to that of a fit."""
+        """Return the fit of a camera to other points, sought from the camera of a fit."""
         assert isinstance(self.estimator, PinholeCamera)
         return self.estimator.refit(fitted, control.features)
 
     def nearly(self, control: FitData) -> bool:
-        """Return whether the points may be of a photo."""
+        """Return whether the points may be of a photo, so that parts of them may support a camera.
+        """
         return may_be_photo(control.scaled, control.scaling)
 
 
@@ -169,7 +174,7 @@ class _WithField(Structure):
     """A structure with a random field, which declines where the field is not likely."""
 
     def nearly(self, data: FitData) -> bool:
-        """Return whether the field is not all but excluded, so that parts may support it."""
+        """Return whether parts of the points may support the field: it is not all but excluded."""
         model = self.model(data.heights)
         assert model is not None
         process = interpolated(model, data.features, data.scaling)
@@ -203,7 +208,7 @@ class _WithPhysics(Structure):
 
     def describe(self, fitted: Fit) -> str:
         """Return a sentence on the kind of camera that is likeliest, and on the odds for it."""
-        # So many points must show it by odds of three, more points by twenty (`is_unlikely`).
+        # The odds that `is_unlikely` asks for.
         odds = "three" if fitted.used.sum() <= PHYSICAL_MIN_POINTS else "twenty"
         return (
             f"{self.label} is used: a known kind of camera, most likely "

@@ -35,7 +35,7 @@ FORESHORTENING = 4.0
 def misplaced_points(points: Points) -> BoolArray:
     """Return which points, (n,), are far from the others on the ground, but not in the image.
 
-    None where fewer than `MIN_CORE` points, or fewer than two thirds of all, lie together.
+    No point is where fewer than `MIN_CORE` points, or fewer than two thirds of all, lie together.
 
     Examples
     --------
@@ -48,16 +48,17 @@ def misplaced_points(points: Points) -> BoolArray:
     >>> misplaced_points(termsel.Points(tuple("abcdef"), image, ground))
     array([False, False, False, False, False,  True])
     """
-    none = np.zeros(len(points), dtype=bool)
+    no_point = np.zeros(len(points), dtype=bool)
     if len(points) <= MIN_CORE:
-        return none
+        return no_point
     plan = points.ground[:, :2]
     distances = np.abs(plan - np.median(plan, axis=0))
-    usual = np.array([quantile_of(axis, TYPICAL_SHARE) for axis in distances.T])
-    far = (distances > FAR * usual).any(axis=1)
-    core = ~far
-    if not far.any() or core.sum() < max(MIN_CORE, 2 * len(points) / 3):
-        return none
-    beyond_on_ground = distance_beyond_hull(plan[core], plan)
-    beyond_in_image = distance_beyond_hull(points.image[core], points.image)
-    return np.asarray(far & (beyond_on_ground > FAR_BEYOND + FORESHORTENING * beyond_in_image))
+    usual_distances = np.array([quantile_of(along_axis, TYPICAL_SHARE)
+                                for along_axis in distances.T])
+    is_far = (distances > FAR * usual_distances).any(axis=1)
+    in_core = ~is_far
+    if not is_far.any() or in_core.sum() < max(MIN_CORE, 2 * len(points) / 3):
+        return no_point
+    beyond_on_ground = distance_beyond_hull(plan[in_core], plan)
+    beyond_in_image = distance_beyond_hull(points.image[in_core], points.image)
+    return np.asarray(is_far & (beyond_on_ground > FAR_BEYOND + FORESHORTENING * beyond_in_image))

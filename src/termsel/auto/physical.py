@@ -114,11 +114,11 @@ class CameraAverage(Average):
         return max(likely, key=likely.__getitem__)
 
     def is_uncalled_for(self, local: GaussianProcess | None) -> bool:
-        """Return whether the prior is not supported: next to a field, if points support one.
+        """Return whether the points do not support the prior, beside the field `local` if any.
 
-        It needs positive evidence at the fewest points, as a field does, and strong evidence at
-        more: where it is hardly likelier than what stands without it, that is as good, and has no
-        prior that may be wrong.
+        With the fewest points the prior needs positive evidence, as a field does, and with more
+        points strong evidence. Where it is hardly likelier than the polynomials without it, these
+        are as good, and have no prior that may be wrong.
         """
         # Few points cannot show that the prior is worse; more must show that it is not.
         limit = MIN_ADVANTAGE if len(self.errors) <= PHYSICAL_FEW_POINTS else -MIN_ADVANTAGE
@@ -146,14 +146,14 @@ class PriorEvidence:
 
 
 def is_unlikely(probability: float, points: int, local: GaussianProcess | None) -> bool:
-    """Return whether the evidence of so many points for a physical prior is too weak to use it.
+    """Return whether the evidence of so many `points` for a physical prior is too weak to use it.
 
-    `probability` is its part next to the regularised polynomials. `local` is the random field of
-    the points, if they support one.
+    `probability` is how likely it is if the choice is between it and the regularised polynomials.
+    `local` is the random field of the points, None if they are too few for one.
     """
-    # A field takes its share first; prior and polynomials divide the rest.
-    field_probability = local.probability if local and local.probability > required_probability(
-        local) else 0.0
+    # A field that points support takes its share first; prior and polynomials divide the rest.
+    has_field = local is not None and local.probability > required_probability(local)
+    field_probability = local.probability if local is not None and has_field else 0.0
     physical = probability * (1.0 - field_probability)
     required = FIELD_CALLED_FOR if points <= PHYSICAL_MIN_POINTS else STRONG_PROBABILITY
     return physical <= required * (physical + 1.0 - probability)
@@ -178,21 +178,19 @@ def camera_average(points: Points, scaling: Scaling, crs: str,
 @lru_cache(maxsize=2)  # the average asks again
 def _cached_evidence(measurements: Measurements, scaling: Scaling, crs: str,
                      exponents: Exponents) -> PriorEvidence | None:
-    """Return what regularised polynomials and cameras say of the points; None without a prior.
+    """Return what `prior_evidence` does, and keep it for the last data.
 
-    It is `prior_evidence`, kept for the last data, as the average of `camera_average` asks for the
-    same again. The steps build on each other: how the ground moves in the image, the solutions of
-    each kind of camera, and polynomials of degree 2 and 3, whose evidence is made comparable by the
-    prior on what a height does.
+    `camera_average` asks for the same again. The evidence of the polynomials of degree 2 and 3 is
+    made comparable to that of cameras by the prior on what a height does. None comes back where any
+    of the steps says that there is no prior.
     """
-    # Each of these steps needs the one before; any of them may say that there is no prior.
     points = measurements.points
     variables = 3 if any(power[2] for power in exponents) else 2
     slopes = _slopes_on_ground(points, scaling, crs)
-    physical = (
-        None if slopes is None else _solutions_by_kind(points, scaling, crs, exponents, slopes)
-    )
-    if slopes is None or physical is None:
+    if slopes is None:
+        return None
+    physical = _solutions_by_kind(points, scaling, crs, exponents, slopes)
+    if physical is None:
         return None
     weights = None if points.sigma is None else weights_of(points)
     # Scaled heights in px: how far relief moves a point, by the slope of the image.
@@ -204,10 +202,12 @@ def _cached_evidence(measurements: Measurements, scaling: Scaling, crs: str,
         posterior = polynomial_posterior(points.ground, points.image, powers, weights)
         if posterior is None:
             return None
-        # Without heights no coefficient has a part in the evidence.
-        of_heights = None if variables == 2 else mean_coefficients(posterior, powers)[0][3]
+        # Without heights no coefficient has a part in the evidence; Z is the fourth term.
+        height_coefficients = None
+        if variables == 3:
+            height_coefficients = mean_coefficients(posterior, powers)[0][3]
         # Log of one half: the degrees 2 and 3 share the probability of polynomials.
-        logs.append(log_marginal_likelihood(posterior, of_heights, height,
+        logs.append(log_marginal_likelihood(posterior, height_coefficients, height,
                                             1.0 / scaling.image_scale) - np.log(2.0))
         shrunken.append((posterior, powers))
     return PriorEvidence(physical, tuple(shrunken), np.array(logs))
@@ -216,11 +216,11 @@ def _cached_evidence(measurements: Measurements, scaling: Scaling, crs: str,
 @lru_cache(maxsize=2)  # a fit, its description and its spread need it
 def _cached_camera_average(measurements: Measurements, scaling: Scaling, crs: str,
                            exponents: Exponents) -> CameraAverage | None:
-    """Return the average over cameras and polynomials by their evidence; None without a prior.
+    """Return what `camera_average` does, and keep it for the last data.
 
-    It is `camera_average`, kept for the last data: the fit, its description and its spread need the
-    same one. Each point left out changes the evidence of all members, so that its held-out error is
-    that of an average with the weights of the others.
+    The members of the average are the cameras, then the polynomials of degree 2 and 3, with their
+    evidence as weights. A point that is left out changes the evidence of all members, so that its
+    held-out error is that of an average with the weights which the other points give.
     """
     points = measurements.points
     evidence = _cached_evidence(measurements, scaling, crs, exponents)
@@ -235,31 +235,32 @@ def _cached_camera_average(measurements: Measurements, scaling: Scaling, crs: st
         averages.append(average_of_degree)
         # The evidence of the others when one point is left out.
         logs_without.append(log + posterior.held_out.log_evidence - posterior.cells.log_evidence)
-    # What cameras say comes first, then both polynomials.
+    # Cameras come first, then both polynomials.
     physical = evidence.physical
     logs_of_cameras, errors_of_cameras = physical.left_out()
-    errors = np.concatenate([errors_of_cameras, [each.errors for each in averages]])
+    errors = np.concatenate([errors_of_cameras, [member.errors for member in averages]])
     logs_without_each = np.concatenate([logs_of_cameras, logs_without])
+    # The polynomial of degree 2 lacks the last coefficients.
     coefficients = np.concatenate([physical.coefficients, [
-        np.pad(each.coefficients, ((0, len(exponents) - len(each.coefficients)), (0, 0)))
-        for each in averages]])
-    effective = np.concatenate([physical.effective, [each.effective for each in averages]])
+        np.pad(member.coefficients, ((0, len(exponents) - len(member.coefficients)), (0, 0)))
+        for member in averages]])
+    effective = np.concatenate([physical.effective, [member.effective for member in averages]])
     shares = evidence.shares
-    # Shares of its own for each left-out point: its measurement must not weigh them.
-    mean = _mean_without_each(logs_without_each, errors)
+    # Each left-out point has shares of its own: its measurement must not weigh them.
+    mean_errors = _mean_without_each(logs_without_each, errors)
     n_polynomials = len(averages)
-    mean_of_polynomials = _mean_without_each(logs_without_each[-n_polynomials:],
-                                             errors[-n_polynomials:])
-    return CameraAverage(np.einsum("p,pka->ka", shares, coefficients), mean,
-                         float(shares @ effective), physical, evidence.shrunken, shares,
-                         gain_of((mean_of_polynomials ** 2).sum(axis=1), (mean ** 2).sum(axis=1)))
+    errors_of_polynomials = _mean_without_each(logs_without_each[-n_polynomials:],
+                                               errors[-n_polynomials:])
+    worse = gain_of((errors_of_polynomials ** 2).sum(axis=1), (mean_errors ** 2).sum(axis=1))
+    return CameraAverage(np.einsum("p,pka->ka", shares, coefficients), mean_errors,
+                         float(shares @ effective), physical, evidence.shrunken, shares, worse)
 
 
 def _mean_without_each(logs: FloatArray, errors: FloatArray) -> FloatArray:
-    """Return the mean error of each point left out, (n, 2), over p solutions.
+    """Return the error of each point left out, (n, 2), averaged over p solutions.
 
-    Each has the errors (p, n, 2), and the log evidence of all other points as its weight, `logs`
-    (p, n).
+    `errors` (p, n, 2) are those of each solution. Its weight for a point is the evidence of all
+    other points, whose logarithm is in `logs` (p, n).
     """
     return np.asarray(np.einsum("pn,pna->na", normalise_probabilities(logs)[0], errors))
 
@@ -267,7 +268,8 @@ def _mean_without_each(logs: FloatArray, errors: FloatArray) -> FloatArray:
 def _slopes_on_ground(points: Points, scaling: Scaling, crs: str) -> FloatArray | None:
     """Return the slopes of line and of sample by metres to the east and to the north, (2, 2).
 
-    In scaled units of the image. None where the ground is not known, or points lie on a line.
+    They are in scaled units of the image. None comes back where the ground is not known, points lie
+    on a line, or there are too few or too many points for a physical prior.
     """
     # Metres, as kinds of cameras are distinguished by the size of a pixel.
     positions = east_north_up(scaling, crs, points.ground)
@@ -283,21 +285,23 @@ def _solutions_by_kind(points: Points, scaling: Scaling, crs: str, exponents: Ex
                        slopes: FloatArray) -> CameraSolutions | None:
     """Return the solutions with priors of the kinds of cameras that may have made the image.
 
-    Those that are not negligible; None where none of the kinds can be meant.
+    Solutions whose evidence is negligible are left out. None comes back where none of the kinds can
+    have made the image.
     """
     variables = 3 if any(power[2] for power in exponents) else 2
     pixel = 1.0 / scaling.image_scale
-    # Lengths of the columns of the slopes: resolution to the east and to the north.
+    # The lengths of the slopes' columns are the resolution to the east and to the north.
     coarse, fine = sorted(np.linalg.norm(slopes, axis=0) / pixel)  # px per metre
 
-    def has_size(sizes: tuple[float, float]) -> bool:
-        return bool(sizes[0] * fine <= 1.0 <= sizes[1] * coarse)
+    def has_pixels_of(sizes: tuple[float, float]) -> bool:
+        smallest, largest = sizes
+        return bool(smallest * fine <= 1.0 <= largest * coarse)
 
     kinds: list[Kind] = []
-    if has_size(ORBIT_PIXELS):
+    if has_pixels_of(ORBIT_PIXELS):
         # Without heights a map that bends would look like a radar image.
         kinds += [SCANNERS, *RADARS] if variables == 3 else [SCANNERS]
-    if variables == 3 and len(points) <= FRAME_MAX_POINTS and has_size(AERIAL_PIXELS):
+    if variables == 3 and len(points) <= FRAME_MAX_POINTS and has_pixels_of(AERIAL_PIXELS):
         kinds.append(FRAMES)
     scaled = view_points(variables)
     grid = east_north_up(scaling, crs, scaled)
@@ -340,7 +344,7 @@ class Physical(Estimator):
         evidence = prior_evidence(points, scaling, control.crs, model.exponents)
         local = fit_gaussian_process(points, model.variables)
         average = None
-        # What the evidence speaks against already is not averaged.
+        # The average takes longer than its evidence, and is not made where that speaks against it.
         if evidence is not None and not is_unlikely(evidence.probability, len(points), local):
             average = camera_average(points, scaling, control.crs, model.exponents)
         if average is None or average.is_uncalled_for(local):
@@ -360,27 +364,25 @@ class Physical(Estimator):
         """
         assert isinstance(fitted.model, Polynomial)
         average = camera_average_of(fitted)
-        predictions = []
         columns = evaluate_monomials(ground, fitted.model.exponents)
-        variances, noises = average.physical.spread(columns)
-        for coefficients, variance, noise in zip(average.physical.coefficients, variances, noises,
-                                                 strict=True):
-            predictions.append((columns @ coefficients, variance, noise))
+        variances, noises_of_cameras = average.physical.spread(columns)
+        # Position, variance and noise by each member.
+        predictions = [(columns @ coefficients, variance, noise) for coefficients, variance, noise
+                       in zip(average.physical.coefficients, variances, noises_of_cameras,
+                              strict=True)]
         for posterior, powers in average.shrunken:
             columns_of_degree = evaluate_monomials(ground, powers)
-            lead = posterior.designs[0].free_triangle.shape[0]
-            predicted = predict_positions(posterior, columns_of_degree[:, :lead],
-                                          columns_of_degree[:, lead:])
+            n_free = posterior.designs[0].free_triangle.shape[0]
+            predicted = predict_positions(posterior, columns_of_degree[:, :n_free],
+                                          columns_of_degree[:, n_free:])
             predictions.append((predicted.image, predicted.variance, predicted.noise))
         image = fitted.model.project(fitted.adjustment.coefficients, ground)
-        # Law of total variance: within each prior, and between their means.
-        variance = sum(
-            (share * (own_variance + (mean - image) ** 2)
-             for share, (mean, own_variance, _) in zip(average.shares, predictions, strict=True)),
-            np.zeros_like(image))
-        return Spread(
-            variance,
-            np.full(2, float(average.shares @ [prediction[2] for prediction in predictions])))
+        # Law of total variance: within each member, and between their means.
+        total_variance = np.zeros_like(image)
+        for share, (mean, variance, _) in zip(average.shares, predictions, strict=True):
+            total_variance = total_variance + share * (variance + (mean - image) ** 2)
+        noise = float(average.shares @ [prediction[2] for prediction in predictions])
+        return Spread(total_variance, np.full(2, noise))
 
 
 # A pinhole camera as a candidate, where few points support an oblique view.
@@ -422,7 +424,7 @@ class PinholeCamera(Estimator):
                                    scaling, used)
 
     def refit(self, fitted: Fit, control: FeatureSet) -> Fit:
-        """Return the camera of other control points, sought from the camera of a fit on."""
+        """Return the fit of a camera to other control points, sought from the camera of a fit."""
         assert isinstance(fitted.model, Projective)
         camera = pinhole_near(_camera_of(fitted), fitted.scaling.features(control), fitted.scaling)
         return self._fit_of_camera(camera, fitted.model, control, fitted.scaling,
@@ -430,9 +432,9 @@ class PinholeCamera(Estimator):
 
     def _fit_of_camera(self, camera: Pinhole | None, model: Projective, control: FeatureSet,
                        scaling: Scaling, used: BoolArray) -> Fit:
-        """Return the Fit of a camera to the points in use, (n,).
+        """Return the fit that a camera of the points in use, a mask (n,), makes.
 
-        Raises Undetermined without a camera.
+        Raises Undetermined where `camera` is None, as none was found.
         """
         if camera is None:
             raise Undetermined("no camera in front of all control points was found",
@@ -463,7 +465,10 @@ class PinholeCamera(Estimator):
 
 
 def may_be_photo(features: FeatureSet, scaling: Scaling) -> bool:
-    """Return whether scaled points may be those of a photo, by a quick test."""
+    """Return whether scaled points may be of a photo, by a test that fits no camera.
+
+    False comes back for lines, and for fewer or more points than a camera is tried for.
+    """
     points = features.points
     if len(features.lines) or not PINHOLE_MIN_POINTS <= len(points) <= PHOTO_MAX_POINTS:
         return False
@@ -477,9 +482,9 @@ def may_be_photo(features: FeatureSet, scaling: Scaling) -> bool:
 def call_for_camera(features: FeatureSet, scaling: Scaling) -> bool:
     """Return whether scaled points support a view by a camera without distortion.
 
-    Of a photo of relief from the air they do where it leaves less than an affine polynomial does:
-    rough clicks on a vertical photo leave hardly less, and what the camera predicts for points left
-    out decides. Else it must leave far less.
+    For a photo of relief from the air it is enough that the camera leaves less than an affine
+    polynomial does: rough clicks on a vertical photo leave hardly less, and what the camera
+    predicts for points left out decides then. In other cases it must leave far less.
     """
     if not may_be_photo(features, scaling):
         return False
@@ -494,19 +499,20 @@ def call_for_camera(features: FeatureSet, scaling: Scaling) -> bool:
     if is_exact and not (has_relief and is_oblique):
         return False  # a projective transformation sees four points of a plane as they are
     if has_relief and _is_from_the_air(camera, features, scaling):
-        share = CLEARER if is_exact else 1.0
+        largest_share = CLEARER if is_exact else 1.0
     elif has_relief and count < PHOTO_MIN_DLT_POINTS:
         return False  # few points of a scene from orbit, in mountains, look like those of a photo
     else:
-        share = CLEARER if is_oblique else CENTRAL_AFFINE_SHARE
-    return camera.sigma < share * _affine_deviation(features.points, heights=not is_exact)
+        largest_share = CLEARER if is_oblique else CENTRAL_AFFINE_SHARE
+    return camera.sigma < largest_share * _affine_deviation(features.points, heights=not is_exact)
 
 
 def _may_be_from_the_air(features: FeatureSet, scaling: Scaling) -> bool:
     """Return whether a camera of the usual focal length sees scaled points from where aircraft fly.
 
-    Its height above them is the focal length [px] by the size of a pixel. Only relief shows a
-    camera above, so that points of a plane may not be.
+    Its height above the points is the focal length [px] times the size of a pixel [m]. Only relief
+    shows how high a camera is: False comes back for points of a plane, and where metres are not
+    known.
     """
     metres = metres_of(features, scaling)
     if metres is None or not is_off_plane(features.points):
@@ -528,7 +534,10 @@ def _is_from_the_air(camera: Pinhole, features: FeatureSet, scaling: Scaling) ->
 
 
 def _affine_deviation(points: Points, *, heights: bool) -> float:
-    """Return the deviation of scaled points from an affine polynomial; 0.0 without redundancy."""
+    """Return the standard deviation that scaled points have from an affine polynomial of them.
+
+    It is 0.0 without redundancy.
+    """
     ground = points.ground[:, :3 if heights else 2]
     columns = np.column_stack([np.ones(len(points)), ground])
     coefficients, _, rank, _ = np.linalg.lstsq(columns, points.image)
@@ -545,10 +554,10 @@ def _camera_of(fitted: Fit) -> Pinhole:
 
 
 def _projection_coefficients(camera: Pinhole, model: Projective) -> FloatArray:
-    """Return the coefficients of a projection that sees as a camera does, (k,).
+    """Return the coefficients (k,) of the projection that a camera is.
 
-    They are those of line, sample and denominator by 1, X, Y and Z: the rows of the camera's matrix
-    P. Without heights Z is that of the plane through the points, Z = z0 + a X + b Y.
+    The rows of the camera's matrix P are line, sample and denominator as functions of 1, X, Y and
+    Z. In a model without heights, Z is on the plane through the points, Z = z0 + a X + b Y.
 
     Raises Undetermined where the middle of the points lies behind the camera.
     """
@@ -556,23 +565,25 @@ def _projection_coefficients(camera: Pinhole, model: Projective) -> FloatArray:
     if not model.uses_height:
         plane = np.concatenate([np.eye(3), _plane_through_control(camera)[None]])
         matrix = matrix @ plane
-    # The denominator is in units of its value in the middle of the points' box.
-    scaled = matrix / matrix[2, 0]
+    # The model's denominator is 1 in the middle of the points' box, where X, Y and Z are 0.
+    scaled_matrix = matrix / matrix[2, 0]
     if not matrix[2, 0] > 0.0:
         raise Undetermined("the middle of the points lies behind the camera",
                            hint="Choose another model, such as regularised-cubic.")
-    return np.concatenate([scaled[0], scaled[1], scaled[2, 1:]])
+    return np.concatenate([scaled_matrix[0], scaled_matrix[1], scaled_matrix[2, 1:]])
 
 
 def _plane_through_control(camera: Pinhole) -> FloatArray:
-    """Return the plane through the control: its scaled height by 1, X and Y, (3,)."""
+    """Return the coefficients (3,) of 1, X and Y for scaled heights on the plane through control.
+    """
     ground = camera.view.ground
     return np.asarray(np.linalg.lstsq(evaluate_monomials(ground, ((0, 0, 0), (1, 0, 0), (0, 1, 0))),
                                       ground[:, 2])[0])
 
 
 def _with_heights(camera: Pinhole, model: Projective, ground: FloatArray) -> FloatArray:
-    """Return scaled places, (m, 3): those of a plane model on the plane through the control."""
+    """Return scaled places (m, 3); for a model without heights, on the plane through the control.
+    """
     if model.uses_height:
         return ground
     plane = np.column_stack([np.ones(len(ground)), ground[:, :2]])

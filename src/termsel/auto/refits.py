@@ -16,9 +16,9 @@ def held_out_by_refits(fit: Callable[[FitData], Fit], features: FeatureSet, *,
                        heights: bool | None = None) -> HeldOut:
     """Return the errors of features by fits without them, in folds spread over the scene.
 
-    For `Method.held_out` of methods that choose, or whose estimator has no closed form: the whole
-    of `fit` is repeated, as many times as the choice of "auto" is. Below 40 points each feature is
-    a fold.
+    This is for the `Method.held_out` of methods that choose, or whose estimator has no closed form:
+    the whole of `fit` is repeated, as many times as the choice of "auto" is. Below 40 points each
+    feature is a fold.
 
     Parameters
     ----------
@@ -49,14 +49,14 @@ def held_out_by_refits(fit: Callable[[FitData], Fit], features: FeatureSet, *,
     3.14
     """
     data = FitData.of(features, heights)
-    owner = features.vertex_feature
-    errors = np.empty((len(owner), 2))
+    feature_of_vertex = features.vertex_feature
+    errors = np.empty((len(feature_of_vertex), 2))
     folds = folds_of(features)
     fold_of_feature = fold_of_each(features, folds)
     for fold in range(folds):
-        out = fold_of_feature == fold
-        held = features.take(out)
-        fitted = fit(data.take(~out))
-        errors[out[owner]] = np.concatenate([
-            fitted.errors(held.points), fitted.line_errors(held.lines).reshape(-1, 2)])
+        in_fold = fold_of_feature == fold
+        held_out = features.take(in_fold)
+        fitted = fit(data.take(~in_fold))
+        errors[in_fold[feature_of_vertex]] = np.concatenate([
+            fitted.errors(held_out.points), fitted.line_errors(held_out.lines).reshape(-1, 2)])
     return HeldOut.of(errors, features)

@@ -55,10 +55,10 @@ class Reweighted(Estimator):
 
 
 def reweighted(equations: Equations, biweight: bool) -> tuple[FloatArray, FloatArray]:
-    """Return the coefficients (k,) of an M-estimator and the weights of its rows (m,), 0 to 1.
+    """Return the coefficients (k,) of an M-estimator, and the weights of its rows (m,), 0 to 1.
 
-    The scale is the median absolute residual of each iteration. With `biweight` the estimator is
-    Tukey's, after Huber's.
+    It is Huber's estimator, or with `biweight` Tukey's, which begins with the solution of Huber's.
+    The scale of the residuals is their median size in each iteration.
     """
     # Each step solves min sum w_i (b_i - a_i x)^2, with the weights w = psi(u) / u of the residuals
     # u by their scale: min(1, c / |u|) of Huber, the biweight of Tukey.

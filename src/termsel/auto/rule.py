@@ -32,10 +32,10 @@ POLE_BOX_FACTOR = 1.5
 
 
 def validated(method: Method, data: FitData) -> Fit | None:
-    """Return a method fitted to features, with the errors of each held out.
+    """Return a method fitted to features, whose error at each held-out feature is known.
 
-    None where auto does not try it, the features do not determine it with redundancy, or it has a
-    pole.
+    None comes back where auto does not try the method, the features do not determine it with
+    redundancy, or it has a pole.
     """
     if not method.tried(data):
         return None
@@ -52,9 +52,10 @@ def validated(method: Method, data: FitData) -> Fit | None:
 
 
 def has_pole(fitted: Fit) -> bool:
-    """Return whether a denominator falls short of the margin in a box wider than the points'.
+    """Return whether a denominator falls short of the margin near the points, or is negative there.
 
-    What no image of such a view shows, as it lies behind the camera, does not count.
+    Near are places in a box POLE_BOX_FACTOR times as wide as the box of the points. Places behind
+    the camera, which no image of such a view shows, do not count.
     """
     control = fitted.scaled_control
     return bool(pole_violation(
@@ -76,12 +77,14 @@ LEAST_DEPARTURE = 0.5
 def is_astray_between(fitted: Fit) -> bool:
     """Return whether a fit runs away between its control points, by its own account.
 
-    Control on two lines, or in a few clusters, determines a curvature across them by what is next
-    to nothing: errors held out are small then, and between the lines the fit may be off by more
-    than the image. It is astray where it departs from an affine map many times farther than any
-    control does, and its own standard deviation there is larger than all departures of control. A
-    central projection is not, as it takes straight lines to straight lines; a spline and a field,
-    which follow what all points have in common where there are none, are not asked.
+    Control on two lines, or in a few clusters, hardly determines a curvature across them: held-out
+    errors are small then, and between the lines the fit may be off by more than the image. It is
+    astray where it departs from an affine map many times farther than any control does, and its own
+    standard deviation there is larger than all departures of control.
+
+    A central projection never is, as it takes straight lines to straight lines. A spline and a
+    field follow what all points have in common where there are none, and are not looked at; nor
+    are fits to lines.
     """
     control = fitted.scaled_control
     if len(control.lines) or method_of(fitted).central or fitted.interpolation is not None:
@@ -91,25 +94,27 @@ def is_astray_between(fitted: Fit) -> bool:
     affine = np.linalg.lstsq(np.column_stack([np.ones(len(points)), columns]), points.image)[0]
 
     def departures(ground: FloatArray, image: FloatArray) -> FloatArray:
-        places = ground[:, :columns.shape[1]]
-        return np.asarray(np.linalg.norm(image - affine[0] - places @ affine[1:], axis=1))
+        positions = ground[:, :columns.shape[1]]
+        return np.asarray(np.linalg.norm(image - affine[0] - positions @ affine[1:], axis=1))
 
-    # The first half of the points with the second, and neighbours: across lines in either order.
+    # Middles of pairs of points: of each with the one half a table on, and with its neighbour in
+    # the table. So some pairs lie across two lines, whether they are listed one after the other or
+    # in turn.
     count = len(points)
-    first = np.linspace(0, count - 1, min(count, PAIRS_OF_CONTROL // 2)).astype(np.intp)
-    second = np.concatenate([first + count // 2, first + 1]) % count
-    middles = (points.ground[np.tile(first, 2)] + points.ground[second]) / 2.0
+    starts = np.linspace(0, count - 1, min(count, PAIRS_OF_CONTROL // 2)).astype(np.intp)
+    ends = np.concatenate([starts + count // 2, starts + 1]) % count
+    middles = (points.ground[np.tile(starts, 2)] + points.ground[ends]) / 2.0
     ground = fitted.scaling.unscaled(middles)
-    between = departures(middles, fitted.scaling.image(fitted.project(ground)))
-    between = between[np.isfinite(between)]
-    at_control = max(float(departures(points.ground, points.image).max()),
-                     LEAST_DEPARTURE / fitted.scaling.image_scale)
-    departure = float(np.sqrt((between**2).mean())) if len(between) else 0.0
-    if departure <= FARTHER_THAN_CONTROL * at_control:
+    at_middles = departures(middles, fitted.scaling.image(fitted.project(ground)))
+    at_middles = at_middles[np.isfinite(at_middles)]
+    largest_at_control = max(float(departures(points.ground, points.image).max()),
+                             LEAST_DEPARTURE / fitted.scaling.image_scale)
+    rms_at_middles = float(np.sqrt((at_middles**2).mean())) if len(at_middles) else 0.0
+    if rms_at_middles <= FARTHER_THAN_CONTROL * largest_at_control:
         return False
     squares = (fitted.sigma(ground)**2).sum(axis=1)
     uncertainty = float(np.sqrt(np.nanmean(squares))) / fitted.scaling.image_scale
-    return uncertainty > at_control
+    return uncertainty > largest_at_control
 
 
 def refusal(fitted: Fit) -> str:
@@ -125,11 +130,12 @@ def refusal(fitted: Fit) -> str:
 
 
 def gain_of(squares: FloatArray, other_squares: FloatArray, rounding: float = 0.0) -> float:
-    """Return by how many standard errors squared errors are smaller than others, in logarithms.
+    """Return by how many standard errors `squares` (n,) are smaller than `other_squares` (n,).
 
-    The gain is the mean of g = log(others / squares) by its standard error. Errors up to `rounding`
-    are none, and equal: of points that a model fits exactly, the logarithms of the residuals would
-    differ by chance, and from processor to processor.
+    The gain is the mean of g = log(other_squares / squares), divided by its standard error. It is
+    negative where they are larger, and NaN for n = 1. Errors up to `rounding` [px] count as equal:
+    where a model fits points exactly, the logarithms of residuals would differ by chance, and from
+    processor to processor.
     """
     tiny = np.finfo(float).tiny
     smallest = max(rounding**2, tiny)
@@ -137,7 +143,7 @@ def gain_of(squares: FloatArray, other_squares: FloatArray, rounding: float = 0.
     count = len(gains)
     mean = float(gains.sum()) / count
     deviations = gains - mean
-    # Two of them have a standard error; what one has is not known.
+    # A single gain shows no standard error.
     variance = float(deviations @ deviations) / (count - 1) if count > 1 else np.nan
     return mean / max(float(np.sqrt(variance / count)), tiny)
 
@@ -164,8 +170,9 @@ FOLDS_OF_LATTICE = 8
 def folds_of(features: FeatureSet) -> int:
     """Return in how many folds the whole choice is repeated.
 
-    A fold is a feature where features are few, a part of them spread over the scene where they are
-    many, a cluster where points come in clusters, and some lines or columns of a lattice.
+    Where features are few, each is a fold; where they are many, a fold is a part of them that is
+    spread over the scene; where points come in clusters, it is made of whole clusters; in a
+    lattice, of some lines or of some columns.
     """
     if len(features.lines):
         return min(FOLDS_WITH_LINES, len(features))
@@ -178,11 +185,12 @@ def folds_of(features: FeatureSet) -> int:
 
 
 def clusters_of(features: FeatureSet) -> IntArray | None:
-    """Return the cluster of each point that is held out with it, (n,); None without such clusters.
+    """Return the number of each point's cluster, (n,), where clusters are held out as a whole.
 
-    Neighbours in the fit would predict a point that is held out, and its error would say nothing of
-    other places. Of few clusters the others hardly predict a whole one: points are then held out
-    one by one, and the uncertainty of the model shows what lies between.
+    Else neighbours in the fit would predict a point that is held out, and its error would say
+    nothing of other places. None comes back where points do not come in clusters, and for fewer
+    than MIN_CLUSTERS: the others hardly predict a whole cluster then. Points are held out one by
+    one in that case, and the uncertainty of the model shows what lies between.
     """
     if len(features.lines) or len(features) < 2 * MIN_CLUSTERS:
         return None
@@ -192,7 +200,10 @@ def clusters_of(features: FeatureSet) -> IntArray | None:
 
 
 def fold_of_each(features: FeatureSet, folds: int) -> IntArray:
-    """Return the fold of each feature, (n,): each fold is everywhere, each cluster in one."""
+    """Return the number of each feature's fold, (n,).
+
+    Every fold is spread over the whole scene, and every cluster lies within one fold.
+    """
     centres = ground_centres(features)
     clusters = clusters_of(features)
     if clusters is None:
@@ -200,16 +211,19 @@ def fold_of_each(features: FeatureSet, folds: int) -> IntArray:
     else:
         centres = np.array([centres[clusters == cluster].mean(axis=0)
                             for cluster in range(clusters.max() + 1)])
-    # Every so many along a curve through the ground.
-    fold = np.empty(len(centres), dtype=np.intp)
-    fold[spatial_order(centres)] = np.arange(len(centres)) % folds
-    return np.asarray(fold[clusters])
+    # Along a curve through the ground, the clusters go to the folds in turn.
+    fold_of_cluster = np.empty(len(centres), dtype=np.intp)
+    fold_of_cluster[spatial_order(centres)] = np.arange(len(centres)) % folds
+    return np.asarray(fold_of_cluster[clusters])
 
 
 def held_out_lines(count: int) -> tuple[int, int]:
-    """Return the first and the last of `count` lattice lines that are held out; edges are kept."""
-    edge = 2 if count > 2 * FEWEST_LINES else 1
-    return edge, count - 1 - edge
+    """Return the numbers of the first and the last of `count` lattice lines that are held out.
+
+    The outermost line on each side is kept, of many lines also the one next to it.
+    """
+    kept_on_each_side = 2 if count > 2 * FEWEST_LINES else 1
+    return kept_on_each_side, count - 1 - kept_on_each_side
 
 
 def folds_along(count: int) -> int:
@@ -297,7 +311,8 @@ def method_of(fitted: Fit) -> Method:
 def is_contained(method: Method, fits: Iterable[Fit]) -> bool:
     """Return whether a method is a limiting case of some fitted method with a prior.
 
-    Such as the affine polynomial of the regularised ones, which find it if the points support it.
+    The affine polynomial is such a case of the regularised polynomials, which find it if the points
+    support it.
     """
     return any(method_of(fitted).has_prior and method.name in method_of(fitted).contains
                for fitted in fits)
@@ -305,20 +320,24 @@ def is_contained(method: Method, fits: Iterable[Fit]) -> bool:
 
 def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
             explained: bool = True) -> Choice | None:
-    """Return the choice among methods, with its reason where it is to be `explained`; None without.
+    """Return the choice among the fits of methods; None if there are none.
 
-    Of methods with a prior, the first is to be beaten by the others by PRIOR_MARGIN standard
-    errors; what none of them contains by CLEAR_MARGIN, a central projection by PROJECTION_MARGIN,
-    or by PRIOR_MARGIN where the points support an oblique or near camera, or by far in RMSE (see
-    `is_supported_and_smaller`); of few points in a plane a similarity by less (see
-    `is_simpler_and_smaller`). Of those that are so much better, and of the one to be beaten, the
-    one with the smallest RMSE is chosen. Where none has a prior, the smallest RMSE decides.
+    Where no method has a prior, the smallest RMSE decides. Else one of the fits with a prior is the
+    fit to beat (see `fit_to_beat`). Any method that no prior contains must be better than that by
+    CLEAR_MARGIN standard errors; a central projection by PROJECTION_MARGIN, or by PRIOR_MARGIN
+    where the points support an oblique or near camera, or have a far smaller RMSE (see
+    `is_supported_and_smaller`); for a similarity of few points in a plane less is enough (see
+    `is_simpler_and_smaller`). Of the methods that are so much better, and the fit to beat, the one
+    with the smallest RMSE is chosen.
+
+    The choice has its reason only where it is to be `explained`.
     """
     compared = tuple(fits)
     priors = [fitted for fitted in compared if method_of(fitted).has_prior]
+    if not compared:
+        return None
     if not priors:
-        return Choice(min(compared, key=beyond_rounding), compared,
-                      SMALLEST_RMSE_REASON) if compared else None
+        return Choice(min(compared, key=beyond_rounding), compared, SMALLEST_RMSE_REASON)
     base, reasons = fit_to_beat(priors)
     alternatives = [fitted for fitted in compared if not (
         method_of(fitted).has_prior or is_contained(method_of(fitted), priors))]
@@ -331,40 +350,41 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
     chosen = min(rivals, key=beyond_rounding)
     if not explained:
         return Choice(chosen, compared, "")
-    # Both, as the reason compares them; once, where the base itself is chosen.
-    descriptions = [description for fitted in dict.fromkeys((chosen, base))
-                    if (description := describe(fitted))]
+    # The reason compares both; where the base itself is chosen, they are one.
+    descriptions = [describe(fitted) for fitted in dict.fromkeys((chosen, base))]
+    reasons = [*filter(None, descriptions), *reasons]
     return Choice(chosen, compared,
-                  _reason_for_choice(chosen, base, [*descriptions, *reasons], alternatives,
-                                     compared))
+                  _reason_for_choice(chosen, base, reasons, alternatives, compared))
 
 
 def fit_to_beat(priors: Sequence[Fit]) -> tuple[Fit, list[str]]:
     """Return the fit with a prior that all others must beat, and sentences on why it is that one.
 
-    Of two methods the wider takes the place of its own limiting case without a comparison, which
-    is not worth a sentence; any other must be better by a margin to take the place of the first.
+    The fits with a prior are taken in their order. A method takes the place of its own limiting
+    case without a comparison, which is not worth a sentence; any other must be better by a margin
+    to take the place of the one before it.
     """
     base = priors[0]
     reasons: list[str] = []
     for fitted in priors[1:]:
         method = method_of(fitted)
         base_method = method_of(base)
-        if base_is_limit(base_method, method):
+        if is_limit_of(base_method, method):
             base = fitted
             reasons = []
-        elif not base_is_limit(method, base_method):
+        elif not is_limit_of(method, base_method):
             # Leave-one-out says little of places beyond the points, where what is known holds, too.
             knows_more = base_method.from_one > method.from_one
             margin = _equally_sure_margin(base) if knows_more else PRIOR_MARGIN
             if margin < np.inf:
                 reasons.append(f"{_comparison_sentence(fitted, base)}; it must be better by more "
                                f"than {margin:.2g}.")
-            base = fitted if gain(fitted, base) > margin else base
+            if gain(fitted, base) > margin:
+                base = fitted
     return base, reasons
 
 
-def base_is_limit(method: Method, wider_method: Method) -> bool:
+def is_limit_of(method: Method, wider_method: Method) -> bool:
     """Return whether `wider_method` becomes `method` in the limit of its prior."""
     return method.name in wider_method.contains
 
@@ -372,7 +392,8 @@ def base_is_limit(method: Method, wider_method: Method) -> bool:
 def required_gain(fitted: Fit, base: Fit) -> float:
     """Return by how many standard errors a method that no prior contains must be better.
 
-    Infinite where it cannot be chosen; less for a camera that the points support than for others.
+    The margin is infinite where the method cannot be chosen. For a camera that the points support
+    it is smaller than for other methods.
     """
     if method_of(base).from_one > method_of(fitted).from_one:
         # Four points leave one equation of a camera of which nothing is known: its errors without
@@ -393,10 +414,10 @@ def required_gain(fitted: Fit, base: Fit) -> float:
 
 
 def is_supported_and_smaller(fitted: Fit, base: Fit) -> bool:
-    """Return whether a central projection that the points support has errors far smaller.
+    """Return whether a central projection that the points support has a far smaller RMSE.
 
-    In the root mean square, in which a few large errors at the edge count; logarithms, by which
-    methods are compared otherwise, hardly show them.
+    A few large errors at the edge count in it; logarithms, by which methods are compared otherwise,
+    hardly show them.
     """
     return (method_of(fitted).central and fitted.view is not None
             and len(fitted.held_out().squares) >= SUPPORTED_MIN_FEATURES
@@ -407,18 +428,20 @@ def is_supported_and_smaller(fitted: Fit, base: Fit) -> bool:
 def is_undecided(data: FitData) -> bool:
     """Return whether points in a plane are so few that the method with a prior is an average.
 
-    Of polynomials, fields, a spline and an affine image, which they do not decide between.
+    It is an average of polynomials, fields, a spline and an affine image, between which so few
+    points do not decide.
     """
     return not data.heights and not len(data.features.lines) and len(data) < SPLINE_MAX_POINTS
 
 
 def is_simpler_and_smaller(fitted: Fit, base: Fit) -> bool:
-    """Return whether a plane similarity has smaller errors than what few points average.
+    """Return whether a plane similarity has smaller errors than the average of few points.
 
-    Few points in a plane do not show standard errors, and the base averages what they do not decide
-    between, from an affine image on. A similarity has fewer unknowns than any of these, so that it
-    is not better for following the points. Where its errors are smaller, in logarithms and by
-    SIMPLER_RMSE_RATIO in the root mean square, it is taken.
+    Few points in a plane do not show standard errors, and the base averages the models that they do
+    not decide between, the affine image being the simplest. A similarity has fewer unknowns than
+    any of these: if it is better, it is not for following the points more closely. So it is taken
+    where its errors are smaller in logarithms, and its RMSE is below SIMPLER_RMSE_RATIO of the
+    base's.
     """
     return (method_of(fitted).is_plain and fitted.effective < UNKNOWNS_OF_AFFINE
             and len(base.held_out().squares) < SPLINE_MAX_POINTS
@@ -427,23 +450,24 @@ def is_simpler_and_smaller(fitted: Fit, base: Fit) -> bool:
 
 
 def _equally_sure_margin(base: Fit) -> float:
-    """Return by how many standard errors others must be better than one that knows more.
+    """Return by how many standard errors a method must beat a base that knows more than it does.
 
-    It is CLEAR_MARGIN where features are many. Few of them hardly show the standard error, so that
-    more of it is as sure (Student 1908). Two say nothing of it.
+    Of many features that is CLEAR_MARGIN. Few features hardly show the standard error, so that the
+    margin of the same probability is larger (Student 1908); two show nothing of it, and the margin
+    is infinite.
     """
     freedom = len(base.held_out().squares) - 1
-    # Phi(CLEAR_MARGIN), the probability that a normal number stays below as many standard errors.
+    # Phi(CLEAR_MARGIN): a normal number stays below so many standard errors with this probability.
     probability = (1.0 + erf(CLEAR_MARGIN / sqrt(2.0))) / 2.0
     return t_quantile(probability, freedom) if freedom > 1 else np.inf
 
 
 def _reason_for_choice(chosen: Fit, base: Fit, reasons: Sequence[str], alternatives: Sequence[Fit],
-                       compared: Iterable[Fit]) -> str:
-    """Return sentences on why a method is chosen, beginning with those on methods with a prior.
+                       compared: Sequence[Fit]) -> str:
+    """Return sentences on why a method is chosen, `reasons` for the fit to beat being the first.
 
-    Then follows the alternative that came nearest to being chosen, or is, what it had to show, and
-    the method with the smallest RMSE where another one contains it.
+    Then follow the alternative that is chosen, or else came nearest to it, with what it had to
+    show; and the method with the smallest RMSE, where a method with a prior contains it.
     """
     sentences = list(reasons)
     if alternatives:
@@ -451,23 +475,24 @@ def _reason_for_choice(chosen: Fit, base: Fit, reasons: Sequence[str], alternati
         nearest = chosen if chosen is not base else max(
             alternatives, key=lambda fitted: gain(fitted, base))
         margin = required_gain(nearest, base)
-        smaller = ""
+        further_condition = ""
         if nearest is not chosen and gain(nearest, base) > margin:
-            smaller = " and have a smaller RMSE"
+            further_condition = " and have a smaller RMSE"
         elif nearest is chosen and gain(nearest, base) <= margin:
-            share = 1.0 - beyond_rounding(nearest) / beyond_rounding(base)
-            smaller = (f", or show a view and have an RMSE that is "
-                       f"{1.0 - SUPPORTED_RMSE_RATIO:.0%} smaller: it is {share:.0%} smaller")
+            decrease = 1.0 - beyond_rounding(nearest) / beyond_rounding(base)
+            further_condition = (
+                f", or show a view and have an RMSE that is {1.0 - SUPPORTED_RMSE_RATIO:.0%} "
+                f"smaller: it is {decrease:.0%} smaller")
         sentences.append(f"{_comparison_sentence(nearest, base)}; it must be better by more than "
-                         f"{margin:.2g}{smaller}.")
+                         f"{margin:.2g}{further_condition}.")
     if any("standard error" in sentence for sentence in sentences):
         sentences.append("Standard errors are those of logarithms of squared leave-one-out "
                          "errors.")
     best = method_of(min(compared, key=beyond_rounding))
-    wider_method = next((method for fitted in compared if (method := method_of(fitted)).has_prior
-                         and best.name in method.contains and not best.has_prior), None)
-    if wider_method is not None:
-        family = wider_method.family or f"{wider_method.title} and its like"
+    methods = [method_of(fitted) for fitted in compared]
+    wider_methods = [method for method in methods if method.has_prior and is_limit_of(best, method)]
+    if wider_methods and not best.has_prior:
+        family = wider_methods[0].family or f"{wider_methods[0].title} and its like"
         sentences.append(f"{best.label} is a limit of {family}, which find it if the points "
                          "support it.")
     return " ".join(sentences) or SMALLEST_RMSE_REASON
@@ -487,7 +512,7 @@ def standard_errors(gain_in_errors: float) -> str:
 
 
 def beyond_rounding(fitted: Fit) -> float:
-    """Return the RMSE of held-out features [px], at least that of rounding.
+    """Return the RMSE of held-out features [px], or the rounding of the fit if that is larger.
 
     So fits that are exact but for rounding are equal, and the first of them is taken.
     """

@@ -103,43 +103,52 @@ def select_forward(columns: FloatArray, target: FloatArray,
     # Forced terms first, as the triangular factors need them.
     order = np.argsort(~forced, kind="stable")
     columns = columns[:, :, order]
-    # Line and sample have the same columns unless their weights differ.
-    if (columns == columns[0]).all():
-        rows = np.concatenate([columns[0], target.T], axis=1)
-        augmented = [rows] * axes
-        factors = [_factors_without_folds(rows, fold)] * axes
-        target_columns = range(k, k + axes)
-    else:
-        augmented = [np.concatenate([rows_of_axis, axis_target[:, None]], axis=1)
-                     for rows_of_axis, axis_target in zip(columns, target, strict=True)]
-        factors = [_factors_without_folds(rows, fold) for rows in augmented]
-        target_columns = range(k, k + 1)
-    # A system is a triangle of all terms and one axis as its target, the last column.
-    system_columns = [
-        np.append(np.arange(k), target_columns[axis % len(target_columns)]) for axis in range(axes)
-    ]
-    systems = np.concatenate([
-        rows_of_axis[:, :, columns_of_axis]
-        for rows_of_axis, columns_of_axis in zip(factors, system_columns, strict=True)
-    ])
+    rows_of_axes, systems = _rows_and_systems(columns, target, fold)
     equations = np.tile(np.append(n - np.bincount(fold), n).astype(np.float64), axes)
     selected = _selected_terms(systems, equations, int(forced.sum()), max_selected)
     if selected is None:
         return None
-    best = selected.reshape(axes, folds + 1, k)
-    systems_of_axes = np.split(systems, axes)
-    return [
-        AxisTerms(chosen[folds][np.argsort(order)],
-                  _errors_of_folds(rows[:, columns_of_axis], fold, system, chosen[:folds]))
-        for rows, columns_of_axis, system, chosen in zip(
-            augmented, system_columns, systems_of_axes, best, strict=True)
-    ]
+    # Of each axis: the terms selected without each fold, and last those of all points.
+    selected_of_axes = selected.reshape(axes, folds + 1, k)
+    result = []
+    for rows, systems_of_axis, selected_of_axis in zip(
+            rows_of_axes, np.split(systems, axes), selected_of_axes, strict=True):
+        errors = _errors_of_folds(rows, fold, systems_of_axis, selected_of_axis[:folds])
+        result.append(AxisTerms(selected_of_axis[folds][np.argsort(order)], errors))
+    return result
+
+
+def _rows_and_systems(columns: FloatArray, target: FloatArray,
+                      fold: IntArray) -> tuple[list[FloatArray], FloatArray]:
+    """Return the rows (n, k + 1) of each of a axes, and their triangular factors without folds.
+
+    The last column of both is the axis's target (a, n), the others are its terms (a, n, k). The
+    factors (a (folds + 1), r, k + 1) are those of the first axis, then of the next; of each axis
+    without each fold, then of all rows. Where all axes have the same terms, as line and sample do
+    unless their weights differ, rows with all targets are factored once.
+    """
+    axes, _, k = columns.shape
+    if (columns == columns[0]).all():
+        rows = [np.concatenate([columns[0], target.T], axis=1)] * axes
+        factors = [_factors_without_folds(rows[0], fold)] * axes
+        target_columns = [k + axis for axis in range(axes)]
+    else:
+        rows = [np.concatenate([terms_of_axis, target_of_axis[:, None]], axis=1)
+                for terms_of_axis, target_of_axis in zip(columns, target, strict=True)]
+        factors = [_factors_without_folds(rows_of_axis, fold) for rows_of_axis in rows]
+        target_columns = [k] * axes
+    columns_of_axes = [np.append(np.arange(k), target_column) for target_column in target_columns]
+    return ([rows_of_axis[:, columns_of_axis]
+             for rows_of_axis, columns_of_axis in zip(rows, columns_of_axes, strict=True)],
+            np.concatenate([factors_of_axis[:, :, columns_of_axis] for
+                            factors_of_axis, columns_of_axis in
+                            zip(factors, columns_of_axes, strict=True)]))
 
 
 def _factors_without_folds(rows: FloatArray, fold: IntArray) -> FloatArray:
-    """Return the triangular factors of all rows but those of each fold, (folds + 1, r, k + 1).
+    """Return the triangular factors of the rows without each fold, (folds + 1, r, columns).
 
-    The last one is of all rows.
+    The last factor is that of all rows. `fold` (n,) is the number of each row's fold.
     """
     # R of stacked triangles is R of all their rows: R'R = sum of R_g'R_g. So of many rows, groups
     # of about sqrt(folds) folds are factored once, and a fold needs its group and the other R_g.
@@ -154,13 +163,12 @@ def _factors_without_folds(rows: FloatArray, fold: IntArray) -> FloatArray:
         in_group = np.isin(fold, group_folds)
         triangle_of_others = _triangle(
             np.concatenate([rows[:0], *group_triangles[:group], *group_triangles[group + 1:]]))
+        repeated = np.broadcast_to(triangle_of_others,
+                                   (len(group_folds), *triangle_of_others.shape))
+        # Rows of the fold that is left out become zeros.
         stays = fold[in_group] != group_folds[:, None]
-        triangles[group_folds] = _triangle(
-            np.concatenate([
-                np.broadcast_to(triangle_of_others, (len(group_folds), *triangle_of_others.shape)),
-                rows[in_group] * stays[:, :, None]
-            ],
-                           axis=1))
+        rows_of_group = rows[in_group] * stays[:, :, None]
+        triangles[group_folds] = _triangle(np.concatenate([repeated, rows_of_group], axis=1))
     return triangles
 
 
@@ -173,8 +181,9 @@ def _selected_terms(systems: FloatArray, equations: FloatArray, forced: int,
                     max_selected: int) -> BoolArray | None:
     """Return the terms that each of s systems selects, (s, k); None if forced ones are dependent.
 
-    The systems (s, r, k + 1) are triangular factors of columns and target, of so many equations
-    (s,). Forced terms come first and are always in; at most so many others are selected.
+    The systems (s, r, k + 1) are triangular factors of terms and target; `equations` (s,) is how
+    many rows each was made of. The first `forced` terms are always in; at most `max_selected`
+    others are selected.
     """
     count = len(systems)
     free = systems.shape[2] - 1 - forced
@@ -182,7 +191,8 @@ def _selected_terms(systems: FloatArray, equations: FloatArray, forced: int,
     forced_diagonal = np.abs(np.diagonal(systems, axis1=1, axis2=2)[:, :forced])
     if (forced_diagonal <= TOLERANCE * lengths[:, :forced]).any():
         return None
-    # All terms are a candidate of their own. No selection leaves less than they do.
+    # No selection leaves less than all terms do, which bounds the criterion for each number of
+    # terms.
     counts = np.arange(max(min(max_selected, free - 1), 0) + 1)
     rounding = (ROUNDING * np.linalg.norm(systems[:, :, -1], axis=1)) ** 2
     smallest = np.maximum(rounding, np.finfo(float).tiny)
@@ -192,7 +202,7 @@ def _selected_terms(systems: FloatArray, equations: FloatArray, forced: int,
     unexplained = np.maximum((systems[:, forced + free:, -1]**2).sum(axis=1), smallest)
     bounds = equations * np.log(unexplained / equations) + penalties
     best = np.zeros((count, free), dtype=bool)
-    # The forced terms are taken out: their rows of the triangle are.
+    # What forced terms explain is taken out with the first rows of the triangle.
     _select_terms(systems[:, forced:, forced:].copy(), lengths[:, forced:].copy(), equations,
                   smallest, penalties, bounds, np.zeros_like(best), best, np.empty((2, free)),
                   np.full(count, np.inf))
@@ -260,8 +270,8 @@ def _entering_term(rows: FloatArray, lengths: FloatArray, chosen: BoolArray, squ
         for j in range(k):
             squares[j] += rows[i, j] * rows[i, j]
             gains[j] += rows[i, j] * rows[i, k]
-    # A column c lessens the squares of the target y by (c'y)^2 / c'c. One of which rounding alone
-    # is left depends on the terms that are in.
+    # A column c lessens the squares of the target y by (c'y)^2 / c'c. A column of which rounding
+    # alone is left depends on the terms that are in.
     most = -1.0
     for j in range(k):
         smallest = TOLERANCE * lengths[j]

@@ -77,11 +77,15 @@ class Averaging(Estimator):
         """
         assert isinstance(model, Polynomial)
         scaled = scaling.features(control.take(used))
-        average_of_all = average_with_lines(scaled, model) if len(scaled.lines) else average(
-            scaled.points.ground, scaled.points.image, model.exponents,
-            None if scaled.points.sigma is None else weights_of(scaled.points))
+        points = scaled.points
+        if len(scaled.lines):
+            feature_word = "control feature"
+            average_of_all = average_with_lines(scaled, model)
+        else:
+            feature_word = "control point"
+            weights = None if points.sigma is None else weights_of(points)
+            average_of_all = average(points.ground, points.image, model.exponents, weights)
         if average_of_all is None:
-            feature_word = "control feature" if len(scaled.lines) else "control point"
             raise Undetermined(
                 f"{count_in_words(len(scaled), feature_word)} without any one of them do not "
                 "determine an affine model", hint="Measure more control, spread over the area.")
@@ -99,15 +103,16 @@ def fit_of(estimator: Estimator, model: Polynomial, control: FeatureSet, scaling
     scaled = scaling.features(control)
     if len(scaled.lines):
         equations = model.equations(scaled)
-        in_use = (equations.b - equations.A @ coefficients)[used[equations.feature]]
+        v = (equations.b - equations.A @ coefficients)[used[equations.feature]]
     else:
         points = scaled.points
         predicted = evaluate_monomials(points.ground, model.exponents) @ average_of_all.coefficients
-        in_use = ((points.image - predicted) * weights_of(points))[used].ravel()
-    freedom = len(in_use) - average_of_all.effective
+        v = ((points.image - predicted) * weights_of(points))[used].ravel()
+    freedom = len(v) - average_of_all.effective
     count = round(average_of_all.effective)
-    sigma0 = float(np.sqrt(in_use @ in_use / freedom)) if freedom > 0.5 else np.nan
-    adjustment = Adjustment(coefficients, np.full(len(coefficients), np.nan), count, len(in_use),
+    # Half a degree of freedom or less is none, as counts are whole numbers.
+    sigma0 = float(np.sqrt(v @ v / freedom)) if freedom > 0.5 else np.nan
+    adjustment = Adjustment(coefficients, np.full(len(coefficients), np.nan), count, len(v),
                             count, np.nan, sigma0)
     return Fit(model, scaling, control, np.ones(len(coefficients), dtype=bool), used, adjustment,
                estimator, average_of_all.effective,
@@ -146,43 +151,44 @@ def mean_coefficients(posterior: Posterior, exponents: Exponents) -> tuple[Float
     Coefficients of shrunken terms are averaged over the grid; the affine ones, which are free,
     follow from them by least squares. The exponents are as for `average`.
     """
-    free = np.array(exponents).sum(axis=1) < 2
+    is_free = np.array(exponents).sum(axis=1) < 2
     coefficients = np.empty((len(exponents), 2))
     effective = 0.0
     for axis, (design, solutions) in enumerate(zip(posterior.designs, posterior.solutions,
                                                    strict=True)):
-        shrunk, of_axis = posterior.mean(axis)
-        coefficients[~free, axis] = shrunk
-        # Affine terms fit what the others leave: R x = Q'(y - C shrunk), of their factors Q R.
-        coefficients[free, axis] = np.linalg.solve(
-            design.free_triangle, solutions.free - design.free_projections @ shrunk)
-        effective += of_axis
+        shrunk_coefficients, effective_of_axis = posterior.mean(axis)
+        coefficients[~is_free, axis] = shrunk_coefficients
+        # Affine terms fit what the others leave: R x = Q'(y - C shrunk), with their factors Q R.
+        coefficients[is_free, axis] = np.linalg.solve(
+            design.free_triangle, solutions.free - design.free_projections @ shrunk_coefficients)
+        effective += effective_of_axis
     return coefficients, effective
 
 
 def average_with_lines(features: FeatureSet, model: Polynomial) -> Average | None:
-    """Fit an averaged polynomial to points and lines, or to lines, scaled to [-1, 1].
+    """Fit an averaged polynomial to points and lines, or to lines alone, scaled to [-1, 1].
 
-    The errors are of the points, then of both vertices of each line, along its normal. None if all
-    features but any one do not determine the affine terms.
+    The errors of the average are those of the points, then of both vertices of each line, along its
+    normal. None comes back if the features without some one of them do not determine the affine
+    terms.
     """
     equations = model.equations(features)
     mean_solution = mean_line_solution(equations, model.exponents)
     if mean_solution is None:
         return None
     k = len(model.exponents)
-    (shrunk, effective, errors) = mean_solution
-    free = np.tile(np.array(model.exponents).sum(axis=1) < 2, 2)
+    (shrunk_coefficients, effective, row_errors) = mean_solution
+    is_free = np.tile(np.array(model.exponents).sum(axis=1) < 2, 2)  # of line, then of sample
+    left_to_affine = equations.b - equations.A[:, ~is_free] @ shrunk_coefficients
     coefficients = np.empty(2 * k)
-    coefficients[~free] = shrunk
-    coefficients[free] = np.linalg.lstsq(equations.A[:, free],
-                                         equations.b - equations.A[:, ~free] @ shrunk)[0]
-    errors = errors / row_weights(features, heights=model.uses_height)
-    count = 2 * len(features.points)
+    coefficients[~is_free] = shrunk_coefficients
+    coefficients[is_free] = np.linalg.lstsq(equations.A[:, is_free], left_to_affine)[0]
+    row_errors = row_errors / row_weights(features, heights=model.uses_height)
+    n_point_rows = 2 * len(features.points)
     normals = np.repeat(line_normals(features.lines)[0], 2, axis=0)
-    return Average(coefficients.reshape(2, k).T,
-                   np.concatenate([errors[:count].reshape(-1, 2),
-                                   errors[count:, None] * normals]), effective)
+    errors = np.concatenate([row_errors[:n_point_rows].reshape(-1, 2),
+                             row_errors[n_point_rows:, None] * normals])
+    return Average(coefficients.reshape(2, k).T, errors, effective)
 
 
 # Ridge regression that shrinks a coefficient the more, the higher the order of its term.
@@ -209,14 +215,14 @@ class RidgeByOrder(Estimator):
         plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)
         coefficients = np.zeros(len(terms))
         trace = 0.0
-        # The order of a term; of a numerator less 1, as affine terms are not shrunk.
+        # By order, as the class says: of a numerator's term less 1.
         weights = np.array([float(term.order if term.is_denominator else max(term.order - 1, 0))
                             for term in map(Term.parse, model.terms)])
-        for system in independent_parts(plain.model.equations(plain.scaled_control), model.axis):
-            rows = used[system.equations.feature]
-            selected = terms & system.columns
-            columns = system.equations.A[rows][:, selected[system.columns]]
-            coefficients[selected], effective = _ridge(columns, system.equations.b[rows],
+        for part in independent_parts(plain.model.equations(plain.scaled_control), model.axis):
+            rows = used[part.equations.feature]
+            selected = terms & part.columns
+            columns = part.equations.A[rows][:, selected[part.columns]]
+            coefficients[selected], effective = _ridge(columns, part.equations.b[rows],
                                                        weights[selected])
             trace += effective
         return plain.with_coefficients(coefficients, self, trace)
@@ -224,37 +230,39 @@ class RidgeByOrder(Estimator):
 
 def _ridge(columns: FloatArray, target: FloatArray,
            weights: FloatArray) -> tuple[FloatArray, float]:
-    """Return ridge coefficients, (k,), whose penalty is chosen by GCV, and their effective number.
+    """Return ridge coefficients (k,) whose penalty is chosen by GCV, and their effective number.
 
-    Coefficients of weight 0, (k,), are not penalised.
+    Coefficients whose weight in `weights` (k,) is 0 are not penalised.
     """
     # With A = [F, P W], F the free columns, the substitution z = W x makes the penalty a plain
     # |z|^2. Orthogonal to F, that is (I - Q Q') P z = (I - Q Q') y, and the singular values s of
     # its columns give z = V s / (s^2 + penalty^2) U'y; it counts sum s^2 / (s^2 + penalty^2).
-    free = weights == 0
+    is_free = weights == 0
     x = np.zeros(columns.shape[1])
-    free_columns = columns[:, free]
+    free_columns = columns[:, is_free]
     q, strength = np.linalg.svd(free_columns, full_matrices=False)[:2]
-    q = q[:, strength > np.finfo(float).eps * max(free_columns.shape) * strength.max(initial=0.0)]
-    penalised = (columns[:, ~free] - q @ (q.T @ columns[:, ~free])) / weights[~free]
+    rounding = np.finfo(float).eps * max(free_columns.shape)
+    q = q[:, strength > rounding * strength.max(initial=0.0)]
+    penalised = columns[:, ~is_free]
+    penalised = (penalised - q @ (q.T @ penalised)) / weights[~is_free]
     y = target - q @ (q.T @ target)
     effective = float(q.shape[1])
     if penalised.size:
         u, s, vt = np.linalg.svd(penalised, full_matrices=False)
-        live = s > TOLERANCE * s.max(initial=0.0)
-        u = u[:, live]
-        s = s[live]
-        vt = vt[live]
-        inner = u.T @ y
+        is_determined = s > TOLERANCE * s.max(initial=0.0)
+        u = u[:, is_determined]
+        s = s[is_determined]
+        vt = vt[is_determined]
+        projections = u.T @ y
         if len(s):
-            outside = max(float(y @ y - inner @ inner), 0.0)
+            outside = max(float(y @ y - projections @ projections), 0.0)
             penalty = choose_penalty(
-                Spectrum(s, np.abs(inner), outside, len(y) - q.shape[1]), "gcv")
-            x[~free] = vt.T @ (s / (s**2 + penalty**2) * inner) / weights[~free]
+                Spectrum(s, np.abs(projections), outside, len(y) - q.shape[1]), "gcv")
+            x[~is_free] = vt.T @ (s / (s**2 + penalty**2) * projections) / weights[~is_free]
             effective += float((s**2 / (s**2 + penalty**2)).sum())
-    # The free ones fit what the penalised ones leave.
+    # The free columns fit what the penalised ones leave.
     if free_columns.size:
-        x[free] = np.linalg.lstsq(free_columns, target - columns @ x)[0]
+        x[is_free] = np.linalg.lstsq(free_columns, target - columns @ x)[0]
     return x, effective
 
 
@@ -271,7 +279,8 @@ FIELD_EXCLUDED = 0.05
 def required_probability(process: GaussianProcess) -> float:
     """Return the probability of a random field beyond which points support it.
 
-    Of few points without heights, up to `field.SURE`, any: they show too little to choose by.
+    It is lower, down to 0, for few points without heights, which show too little to choose by and
+    are averaged over all models.
     """
     return FIELD_CALLED_FOR * (1.0 - process.spline_weight)
 

@@ -127,10 +127,10 @@ class Estimator(ABC):
                          least_squares=self.least_squares)
 
     def unexplained(self, fitted: Fit, residuals: FloatArray) -> list[Unexplained]:
-        """Return what is left of the control by the courses that `spread` takes for possible.
+        """Return what each course that `spread` takes for possible leaves of the control.
 
-        The scaled residuals (n, 2) are those of the fit, all that an estimator leaves that has a
-        spread of its own.
+        For an estimator with a spread of its own the only course is the fit itself, whose scaled
+        residuals (n, 2) are given.
         """
         # Of coefficients from elsewhere nobody knows how many parameters they are worth.
         effective = fitted.effective if np.isfinite(fitted.effective) else None
@@ -145,7 +145,7 @@ class Estimator(ABC):
         return view_of(features.points)
 
     def held_out(self, fitted: Fit) -> HeldOut:
-        """Return the errors of features in use, each under this estimator without it.
+        """Return the errors of features in use, each under this estimator without that feature.
 
         By default the fit is repeated without each feature.
 
@@ -162,7 +162,7 @@ class Estimator(ABC):
         return HeldOut.of(np.concatenate(errors), fitted.control.take(fitted.used))
 
     def experience(self, fitted: Fit) -> Experience | None:
-        """Return how well its points are known besides held-out errors, None by default."""
+        """Return what is known of the errors besides held-out errors; by default nothing: None."""
         return None
 
     def without_each(self, fitted: Fit) -> Iterator[Fit]:
@@ -348,7 +348,7 @@ class Fit(Glance):
                        adjustment=adjustment)
 
     def project(self, ground: ArrayLike) -> FloatArray:
-        """Return where ground points are seen.
+        """Return where the image shows ground points.
 
         Parameters
         ----------
@@ -423,10 +423,11 @@ class Fit(Glance):
         return self.view.above_horizon(scaled)
 
     def holds(self, ground: ArrayLike) -> BoolArray:
-        """Return whether a map may show ground points, (n,): no image of such a view is of use
-        much nearer to the camera than the control, or much farther away.
+        """Return whether a map may show ground points, (n,).
 
-        True throughout where the control supports no view, but for places that are `unseen`.
+        An image of a central view is of no use much nearer to the camera than the control, or much
+        farther away. Where the control supports no such view, only places that are `unseen`, or
+        have no coordinates, may not be shown.
 
         Parameters
         ----------
@@ -458,10 +459,10 @@ class Fit(Glance):
     def sigma(self, ground: ArrayLike, *, measured: bool = False) -> FloatArray:
         """Return the standard deviation of the error of `project`.
 
-        Not of the control's ground coordinates. For control points it holds
-        what other models they leave open, what they do not show of heights, and what the model
-        does not fit: see `termsel.fitting.uncertainty` and `termsel.fitting.misfit`. For lines and
-        few points the model's form is taken for true.
+        Errors of the control's ground coordinates, which no residual shows, are no part of it. For
+        control points it includes that other models may be true, what the points do not show of
+        heights, and what the model does not fit: see `termsel.fitting.uncertainty` and
+        `termsel.fitting.misfit`. For lines and few points the model's form is taken for true.
 
         Parameters
         ----------
@@ -492,23 +493,27 @@ class Fit(Glance):
         return sigma
 
     def mean_squares(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean square errors of places (m, 3) and of a measurement, scaled: (m, 2), (2,)."""
+        """Return mean square errors of places (m, 3), and of a measurement, scaled: (m, 2), (2,).
+
+        They are those of the courses between control points, where there are any, and else of the
+        estimator's spread and the misfit; a mean of both where camera courses count in part.
+        """
         scaled_ground = self.scaling.ground(ground)
         courses = self.local_courses
-        share = 0.0 if courses is None else 1.0
+        share_by_courses = 0.0 if courses is None else 1.0
         if isinstance(courses, CameraCourses):
-            share = share_of_courses(len(self._scaled_used.points))
+            share_by_courses = share_of_courses(len(self._scaled_used.points))
         squares = np.zeros((len(ground), 2))
         noise = np.zeros(2)
         if courses is not None:
             image = self.scaling.image(self._compute_positions(ground))
-            squares += share * courses.squares(scaled_ground, image)
-            noise += share * courses.noise
-        if share < 1.0:
+            squares += share_by_courses * courses.squares(scaled_ground, image)
+            noise += share_by_courses * courses.noise
+        if share_by_courses < 1.0:
             spread = self.estimator.spread(self, scaled_ground)
             # Variances add: of the coefficients, and of what the model does not fit.
-            squares += (1.0 - share) * (spread.variance + self.missed_at(ground))
-            noise += (1.0 - share) * spread.noise
+            squares += (1.0 - share_by_courses) * (spread.variance + self.missed_at(ground))
+            noise += (1.0 - share_by_courses) * spread.noise
         return squares, noise
 
     @cached_property
@@ -555,9 +560,12 @@ class Fit(Glance):
             self.control.take(self.used).points.ground))
         noise = NoisePrior.of(1.0 / self.scaling.image_scale, points.sigma,
                               with_heights=self.model.uses_height)
-        misfits = [(each.chance, misfit_of(image, each.residuals, noise, each.effective))
-                   for each in self.estimator.unexplained(self, points.image - image)]
-        return mixed_misfit([(chance, misfit) for chance, misfit in misfits if misfit is not None])
+        misfits = []
+        for course in self.estimator.unexplained(self, points.image - image):
+            misfit = misfit_of(image, course.residuals, noise, course.effective)
+            if misfit is not None:
+                misfits.append((course.chance, misfit))
+        return mixed_misfit(misfits)
 
     @property
     def uncertainty_caveat(self) -> str:
@@ -591,9 +599,10 @@ class Fit(Glance):
         return points
 
     def _nan_where_unknown(self, image: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return the image (n, 2) of places, NaN where a coordinate that the model uses is unknown.
+        """Return image positions (n, 2), changed to NaN where the ground (n, 3) is not known.
+
+        A height counts only where the model uses it.
         """
-        # The height counts only where the model uses it.
         coordinates = ground if self.model.uses_height else ground[:, :2]
         image[~np.isfinite(coordinates).all(axis=1)] = np.nan
         return image
@@ -630,7 +639,10 @@ class Fit(Glance):
         return ground
 
     def _where_rays_meet(self, image: FloatArray, surface: FloatArray | Surface) -> FloatArray:
-        """Return a ground place (n, 3) for each image point, as `locate` without what hides it."""
+        """Return a ground place (n, 3) on the ray of each image point, whether it is hidden or not.
+
+        `image` is (n, 2), `surface` heights (n,) or what gives them.
+        """
         centre, scale = self.ground_box()
         fit_crs = self.scaling.fit_crs
         if fit_crs and not is_geocentric(fit_crs):
@@ -667,10 +679,10 @@ class Fit(Glance):
         return points.image - self._compute_positions(points.ground)
 
     def line_errors(self, lines: Lines | None = None) -> FloatArray:
-        """Return the vectors from projected ground vertices of lines to their image lines.
+        """Return the vectors from projected ground vertices of lines to their image lines [px].
 
-        They are along the normal [px], shape (n, 2, 2): line and vertex; line and sample. By
-        default those of the control lines.
+        They are along the normal of the image line, shape (n, 2, 2): by line, vertex, and line and
+        sample. The lines are by default those of the control.
         """
         lines = self.control.lines if lines is None else lines
         if not len(lines):  # what projects them may take long to find
@@ -691,9 +703,9 @@ class Fit(Glance):
     def leave_one_out(self) -> Residuals:
         """Measured minus predicted of each control feature by the same procedure without it.
 
-        In closed form for least squares, for lines under separate denominators to first order
-        about the solution; else by repeating the fit, as where a model corrects predictions by
-        its control. A feature on offer that is not in use has its residual.
+        Least squares have a closed form, which for lines under separate denominators holds to first
+        order about the solution. Other fits are repeated, as is that of a model which corrects its
+        predictions by the control. A feature on offer that is not in use has its residual.
 
         Raises
         ------
@@ -719,13 +731,13 @@ class Fit(Glance):
     def held_out(self) -> HeldOut:
         """Return the errors of features in use, each under the same procedure without it.
 
-        They are those that the estimator found on its way; else those of the method that made the
-        fit, which has them in closed form, or repeats itself.
+        An estimator may have found them on its way. Else they come from the method that made the
+        fit, which has a closed form or repeats itself, or without a method from the estimator.
 
         Raises
         ------
         Undetermined
-            If the others do not determine the fit.
+            If the features without some one of them do not determine the fit.
         """
         return self._held_out
 
@@ -741,18 +753,17 @@ class Fit(Glance):
     def held_out_rmse(self) -> float:
         """RMSE of features in use, each held out [px], over points and vertices of lines.
 
-        Points that state unlike standard deviations count by their inverse squares.
+        Where points state unlike standard deviations, they count by the inverse squares of these.
         """
-        # Over all measured positions, so that lines count by their vertices.
-        errors = len(self.control.points) + 2 * len(self.control.lines)
+        n_positions = len(self.control.points) + 2 * len(self.control.lines)
         squares = self.held_out().squares
         points = self.control.take(self.used).points
         if has_unlike_weights(points):
             precisions = weights_of(points)**2
-            shares = np.ones(len(squares))
-            shares[:len(points)] = (precisions / precisions.mean(axis=0)).mean(axis=1)
-            squares = squares * shares
-        return float(np.sqrt(squares.sum() / errors))
+            relative_weights = np.ones(len(squares))
+            relative_weights[:len(points)] = (precisions / precisions.mean(axis=0)).mean(axis=1)
+            squares = squares * relative_weights
+        return float(np.sqrt(squares.sum() / n_positions))
 
     @property
     def rounding(self) -> float:
@@ -770,18 +781,18 @@ class Fit(Glance):
 
     @cached_property
     def errors_without_each(self) -> tuple[tuple[FloatArray, ...], bool]:
-        """Errors of each feature in use by the fit without it, (rows, 2) each [px].
+        """Errors of each feature in use by the fit without it, (rows, 2) each [px]; and a flag.
 
-        With them comes whether the others always determine the fit.
+        The flag says whether the features without any one of them determine the fit.
         """
         if self.stored_held_out is not None and self.stored_held_out.errors is not None:
             errors = self.stored_held_out.errors
-            # Rows of one feature stand together, in the order of the features.
-            owner = self.control.take(self.used).vertex_feature
-            return tuple(errors[owner == i] for i in range(owner.max() + 1)), True
+            feature_of_row = self.control.take(self.used).vertex_feature
+            return tuple(errors[feature_of_row == i] for i in range(feature_of_row.max() + 1)), True
         interpolation = self.interpolation if self.estimator.repeatable else None
-        return _errors_by_refitting(self) if interpolation is None else (
-            tuple(interpolation.errors[:, None] * self.scaling.image_scale), True)
+        if interpolation is None:
+            return _errors_by_refitting(self)
+        return tuple(interpolation.errors[:, None] * self.scaling.image_scale), True
 
     def control_rmse(self) -> Rmse | None:
         """Return the RMSE of the control features in use; None if there are none."""
@@ -804,7 +815,7 @@ class Fit(Glance):
 
 @one_blas_thread
 def _errors_by_refitting(fitted: Fit) -> tuple[tuple[FloatArray, ...], bool]:
-    """Return the errors of each feature in use by a refit without it, and if all are determined."""
+    """Return the errors of each feature in use by a refit without it, as `errors_without_each`."""
     # One thread: systems are small, and threads of the linear algebra would wait for each other.
     refits = list(fitted.estimator.without_each(fitted))
     return (tuple(refit.control_errors(fitted.used & ~refit.used) for refit in refits),

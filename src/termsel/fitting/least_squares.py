@@ -30,7 +30,11 @@ CONVERGENCE_OFFSET = 1e-3
 relative offset of D.M. Bates and D.G. Watts, Technometrics 23 (1981) 179-183."""
 
 RESIDUAL_ROUNDING = 1e-12
-"""Or less than this much of each residual, in the scaled image unit."""
+"""Size of a residual, in the scaled image unit, that rounding makes: a step that takes away less of
+each has converged as well."""
+
+SMALLEST_DECREASE = 1e-10
+"""Share of the sum of squares that a step must take away to count as one that lessens it."""
 
 
 @dataclass(frozen=True)
@@ -70,11 +74,11 @@ class LeastSquares(Estimator):
                    adjustment=adjustment, estimator=self)
 
     def held_out(self, fitted: Fit) -> HeldOut:
-        """Return the errors of features in use, each under least squares without it.
+        """Return the errors of features in use, each under least squares without that feature.
 
-        In closed form, as the criterion press judges: where equations are not exact, those to
-        first order are taken throughout, but for few points, whose distances are minimised again
-        without each.
+        They have a closed form, by which the criterion press judges, too. Where equations are not
+        exact, they are taken to first order throughout; of few points the distances are minimised
+        again without each point instead.
 
         Raises
         ------
@@ -89,10 +93,11 @@ class LeastSquares(Estimator):
         return HeldOut(squares)
 
     def without_each(self, fitted: Fit) -> Iterator[Fit]:
-        """Yield the fits without each feature, in closed form.
+        """Yield the fits without each feature in use, in closed form.
 
-        Where equations are not exact, they are those about the solution: each fit is then one
-        Gauss-Newton step away from it. Models that correct by their control are fitted again.
+        Where equations are not exact, they are linearised about the solution: each fit is then one
+        Gauss-Newton step away from it. A model that corrects its predictions by the control is
+        fitted again, and so is one that is not determined without some feature.
         """
         model = fitted.model
         features = fitted.scaled_control
@@ -106,7 +111,7 @@ class LeastSquares(Estimator):
         for index in np.flatnonzero(fitted.used):
             used = fitted.used.copy()
             used[index] = False
-            # Of the adjustment, only the coefficients are those of the others.
+            # Only the coefficients are those without the feature; the rest of the adjustment stays.
             yield replace(fitted, used=used, adjustment=replace(
                 fitted.adjustment, coefficients=solutions[index]))
 
@@ -121,22 +126,9 @@ def adjust(model: SensorModel, features: FeatureSet, terms: BoolArray,
     The model is prepared, the features are scaled; `terms` (k,) and `used` (features,) are in use.
     Steps begin at the model's own start, else at the solution of its equations. A step that does
     not lessen the sum of squared distances is halved, and where that does not help the search ends.
+    Whether it has converged, and after how many steps, the adjustment says.
     """
-    # The solution where steps begin, x (k,), and the equations about it; None where those solved
-    # are exact already.
-    equations: Equations | None
-    start = model.start(features.take(used))
-    if start is not None:
-        x = np.where(terms, start, 0.0)
-        equations = _linearised_equations(model, features, x)
-        adjustment = replace(solve(equations, terms, used), coefficients=x)
-    else:
-        adjustment = solve(model.equations(features), terms, used)
-        x = adjustment.coefficients
-        # Some terms are better found last: steps then begin with the solution of the others.
-        if model.first_terms is not None:
-            x = solve(model.equations(features), terms & model.first_terms, used).coefficients
-        equations = model.linearised(features, x) if adjustment.feasible else None
+    adjustment, x, equations = _start_of_steps(model, features, terms, used)
     if equations is None or not adjustment.feasible:
         return adjustment
 
@@ -164,7 +156,7 @@ def adjust(model: SensorModel, features: FeatureSet, terms: BoolArray,
             candidate_equations = _linearised_equations(model, features, candidate)
             candidate_residuals = residuals_of(candidate_equations, candidate)
             if (candidate_residuals @ candidate_residuals
-                    < (1 - 1e-10) * (residuals @ residuals)):
+                    < (1 - SMALLEST_DECREASE) * (residuals @ residuals)):
                 break
         else:
             break
@@ -181,9 +173,29 @@ def adjust(model: SensorModel, features: FeatureSet, terms: BoolArray,
     return replace(adjustment, steps=steps, converged=converged)
 
 
+def _start_of_steps(model: SensorModel, features: FeatureSet, terms: BoolArray, used: BoolArray,
+                    ) -> tuple[Adjustment, FloatArray, Equations | None]:
+    """Return the adjustment before any step, the solution x (k,) where steps begin, and equations.
+
+    The equations are linearised about x; they are None where no step is needed, as those of the
+    adjustment are exact, and where these do not determine the terms. Arguments are as for `adjust`.
+    """
+    start = model.start(features.take(used))
+    if start is not None:
+        x = np.where(terms, start, 0.0)
+        equations = _linearised_equations(model, features, x)
+        return replace(solve(equations, terms, used), coefficients=x), x, equations
+    adjustment = solve(model.equations(features), terms, used)
+    x = adjustment.coefficients
+    # Some terms are better found last: steps then begin with the solution of the others.
+    if model.first_terms is not None:
+        x = solve(model.equations(features), terms & model.first_terms, used).coefficients
+    return adjustment, x, model.linearised(features, x) if adjustment.feasible else None
+
+
 def _linearised_equations(model: SensorModel, features: FeatureSet,
                           coefficients: FloatArray) -> Equations:
-    """Return the equations about a solution, of a model that has them.
+    """Return the equations about a solution (k,), of a model that must have them.
 
     Raises PluginFault where the model returns none.
     """
@@ -197,28 +209,30 @@ def _linearised_equations(model: SensorModel, features: FeatureSet,
 def first_order_equations(model: SensorModel, features: FeatureSet) -> Equations:
     """Return the equations by which a search judges selections, of scaled features.
 
-    Of a model with a start they are those about the least squares of all terms.
+    Those of a model with a start are linearised about the least squares of all terms.
     """
-    everything = (np.ones(n, dtype=bool) for n in (len(model.terms), len(features)))
     if model.start(features) is None:
         return model.equations(features)
-    return _linearised_equations(model, features, adjust(model, features, *everything).coefficients)
+    every_term = np.ones(len(model.terms), dtype=bool)
+    every_feature = np.ones(len(features), dtype=bool)
+    solution = adjust(model, features, every_term, every_feature).coefficients
+    return _linearised_equations(model, features, solution)
 
 
-def solutions_without_each(systems: tuple[IndependentPart, ...], terms: BoolArray,
+def solutions_without_each(parts: tuple[IndependentPart, ...], terms: BoolArray,
                            used: BoolArray) -> FloatArray | None:
-    """Return the least-squares solutions without each feature, in closed form, shape (n, k).
+    """Return the least-squares solutions without each of n features, in closed form, (n, k).
 
-    Parts are of the equations of n features, `terms` (k,) and `used` (n,) are in use. None where
-    the terms are not determined, or some feature is indispensable.
+    The parts are those of the equations of all features; `terms` (k,) and `used` (n,) are in use.
+    None comes back where the terms are not determined, or some feature is indispensable.
     """
     solutions = np.zeros((len(used), len(terms)))
-    for system in systems:
-        solutions_of_system, determined = leave_one_out(system.equations,
-                                                        terms[None, system.columns], used[None])
+    for part in parts:
+        solutions_of_part, determined = leave_one_out(part.equations, terms[None, part.columns],
+                                                      used[None])
         if not determined.all():
             return None
-        solutions[:, system.columns] = solutions_of_system[:, 0]
+        solutions[:, part.columns] = solutions_of_part[:, 0]
     return solutions
 
 
@@ -227,8 +241,8 @@ def fit(model: SensorModel, control: FeatureSet, scaling: Scaling,
         iterated: bool = True) -> Fit:
     """Fit a model to control features by least squares, whether or not they determine it.
 
-    Features are in px and ground units; terms (k,) and features in use are all by default.
-    `iterated` is as for `LeastSquares`.
+    Features are in px and ground units. `terms` (k,) and `used`, a mask of the features, say what
+    is in use, by default everything. `iterated` is as for `LeastSquares`.
     """
     terms = np.ones(len(model.terms), dtype=bool) if terms is None else terms
     used = np.ones(len(control), dtype=bool) if used is None else used
@@ -238,25 +252,23 @@ def fit(model: SensorModel, control: FeatureSet, scaling: Scaling,
 def left_out_squares(fitted: Fit) -> FloatArray:
     """Return the squared error of each control feature under the fit without it [px^2], (n,).
 
-    By least squares, as the criterion press judges: with equations to first order where others are
-    not exact, so that this is closed form throughout; of few points the least squares of distances
-    are found again without each. Infinite throughout where some feature is indispensable, and where
-    a denominator falls short.
+    The fits are those of `LeastSquares.held_out`. All errors are infinite where some feature is
+    indispensable; a single one is where a denominator is too small at its feature.
     """
     model = fitted.model
     control = fitted.scaled_control
-    weighted = isinstance(model, RationalModel) and model.weighted
-    equations = model.linearised(control, fitted.adjustment.coefficients) if weighted else None
-    systems = independent_parts(equations or first_order_equations(model, control), model.axis)
-    solutions = solutions_without_each(systems, fitted.terms, fitted.used)
+    is_weighted = isinstance(model, RationalModel) and model.weighted
+    equations = model.linearised(control, fitted.adjustment.coefficients) if is_weighted else None
+    parts = independent_parts(equations or first_order_equations(model, control), model.axis)
+    solutions = solutions_without_each(parts, fitted.terms, fitted.used)
     if solutions is None:
         return np.full(len(control), np.inf)
-    if weighted and len(control) <= MAX_REFITTED_POINTS and not len(control.lines):
+    if is_weighted and len(control) <= MAX_REFITTED_POINTS and not len(control.lines):
         solutions = _refitted_without_each(fitted)
     fits = Fits(model=model, control=control.points, check=empty_points(),
                 pixels=fitted.scaling.image_scale, terms=fitted.terms[None],
                 coefficients=fitted.adjustment.coefficients[None], lines=control.lines,
-                parts=systems)
+                parts=parts)
     return np.asarray(fits.held_out_each(solutions[:, None])[0])
 
 
@@ -303,7 +315,8 @@ def fit_all_terms(model: SensorModel, control: FeatureSet) -> Fit:
 
     Raises `Undetermined` if the control does not determine the terms.
     """
-    terms, used = (np.ones(n, dtype=bool) for n in (len(model.terms), len(control)))
+    terms = np.ones(len(model.terms), dtype=bool)
+    used = np.ones(len(control), dtype=bool)
     return require_determined(
         LEAST_SQUARES.fit(model, control, make_scaling(control), terms, used))
 

@@ -100,9 +100,10 @@ class Residuals(tuple[Residual, ...], Framed):
 
 def control_residuals(control: FeatureSet, used: Iterable[bool], errors: FloatArray,
                       line_errors: FloatArray) -> Residuals:
-    """Return the errors [px] of control features as a table.
+    """Return the errors [px] of control features as a table, points before lines.
 
-    Of points (n, 2), and of both ground vertices of the lines (n_lines, 2, 2).
+    `errors` (n, 2) are those of points, `line_errors` (n_lines, 2, 2) those of both ground vertices
+    of the lines. `used` says of each feature whether it is in use.
     """
     return Residuals(_control_rows(control, tuple(bool(on) for on in used), errors, line_errors),
                      control.crs)
@@ -133,14 +134,14 @@ def _control_rows(control: FeatureSet, used: tuple[bool, ...], errors: FloatArra
         piece_numbers[i] = count_by_id[name]
         count_by_id[name] += 1
     for number in range(piece_numbers.max(initial=-1) + 1):
-        of_number = piece_numbers == number
+        has_number = piece_numbers == number
         # Features are numbered points first, then lines.
-        features = len(points) + lines.feature[of_number]
+        used_lines = tuple(used[feature] for feature in len(points) + lines.feature[has_number])
         for vertex in (0, 1):
-            yield from _residual_rows(select(lines.ids, of_number), line_errors[of_number, vertex],
-                                      lines.ground[of_number, vertex], "control",
-                                      tuple(used[f]
-                                            for f in features), f"vertex {2 * number + vertex + 1}")
+            yield from _residual_rows(select(lines.ids, has_number),
+                                      line_errors[has_number, vertex],
+                                      lines.ground[has_number, vertex], "control", used_lines,
+                                      f"vertex {2 * number + vertex + 1}")
 
 
 def _residual_rows(ids: tuple[str, ...], errors: FloatArray, ground: FloatArray, role: str,
@@ -161,18 +162,21 @@ def rmse_of(errors: FloatArray, n: int) -> Rmse | None:
 
 
 def freedom_of(errors: FloatArray) -> float | None:
-    """Return the degrees of freedom of squared errors, shape (..., 2).
+    """Return the degrees of freedom of the sum of squared errors, shape (..., 2).
 
-    Those of the chi-squared distribution with the variance that the sum of squares has: of normal
-    errors, by the mean squares of line and of sample (Satterthwaite 1946); or, if that variance is
-    larger, by how squared distances differ, as those of heavy tails do. None if all are zero.
+    The chi-squared distribution with so many degrees has the same relative variance as the sum
+    (Satterthwaite 1946). That is the variance which normal errors have with the mean squares of
+    line and of sample; or, if larger, the one which the squared distances show, as under heavy
+    tails. None comes back if all errors are zero.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         squares = (errors**2).reshape(-1, 2)
         squares = squares / squares.mean(axis=0).sum()  # lest squares of squares overflow
-        distances = squares.sum(axis=1)
-        # Satterthwaite: 2 mean^2 / variance of the squared distances, times their number. The
-        # variance is that of normal errors of both axes, or the observed one if it is larger.
-        spread = float(distances.var(ddof=1)) / 2 if len(distances) > 1 else 0.0
-        freedom = len(distances) / max(float((squares.mean(axis=0)**2).sum()), spread)
+        squared_distances = squares.sum(axis=1)
+        count = len(squared_distances)
+        # Satterthwaite: 2 mean^2 / variance of the squared distances, times their number; the mean
+        # is 1 here. Both variances are divided by 2.
+        if_normal = float((squares.mean(axis=0)**2).sum())
+        observed = float(squared_distances.var(ddof=1)) / 2 if count > 1 else 0.0
+        freedom = count / max(if_normal, observed)
     return float(freedom) if np.isfinite(freedom) else None

@@ -119,31 +119,32 @@ def spread_of(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustm
         return Spread(*interpolation.spread(ground))
     with_heights = sees_heights(lambda positions: model.project(adjustment.coefficients, positions),
                                 ground)
-    believed = _Belief.of(model, control, heights=with_heights)
+    belief = _Belief.of(model, control, heights=with_heights)
     # Too few points for a belief about the form: the noise alone, by the law of propagation.
-    if believed is None and least_squares:
+    if belief is None and least_squares:
         return _propagated_noise(model, control, terms, adjustment, ground)[0]
-    if believed is None:
-        believed = _belief_of_points(model, control, heights=with_heights)
-        return _unknown_spread(len(ground)) if believed is None else believed.spread(ground, image)
+    if belief is None:
+        belief = _belief_of_points(model, control, heights=with_heights)
+        return _unknown_spread(len(ground)) if belief is None else belief.spread(ground, image)
     if not least_squares or model.polynomial_degree is not None:
-        return believed.spread(ground, image)
+        return belief.spread(ground, image)
     # Either the model has the form of the image, and noise is all, or the belief holds.
     propagated, squares = _propagated_noise(model, control, terms, adjustment, ground)
-    chance = _chance_of_model(adjustment.n_terms, squares, believed)
-    return _mixed_squares(chance, propagated, believed.spread(ground, image))
+    chance = _chance_of_model(adjustment.n_terms, squares, belief)
+    return _mixed_squares(chance, propagated, belief.spread(ground, image))
 
 
 def _belief_of_points(model: SensorModel, control: FeatureSet, *, heights: bool) -> _Belief | None:
     """Return the belief in the truth by the points alone, for control that has lines.
 
-    Coefficients that are not by least squares have no propagation with lines. The points alone show
-    less than both do, so that errors are not understated; of not many more points than an affine
-    model needs they would be overstated many times, and None is returned.
+    The noise of lines cannot be propagated to coefficients that are not by least squares. The
+    points alone show less than both do, so that errors are not understated. By few points they
+    would be overstated many times: None comes back for less than three times as many as an affine
+    model has terms.
     """
-    affine_columns = 4 if heights else 3
+    n_affine_terms = 4 if heights else 3
     points = control.take(np.arange(len(control)) < len(control.points))
-    if len(points) < 3 * affine_columns:
+    if len(points) < 3 * n_affine_terms:
         return None
     return _Belief.of(model, points, heights=heights)
 
@@ -170,10 +171,11 @@ class Unexplained:
 def unexplained_by(model: SensorModel, control: FeatureSet, terms: BoolArray,
                    adjustment: Adjustment, own: Unexplained, *,
                    least_squares: bool) -> list[Unexplained]:
-    """Return what the courses leave that `spread_of` takes for possible, and how likely each is.
+    """Return what each course that `spread_of` takes for possible leaves of the control.
 
-    The residuals of the fit itself are `own`. What separates it from the course is in its spread
-    already, so that only what the course leaves is to be added.
+    A course is what the truth may be: the fit itself, whose residuals are `own`, or the belief; of
+    a model that interpolates there is one. What separates the fit from a course is part of its
+    spread already, so that only what the course leaves is to be added to that.
     """
     points = control.points
     interpolation = model.interpolation(control)
@@ -186,39 +188,41 @@ def unexplained_by(model: SensorModel, control: FeatureSet, terms: BoolArray,
         return [Unexplained(1.0, residuals, None)]
     with_heights = sees_heights(lambda positions: model.project(adjustment.coefficients, positions),
                                 points.ground)
-    believed = _Belief.of(model, control, heights=with_heights)
-    if believed is None:
+    belief = _Belief.of(model, control, heights=with_heights)
+    if belief is None:
         return [own]
     chance = 0.0
     if least_squares and model.polynomial_degree is None:
         squares = _propagated_noise(model, control, terms, adjustment, points.ground[:1])[1]
-        chance = _chance_of_model(adjustment.n_terms, squares, believed)
-    of_belief = Unexplained(1.0 - chance, believed.residuals(points), believed.effective())
-    return [replace(own, chance=chance), of_belief]
+        chance = _chance_of_model(adjustment.n_terms, squares, belief)
+    left_by_belief = Unexplained(1.0 - chance, belief.residuals(points), belief.effective())
+    return [replace(own, chance=chance), left_by_belief]
 
 
-def _chance_of_model(terms: int, squares: FloatArray, believed: _Belief) -> float:
-    """Return how likely a model is the better course, from its squared held-out errors (n,).
+def _chance_of_model(terms: int, squares: FloatArray, belief: _Belief) -> float:
+    """Return how likely it is that a model, and not the belief, is the course of the truth.
 
-    One with no more terms than an affine polynomial knows the rest from elsewhere, as from a
-    vendor's RPC, and so more of what lies beyond the points than they can show: it is the course
-    unless it predicts them clearly worse.
+    That is judged by the squared held-out errors (n,) of both. A model with no more `terms` than an
+    affine polynomial knows the rest from elsewhere, as from a vendor's RPC, and so more of what
+    lies beyond the points than they can show: its chance is 1 unless it predicts them clearly
+    worse, and 0 then.
     """
-    chance = _chance_of_being_less(squares, believed.squares())
-    if terms <= 2 * (believed.variables + 1):
+    chance = _chance_of_being_less(squares, belief.squares())
+    if terms <= 2 * (belief.variables + 1):
         return float(chance >= CLEARLY_WORSE)
     return chance
 
 
-def _chance_of_being_less(squares: FloatArray, others: FloatArray) -> float:
-    """Return how likely the one kind of error is the smaller one, from squares at n places.
+def _chance_of_being_less(squares: FloatArray, other_squares: FloatArray) -> float:
+    """Return how likely the first kind of error is the smaller one, from squares at n places.
 
-    The mean difference of their logarithms, by its standard error, is normally distributed: of the
-    squares themselves a few great ones would make everything uncertain.
+    The mean difference of their logarithms, divided by its standard error, is normally distributed:
+    of the squares themselves a few great ones would make everything uncertain. The chance is 0
+    where a square is not finite.
     """
     # P(mean <= 0) = Phi(-mean / s) = erfc(mean / s / sqrt(2)) / 2, s being the standard error.
-    least = np.finfo(float).tiny
-    excess = np.log(np.maximum(squares, least)) - np.log(np.maximum(others, least))
+    tiny = np.finfo(float).tiny
+    excess = np.log(np.maximum(squares, tiny)) - np.log(np.maximum(other_squares, tiny))
     if not np.isfinite(excess).all():
         return 0.0
     deviation = excess.std(ddof=1) / len(excess)**0.5
@@ -227,16 +231,16 @@ def _chance_of_being_less(squares: FloatArray, others: FloatArray) -> float:
     return 0.5 * erfc(excess.mean() / deviation / 2**0.5)
 
 
-def _mixed_squares(chance: float, first: Spread, second: Spread) -> Spread:
-    """Return the mean square errors where the one spread holds with a chance, else the other."""
+def _mixed_squares(chance: float, propagated: Spread, believed: Spread) -> Spread:
+    """Return the mean square errors where propagated noise holds with a chance, else the belief."""
     factors = None
-    if first.factors is not None and second.factors is not None:
-        factors = np.concatenate([chance**0.5 * first.factors,
-                                  (1.0 - chance)**0.5 * second.factors], axis=2)
-    # Of the two, the noise that is propagated has no offset.
-    offsets = None if second.offsets is None else (1.0 - chance)**0.5 * second.offsets
-    return Spread(chance * first.variance + (1.0 - chance) * second.variance,
-                  chance * first.noise + (1.0 - chance) * second.noise, factors, offsets)
+    if propagated.factors is not None and believed.factors is not None:
+        factors = np.concatenate([chance**0.5 * propagated.factors,
+                                  (1.0 - chance)**0.5 * believed.factors], axis=2)
+    # Propagated noise has no offset.
+    offsets = None if believed.offsets is None else (1.0 - chance)**0.5 * believed.offsets
+    return Spread(chance * propagated.variance + (1.0 - chance) * believed.variance,
+                  chance * propagated.noise + (1.0 - chance) * believed.noise, factors, offsets)
 
 
 def sees_heights(project: Callable[[FloatArray], FloatArray], ground: FloatArray) -> bool:
@@ -248,8 +252,8 @@ def sees_heights(project: Callable[[FloatArray], FloatArray], ground: FloatArray
 def believed_spread(model: SensorModel, control: FeatureSet, ground: FloatArray,
                     image: FloatArray) -> Spread | None:
     """Return the mean square errors as the polynomial sees them (see `spread_of`), or None."""
-    believed = _Belief.of(model, control)
-    return None if believed is None else believed.spread(ground, image)
+    belief = _Belief.of(model, control)
+    return None if belief is None else belief.spread(ground, image)
 
 
 def shared_variance(model: SensorModel, control: FeatureSet) -> float | None:
@@ -258,25 +262,25 @@ def shared_variance(model: SensorModel, control: FeatureSet) -> float | None:
     Where few coefficients are uncertain, the mean square of errors all over the scene is so, too.
     None with lines, and where points are too few for a posterior.
     """
-    believed = _Belief.of(model, control)
-    if believed is None:
+    belief = _Belief.of(model, control)
+    if belief is None:
         return None
     points = control.points
     local = model.interpolation(control)
-    held_out = (local if isinstance(local, GaussianProcess) else believed.posterior).held_out
+    held_out = (local if isinstance(local, GaussianProcess) else belief.posterior).held_out
     weights = weights_of(points)
     # The sum of squares of normal errors with the covariance C has the mean tr C and the variance
     # 2 tr C^2. What places have in common, those of the control points, the posterior sees.
-    factors = believed.spread(points.ground, points.image).factors
+    factors = belief.spread(points.ground, points.image).factors
     assert factors is not None
-    # A point that is left out is less certain, and about as much alike others.
+    # A point that is left out is less certain, and correlated with the others about as much.
     enlargement = (np.sqrt((held_out.spread - 1.0) / weights**2)
                    / np.maximum(np.linalg.norm(factors, axis=2), np.finfo(float).tiny))
     enlarged = (factors * enlargement[..., None]).reshape(-1, factors.shape[2])
     trace_of_square = ((enlarged.T @ enlarged) ** 2).sum()
     trace = (held_out.spread / weights**2).sum()
     # To this comes how much the mean squares of its solutions differ.
-    return 2 * float(trace_of_square / trace**2) + believed.contest(weights)
+    return 2 * float(trace_of_square / trace**2) + belief.contest(weights)
 
 
 @dataclass(frozen=True, eq=False)
