@@ -40,10 +40,10 @@ _CACHED = 32  # blocks that stay in the cache for all individuals
 def blocks_of(source: FloatArray, feature: IntArray, triangle: FloatArray) -> FloatArray | None:
     """Return the block of each feature, (n + 1, w); None where blocks do not pay or are not safe.
 
-    Blocks are lower triangles of Q_i'Q_i row by row, each with its entry of Q_i'b_i; the last one
-    is of the rows that are always in use. The source (m, k + 2) is the design matrix, the
-    right-hand side and a column of zeros; of each of its rows comes the feature (m,), from 0, or -1
-    if it is always in use. The triangle (k, k + 2) is R of all rows.
+    A block is the lower triangle of Q_i'Q_i row by row, each row followed by its entry of Q_i'b_i;
+    the last block is that of the rows which are always in use. `source` (m, k + 2) is the design
+    matrix, the right-hand side and a column of zeros; `feature` (m,) is the feature of each of its
+    rows, from 0, or -1 if the row is always in use. `triangle` (k, k + 2) is R of all rows.
     """
     k = source.shape[1] - 2
     n = int(feature.max(initial=-1)) + 1
@@ -67,7 +67,7 @@ def blocks_of(source: FloatArray, feature: IntArray, triangle: FloatArray) -> Fl
 
 @compile_lazily
 def _fill(Q: FloatArray, b: FloatArray, feature: IntArray, blocks: FloatArray) -> None:
-    """Add up the rows of each feature: Q_i'Q_i and Q_i'b_i."""
+    """Add up the rows of each feature, as the blocks of Q_i'Q_i and Q_i'b_i (see `blocks_of`)."""
     # Row x of the lower triangle of Q'Q, then its entry of Q'b: as `_reduce` reads them.
     for row in range(len(Q)):
         block = blocks[feature[row]]
@@ -84,13 +84,12 @@ def _fill(Q: FloatArray, b: FloatArray, feature: IntArray, blocks: FloatArray) -
 def _sum(blocks: FloatArray, features: BoolArray, total: FloatArray) -> None:
     """Add up the blocks of each individual, for the normal equations of a population.
 
-    `blocks` (n + 1, w) are the upper triangles of A_i' A_i of each feature i, and in the last row
-    what counts always, such as a prior; `features` (p, n) says which are in use; the sums are
-    written to `total` (p, w).
+    `blocks` (n + 1, w) are those of `blocks_of`; the last one counts for every individual.
+    `features` (p, n) says which others are in use. The sums are written to `total` (p, w).
 
     Features are taken in pieces that stay in the cache for all individuals. Each sum runs over the
-    same pieces in the same order whatever the others select, so that an individual has the same
-    fitness in every population.
+    same pieces in the same order whatever other individuals select, so that an individual has the
+    same fitness in every population.
     """
     n = len(blocks) - 1
     width = blocks.shape[1]

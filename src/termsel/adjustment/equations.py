@@ -24,8 +24,8 @@ class Equations:
     feature : ndarray of int, shape (m,)
         The control feature each row belongs to: points from 0, then lines.
     prior : ndarray, shape (k,), optional
-        Weights, as a factor of the row, of pseudo-observations that a coefficient is zero. They
-        belong to no feature and are always in the adjustment. 0 for none.
+        Weights of pseudo-observations that a coefficient is zero, as factors of their rows; 0 for
+        a coefficient without one. They belong to no feature and are always in the adjustment.
 
     Examples
     --------
@@ -112,10 +112,14 @@ def row_axes(A: FloatArray, axis: IntArray) -> IntArray:
 
 
 def weights_of(points: Points) -> FloatArray:
-    """Return the factors of the points' equations, (n, 2): median sigma by sigma; 1 without sigma.
+    """Return the factors of the points' equations, (n, 2).
+
+    They are the median standard deviation divided by that of the coordinate; 1 where none are
+    stated.
     """
-    return (np.ones_like(points.image) if points.sigma is None
-            else np.asarray(median_of(points.sigma.ravel()) / points.sigma))
+    if points.sigma is None:
+        return np.ones_like(points.image)
+    return np.asarray(median_of(points.sigma.ravel()) / points.sigma)
 
 
 def has_unlike_weights(points: Points) -> bool:
@@ -125,6 +129,13 @@ def has_unlike_weights(points: Points) -> bool:
 
 
 # Points and lines in an adjustment: their rows, positions of vertices, and weights.
+
+QUADRATIC_FEATURES = 20
+"""Features that determine a quadratic polynomial twice over: two equations each, for 20 unknowns.
+"""
+
+ROUGH_RANK = 1e-6
+"""Singular values, by the largest, below which rough image positions do without a direction."""
 
 _APPROXIMATE: WeakKeyDictionary[FeatureSet, dict[bool, FloatArray]] = WeakKeyDictionary()
 """Held by the features, for each step of each fit to them, and gone with them; by whether heights
@@ -146,46 +157,44 @@ def approximate_image(features: FeatureSet, *, heights: bool = True) -> FloatArr
 
 
 def _approximate_image(features: FeatureSet, heights: bool) -> FloatArray:
-    """Return roughly where the vertices of lines are in the image (v, 2), as line and sample.
+    """Return what `approximate_image` does; `heights` says whether z takes part.
 
     Terms of an RFM are weighted by the denominator, which needs image coordinates, and a line has
-    none along itself. A polynomial, quadratic from 20 features on, is fitted to points and lines
-    together, A x = b: for a point dl and ds, for a vertex its distance from the image line, n'(l,
-    s) = rho. `heights` says whether z takes part.
+    none along itself. So a polynomial is fitted to points and lines together, A x = b: a point has
+    its line and its sample, a vertex lies on its image line, n'(l, s) = rho.
     """
-    def columns(ground: FloatArray, degree: int) -> FloatArray:
+    def monomials(ground: FloatArray, degree: int) -> FloatArray:
         """Return the monomials up to degree 1 or 2 at places (n, 3), (n, 4) or (n, 10)."""
         x, y, z = ground.T if heights else (*ground.T[:2], np.zeros(len(ground)))
         linear = [np.ones_like(x), x, y, z]
-        return np.stack(linear if degree == 1 else
-                        [*linear, x * y, x * z, y * z, x * x, y * y, z * z], axis=1)
+        if degree == 1:
+            return np.stack(linear, axis=1)
+        return np.stack([*linear, x * y, x * z, y * z, x * x, y * y, z * z], axis=1)
 
     points = features.points
     lines = features.lines
-    degree = 2 if len(features) >= 20 else 1  # two equations of each; 20 unknowns
-    vertices = lines.ground.reshape(-1, 3)
+    degree = 2 if len(features) >= QUADRATIC_FEATURES else 1
     normal, rho = line_normals(lines)
     normal = np.repeat(normal, 2, axis=0)
     rho = np.repeat(rho, 2)
-    on_lines = columns(vertices, degree)
-    on_points = columns(points.ground, degree)
-    zeros = np.zeros_like(on_points)
-    # A vertex lies on its image line; a point has its line and its sample.
+    of_vertices = monomials(lines.ground.reshape(-1, 3), degree)
+    of_points = monomials(points.ground, degree)
+    zeros = np.zeros_like(of_points)
     A = np.concatenate([
-        np.concatenate([normal[:, :1] * on_lines, normal[:, 1:] * on_lines], axis=1),
-        np.concatenate([on_points, zeros], axis=1),
-        np.concatenate([zeros, on_points], axis=1)])
+        np.concatenate([normal[:, :1] * of_vertices, normal[:, 1:] * of_vertices], axis=1),
+        np.concatenate([of_points, zeros], axis=1),
+        np.concatenate([zeros, of_points], axis=1)])
     b = np.concatenate([rho, points.image[:, 0], points.image[:, 1]])
-    x = np.linalg.lstsq(A, b, rcond=1e-6)[0].reshape(2, -1)
-    return np.asarray(on_lines @ x.T)
+    x = np.linalg.lstsq(A, b, rcond=ROUGH_RANK)[0].reshape(2, -1)
+    return np.asarray(of_vertices @ x.T)
 
 
 def row_weights(features: FeatureSet, *, heights: bool = True) -> FloatArray:
     """Return weights of the rows of points, then of lines, two each.
 
-    Rows are weighted by standard deviations relative to the median one. That of a line is
-    the standard deviation of its position at the vertex. With two end points measured to s, a
-    distance of L apart, it is s sqrt(1/2 + 2 t^2 / L^2) at t from their middle: long lines have
+    Rows are weighted by standard deviations relative to the median one. The standard deviation of a
+    line's row is that of the image line at the vertex: with two end points measured to s, a
+    distance of L apart, it is s sqrt(1/2 + 2 t^2 / L^2) at t from their middle. So long lines have
     more weight outside their measured piece. The correlation of both vertices of a line, through
     these end points, is neglected.
 

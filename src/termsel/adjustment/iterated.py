@@ -20,6 +20,9 @@ ITERATIONS = 50
 HALVINGS = tuple(0.5**i for i in range(8))
 """Shares of a Gauss-Newton step that are tried in turn."""
 
+SMALLEST_DECREASE = 1e-10
+"""Share of the sum of squares that a step must take away to count as one that lessens it."""
+
 MIN_STEP_GAIN = 1e-5
 """Share of the residuals that a last step may leave: their squares are then known to 1e-10."""
 
@@ -35,7 +38,10 @@ class Quotients:
 
     def misfits(self, x: FloatArray,
                 individuals: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return weighted distances, quotients, and weights over denominators of some, (p, m)."""
+        """Return weighted distances, quotients, and weights divided by denominators, (p, m) each.
+
+        `x` (p, k) are the coefficients of the `individuals` (p,), which are rows of the weights.
+        """
         with np.errstate(all="ignore"):  # beyond a pole, where no step ends
             denominators = 1.0 + x @ self.denominator.T
             quotients = (x @ self.numerator.T) / denominators
@@ -48,41 +54,42 @@ class Quotients:
         return np.asarray((self.misfits(x, individuals)[0]**2).sum(axis=1) + prior_squares)
 
 
-def solve_least_distances(quotients: Quotients, systems: tuple[IndependentPart, ...],
+def solve_least_distances(quotients: Quotients, parts: tuple[IndependentPart, ...],
                           terms: BoolArray, coefficients: FloatArray) -> FloatArray:
-    """Return coefficients (p, k) of the least weighted distances, from those of a first solution.
+    """Return coefficients (p, k) of the least weighted distances, starting from a first solution.
 
-    Each part of the terms (p, k) is iterated by itself. Steps that do not lessen the sum of squares
-    are halved.
+    `coefficients` (p, k) are that solution, `terms` (p, k) the selected terms. Each independent
+    part of the terms is iterated by itself. Steps that do not lessen the sum of squares are halved.
     """
     solution = coefficients.copy()
-    for system in systems:
-        columns = system.columns
+    for part in parts:
+        columns = part.columns
         rows = (quotients.numerator[:, columns].any(axis=1)
                 | quotients.denominator[:, columns].any(axis=1))
         distances = Quotients(quotients.numerator[np.ix_(rows, columns)],
                               quotients.denominator[np.ix_(rows, columns)], quotients.target[rows],
                               quotients.weights[:, rows])
-        prior = system.equations.prior
-        system_terms = terms[:, columns]
+        prior = part.equations.prior
+        part_terms = terms[:, columns]
         x = solution[:, columns]
-        active = np.arange(len(terms))
+        active = np.arange(len(terms))  # individuals whose squares still fall
         for _ in range(ITERATIONS):
-            step, gain, before = _newton_steps(distances, prior, system_terms[active], x[active],
-                                               active)
+            step, gain, squares = _newton_steps(distances, prior, part_terms[active], x[active],
+                                                active)
             # The length of Q'v is what a full step would take from the residuals.
-            worthwhile = gain > MIN_STEP_GAIN * np.sqrt(before)
-            active = active[worthwhile]
-            step = step[worthwhile]
-            before = before[worthwhile]
-            # Steps are halved until the squares are less; who never gets there is done.
+            is_worthwhile = gain > MIN_STEP_GAIN * np.sqrt(squares)
+            active = active[is_worthwhile]
+            step = step[is_worthwhile]
+            squares = squares[is_worthwhile]
+            # Steps are halved until the squares are less; an individual for which they never are
+            # is done.
             not_improved = np.arange(len(active))
             for share in HALVINGS:
                 candidate = x[active[not_improved]] + share * step[not_improved]
-                after = distances.squares(prior, candidate, active[not_improved])
-                improved = after < (1 - 1e-10) * before[not_improved]
-                x[active[not_improved[improved]]] = candidate[improved]
-                not_improved = not_improved[~improved]
+                new_squares = distances.squares(prior, candidate, active[not_improved])
+                is_improved = new_squares < (1 - SMALLEST_DECREASE) * squares[not_improved]
+                x[active[not_improved[is_improved]]] = candidate[is_improved]
+                not_improved = not_improved[~is_improved]
                 if not len(not_improved):
                     break
             active = np.delete(active, not_improved)
@@ -94,9 +101,10 @@ def solve_least_distances(quotients: Quotients, systems: tuple[IndependentPart, 
 
 def _newton_steps(system: Quotients, prior: FloatArray | None, terms: BoolArray, x: FloatArray,
                   active: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return full steps (p, k), the norms that they take from the distances (p,), and squares (p,).
+    """Return full Gauss-Newton steps (p, k), how much they gain (p,), and the sums of squares (p,).
 
-    The steps of selections beyond a pole, or with dependent columns, are 0.
+    The gain is the length that a full step would take from the distances. The steps of selections
+    beyond a pole, or with dependent columns, are 0.
     """
     v, quotients, factors = system.misfits(x, active)
     step = np.zeros_like(x)
@@ -117,9 +125,10 @@ def _newton_steps(system: Quotients, prior: FloatArray | None, terms: BoolArray,
                 x[batch], columns, axis=1)], axis=1)
         q, r = np.linalg.qr(rows.swapaxes(1, 2))
         lengths = np.linalg.norm(rows, axis=2)
-        determined = (np.abs(np.diagonal(r, axis1=1, axis2=2)) > TOLERANCE * lengths).all(axis=1)
-        projections = np.einsum("pmn,pm->pn", q, misfits)[determined]
-        step[batch[determined, None], columns[determined]] = np.linalg.solve(
-            r[determined], projections[..., None])[..., 0]
-        gain[batch[determined]] = np.linalg.norm(projections, axis=1)
+        is_determined = (np.abs(np.diagonal(r, axis1=1, axis2=2))
+                         > TOLERANCE * lengths).all(axis=1)
+        projections = np.einsum("pmn,pm->pn", q, misfits)[is_determined]
+        step[batch[is_determined, None], columns[is_determined]] = np.linalg.solve(
+            r[is_determined], projections[..., None])[..., 0]
+        gain[batch[is_determined]] = np.linalg.norm(projections, axis=1)
     return step, gain, system.squares(prior, x, active)

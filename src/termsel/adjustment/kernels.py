@@ -36,21 +36,21 @@ from termsel.data.features import BoolArray, FloatArray, IntArray
 # Twins in a population of masks.
 
 def distinct_masks(columns: BoolArray, rows: BoolArray) -> tuple[IntArray, IntArray]:
-    """Return the first index of every distinct mask, (d,), and which of these each mask is, (p,).
+    """Return the first index of each of d distinct masks, (d,), and which of them each is, (p,).
 
-    Masks are the rows of columns and of rows together, (p, k) and (p, n). It takes some hundredths
-    of a solution's time, and a converging population is full of twins.
+    A mask is a row of `columns` (p, k) together with the same row of `rows` (p, n). Finding twins
+    takes some hundredths of a solution's time, and a converging population is full of them.
     """
     bits = np.packbits(np.concatenate([columns, rows], axis=1), axis=1)
     masks = bits.view(f"V{bits.shape[1]}")[:, 0].tolist()
     numbers = np.arange(len(masks))
     if len(set(masks)) == len(masks):
         return numbers, numbers
-    # of the first one
-    first_numbers = dict(zip(reversed(masks), reversed(numbers.tolist()), strict=True))
-    first = np.fromiter(map(first_numbers.__getitem__, masks), np.intp, len(masks))
-    is_first = first == numbers
-    return numbers[is_first], (np.cumsum(is_first) - 1)[first]
+    # Reversed, so that the first of equal masks is the one that stays.
+    number_of_mask = dict(zip(reversed(masks), reversed(numbers.tolist()), strict=True))
+    first_twin = np.fromiter(map(number_of_mask.__getitem__, masks), np.intp, len(masks))
+    is_first = first_twin == numbers
+    return numbers[is_first], (np.cumsum(is_first) - 1)[first_twin]
 
 
 BLOCK = 192
@@ -85,7 +85,7 @@ def _dot_product(u: FloatArray, v: FloatArray) -> float:
 
 @_compiled
 def _take(column: FloatArray, v: FloatArray) -> float:
-    """Copy a column and return the sum of its squares."""
+    """Copy a column to `v` and return the sum of its squares."""
     for i in range(len(v)):
         v[i] = column[i]
     return _dot_product(v, v)
@@ -178,10 +178,10 @@ def _shift_triangle_down(panels: FloatArray, n: int, shift: int) -> None:
 def _factor(panels: FloatArray, reflections: Reflections, source: FloatArray, triangular: bool,
             rows: UintArray, columns: UintArray, heights: IntArray, n: int, tolerance: float,
             longest: float) -> int:
-    """Triangularise the system of some rows and n columns; return its rank.
+    """Triangularise the system of some rows and n columns of `source`; return its rank.
 
-    More rows than the panels hold are folded in block by block, on top of the triangle of
-    those before. Columns are then tested only when all rows are in, in a last round without a
+    More rows than the panels hold are folded in block by block, on top of the triangle of the
+    rows before. Columns are then tested only when all rows are in, in a last round without a
     block of its own.
     """
     m = len(rows)
@@ -331,13 +331,13 @@ def solve_many(equations: Equations, terms: BoolArray | None, features: BoolArra
 
     A term is dependent if it keeps no more than `termsel.adjustment.solve.TOLERANCE` of its length
     over the selected rows once the selected terms before it are removed. Masks that occur several
-    times are solved once. The result does not depend on the other individuals. What is computed
-    from the equations alone is kept as long as the object lives, so its arrays must not be changed
-    afterwards.
+    times are solved once. The result of an individual does not depend on the others. What is
+    computed from the equations alone is kept as long as the object lives, so its arrays must not be
+    changed afterwards.
 
-    Terms (p, k) and features (p, n_features) are masks of what is selected; None is all. Returned
-    are the coefficients (p, k), 0 where a term is not selected, and throughout where a mask has no
-    unique solution; and the violations (p,), selected terms minus rank.
+    Terms (p, k) and features (p, n_features) are masks of what is selected, None where everything
+    is. Returns the coefficients (p, k), 0 where a term is not selected, and all 0 for a mask
+    without a unique solution; and the violations (p,), selected terms minus rank.
 
     Raises ValueError for masks whose shapes do not fit the equations.
     """
@@ -362,12 +362,12 @@ def solve_many(equations: Equations, terms: BoolArray | None, features: BoolArra
     # One memory layout for all, or code would be compiled for each.
     columns = np.require(columns, requirements=("C", "W"))
     rows = np.require(rows, requirements=("C", "W"))
-    first, copies = distinct_masks(columns, rows)
-    if len(first) < p:
-        columns = columns[first]
-        rows = rows[first]
+    distinct, number_of_each = distinct_masks(columns, rows)
+    if len(distinct) < p:
+        columns = columns[distinct]
+        rows = rows[distinct]
     coefficients = np.zeros(columns.shape)
-    violation = np.zeros(len(first), dtype=np.intp)
+    violation = np.zeros(len(distinct), dtype=np.intp)
     panels, reflections, heights, index = _allocate_workspace(k, len(source))
     order = np.zeros(len(source), dtype=np.uintp)
 
@@ -388,9 +388,9 @@ def solve_many(equations: Equations, terms: BoolArray | None, features: BoolArra
                 factor(individuals, source, feature, rows[individuals])
             else:
                 factor(individuals, small_system, *single_feature)
-    if len(first) == p:
+    if len(distinct) == p:
         return coefficients, violation
-    return coefficients[copies], violation[copies]
+    return coefficients[number_of_each], violation[number_of_each]
 
 
 def needs_compilation() -> bool:

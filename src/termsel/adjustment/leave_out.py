@@ -88,9 +88,11 @@ def _factor(panels: FloatArray, q: FloatArray, n: int, m: int, reflections: Refl
 @_compiled
 def _weigh(q: FloatArray, n: int, start: int, stop: int, block: FloatArray,
            tolerance: float) -> bool:
-    """Multiply a feature's errors b_i - A_i x, in row n, by (I - Q_i Q_i')^-1; False if singular.
+    """Multiply a feature's errors b_i - A_i x by (I - Q_i Q_i')^-1; return whether that exists.
 
-    The feature's rows are those from `start`. The matrix is factored by Cholesky's method.
+    `q` (k + 1, m) has the columns of Q, and in row n the errors; the feature has its columns from
+    `start` to `stop`, and its errors are replaced. The matrix is factored by Cholesky's method in
+    `block`.
     """
     # Row i of L in I - Q_i Q_i' = L L', and of L y = errors along with it.
     for i in range(start, stop):
@@ -200,14 +202,15 @@ def leave_one_out(equations: Equations, terms: BoolArray, features: BoolArray,
                   ) -> tuple[FloatArray, BoolArray]:
     """Solve a population of masked least-squares systems, holding out one feature at a time.
 
-    Terms are (p, k), features (p, n). Returned are the coefficients with feature 0 to n - 1 held
-    out, (n, p, k), 0 where a term or that feature is not selected; and which individuals are
-    determined, (p,). Others have dependent terms or an indispensable feature: I - Q_i Q_i' then has
-    a pivot of `termsel.adjustment.solve.TOLERANCE` or less. Their solutions must not be
-    used.
+    Terms (p, k) and features (p, n) are masks of what is selected. Returns the coefficients with
+    each of the n features held out, (n, p, k), 0 where a term or that feature is not selected; and
+    which individuals are determined, (p,). Others have dependent terms or an indispensable feature:
+    I - Q_i Q_i' then has a pivot of `termsel.adjustment.solve.TOLERANCE` or less. Their solutions
+    must not be used.
     """
     order = np.argsort(equations.feature, kind="stable")
     n = features.shape[1]
+    # Where the rows of each feature begin, and after the last one where they end.
     first = np.searchsorted(equations.feature[order], np.arange(n + 1)).astype(np.intp)
     tallest = int(np.diff(first).max())
     A, b = equations.with_prior()
@@ -249,32 +252,33 @@ def _leave_out_of_one(source: FloatArray, first: IntArray, terms: BoolArray, fea
     rows = np.flatnonzero(np.repeat(features, np.diff(first)))
     A = source[np.ix_(rows, selected_terms)]
     b = source[rows, -1]
-    undetermined = solutions[:, None], np.zeros(1, dtype=bool)
+    if_undetermined = solutions[:, None], np.zeros(1, dtype=bool)
     if len(selected_terms) >= len(rows):
-        return undetermined
+        return if_undetermined
     q, r = np.linalg.qr(A)
     if (np.abs(np.diag(r)) <= TOLERANCE * np.linalg.norm(A, axis=0)).any():
-        return undetermined
+        return if_undetermined
     projections = q.T @ b
     errors = b - q @ projections
     errors -= q @ (q.T @ errors)  # what rounding left along the columns
-    height = np.diff(first)[selected_features]
-    start = np.cumsum(height) - height
-    right = np.zeros((len(selected_terms), len(height)))
-    for rows_each in set(height.tolist()):  # features with as many rows at once
-        same_height = np.flatnonzero(height == rows_each)
-        feature_rows = start[same_height, None] + np.arange(rows_each)
+    row_counts = np.diff(first)[selected_features]
+    starts = np.cumsum(row_counts) - row_counts
+    right = np.zeros((len(selected_terms), len(row_counts)))
+    for row_count in set(row_counts.tolist()):  # all features with so many rows at once
+        same_count = np.flatnonzero(row_counts == row_count)
+        feature_rows = starts[same_count, None] + np.arange(row_count)
         q_rows = q[feature_rows]
-        redundancy = np.eye(rows_each) - q_rows @ q_rows.swapaxes(1, 2)  # I - Q_i Q_i'
+        redundancy = np.eye(row_count) - q_rows @ q_rows.swapaxes(1, 2)  # I - Q_i Q_i'
         # Pivots of an elimination without exchanges are those of Cholesky's method, squared.
         pivots = redundancy.copy()
-        for j in range(rows_each):
-            if (pivots[:, j, j] <= TOLERANCE).any():  # the others do not determine the terms
-                return undetermined
+        for j in range(row_count):
+            # The other features then do not determine the terms.
+            if (pivots[:, j, j] <= TOLERANCE).any():
+                return if_undetermined
             pivots[:, j + 1:, j + 1:] -= (pivots[:, j + 1:, j, None] * pivots[:, None, j, j + 1:]
                                           / pivots[:, j, j, None, None])
         weighed = np.linalg.solve(redundancy, errors[feature_rows][..., None])
-        right[:, same_height] = (q_rows.swapaxes(1, 2) @ weighed)[..., 0].T
+        right[:, same_count] = (q_rows.swapaxes(1, 2) @ weighed)[..., 0].T
     # x = R^-1 Q'b, and of each feature its change, which is added to x.
     change = np.linalg.solve(r, np.column_stack([projections, -right]))
     change[:, 1:] += change[:, :1]

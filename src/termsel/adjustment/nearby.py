@@ -31,9 +31,10 @@ _DETERMINED = 1e-5  # least part of a column that those before it leave; else ke
 
 def solve_near(equations: Equations, start: BoolArray, features: BoolArray,
                ) -> tuple[FloatArray, IntArray]:
-    """Solve for features (p, n) next to a selection (n,), with all terms (see `solve_many`).
+    """Solve a population of systems whose features (p, n) differ little from a selection (n,).
 
-    The solutions are those of `solve_many`, but for rounding.
+    All terms are in use. Returns what `solve_many` does, but for rounding: the coefficients (p, k),
+    and the number of terms that are not determined (p,).
     """
     rows = _rows_of(equations.feature, len(start))
     reference = _reference_solution(equations, start) if rows.shape[1] <= MAX_FEATURE_ROWS else None
@@ -41,25 +42,27 @@ def solve_near(equations: Equations, start: BoolArray, features: BoolArray,
         return solve_many(equations, None, features)
     x, V, row_solutions, residuals = reference
     p, n = features.shape
-    # The feature that each one adds and drops; number n, without rows, for none.
+    # The feature that each individual adds and drops; number n, without rows, for none.
     individual, changed_feature = np.divmod(np.flatnonzero(features != start), n)
     added, dropped = np.full((2, p), n)
-    on = features[individual, changed_feature]
-    added[individual[on]] = changed_feature[on]
-    dropped[individual[~on]] = changed_feature[~on]
+    is_added = features[individual, changed_feature]
+    added[individual[is_added]] = changed_feature[is_added]
+    dropped[individual[~is_added]] = changed_feature[~is_added]
     changes = np.bincount(individual, minlength=p)
-    # What rows of a feature have of the selection, and without it if they are of it.
+    # V_i V_i' of each feature. A correction is safe where there is no more than one feature added
+    # and one dropped, and neither magnifies rounding too much.
     gram = V[rows] @ V[rows].transpose(0, 2, 1)
     largest = np.trace(gram, axis1=1, axis2=2)
-    safe = ((np.where(added < n, 1, 0) + np.where(dropped < n, 1, 0) == changes)
-            & (largest[added] <= SAFE_CONDITION) &
-            (_least_remaining_shares(gram, start)[dropped] * SAFE_CONDITION >= 1.0))
+    is_safe = ((np.where(added < n, 1, 0) + np.where(dropped < n, 1, 0) == changes)
+               & (largest[added] <= SAFE_CONDITION)
+               & (_least_remaining_shares(gram, start)[dropped] * SAFE_CONDITION >= 1.0))
     coefficients = np.empty((p, len(x)))
-    violation = np.zeros(p, dtype=np.intp)
-    if not safe.all():
-        coefficients[~safe], violation[~safe] = solve_many(equations, None, features[~safe])
-    added = added[safe]
-    dropped = dropped[safe]
+    undetermined = np.zeros(p, dtype=np.intp)
+    if not is_safe.all():
+        coefficients[~is_safe], undetermined[~is_safe] = solve_many(equations, None,
+                                                                    features[~is_safe])
+    added = added[is_safe]
+    dropped = dropped[is_safe]
     width = rows.shape[1]
     mixed = np.matmul(V[rows[added]], V[rows[dropped]].transpose(0, 2, 1))
     # D + V_s V_s' of the rows added and dropped; rows of zeros keep the 1 and -1 of D.
@@ -68,34 +71,36 @@ def solve_near(equations: Equations, start: BoolArray, features: BoolArray,
     system[:, width:, width:] = gram[dropped] - np.eye(width)
     system[:, :width, width:] = mixed
     system[:, width:, :width] = mixed.transpose(0, 2, 1)
-    changed = np.concatenate([rows[added], rows[dropped]], axis=1)
-    factors = np.linalg.solve(system, residuals[changed][..., None])
+    changed_rows = np.concatenate([rows[added], rows[dropped]], axis=1)
+    factors = np.linalg.solve(system, residuals[changed_rows][..., None])
     # x' = x + (V_s R^-T)' times the factors
-    coefficients[safe] = x + np.matmul(factors.transpose(0, 2, 1), row_solutions[changed])[:, 0]
-    return coefficients, violation
+    corrections = np.matmul(factors.transpose(0, 2, 1), row_solutions[changed_rows])[:, 0]
+    coefficients[is_safe] = x + corrections
+    return coefficients, undetermined
 
 
 def _rows_of(feature: IntArray, n: int) -> IntArray:
-    """Return the rows of each of n features, and of one without any, shape (n + 1, r).
+    """Return the rows of each of n features, and of one more feature without rows, (n + 1, r).
 
-    r is the most rows of a feature; the others are filled up with the number m, one past the last
-    row.
+    r is the largest number of rows that a feature has. A feature with fewer is filled up with m,
+    the number after that of the last row. `feature` (m,) is the feature of each row.
     """
-    number = np.bincount(feature, minlength=n + 1)
+    row_counts = np.bincount(feature, minlength=n + 1)
     order = np.argsort(feature, kind="stable")
-    filled = np.arange(number.max(initial=1)) < number[:, None]
-    rows = np.full(filled.shape, len(feature))
-    rows[filled] = order
+    is_row = np.arange(row_counts.max(initial=1)) < row_counts[:, None]
+    rows = np.full(is_row.shape, len(feature))
+    rows[is_row] = order
     return rows
 
 
 def _reference_solution(
         equations: Equations, start: BoolArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
-    """Return x, V, V R^-T and r of a selection, of all rows and a last one of zeros.
+    """Return x (k,), V and V R^-T (m + 1, k), and r (m + 1,) of a selection of features (n,).
 
-    V = A R^-1 and r = b - A x, for the factor R of the rows in use. None where the selection does
-    not clearly determine x, or kernels are as fast.
+    R is the factor of the rows in use, V = A R^-1 and r = b - A x are those of all m rows, followed
+    by a row of zeros. None comes back where the selection does not clearly determine x, or kernels
+    are as fast.
     """
     A, b = equations.with_prior()
     used = np.ones(len(b), dtype=bool)
@@ -116,9 +121,10 @@ def _reference_solution(
 
 
 def _least_remaining_shares(gram: FloatArray, start: BoolArray) -> FloatArray:
-    """Return the least share of its rows' weight that a feature leaves to others, (n + 1,).
+    """Return how well a selection without each feature determines its rows, 0 to 1, (n + 1,).
 
-    It is 1 for features that are not in use, and for the last, which has no rows.
+    That is 1 less the largest eigenvalue of its leverage V_i V_i' (`gram`). It is 1 for features
+    that are not in use, and for the last, which has no rows.
     """
     shares = np.ones(len(gram))
     shares[:-1][start] = 1.0 - np.linalg.eigvalsh(gram[:-1][start])[:, -1]

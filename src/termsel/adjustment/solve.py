@@ -128,9 +128,10 @@ def solve(
 
 
 def _lower_rank(scaled: FloatArray) -> int:
-    """Return how many columns of one length, or 0, are independent, less than all; by pivoting."""
-    # QR with pivoting: the longest column a goes out of all others, c - a (a'c) / (a'a), until what
-    # is left is none. SciPy's would be the only part of it that most runs import, in 0.2 s.
+    """Return how many columns (m, n) are independent, where not all are; their lengths are 1 or 0.
+    """
+    # QR with pivoting: the longest column a is taken out of all others, c - a (a'c) / (a'a), until
+    # nothing is left. SciPy has it, but most runs import no other part of SciPy, which takes 0.2 s.
     remaining = scaled.copy()
     rank = 0
     while rank < min(len(scaled), scaled.shape[1] - 1):
@@ -169,9 +170,10 @@ def replace_rounding_by_size(
 
 
 def index_of_largest(values: FloatArray) -> IntArray:
-    """Return the index of the largest value of each row; among equals, but for rounding, the first.
+    """Return the index of the largest value of each row; if several are equal, the first of them.
 
-    The last axis is that of a row. Values are not negative; a negative one cannot be chosen.
+    The last axis is the row. Values that differ by `ROUNDING` are equal. Where any value is not
+    negative, a negative one cannot be chosen.
     """
     maxima = values.max(axis=-1, keepdims=True)
     return np.asarray((values >= maxima - ROUNDING * np.abs(maxima)).argmax(axis=-1))
@@ -200,6 +202,9 @@ def round_to_nine_digits(figures: FloatArray | float) -> FloatArray:
 
 # Penalised least squares along the singular values of a design matrix.
 
+PENALTIES = 401
+"""Penalties that are tried: over eight decades a step is 5 %, finer than any choice shows."""
+
 EQUAL_FIGURES = 1e-6
 """Figures that differ relatively by less than this are taken as equal."""
 
@@ -215,9 +220,9 @@ class Spectrum:
     freedom: int  # rows less unpenalised columns
 
     def penalties(self, smallest: float) -> FloatArray:
-        """Return 401 penalties from the largest singular value down to `smallest` times it, (401,).
+        """Return PENALTIES penalties from the largest singular value down to `smallest` times it.
         """
-        return np.asarray(self.values[0] * np.geomspace(1.0, smallest, 401))
+        return np.asarray(self.values[0] * np.geomspace(1.0, smallest, PENALTIES))
 
     def _residual_share(self, penalty: FloatArray) -> FloatArray:
         """Return 1 - s^2 / (s^2 + penalty^2), shape (n, p)."""

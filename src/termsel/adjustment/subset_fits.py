@@ -26,9 +26,9 @@ _compiled = partial(compile_lazily, _nrt=False)
 
 def squared_distances_from_fits(design: FloatArray, image: FloatArray,
                                 sets: BoolArray) -> FloatArray:
-    """Return squared distances of n points from the fits of sets, (m, n).
+    """Return the squared distances of n points from the fit of each of m sets of them, (m, n).
 
-    The design (n, k) and the image (n, 2) are of all points; the sets are (m, n).
+    The design (n, k) and the image (n, 2) are those of all points; the sets are masks (m, n).
     """
     n, k = design.shape
     squares = np.empty(sets.shape)
@@ -45,11 +45,11 @@ def squared_distances_from_fits(design: FloatArray, image: FloatArray,
 
 @_compiled
 def _fill_squares(design: FloatArray, image: FloatArray, sets: BoolArray, triangle: FloatArray,
-                  right: FloatArray, found: FloatArray, rest: FloatArray, squares: FloatArray,
-                  pivots: FloatArray) -> None:
+                  right: FloatArray, solution: FloatArray, residuals: FloatArray,
+                  squares: FloatArray, pivots: FloatArray) -> None:
     """Fill in `squares` (m, n) of `squared_distances_from_fits`, and the least pivots (m,).
 
-    Scratch are `triangle` (k, k), `right` and `found` (2, k), and `rest` (n, 2).
+    Scratch are `triangle` (k, k), `right` and `solution` (2, k), and `residuals` (n, 2).
     """
     n, k = design.shape
     for number in range(len(sets)):
@@ -61,40 +61,42 @@ def _fill_squares(design: FloatArray, image: FloatArray, sets: BoolArray, triang
                     for j in range(i + 1):
                         triangle[i, j] += design[p, i] * design[p, j]
         pivots[number] = _factor(triangle)
-        found[:] = 0.0
+        solution[:] = 0.0
         for p in range(n):
             for axis in range(2):
-                rest[p, axis] = image[p, axis]
-        for _ in range(2):  # a solution, and its correction
+                residuals[p, axis] = image[p, axis]
+        for _ in range(2):  # the solution, then its correction
             right[:] = 0.0
             for p in range(n):
                 if used[p]:
                     for axis in range(2):
                         for i in range(k):
-                            right[axis, i] += design[p, i] * rest[p, axis]
+                            right[axis, i] += design[p, i] * residuals[p, axis]
             for axis in range(2):
                 _solve(triangle, right[axis])
                 for i in range(k):
-                    found[axis, i] += right[axis, i]
+                    solution[axis, i] += right[axis, i]
             for p in range(n):
                 for axis in range(2):
                     predicted = 0.0
                     for i in range(k):
-                        predicted += design[p, i] * found[axis, i]
-                    rest[p, axis] = image[p, axis] - predicted
+                        predicted += design[p, i] * solution[axis, i]
+                    residuals[p, axis] = image[p, axis] - predicted
         for p in range(n):
-            squares[number, p] = rest[p, 0] * rest[p, 0] + rest[p, 1] * rest[p, 1]
+            line = residuals[p, 0]
+            sample = residuals[p, 1]
+            squares[number, p] = line * line + sample * sample
 
 
 @_compiled
 def _factor(matrix: FloatArray) -> float:
-    """Replace the lower triangle of a matrix (k, k) by L, of L L', and return the least pivot.
+    """Replace the lower triangle of a matrix (k, k) by Cholesky's factor L; return the least pivot.
 
-    That is the least square of a diagonal entry of L by the entry of the matrix there.
+    A pivot is the square of a diagonal entry of L, divided by the entry of the matrix there.
     """
     least = np.inf
     for i in range(len(matrix)):
-        whole = matrix[i, i]
+        diagonal = matrix[i, i]
         for j in range(i + 1):
             entry = matrix[i, j]
             for h in range(j):
@@ -102,7 +104,7 @@ def _factor(matrix: FloatArray) -> float:
             if j < i:
                 matrix[i, j] = entry / matrix[j, j]
             else:
-                least = entry / whole if not entry / whole >= least else least
+                least = entry / diagonal if not entry / diagonal >= least else least
                 matrix[i, i] = np.sqrt(entry)
     return least
 

@@ -79,8 +79,8 @@ def chances_if_normal(errors: FloatArray) -> tuple[float, float] | None:
         log = np.log(n)
         mean = np.polyval([0.0038915, -0.083751, -0.31082, -1.5861], log)
         deviation = np.exp(np.polyval([0.0030302, -0.082676, -0.4803], log))
-    first, second = map(normal.cdf, ((mean - statistic) / deviation).tolist())
-    return first, second
+    first_column, second_column = ((mean - statistic) / deviation).tolist()
+    return normal.cdf(first_column), normal.cdf(second_column)
 
 
 LATTICE_RATIO = 1 / 3
@@ -89,6 +89,9 @@ of the square, where lines walk at random."""
 
 NSSDA_POINTS = 20
 """Fewest check points of NSSDA."""
+
+NSSDA_FACTOR = 2.4477
+"""Radius of the circle that holds 95 % of errors, by the standard deviation of an axis."""
 
 ASPRS_POINTS = 30
 """Fewest check points of ASPRS 2024."""
@@ -137,12 +140,11 @@ def predict_rmse(errors: FloatArray, effective: float, points: int,
                  experience: Experience = NO_EXPERIENCE) -> Predicted:
     """Return the RMSE that held-out errors predict, with an interval.
 
-    Errors [px] (n, 2) are of points under choices made without them, `effective` the parameters of
-    both axes together, `points` the number of independent points, and `shared` the relative
-    variance of the mean square error that all places have in common; by default that of as many
-    equally uncertain coefficients as are effective. Experience counts next to the redundancy.
-
-    No constant says how large the uncertainties of its logarithm are.
+    `errors` [px] (n, 2) are those of points under choices made without them, `effective` the
+    parameters of both axes together, `points` the number of independent points, 0 for places
+    without number. `shared` is the relative variance of the mean square error that all places have
+    in common; by default that of `effective` equally uncertain coefficients. `experience` counts
+    next to the redundancy. The interval follows from these alone, without a constant of its own.
     """
     n = len(errors)
     freedom = freedom_of(errors)
@@ -154,8 +156,9 @@ def predict_rmse(errors: FloatArray, effective: float, points: int,
     redundancy = max(2 * n - effective + experience.freedom, 2.0)
     shared = effective / 2 / n**2 if shared is None else shared
     quantile = t_quantile((1 + CONFIDENCE) / 2, redundancy)
-    # Of a mean of so many squares, of those held out and of those to come; and what all places have
-    # in common: coefficients that few points determine, and the doubt which solution is right.
+    # Variance of the logarithm of the RMSE: a mean of so many squares, those held out and those to
+    # come; and what all places have in common, coefficients that few points determine and the doubt
+    # which solution is right.
     variance = min(spread / redundancy / 2 + (spread / points if points else 0.0) / 4 + shared / 4,
                    quantile**2)
     # The prediction is the mean of a log-normal RMSE.
@@ -167,10 +170,11 @@ def predict_rmse(errors: FloatArray, effective: float, points: int,
 
 def predict_rmse_of_fit(fitted: Fit, errors: FloatArray, points: int,
                         ground: FloatArray | None = None) -> Predicted:
-    """Return the RMSE that held-out errors predict for a fit (see `predict_rmse`).
+    """Return the RMSE that held-out errors [px] (n, 2) predict for a fit (see `predict_rmse`).
 
-    With the ground (m, 3) of the points, it is that at their heights, unlike the control's or not.
-    Where points state unlike standard deviations, it is the weighted mean of the squares.
+    Where the `ground` (m, 3) of the points to come is given, it is the RMSE at their heights, even
+    if these are unlike the control's. Where points state unlike standard deviations, squares are
+    averaged by their weights.
     """
     in_use = fitted.control.take(fitted.used)
     is_weighted = has_unlike_weights(in_use.points) and len(in_use.points) == len(errors)
@@ -204,9 +208,9 @@ def predict_rmse_of_fit(fitted: Fit, errors: FloatArray, points: int,
 
 
 def weighted_rmse(errors: FloatArray, points: Points) -> float:
-    """Return the RMSE of errors (n, 2) [px] by what their points state of themselves.
+    """Return the RMSE of errors (n, 2) [px], weighted by the standard deviations of their points.
 
-    Without standard deviations, and where errors of lines are among them, all count alike.
+    Without standard deviations, and where errors of lines are among them, all errors count alike.
     """
     if not has_unlike_weights(points) or len(points) != len(errors):
         return _plain_rmse(errors)
@@ -389,12 +393,12 @@ def distance_figures(kind: Callable[..., _Distances], errors: FloatArray) -> _Di
 
 
 def accuracy_of(fitted: Fit, independent: Points) -> Accuracy | None:
-    """Return the accuracy on independent points; None without any.
+    """Return the accuracy on independent points.
 
-    Errors in the image are computed minus measured [px]. On the ground the measured position is
+    Errors in the image are measured minus computed [px]. On the ground the measured position is
     located at the point's own height and compared with its coordinates, in metres where the CRS
-    tells these. NSSDA and ASPRS figures follow where there are enough points. None, too, where the
-    model has no image of a point.
+    tells these. NSSDA and ASPRS figures follow where there are enough points. None comes back
+    without points, and where the model has no image of some point.
     """
     if not len(independent):
         return None
@@ -425,7 +429,7 @@ def nssda_accuracy(points: int, ground: OnGround | None) -> StandardFigure:
     if high > 0 and low < MIN_AXIS_RATIO * high:
         return StandardFigure(None,
                               f"the RMSE of one axis is below {MIN_AXIS_RATIO:g} of the other")
-    return StandardFigure(2.4477 * (low + high) / 2)
+    return StandardFigure(NSSDA_FACTOR * (low + high) / 2)
 
 
 def asprs_rmse(points: int, ground: OnGround | None) -> StandardFigure:

@@ -133,13 +133,13 @@ class Solutions:
     shares: FloatArray
 
     def course(self, system: System, discrepancies: FloatArray | float = 0.0) -> Course:
-        """Return the course of some control: all ratios with all trends.
+        """Return the course of some control, over all ratios and trends that are not negligible.
 
-        Discrepancies (n,) are the variances of what the control shows less the field at its
-        positions, by the variance of the field.
+        The control may show a mean of the field about its position. `discrepancies` (n,) are the
+        variances of that mean less the field at the position, divided by the field's variance.
         """
-        likely = self.shares.sum(axis=3).max(axis=1) > NEGLIGIBLE_SHARE                # (t, r)
-        shares = self.shares * likely[:, None, :, None]
+        is_likely = self.shares.sum(axis=3).max(axis=1) > NEGLIGIBLE_SHARE             # (t, r)
+        shares = self.shares * is_likely[:, None, :, None]
         noise = shares @ system.noises**2                                              # (t, 2, r)
         correlation = matern_correlations(
             system.positions, system.positions, self.lengths, self.smoothness)
@@ -148,11 +148,11 @@ class Solutions:
         trend_variances = TREND_SIZES**2 * (system.residuals**2).mean()
         n, f = system.trend.shape
         explained = np.zeros((2, n + f, n + f))
-        means = np.zeros((*likely.shape, n + f, 2))
-        for i in np.flatnonzero(likely.any(axis=0)):
+        means = np.zeros((*is_likely.shape, n + f, 2))
+        for i in np.flatnonzero(is_likely.any(axis=0)):
             squared_ratio = self.ratios[i]**2
             inverse = np.asarray(np.linalg.inv(variances + squared_ratio * correlation))
-            for j in np.flatnonzero(likely[:, i]):
+            for j in np.flatnonzero(is_likely[:, i]):
                 columns = TREND_COLUMNS[j]
                 scale = np.concatenate([np.full(n, squared_ratio), np.ones(columns)])
                 # s^2 by the variance of a coefficient beforehand: 0 of the affine ones.
@@ -169,16 +169,17 @@ class Solutions:
         weights = np.moveaxis(shares.sum(axis=3), 1, 0)                                # (2, t, r)
         return Course(float(shares[:, 0].sum()), self.lengths, self.smoothness,
                       noise.sum(axis=0) @ np.square(self.ratios), explained,
-                      weights[:, likely], means[likely], f)
+                      weights[:, is_likely], means[is_likely], f)
 
 
 def _with_trend(inverse: FloatArray, trend: FloatArray, precisions: FloatArray) -> FloatArray:
     """Return [[S, T], [T', -D]]^-1, (n + f, n + f), from S^-1, the trend T (n, f) and diagonal D.
     """
-    toward = inverse @ trend
-    of_trend = np.linalg.inv(trend.T @ toward + np.diag(precisions))
-    gain = toward @ of_trend
-    return np.block([[inverse - gain @ toward.T, gain], [gain.T, -of_trend]])
+    # With B = S^-1 T and G = (T' B + D)^-1 the blocks are S^-1 - B G B', B G and -G.
+    B = inverse @ trend
+    G = np.linalg.inv(trend.T @ B + np.diag(precisions))
+    BG = B @ G
+    return np.block([[inverse - BG @ B.T, BG], [BG.T, -G]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,28 +200,38 @@ class Groups:
         return float((self.sizes - 1.0).sum())
 
     def correlations(self, lengths: tuple[float, float], smoothness: float) -> FloatArray:
-        """Return the mean correlation of two points of each group, (g,); 1 in those of one."""
+        """Return the mean correlation of two points of each group, (g,); 1 for a single point."""
         return self._mean_correlations(self.apart, self.group_of_pair, lengths, smoothness)
 
     def discrepancies(self, lengths: tuple[float, float], smoothness: float) -> FloatArray:
-        """Return the variance of a field's mean less the field in the middle, by its own, (g,)."""
-        of_mean = (1.0 / self.counts
-                   + (1.0 - 1.0 / self.counts) * self.correlations(lengths, smoothness))
-        to_middle = self._mean_correlations(
+        """Return the variance of a field's mean in each group less the field in its middle, (g,).
+
+        It is divided by the variance of the field.
+        """
+        # Var(mean - middle) = 1 - 2 Cov(mean, middle) + Var(mean).
+        variance_of_mean = (1.0 / self.counts
+                            + (1.0 - 1.0 / self.counts) * self.correlations(lengths, smoothness))
+        covariance = self._mean_correlations(
             self.from_middle, self.group_of_member, lengths, smoothness)
-        return np.maximum(1.0 - 2.0 * to_middle + of_mean, 0.0)
+        return np.maximum(1.0 - 2.0 * covariance + variance_of_mean, 0.0)
 
     def _mean_correlations(self, distances: FloatArray, group_of: IntArray,
                            lengths: tuple[float, float],
                            smoothness: float) -> FloatArray:
-        """Return the mean correlation over such distances in each group, (g,); 1 without any."""
+        """Return the mean correlation over the distances (p, 2) of each group, (g,); 1 without any.
+
+        `group_of` (p,) is the number of each distance's group.
+        """
         correlations = matern_correlations(distances, np.zeros((1, 2)), lengths, smoothness)[:, 0]
         counts = np.bincount(group_of, minlength=len(self.sizes))
         sums = np.bincount(group_of, correlations, len(self.sizes))
         return np.where(counts > 0, sums / np.maximum(counts, 1), 1.0)
 
     def log_likelihood(self, increase: float, noises: FloatArray) -> FloatArray:
-        """Return that of the squares, (2, s), where a field increases the noise's variance."""
+        """Return the log likelihood of the squares for each noise, (2, s).
+
+        A field within the groups multiplies the variance of the noise by `increase`.
+        """
         return np.asarray(-self.freedom * (np.log(noises) + 0.5 * np.log(increase))
                           - 0.5 * self.squares[:, None] / (noises**2 * increase))
 
@@ -256,7 +267,7 @@ class LocalCourses:
 
     @cached_property
     def _spread_cell(self) -> CourseCell:
-        """All of few points, or those that are spread over them."""
+        """A cell of all points, or of many of those that are spread evenly over them."""
         system = self.control.take(rows_of_field(len(self.control.positions)))
         return CourseCell(system.positions,
                           tuple(solutions.course(system) for solutions in self.solutions))
@@ -310,9 +321,10 @@ class LocalCourses:
         return total
 
     def covariance(self, ground: FloatArray, image: FloatArray, axis: int) -> FloatArray:
-        """Return the mean products of such errors among places, (m, m), on one axis.
+        """Return the mean products of a model's errors at m places, (m, m), on one axis.
 
-        Of many points they are by those that are spread over them.
+        The model sees the ground (m, 3) at `image` (m, 2). Many control points are represented by
+        those that are spread evenly over them.
         """
         positions = _affine_columns(ground) @ self.to_image
         cell = self._spread_cell
@@ -333,28 +345,29 @@ def _kept_cell(courses: LocalCourses, number: int) -> CourseCell:
 def local_courses(points: Points, pixel: float) -> LocalCourses | None:
     """Return the courses of the error between scaled points in a plane, as the points show them.
 
-    A `pixel` is in scaled coordinates. None with few points, or points in a row.
+    `pixel` is the size of a pixel in scaled coordinates. None comes back for few points, for points
+    that do not determine a quadratic trend, as in a row, and for points without any deviation.
     """
-    spread = rows_of_field(len(points))
-    n = len(spread)
-    if n < LOCAL_MIN_POINTS:
+    spread_rows = rows_of_field(len(points))
+    if len(spread_rows) < LOCAL_MIN_POINTS:
         return None
     affine = _affine_columns(points.ground)
-    to_image = np.asarray(np.linalg.lstsq(affine[spread], points.image[spread])[0],
+    to_image = np.asarray(np.linalg.lstsq(affine[spread_rows], points.image[spread_rows])[0],
                           dtype=np.float64)
     positions = affine @ to_image
     deviations = points.image - positions
-    trend = determined_trend(positions, spread)
-    if trend is None or trend.shape[1] < TREND_COLUMNS[1] or not deviations[spread].any():
+    trend = determined_trend(positions, spread_rows)
+    if trend is None or trend.shape[1] < TREND_COLUMNS[1] or not deviations[spread_rows].any():
         return None
-    from_trend = deviations - trend @ np.linalg.lstsq(trend[spread], deviations[spread])[0]
+    trend_fit = np.linalg.lstsq(trend[spread_rows], deviations[spread_rows])[0]
+    from_trend = deviations - trend @ trend_fit
     groups = _groups_around(positions, positions.mean(axis=0), np.inf)
     prior = NoisePrior.of(pixel, points.sigma, with_heights=False)
     relative_variances = prior.relative_variances(len(points))
     within = _variation_within_groups(positions, from_trend, relative_variances, groups)
     is_fine = within.freedom >= FINE_FREEDOM
     noises = ((FINE_NOISE_BY_TREND if is_fine else NOISE_BY_TREND)
-              * np.sqrt((from_trend[spread]**2).mean()))
+              * np.sqrt((from_trend[spread_rows]**2).mean()))
     log_prior = prior.log_probability(noises)
     control = System(positions, relative_variances, trend, deviations, noises)
     system = _means_of(control, groups)
@@ -380,9 +393,9 @@ def _log_likelihoods(system: System, within: Groups, lengths: tuple[float, float
                      smoothness: float, ratios: tuple[float, ...]) -> FloatArray:
     """Return log p(z, ratio | trend, length, s) of all trends and both axes, (t, 2, r, s).
 
-    The affine part of the trend may be anything. That of higher degree has beforehand the
-    information of one point (Zellner 1986, with g = n): the likelihood is that of the affine trend,
-    and what the columns explain beyond it.
+    The affine part of the trend may be anything. The part of higher degree has beforehand the
+    information of one point (Zellner 1986, with g = n): so the likelihood is that of the affine
+    trend, times a factor for what the columns of higher degree explain.
     """
     in_groups = within.correlations(lengths, smoothness)
     correlation = matern_correlations(system.positions, system.positions, lengths, smoothness)
@@ -430,8 +443,9 @@ def _halve_rows(positions: FloatArray, rows: IntArray, most: int) -> list[IntArr
 def _groups_around(positions: FloatArray, centre: FloatArray, reach: float) -> list[IntArray]:
     """Return rows in MISFIT_MAX_POINTS groups, cut in halves the finer the nearer to a centre.
 
-    The next group to be cut is the one that is seen under the largest angle from the centre; within
-    the reach of the cell they are cut alike, and everywhere if it is infinite.
+    The next group to be cut is the one that is seen under the largest angle from the centre. Within
+    the `reach` of the centre distances do not count, and the largest group is cut: everywhere, if
+    the reach is infinite.
     """
     def entry(rows: IntArray) -> tuple[float, int, IntArray]:
         extent = float(np.ptp(positions[rows], axis=0).max())
@@ -471,11 +485,11 @@ def _variation_within_groups(positions: FloatArray, deviations: FloatArray,
         squares += weights @ (deviations[rows] - mean)**2
         # Every k-th, k = ceil(n / MEMBERS), so that the members spread over the group.
         members = positions[rows[:: -(-len(rows) // MEMBERS)]]
-        first, second = np.triu_indices(len(members), 1)
+        first_of_pair, second_of_pair = np.triu_indices(len(members), 1)
         from_middle.append(members - members.mean(axis=0))
-        apart.append(members[first] - members[second])
+        apart.append(members[first_of_pair] - members[second_of_pair])
         counts[number] = len(members)
-        pair_counts[number] = len(first)
+        pair_counts[number] = len(first_of_pair)
     numbers = np.arange(len(groups))
     return Groups(np.array([float(len(rows)) for rows in groups]), counts.astype(np.float64),
                   np.concatenate(from_middle), np.repeat(numbers, counts),
@@ -483,7 +497,7 @@ def _variation_within_groups(positions: FloatArray, deviations: FloatArray,
 
 
 def _means_of(control: System, groups: list[IntArray]) -> System:
-    """Return groups of control as one point each: their means, by the weights of measurements."""
+    """Return the control with each group as one point: the weighted mean of its measurements."""
     group_of = np.empty(len(control.positions), dtype=np.intp)
     for number, rows in enumerate(groups):
         group_of[rows] = number

@@ -246,7 +246,7 @@ class Spectrum:
     vectors: FloatArray  # (n, n): V
 
     def variances(self, ratios: tuple[float, ...]) -> FloatArray:
-        """Return v of some ratios, (r, n)."""
+        """Return v = 1 + ratio^2 `values` for each of r ratios, (r, n)."""
         return 1.0 + np.multiply.outer(np.square(ratios), self.values)
 
 
@@ -261,13 +261,13 @@ class System:
     noises: FloatArray  # (s,)
 
     def take(self, rows: IntArray) -> System:
-        """Return that of some of the control."""
+        """Return the system of some rows of the control."""
         return replace(self, positions=self.positions[rows],
                        relative_variances=self.relative_variances[rows], trend=self.trend[rows],
                        residuals=self.residuals[rows])
 
     def spectra(self, lengths: Sequence[tuple[float, float]], smoothness: float) -> list[Spectrum]:
-        """Return a field's correlations of some lengths next to the variances of measurements."""
+        """Return the spectrum of a field's correlations for each pair of lengths."""
         weights = 1.0 / np.sqrt(self.relative_variances)
         positions = self.positions
         correlations = np.array([matern_correlations(positions, positions, pair, smoothness)
@@ -314,16 +314,16 @@ class System:
             # B and G from the triangle R of the whitened trend: T' S^-1 T = R' R.
             whitened = trend_along / np.sqrt(variances[i])[:, None]
             inverse = np.linalg.inv(np.linalg.qr(whitened, mode="r"))
-            of_trend = inverse @ inverse.T
-            toward = vectors @ (trend_along / variances[i][:, None])
-            gain = toward @ of_trend
-            of_residuals = vectors @ (residuals_along / variances[i][:, None])
-            means[i, :n] = ratio**2 * (of_residuals - gain @ (self.trend.T @ of_residuals))
-            means[i, n:] = gain.T @ self.residuals
+            G = inverse @ inverse.T
+            B = vectors @ (trend_along / variances[i][:, None])
+            BG = B @ G
+            weighted = vectors @ (residuals_along / variances[i][:, None])             # S^-1 r
+            means[i, :n] = ratio**2 * (weighted - BG @ (self.trend.T @ weighted))
+            means[i, n:] = BG.T @ self.residuals
             for axis, weight in enumerate(noise[:, i]):
-                explained[axis, :n, :n] -= weight * ratio**4 * (gain @ toward.T)
-                explained[axis, :n, n:] += weight * ratio**2 * gain
-                explained[axis, n:, n:] -= weight * of_trend
+                explained[axis, :n, :n] -= weight * ratio**4 * (BG @ B.T)
+                explained[axis, :n, n:] += weight * ratio**2 * BG
+                explained[axis, n:, n:] -= weight * G
         # The sum of all S^-1 is diagonal in V, too.
         inverse_variances = noise * np.power(ratios, 4) @ (1.0 / variances)         # (2, n)
         for axis in (0, 1):
@@ -376,17 +376,21 @@ class Misfit:
         return total
 
     def _trend_at(self, image: FloatArray) -> FloatArray:
-        """Return the columns of a cubic trend at places; beyond the control those of its edge."""
+        """Return the columns of a cubic trend at places in the image (m, 2), (m, 10).
+
+        A place beyond the control has the trend of the nearest place in the box of the control.
+        """
         nearest = np.clip(image, self.positions.min(axis=0), self.positions.max(axis=0))
         return trend_of(nearest, TREND_COLUMNS[-1])
 
 
 def misfit_of(image: FloatArray, residuals: FloatArray, noise: NoisePrior,
               effective: float | None) -> Misfit | None:
-    """Return the model's own error, from the residuals of its control (n, 2); None of few.
+    """Return the model's own error, as the residuals of its control (n, 2) show it.
 
     The image (n, 2) is where the model sees the control, all scaled; `effective` are the parameters
-    of both axes together, None where the residuals are not less for them.
+    of both axes together, None where the residuals are not smaller for them. None comes back for
+    too few points, for points on a line of the image, and where all residuals are zero.
     """
     if len(image) > MISFIT_MAX_POINTS:
         rows = rows_of_field(len(image))
@@ -402,37 +406,40 @@ def misfit_of(image: FloatArray, residuals: FloatArray, noise: NoisePrior,
     effective = 2.0 * trend.shape[1] if effective is None else effective
     if n < MISFIT_MIN_POINTS or 2 * n - effective < 2.0 or freedom < 2 or not residuals.any():
         return None
-    # The model has taken up more than the trend: as much larger its residuals would be else.
+    # The model has taken up more than the trend alone would, so that its residuals are too small.
     residuals = residuals * np.sqrt(2 * freedom / (2 * n - effective))
     noises = NOISE_BY_RESIDUALS * np.sqrt((residuals**2).mean())
     log_prior = noise.log_probability(noises)
     relative_variances = noise.relative_variances(n)
     system = System(image, relative_variances, trend, residuals, noises)
-    of_noise = restricted_likelihood(np.diag(relative_variances), trend, residuals, noises)
+    # Logarithms of the likelihoods: without a field, then of l pairs of lengths with each ratio,
+    # and over all ratios.
+    log_without_field = restricted_likelihood(np.diag(relative_variances), trend, residuals,
+                                              noises)                                 # (2, s)
     spectra = system.spectra(MISFIT_LENGTHS, MISFIT_SMOOTHNESS)
-    by_size = noise.field_size_probabilities(noises)                                  # (r, s)
-    probability = by_size.sum(axis=0)
-    by_ratios = (system.log_likelihoods(spectra, MISFIT_RATIOS)
-                 + np.log(by_size / probability))                                 # (l, 2, r, s)
-    by_noise = np.logaddexp.reduce(by_ratios, axis=2)                                 # (l, 2, s)
-    without_field = np.maximum(1.0 - probability, np.finfo(float).tiny)
+    size_probabilities = noise.field_size_probabilities(noises)                       # (r, s)
+    field_probability = size_probabilities.sum(axis=0)
+    log_by_ratio = (system.log_likelihoods(spectra, MISFIT_RATIOS)
+                    + np.log(size_probabilities / field_probability))             # (l, 2, r, s)
+    log_by_noise = np.logaddexp.reduce(log_by_ratio, axis=2)                          # (l, 2, s)
+    no_field_probability = np.maximum(1.0 - field_probability, np.finfo(float).tiny)
     logs = np.concatenate([
-        [np.log(without_field) + log_prior + of_noise.sum(axis=0)],
-        np.log(probability / len(MISFIT_LENGTHS)) + log_prior + by_noise.sum(axis=1)])
+        [np.log(no_field_probability) + log_prior + log_without_field.sum(axis=0)],
+        np.log(field_probability / len(MISFIT_LENGTHS)) + log_prior + log_by_noise.sum(axis=1)])
     if not np.isfinite(logs).all():  # seen on one line of the image: no trend is determined
         return None
     shares = np.exp(logs - np.logaddexp.reduce(logs, axis=None))                 # (1 + l, s)
-    of_ratios = np.exp(by_ratios - by_noise[:, :, None])
+    ratio_shares = np.exp(log_by_ratio - log_by_noise[:, :, None])
     courses = []
-    for share, spectrum, by_ratio in zip(shares[1:], spectra, of_ratios, strict=True):
+    for share, spectrum, ratio_share in zip(shares[1:], spectra, ratio_shares, strict=True):
         if share.sum() > NEGLIGIBLE_SHARE:
-            course = system.course(spectrum, MISFIT_RATIOS, share * by_ratio)
-            courses.append(system.without_noise_of_trend(course, share * by_ratio))
+            course = system.course(spectrum, MISFIT_RATIOS, share * ratio_share)
+            courses.append(system.without_noise_of_trend(course, share * ratio_share))
     return Misfit(image, tuple(courses))
 
 
 def rows_of_field(n: int) -> IntArray:
-    """Return which of n rows, (r,), a field is found by: MISFIT_MAX_POINTS spread ones, or all."""
+    """Return the rows (r,) by which a field is found: all n, or MISFIT_MAX_POINTS spread evenly."""
     return np.linspace(0, n - 1, min(n, MISFIT_MAX_POINTS)).round().astype(np.intp)
 
 
@@ -440,9 +447,13 @@ def mixed_misfit(misfits: Sequence[tuple[float, Misfit]]) -> Misfit | None:
     """Return the mixture of misfits of the same control, each with its chance; None without any."""
     if not misfits:
         return None
-    courses = [replace(course, share=chance * course.share, variance=chance * course.variance,
-                       explained=chance * course.explained, weights=chance * course.weights)
-               for chance, misfit in misfits for course in misfit.courses if chance > 0.0]
+    courses = []
+    for chance, misfit in misfits:
+        if chance > 0.0:
+            courses += [replace(course, share=chance * course.share,
+                                variance=chance * course.variance,
+                                explained=chance * course.explained,
+                                weights=chance * course.weights) for course in misfit.courses]
     return Misfit(misfits[0][1].positions, tuple(courses))
 
 
@@ -450,7 +461,9 @@ def restricted_likelihood(covariance: FloatArray, trend: FloatArray, residuals: 
                           noises: FloatArray) -> FloatArray:
     """Return the restricted log likelihood of line and sample for each noise, (2, s).
 
-    Restricted, or REML: that of the residuals without their part along the f columns of the trend.
+    Restricted (REML) means that it is the likelihood of what is left of the residuals (n, 2) once
+    their part along the f columns of the trend (n, f) is taken out. `covariance` (n, n) is in units
+    of the squared noise.
     """
     # With the covariance s^2 C, C = L L', and Q R = L^-1 F of the trend F, it is
     # -(n - f) log s - |(I - Q Q') L^-1 r|^2 / 2 s^2 - log |L| - log |R|.
@@ -466,7 +479,10 @@ def restricted_likelihood(covariance: FloatArray, trend: FloatArray, residuals: 
 
 
 def _trend_columns(n_points: int, effective: float | None) -> int:
-    """Return how many columns the trend has that stands for so many parameters of both axes."""
+    """Return how many columns the trend has in place of a model of `effective` parameters.
+
+    These are the parameters of both axes together.
+    """
     affine, quadratic, cubic = TREND_COLUMNS
     if n_points < QUADRATIC_TREND_POINTS:
         return affine
@@ -476,9 +492,9 @@ def _trend_columns(n_points: int, effective: float | None) -> int:
 
 def determined_trend(positions: FloatArray, rows: IntArray,
                      most: int = TREND_COLUMNS[-1]) -> FloatArray | None:
-    """Return the trend at positions of the highest degree that rows of them determine, (n, f).
+    """Return the trend of the highest degree that some rows of positions (n, 2) determine, (n, f).
 
-    It has at most so many columns; None where not even an affine one is determined.
+    It has at most `most` columns. None comes back where not even an affine trend is determined.
     """
     for columns in reversed(TREND_COLUMNS):
         trend = trend_of(positions, columns)
@@ -488,7 +504,8 @@ def determined_trend(positions: FloatArray, rows: IntArray,
 
 
 def trend_of(positions: FloatArray, columns: int) -> FloatArray:
-    """Return so many columns of a cubic trend at positions (m, 2), those of low degree first."""
+    """Return the first columns of a cubic trend at positions (m, 2), in the order of degree.
+    """
     line, sample = positions.T
     cubic = np.column_stack([np.ones(len(positions)), line, sample,
                              line**2, line * sample, sample**2,
@@ -498,9 +515,9 @@ def trend_of(positions: FloatArray, columns: int) -> FloatArray:
 
 def matern_correlations(a: FloatArray, b: FloatArray, lengths: tuple[float, float],
                         smoothness: float = 1.5) -> FloatArray:
-    """Return the correlations between places, shape (len(a), len(b)).
+    """Return the correlations between places `a` (n, 2) and `b` (m, 2), shape (n, m).
 
-    Those of Matern's family at the distance d, by its smoothness: exp(-d) for 1/2,
+    Matern's family has, at the distance d, the correlation exp(-d) for the smoothness 1/2,
     (1 + sqrt(3) d) exp(-sqrt(3) d) for 3/2, and exp(-d^2 / 2) for infinity. Distances are in units
     of the lengths of line and sample.
     """

@@ -60,7 +60,8 @@ KNOWN_FOCAL_SPREAD = 0.5 * float(np.log(2.0))
 step between the focal lengths that are tried else."""
 
 _STABLE_DIAGONAL = 1e-12
-"""What is added to normal matrices of shifts, so that points in one place do not stop the grid."""
+"""What is added to the diagonal of normal matrices, so that points in one place stop neither the
+grid nor the steps."""
 
 _N_STARTS, _FIRST_STEPS, _N_FURTHER = 12, 6, 3
 """Starts that are improved, by how many steps, and how many of them further."""
@@ -69,6 +70,12 @@ _CAMERA_STEPS, _REFIT_STEPS = 40, 10
 _ROUNDS, _ROUNDS_IF_NORMAL = 12, 3
 _CONVERGED_GAIN, _MAX_DAMPING = 1e-5, 1e2
 """Part of the cost by which steps have converged, and the damping beyond which none helps."""
+
+_FIRST_DAMPING, _DAMPING_RANGE = 1e-3, (1e-12, 1e8)
+"""The damping that steps begin with, and its limits, lest it underflow or overflow."""
+
+_ROUGH_NOISE = 10.0
+"""Noise of the first steps by the least, so that a blunder does not drive them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +205,9 @@ class Measured:
         return hash(self._key)
 
     def prior(self, cameras: Cameras) -> tuple[FloatArray, FloatArray]:
-        """Return the priors' residuals (s, p) and their robust weights: log f, middle, tilt, place.
+        """Return the residuals of p priors for s cameras, (s, p), and their robust weights, (s, p).
+
+        The priors are those of log f, the middle, the tilt and the place, as far as there are any.
 
         The middle and the tilt have Cauchy distributions, whose minus logarithm is that of 1 + d^2.
         The costs have it twice: their derivative 4 d / (1 + d^2) is that of w d^2 with the weight
@@ -206,18 +215,17 @@ class Measured:
         """
         offsets = (cameras.middle - self.middle) / self.reach
         residuals = np.column_stack(
-            # Log f is normal; the middle has Cauchy's density, whose tails let it be far off.
             [np.log(cameras.focal / self.focal) / self.focal_spread, offsets])
         if np.isfinite(self.tilt):
             residuals = np.column_stack([residuals, cameras.rotation[:, 2, :2] / self.tilt])
         if self.place is not None and self.place_spread is not None:
-            off = (cameras.position - self.place) / self.place_spread
-            residuals = np.column_stack([residuals, np.nan_to_num(off)])
+            departure = (cameras.position - self.place) / self.place_spread
+            # Where nothing is expected of a coordinate, it has no residual.
+            residuals = np.column_stack([residuals, np.nan_to_num(departure)])
         weights = np.ones_like(residuals)
         weights[:, 1:3] = 2.0 / (1.0 + (offsets**2).sum(axis=1, keepdims=True))
-        tilted = residuals[:, self._tilts]
-        # The same of the tilt, whose loss 2 log(1 + x^2) has the weight 2 / (1 + x^2).
-        weights[:, self._tilts] = 2.0 / (1.0 + (tilted**2).sum(axis=1, keepdims=True))
+        tilts = residuals[:, self._tilts]
+        weights[:, self._tilts] = 2.0 / (1.0 + (tilts**2).sum(axis=1, keepdims=True))
         return residuals, weights
 
     @property
@@ -226,28 +234,28 @@ class Measured:
         return slice(3, 5 if np.isfinite(self.tilt) else 3)
 
     def counting(self, squares: FloatArray, sigma: float) -> tuple[FloatArray, FloatArray]:
-        """Return the minus log likelihood of squared errors (..., n), twice, and their weights.
+        """Return the losses of squared errors (..., n), and the weights of these errors.
 
-        Of Student's distribution in two dimensions: (t + 2) log(1 + e^2 / t s^2), whose weight is
-        (t + 2) / (t + e^2 / s^2).
+        A loss is -2 log likelihood but for a constant. Under Student's distribution of t degrees of
+        freedom in two dimensions it is (t + 2) log(1 + e^2 / (t s^2)), with the weight
+        (t + 2) / (t + e^2 / s^2); under the normal distribution e^2 / s^2, with the weight 1.
         """
-        relative = squares / sigma**2
-        if not np.isfinite(self.tails):
-            return relative, np.ones_like(relative)
-        # Student's t: (nu + 2) log(1 + d^2 / nu) in two dimensions, and its weight (nu + 2) / (nu +
-        # d^2).
-        return ((self.tails + 2.0) * np.log1p(relative / self.tails),
-                (self.tails + 2.0) / (self.tails + relative))
+        relative_squares = squares / sigma**2
+        t = self.tails
+        if not np.isfinite(t):
+            return relative_squares, np.ones_like(relative_squares)
+        return ((t + 2.0) * np.log1p(relative_squares / t),
+                (t + 2.0) / (t + relative_squares))
 
-    def sigma_of(self, residuals: FloatArray, before: float) -> float:
+    def sigma_of(self, residuals: FloatArray, previous: float) -> float:
         """Return the standard deviation of a measurement, from residuals (n, 2) and experience.
 
-        `before` is the value taken so far, by which wild residuals are told.
+        `previous` is the value taken so far, by which wild residuals are told.
         """
         squares = ((residuals * self.weights) ** 2).sum(axis=1)
-        _, weights = self.counting(squares, before)
-        fewest = 0 if self.experience else 1
-        freedom = self.experience + max(2 * len(residuals) - self.unknowns, fewest)
+        _, weights = self.counting(squares, previous)
+        least_redundancy = 0 if self.experience else 1
+        freedom = self.experience + max(2 * len(residuals) - self.unknowns, least_redundancy)
         # A scaled inverse chi-squared prior counts as so many residuals of the usual size.
         total = self.experience * self.usual**2 + float((weights * squares).sum())
         return max(float(np.sqrt(total / freedom)), self.noise)
@@ -302,37 +310,36 @@ class Measured:
 
     def descended(self, cameras: Cameras, rows: FloatArray, sigma: float,
                   steps: int = _CAMERA_STEPS) -> tuple[Cameras, FloatArray]:
-        """Return the cameras where damped steps from some cameras end, and their costs (s,).
+        """Return the cameras where damped steps from s cameras end, and their costs (s,).
 
-        It is the method of Levenberg (1944) and Marquardt (1963) for many cameras at once: (N + d
-        diag N) x = r, with the damping d of each camera divided by ten after a better step and
-        multiplied by ten after a worse one. `rows` are prior observations (r,) of the nine
-        parameters, `sigma` is the noise in the image [scaled], and `costs` the sums of squares
-        after the last step.
+        It is the method of Levenberg (1944) and Marquardt (1963) for many cameras at once:
+        (N + d diag N) x = r, with the damping d of each camera divided by ten after a better step
+        and multiplied by ten after a worse one. `rows` (s, n) is 1 for the points that a camera is
+        fitted to and 0 for others; `sigma` is the standard deviation of a measurement, scaled.
         """
         costs = self.costs(cameras, rows, sigma)
-        damping = np.full(len(cameras), 1e-3)
+        damping = np.full(len(cameras), _FIRST_DAMPING)
         for _ in range(steps):
             design, residuals = self.system(cameras, rows, sigma)
             finite = np.asarray(np.isfinite(residuals).all(axis=1))
             design = np.where(finite[:, None, None], design, 0.0)
             residuals = np.where(finite[:, None], residuals, 0.0)
-            # Levenberg (1944) and Marquardt (1963): normal matrices with a damped diagonal.
             normal = np.einsum("sri,srj->sij", design, design)
-            size = np.einsum("sii->si", normal) + np.finfo(float).tiny
+            diagonal = np.einsum("sii->si", normal) + np.finfo(float).tiny
             right = np.einsum("sri,sr->si", design, residuals)
-            damped = normal + np.einsum("si,ij->sij", damping[:, None] * size + 1e-12, np.eye(9))
+            damped = normal + np.einsum(
+                "si,ij->sij", damping[:, None] * diagonal + _STABLE_DIAGONAL, np.eye(9))
             stepped = cameras.moved(np.linalg.solve(damped, right[..., None])[..., 0])
             stepped_costs = self.costs(stepped, rows, sigma)
-            better = stepped_costs < costs
-            gain = np.where(better, costs - stepped_costs, 0.0)
+            is_better = stepped_costs < costs
+            gain = np.where(is_better, costs - stepped_costs, 0.0)
             # Each camera goes on or stays on its own, as one that diverges must not stop others.
-            cameras = _choose_cameras(better, stepped, cameras)
-            damping = np.clip(np.where(better, damping / 10.0, damping * 10.0), 1e-12, 1e8)
-            finished = (gain < _CONVERGED_GAIN *
-                        (1.0 + stepped_costs)) & (better | (damping >= _MAX_DAMPING))
-            costs = np.where(better, stepped_costs, costs)
-            if finished.all():
+            cameras = _choose_cameras(is_better, stepped, cameras)
+            damping = np.where(is_better, damping / 10.0, damping * 10.0).clip(*_DAMPING_RANGE)
+            is_finished = ((gain < _CONVERGED_GAIN * (1.0 + stepped_costs))
+                           & (is_better | (damping >= _MAX_DAMPING)))
+            costs = np.where(is_better, stepped_costs, costs)
+            if is_finished.all():
                 break
         return cameras, costs
 
@@ -396,14 +403,17 @@ def pinhole_of(scaled: FeatureSet, scaling: Scaling) -> Pinhole | None:
     known, or all the same, are those of level ground.
     """
     measured = _camera_points(scaled, scaling)
-    return None if measured is None or len(
-        measured.image) < PINHOLE_MIN_POINTS else camera_of(measured)
+    if measured is None or len(measured.image) < PINHOLE_MIN_POINTS:
+        return None
+    return camera_of(measured)
 
 
 def pinhole_near(camera: Pinhole, scaled: FeatureSet, scaling: Scaling) -> Pinhole | None:
-    """Return the camera of other control points next to a camera: few have several places.
+    """Return the camera of other control points that is nearest to a given camera.
 
-    The points are in the scaled coordinates of the camera. None as for `pinhole_of`.
+    Few points may allow several cameras, far from each other. The points are in the scaled
+    coordinates of the camera. None comes back where a camera cannot be fitted to such points, or
+    has some of them behind it.
     """
     measured = _camera_points(scaled, scaling)
     return None if measured is None else camera_next_to(measured, camera.camera)
@@ -420,7 +430,7 @@ def camera_of(measured: Measured) -> Pinhole | None:
 
 
 def cameras_of(measured: Measured) -> Cameras:
-    """Return a few cameras that control points may support, the best first; or none."""
+    """Return up to _N_FURTHER cameras that control points may support, the best first; or none."""
     everything = np.ones((1, len(measured.image)))
     candidates = _grid_search_cameras(measured)
     costs = np.zeros(len(candidates))
@@ -429,17 +439,18 @@ def cameras_of(measured: Measured) -> Cameras:
         if not len(candidates):  # every camera has a point behind it
             break
         candidates = candidates.take(np.arange(min(count, len(candidates))))
-        candidates, costs = measured.descended(candidates,
-                                               np.repeat(everything, len(candidates), axis=0),
-                                               # With a large noise, so that a blunder does not
-                                               # drive the first steps.
-                                               10.0 * measured.noise, steps)
+        rows = np.repeat(everything, len(candidates), axis=0)
+        candidates, costs = measured.descended(candidates, rows, _ROUGH_NOISE * measured.noise,
+                                               steps)
         candidates = candidates.take(np.argsort(costs, kind="stable"))
     return candidates.take(np.arange(np.isfinite(costs).sum()))
 
 
 def camera_next_to(measured: Measured, camera: Cameras) -> Pinhole | None:
-    """Return the camera of control points that is next to a camera; None with points behind."""
+    """Return the camera of control points to which steps from a given camera lead.
+
+    None comes back where it has a point behind it.
+    """
     everything = np.ones((1, len(measured.image)))
     sigma = measured.noise
     for _ in range(_ROUNDS if np.isfinite(measured.tails) else _ROUNDS_IF_NORMAL):
@@ -458,7 +469,10 @@ def camera_next_to(measured: Measured, camera: Cameras) -> Pinhole | None:
 
 
 def _held_out_errors(measured: Measured, camera: Cameras, sigma: float) -> FloatArray:
-    """Return the errors of points (n, 2) by the camera without each, found from that of all."""
+    """Return the errors of points (n, 2), each by the camera without it.
+
+    These cameras are found by steps from the camera of all points.
+    """
     n = len(measured.image)
     # Row i leaves point i out: all n cameras descend at once from that of all points.
     rows = 1.0 - np.eye(n)

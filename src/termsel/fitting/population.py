@@ -111,18 +111,16 @@ class Fits:
             vertices from the image line [px^2]; infinite if a denominator is below
             `termsel.models.quotient.pole_margin`.
         """
-        owner, ground = self._vertices
-        # All vertices of the features held out; what the model corrects by is the control without
-        # them.
-        of_features = np.isin(owner, features)
+        feature_of_vertex, ground = self._vertices
+        ground_held_out = ground[np.isin(feature_of_vertex, features)]
         control = FeatureSet(self.control, self.lines)
+        # A model that corrects its predictions by the control must not see what is held out.
         if self.model.corrects:
             control = control.take(~np.isin(np.arange(len(control)), features))
         with np.errstate(over="ignore", invalid="ignore"):
-            image = self.model.predict(coefficients, control, ground[of_features])
-            return self._squared_errors(image,
-                                        self.model.denominators(coefficients, ground[of_features]),
-                                        features)
+            image = self.model.predict(coefficients, control, ground_held_out)
+            denominators = self.model.denominators(coefficients, ground_held_out)
+            return self._squared_errors(image, denominators, features)
 
     def held_out_each(self, coefficients: FloatArray) -> FloatArray:
         """Return squared errors of all control features, each held out from its solution.
@@ -142,15 +140,15 @@ class Fits:
         if not isinstance(model, RationalModel) or model.corrects:
             return np.concatenate([self.held_out(solution, features[i:i + 1])
                                    for i, solution in enumerate(coefficients)], axis=1)
-        # Numerators and denominators are linear: those of unit vectors suffice.
-        owner, ground = self._vertices
-        solutions = coefficients[owner] if len(self.lines) else coefficients
+        # Numerators and denominators are linear in the coefficients: those of unit vectors suffice.
+        feature_of_vertex, ground = self._vertices
+        solutions = coefficients[feature_of_vertex] if len(self.lines) else coefficients
         unit_vectors = np.eye(coefficients.shape[2])
         denominators = model.denominators(unit_vectors, ground)
         # A term of the denominator alone has 0 / 0, and no part in the numerator.
         numerators = np.nan_to_num(model.project(unit_vectors, ground))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            # (n, p, k) times (n, k, 2), of which rows and individuals then change places.
+            # (n, p, k) times (n, k, 2) is (n, p, 2): individuals come first then, (p, n, 2).
             image = (solutions @ numerators.transpose(1, 0, 2)).transpose(1, 0, 2)
             if denominators is not None:
                 # 1 + d x, where those of unit vectors are 1 + d.
@@ -174,10 +172,10 @@ class Fits:
                         features: IntArray) -> FloatArray:
         """Return squared errors [px^2] of features, (p, f), by the positions of their vertices.
 
-        `image` (p, v, 2) and `denominators` (p, v, 2) are those of points, then of both vertices of
-        each line; `features` are the rows wanted, in order. A point has the square of its distance,
-        a line the sum of the squared distances of its vertices from the image line. Beyond a pole
-        it is infinite.
+        `image` (p, v, 2) and `denominators` (p, v, 2) are those of the points, then of both
+        vertices of each line, among the `features` (f,), which are in ascending order. A point has
+        the square of its distance, a line the sum of the squared distances of its vertices from the
+        image line. Beyond a pole the error is infinite.
         """
         n = len(self.control)
         point_rows = features[features < n]
@@ -194,19 +192,20 @@ class Fits:
         if denominators is not None:
             squares = np.where((denominators >= pole_margin(self.control)).all(axis=2), squares,
                                np.inf)
-        if line_rows.any():  # all vertices of a feature together
-            owner = np.concatenate([point_rows, n + np.repeat(self.lines.feature[line_rows], 2)])
-            order = np.argsort(owner, kind="stable")
-            squares = np.add.reduceat(squares[:, order],
-                                      np.searchsorted(owner[order], features), axis=1)
+        if line_rows.any():  # the squares of all vertices of a feature are added up
+            feature_of_vertex = np.concatenate(
+                [point_rows, n + np.repeat(self.lines.feature[line_rows], 2)])
+            order = np.argsort(feature_of_vertex, kind="stable")
+            starts = np.searchsorted(feature_of_vertex[order], features)
+            squares = np.add.reduceat(squares[:, order], starts, axis=1)
         return np.asarray(squares * self.pixels**2)
 
     def rmse(self, squares: FloatArray, loss: str = SQUARES,
              threshold: float = 2.0) -> FloatArray:
-        """Return the RMSE of the control in use, infinite without any, shape (p,).
+        """Return the RMSE of the control in use, shape (p,); infinite where none is in use.
 
-        As everywhere, sqrt(mean(dl^2 + ds^2)) over points and over all vertices of lines; with
-        another loss the error of a line is the root mean square of those of its vertices.
+        As everywhere, it is sqrt(mean(dl^2 + ds^2)) over points and over all vertices of lines.
+        Under another loss the error of a line is the root mean square over its vertices.
 
         Parameters
         ----------

@@ -244,13 +244,20 @@ def _places_in_image(fitted: Fit,
     return ground[inside], image[inside]
 
 
+_LEAST_SEEN = 0.8
+"""Share of the image for which a model must have ground positions to be written as an RPC."""
+
+
 def _grid_on_ground(fitted: Fit, convert: Callable[[FloatArray], FloatArray], across: int,
                     levels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return image positions (n, 2) and their ground at several heights in WGS84, (n, 3).
+    """Return a grid of image positions (n, 2) and their ground positions in WGS84, (n, 3).
 
-    There are `across` lines and samples at each of the heights `levels`; places where the model
-    does not hold are left out. Raises TermselError where it has no ground position for over a
-    fifth.
+    The grid has `across` lines and as many samples at each of the heights `levels`. `convert` takes
+    ground positions from the CRS of the fit to WGS84. Places where the model does not hold are left
+    out.
+
+    Raises TermselError where the model has no ground position for more than a fifth of the grid,
+    before those are left out.
     """
     steps = np.unique(levels)
     (first_line, first_sample), (last_line, last_sample) = fitted.image_box()
@@ -260,7 +267,7 @@ def _grid_on_ground(fitted: Fit, convert: Callable[[FloatArray], FloatArray], ac
     image = np.stack([axis.ravel() for axis in np.meshgrid(lines, samples, steps)], axis=1)
     ground = fitted.locate(image[:, :2], image[:, 2])
     is_seen = np.isfinite(ground).all(axis=1)
-    if is_seen.mean() < 0.8:
+    if is_seen.mean() < _LEAST_SEEN:
         raise TermselError(
             f"the model has no ground position for {1 - is_seen.mean():.0%} of the image",
             hint="Do not use it: choose a simpler model or fewer terms, or measure more points.")

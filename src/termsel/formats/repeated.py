@@ -16,6 +16,9 @@ from termsel.data.tables.tabular import places_in_words, repeated_places
 
 log = logging.getLogger(__name__)
 
+MAX_GROUPS_NAMED = 5
+"""Groups of repeated points that a note names."""
+
 REFUSE, AVERAGE = "refuse", "average"
 
 REPEATED = Option(
@@ -29,11 +32,11 @@ _averaging: ContextVar[bool] = ContextVar("averaging", default=False)
 @contextmanager
 def average_while_reading(choice: str | None) -> Iterator[None]:
     """Average the repeated points of tables read during the block, if that is the choice."""
-    before = _averaging.set(REPEATED.parse(choice) == AVERAGE if choice else False)
+    token = _averaging.set(REPEATED.parse(choice) == AVERAGE if choice else False)
     try:
         yield
     finally:
-        _averaging.reset(before)
+        _averaging.reset(token)
 
 
 def is_averaging() -> bool:
@@ -44,22 +47,22 @@ def is_averaging() -> bool:
 def average_repeated(ids: Sequence[str], image: FloatArray, ground: FloatArray,
                      sigma: FloatArray | None,
                      roles: Sequence[str]) -> tuple[IntArray, FloatArray, FloatArray | None]:
-    """Return the first row of each place (m,), its mean image position and standard deviations.
+    """Return a row for each of m places on the ground, in order, with the means of its rows.
 
-    The means are (n, 2), and so are the deviations, which are None without `sigma`. Rows with the
-    role "off" take no part where others are at their place. Raises TermselError for different roles
-    at one place: one of them would be lost.
+    These are the number of its first row in use, (m,), its mean image position, (m, 2), and the
+    standard deviations of that, (m, 2), None without `sigma`. Rows with the role "off" take no part
+    where others are at their place.
+
+    Raises TermselError for different roles at one place: one of them would be lost.
     """
-    off = np.array([role == "off" for role in roles])
+    is_off = np.array([role == "off" for role in roles])
     first_rows: list[int] = []
     means = np.array(image)
     deviations = None if sigma is None else np.array(sigma)
     repeated = []
     for rows in repeated_places(ground, with_single=True):
-        used = [row for row in rows if not off[row]] or list(rows)
-        # Different roles at one place: one of them would be lost.
-        named = {roles[row] for row in used}
-        if len(named) > 1:
+        used = [row for row in rows if not is_off[row]] or list(rows)
+        if len({roles[row] for row in used}) > 1:
             raise TermselError(
                 f"{places_in_words(ids, [used])} and different roles, so they have no mean",
                 hint="Give them one role, or remove all but one.", ids=[ids[used[1]]])
@@ -72,8 +75,8 @@ def average_repeated(ids: Sequence[str], image: FloatArray, ground: FloatArray,
             repeated.append(used)
     if repeated:
         _log_averaged_rows(ids, image, means, repeated)
-    first = np.array(sorted(first_rows), dtype=np.intp)
-    return first, means[first], None if deviations is None else deviations[first]
+    in_order = np.array(sorted(first_rows), dtype=np.intp)
+    return in_order, means[in_order], None if deviations is None else deviations[in_order]
 
 
 def _log_averaged_rows(ids: Sequence[str], image: FloatArray, means: FloatArray,
@@ -81,8 +84,10 @@ def _log_averaged_rows(ids: Sequence[str], image: FloatArray, means: FloatArray,
     """Log which rows were averaged, and their largest distance from their means."""
     distances = [float(np.linalg.norm(image[rows] - means[rows[0]], axis=1).max())
                  for rows in repeated]
-    groups = [", ".join(ids[row] for row in rows) for rows in repeated[:5]]
-    remainder = f" and {len(repeated) - 5} more" if len(repeated) > 5 else ""
+    groups = [", ".join(ids[row] for row in rows) for rows in repeated[:MAX_GROUPS_NAMED]]
+    remainder = ""
+    if len(repeated) > MAX_GROUPS_NAMED:
+        remainder = f" and {len(repeated) - MAX_GROUPS_NAMED} more"
     verb = "is" if len(repeated) == 1 else "are"
     log.warning("Note: %s measured more than once %s averaged: %s%s. They are up to %.3g px "
                 "from their means.", count_in_words(

@@ -129,9 +129,9 @@ def has_rpc(image: Path | str) -> bool:
 def read_delivered_rpc(image: Path | str) -> Rpc | None:
     """Return the RPC that an image came with, inside it or next to it; None without one.
 
-    One that termsel fitted to control points, and that was exported next to the image, is not used:
-    the points that it was fitted to would seem to test it. Then the vendor's file that it hides is
-    returned, if there is one, and a warning is logged.
+    An RPC that termsel fitted to control points, and that was exported next to the image, does not
+    count: the points that it was fitted to would seem to test it. Then the vendor's RPC that it
+    hides comes back, if there is one, and a warning is logged.
 
     Raises
     ------
@@ -181,7 +181,11 @@ def _rpc_within(image: Path) -> dict[str, Rpc]:
 
 
 def size_with_rpc(rpc: Any) -> tuple[int, int] | None:
-    """Return lines and samples of the image that holds its RPC itself; None for other files."""
+    """Return lines and samples of an image that is given for its RPC; None for any other file.
+
+    `rpc` is what a user gives for an RPC: a file, FILE#NAME, or an `Rpc`, for which None comes
+    back, too.
+    """
     if not isinstance(rpc, Path | str):
         return None
     path, _ = _file_and_name(Path(rpc))
@@ -194,9 +198,10 @@ def size_with_rpc(rpc: Any) -> tuple[int, int] | None:
 
 def with_rpc(features: FeatureSet, rpc: Rpc | Path | str,
              image_part: ImagePart | None = None) -> FeatureSet:
-    """Return features with the RPC of their image, and with the size of an image that has it.
+    """Return features with the RPC of their image, and with the size of an image given for it.
 
-    The RPC may be of a larger image, of which theirs is a part.
+    Where their image is an `image_part` of the one that the RPC is for, the RPC becomes that of the
+    part, and the size stays as it is.
     """
     if isinstance(rpc, Rpc):
         return replace(features, rpc=rpc if image_part is None else image_part.rpc(rpc))
@@ -237,13 +242,13 @@ def _rpc_of_head(path: Path, head: bytes, rpc_name: str) -> Rpc:
         If there is no RPC, if one has bad numbers, or if `rpc_name` does not choose one of several.
     """
     if b"\0" in head and not is_utf16(head):
-        items, of_bands, further = _rpc_items_of_image(path)
-        if not items and not of_bands:
+        items, items_of_bands, metadata = _rpc_items_of_image(path)
+        if not items and not items_of_bands:
             raise TermselError("this image has no RPC that GDAL finds", file=path,
                                hint=f"Expected {KNOWN}.")
         if items and not rpc_name:
-            return _with_control_beside(with_control(from_items(items), further), path)
-        return _choose_rpc(of_bands, rpc_name, bands=True)
+            return _with_control_beside(with_control(from_items(items), metadata), path)
+        return _choose_rpc(items_of_bands, rpc_name, bands=True)
     if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
         return _rpc_from_xml(path, rpc_name)
     text = read_text(path)
@@ -262,8 +267,8 @@ def _rpc_of_head(path: Path, head: bytes, rpc_name: str) -> Rpc:
         return with_control(from_items(items), values)
     is_json = text.lstrip()[:1] in ("{", "[")
     tree = tree_of_json(text) if is_json else tree_of_yaml(text)
-    if (of_result := rpc_of_result(tree)) is not None:
-        return of_result
+    if (result_rpc := rpc_of_result(tree)) is not None:
+        return result_rpc
     if is_json and _OF_RESULT in text[:_OPENING]:
         raise TermselError(
             "this is the record of a termsel result, whose run was given no RPC", file=path,
@@ -282,27 +287,34 @@ def _with_control_beside(rpc: Rpc, image: Path) -> Rpc:
     """
     if rpc.control_digests:
         return rpc
-    same = (other for _, other in _rpcs_beside(image) if other == rpc and other.control_digests)
-    return next(same, rpc)
+    equal_rpcs = (rpc_beside for _, rpc_beside in _rpcs_beside(image)
+                  if rpc_beside == rpc and rpc_beside.control_digests)
+    return next(equal_rpcs, rpc)
 
 
 def _rpc_items_of_image(path: Path) -> tuple[dict[str, str], dict[str, Items], dict[str, str]]:
-    """Return the items of the RPC of an image, those of its bands by number, and other metadata."""
+    """Return the items of an image's RPC, those of each band's RPC by its number, and metadata.
+
+    Bands without an RPC are left out; items are empty where the image has none as a whole.
+    """
+    items_of_bands = {}
     with open_raster(path) as raster:
-        of_bands = {str(number): rpc_of_tags(raster.tags(number, ns="RPC"))
-                    or rpc_of_tags(raster.tags(number)) for number in range(1, raster.count + 1)}
-        return (raster.tags(ns="RPC"),
-                {band: items for band, items in of_bands.items() if items}, raster.tags())
+        for number in range(1, raster.count + 1):
+            items = rpc_of_tags(raster.tags(number, ns="RPC")) or rpc_of_tags(raster.tags(number))
+            if items:
+                items_of_bands[str(number)] = items
+        return raster.tags(ns="RPC"), items_of_bands, raster.tags()
 
 
 _SAME_PLACE = 1e-3
-"""Difference of the RPCs of bands [px] that is one of digits."""
+"""Difference of the RPCs of bands [px] that comes from rounded digits."""
 
 
 def _choose_rpc(items_of: Mapping[str, Items], name: str, *, bands: bool = False) -> Rpc:
-    """Return the RPC of a name, the only one, or, of bands, the middle one.
+    """Return the RPC of a name; without a name the only one, or of several bands the middle one.
 
-    Raises TermselError for an unknown name, and for RPCs of several images without a name.
+    `items_of` are the items of each RPC by its name. A warning says where bands differ. Raises
+    TermselError for an unknown name, and for RPCs of several images without a name.
     """
     names = list(items_of)
     listed = ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
@@ -346,19 +358,21 @@ _TRACES = re.compile(
 
 def _parse_entries(text: str) -> Iterator[tuple[str, str, int]]:
     """Yield name, value and line of the entries of an RPB or a _RPC.TXT."""
-    closed = text.rfind(")")  # looked for once, as many may be open
-    line, counted, at = 1, 0, 0
-    while name := _KEY.search(text, at):
+    last_parenthesis = text.rfind(")")  # looked for once, as many may be open
+    line = 1
+    entry_start = 0
+    value_end = 0
+    while name := _KEY.search(text, value_end):
         # Lines are counted on from the last entry, so that the whole text is gone through once.
-        line += text.count("\n", counted, name.start(1))
-        counted = name.start(1)
+        line += text.count("\n", entry_start, name.start(1))
+        entry_start = name.start(1)
         # Values follow "=" or ":"; those in parentheses may span lines.
-        if text.startswith("(", name.end()) and name.end() < closed:
-            at = text.index(")", name.end()) + 1
+        if text.startswith("(", name.end()) and name.end() < last_parenthesis:
+            value_end = text.index(")", name.end()) + 1
         else:
             value = _VALUE.match(text, name.end())
-            at = value.end() if value else name.end()
-        yield name[1], text[name.end():at], line
+            value_end = value.end() if value else name.end()
+        yield name[1], text[name.end():value_end], line
 
 
 def from_items(items: Mapping[str, str]) -> Rpc:
@@ -429,37 +443,38 @@ def _rpc_from_xml(path: Path, name: str) -> Rpc:
     one. Raises TermselError for XML that is damaged or in no known form, with its line.
     """
     content = read_data(path)
-    # Without a declaration it is GDAL's, which writes names of files with the bytes they have.
-    declared = content.lstrip().startswith(b"<?xml")
     try:
-        root = (_root_of_xml(content) if declared else
-                ElementTree.fromstring(content.decode("utf-8-sig", errors="replace")))
+        if content.lstrip().startswith(b"<?xml"):
+            root = _root_of_xml(content)
+        else:
+            # Without a declaration it is GDAL's, which writes names of files with any bytes.
+            root = ElementTree.fromstring(content.decode("utf-8-sig", errors="replace"))
     except (LookupError, UnicodeError) as error:
         raise TermselError(f"the encoding of this XML cannot be read: {error}", file=path, line=1,
                            hint="Save it with the encoding UTF-8.") from error
     except ElementTree.ParseError as error:
         raise TermselError(f"this XML cannot be read: {error}", file=path,
                            line=error.position[0], hint=_INCOMPLETE) from error
-    # Vendors have their own trees; the rest of the forms has names that show.
+    # Vendors have their own trees; other forms are known by their names.
     if root.tag == "Dimap_Document":
         return _rpc_from_dimap(root)
-    if of_bands := rpcs_of_xml(root):
-        return _choose_rpc(of_bands, name, bands=True)
+    if items_of_bands := rpcs_of_xml(root):
+        return _choose_rpc(items_of_bands, name, bands=True)
     items: dict[str, str] = {}
-    further: dict[str, str] = {}
+    metadata: dict[str, str] = {}
     for domain in root.iter("Metadata"):
         entries = {item.get("key", ""): item.text or "" for item in domain.iter("MDI")}
         if domain.get("domain") == "RPC":
             items |= entries
         elif not domain.get("domain"):
-            further |= entries
+            metadata |= entries
     if not items:
         digital_globe = {rpb.upper(): name for name, rpb in (RPB_NAMES | ERROR_NAMES).items()}
         items = {digital_globe[name]: text for name, text in _entry_texts(root)
                  if name in digital_globe}
     if not items:
         raise _error_for_unknown_form(path, content.decode("utf-8", errors="replace"), root.tag)
-    return with_control(from_items(items), further)
+    return with_control(from_items(items), metadata)
 
 
 def _root_of_xml(content: bytes) -> ElementTree.Element:
@@ -490,25 +505,24 @@ def _rpc_from_dimap(root: ElementTree.Element) -> Rpc:
                            hint="The RPC of an image is in the file RPC_*.XML beside it.")
     # The centre of the first pixel is (1, 1) in versions 1 and 2. Version 3 states its first
     # column, and GDAL subtracts it from both offsets.
-    values = model.find("GroundtoImage_Values")
-    first = "1"
-    if values is None:
-        values = model.find("Inverse_Model")
+    ground_to_image = model.find("GroundtoImage_Values")
+    first_column = "1"
+    if ground_to_image is None:
+        ground_to_image = model.find("Inverse_Model")
     else:
-        first = domain.findtext(".//ImagetoGround_Validity_Domain/FIRST_COL", "")
-    if values is None:
+        first_column = domain.findtext(".//ImagetoGround_Validity_Domain/FIRST_COL", "")
+    if ground_to_image is None:
         raise TermselError("this DIMAP file has no model from ground to image",
                            hint="Expected Inverse_Model or GroundtoImage_Values in Global_RFM.")
-    if not first:
+    if not first_column:
         raise TermselError("this DIMAP file does not state the first column of its image",
                            hint="Expected FIRST_COL in ImagetoGround_Validity_Domain, as in the "
                                 "RPC_*.XML that came with the image.")
-    items = dict(_entry_texts(domain)) | dict(_entry_texts(values))
-    origin = _number_of_item(first, "FIRST_COL")
+    items = dict(_entry_texts(domain)) | dict(_entry_texts(ground_to_image))
+    origin = _number_of_item(first_column, "FIRST_COL")
     for name in ("LINE_OFF", "SAMP_OFF"):
         if name in items:
             items[name] = repr(_number_of_item(items[name].strip(), name) - origin)
-    # Errors of DIMAP are of another definition.
     return from_items({name: text for name, text in items.items() if name not in ERROR_NAMES})
 
 
@@ -584,9 +598,11 @@ def rpc_items(rpc: Rpc) -> dict[str, str]:
 
 
 def _values_by_gdal_name(rpc: Rpc) -> dict[str, float | tuple[float, ...]]:
-    """Return numbers by GDAL's names."""
+    """Return the numbers of an RPC by GDAL's names, in the order of `ERROR_NAMES` and `RPB_NAMES`.
+
+    Those have latitude before longitude.
+    """
     (line, sample) = rpc.image_offset
-    # The order of GDAL's names: latitude before longitude.
     (line_scale, sample_scale) = rpc.image_scale
     (lon, lat, height) = rpc.ground_offset
     (lon_scale, lat_scale, height_scale) = rpc.ground_scale

@@ -17,15 +17,15 @@ _stated: ContextVar[Mapping[str, str]] = ContextVar("stated", default=MappingPro
 
 @contextmanager
 def stating_roles(off: str | None, role: str | None) -> Iterator[None]:
-    """Take no cell for the role of a point that one of the options off and role names.
+    """Let the options off and role decide the roles of the points they name, whatever files say.
 
-    That holds for tables read during the block. Raises TermselError as `asked_roles`.
+    That holds for tables read during the block. Raises TermselError as `asked_roles` does.
     """
-    before = _stated.set(asked_roles(off, role))
+    token = _stated.set(asked_roles(off, role))
     try:
         yield
     finally:
-        _stated.reset(before)
+        _stated.reset(token)
 
 
 def ids_with_stated_roles() -> frozenset[str]:
@@ -34,11 +34,10 @@ def ids_with_stated_roles() -> frozenset[str]:
 
 
 def without_off(features: FeatureSet) -> FeatureSet:
-    """Return features without those that are off, as the command says or else the file."""
-    stated = _stated.get()
+    """Return the features that are not off, by what the command states, else by the file."""
     points = features.points
-    off = {name for name, role in {**dict(zip(points.ids, points.roles, strict=True)),
-                                   **stated}.items() if role == "off"}
-    if not off.intersection(features.ids):
+    role_of = {**dict(zip(points.ids, points.roles, strict=True)), **_stated.get()}
+    off_ids = {name for name, role in role_of.items() if role == "off"}
+    if not off_ids.intersection(features.ids):
         return features
-    return features.take(np.array([name not in off for name in features.ids]))
+    return features.take(np.array([name not in off_ids for name in features.ids]))

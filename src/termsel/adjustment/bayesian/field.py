@@ -83,12 +83,12 @@ FIELD_VARIANCE_FACTOR = 2.0
 
 def blunder_odds(solutions: Iterable[tuple[float, Posterior, bool]],
                  points: IntArray) -> FloatArray:
-    """Return how much likelier points are as blunders, all others being right, shape (m,).
+    """Return the log odds of each of m points to be a blunder, if all others are right, (m,).
 
-    It is the natural logarithm of the density of each as a blunder by that as a right point: above
-    0 a blunder explains the error better, at ln 19 it does so 19 times as well. The solutions are
-    for all points, with their probability, and whether a random field is part of them; points (m,)
-    are the numbers of those to judge.
+    That is the natural logarithm of its density as a blunder divided by its density as a right
+    point: above 0 a blunder explains the error better, at ln 19 it does so 19 times as well.
+    `solutions` are those for all points, each with its probability, its posterior, and whether a
+    random field is part of it; `points` (m,) are the numbers of the points to judge.
     """
     # Densities add up over the solutions by their probabilities, p(e) = sum of p(cell) p(e | cell),
     # here in logarithms.
@@ -104,10 +104,12 @@ def blunder_odds(solutions: Iterable[tuple[float, Posterior, bool]],
 
 def _log_density(posterior: Posterior, points: IntArray, factor: float,
                  sizes: FloatArray) -> FloatArray:
-    """Return the logarithm of how likely errors of some sizes, each as likely, are at each point.
+    """Return the log density of each point's error under each cell of a posterior, (m, c).
 
-    By what each solution says of the point itself, shape (m, c). What the variance of a prediction
-    exceeds that of the noise by is multiplied by the factor.
+    The error is normal, and its standard deviation is the noise times one of the `sizes`, each
+    with equal probability. The density is divided by that of the point as measured, which the
+    probability of the cell contains. The variance that a prediction adds to the noise is multiplied
+    by the `factor`.
     """
     axes = posterior.errors_of(points)
     # Of line and sample, m points and the c cells, each with the solution of its axis.
@@ -122,7 +124,7 @@ def _log_density(posterior: Posterior, points: IntArray, factor: float,
     log_densities = []
     for size in sizes:
         variance = size**2 + factor * (1.0 / redundancies - 1.0)
-        # By the density of the point as measured, which the solution's probability contains.
+        # The logarithm of the ratio of both densities, divided by half the freedom.
         gain = np.log((other_squares + point_squares)
                       / (other_squares + (squares / variance).sum(axis=0)))
         log_densities.append(
@@ -231,7 +233,7 @@ class GaussianProcess:
     def errors(self) -> FloatArray:
         """Measured minus predicted of each point by the others, shape (n, 2).
 
-        In closed form: without a point the solutions change, and so do their probabilities.
+        Without a point the solutions change, and so do their probabilities; both have closed forms.
         """
         return self.held_out.errors / weights_of(self.points)
 
@@ -332,36 +334,36 @@ class GaussianProcess:
         at each place. Affine terms are not shrunken: theirs are those of least squares to what the
         other terms leave.
         """
-        lead = len(self.to_image)
-        terms = len(self.exponents)
+        n_affine = len(self.to_image)
+        n_terms = len(self.exponents)
+        n_shrunk = n_terms - n_affine
         weights = weights_of(self.points)
-        total = np.zeros((terms, 2))
+        polynomial = np.zeros((n_terms, 2))
         affine_targets = np.zeros_like(self.points.image)
         fields = []
         columns = evaluate_monomials(self.points.ground, self.exponents)
-        positions = columns[:, :lead] @ self.to_image
+        positions = columns[:, :n_affine] @ self.to_image
         for share, solution in self._likely_solutions:
             shrunk = np.stack([solution.posterior.mean(axis)[0] for axis in (0, 1)], axis=1)
             spanned = _columns_with_field(columns, positions, self.knots, solution.lengths,
                                           solution.whitening)
-            affine_targets += share * (self.points.image - spanned[:, lead:] @ shrunk)
-            total[lead:] += share * shrunk[:terms - lead]
+            affine_targets += share * (self.points.image - spanned[:, n_affine:] @ shrunk)
+            polynomial[n_affine:] += share * shrunk[:n_shrunk]
             if solution.lengths and share > NEGLIGIBLE_PROBABILITY:
-                fields.append(
-                    (solution.lengths, share * solution.whitening.T @ shrunk[terms - lead:]))
+                fields.append((solution.lengths, share * solution.whitening.T @ shrunk[n_shrunk:]))
         # Affine terms of each solution fit what its other terms leave: their mean fits the mean.
-        affine = columns[:, :lead]
+        affine = columns[:, :n_affine]
         for axis, w in enumerate(weights.T):
-            total[:lead, axis] = np.linalg.lstsq(affine * w[:, None],
-                                                 affine_targets[:, axis] * w)[0]
-        return total, fields
+            polynomial[:n_affine, axis] = np.linalg.lstsq(affine * w[:, None],
+                                                          affine_targets[:, axis] * w)[0]
+        return polynomial, fields
 
 
 def fit_gaussian_process(points: Points, variables: int) -> GaussianProcess | None:
-    """Return the prediction by a polynomial with a random field, of scaled control points.
+    """Return the prediction by a polynomial with a random field, from scaled control points.
 
-    The polynomial is in 2 variables, X and Y, or 3, with Z. None if all points but any one do not
-    determine an affine model with redundancy.
+    The polynomial is in 2 variables, X and Y, or 3, with Z. None comes back if the points without
+    some one of them do not determine an affine model with redundancy.
     """
     # Three more than the affine coefficients of an axis: with fewer a field explains anything.
     if len(points) < variables + 3:
@@ -392,9 +394,9 @@ def _cached_gaussian_process(measurements: Measurements, variables: int) -> Gaus
     if grid is None:
         return None
     solutions = [_solutions_of(grid, None, np.empty((0, 0)))]
-    lead = columns[:, :variables + 1]
-    own = columns[:, variables + 1:]
-    # Next to a polynomial with fields of all lengths, as one stack where points are few.
+    affine_columns = columns[:, :variables + 1]
+    shrunk_columns = columns[:, variables + 1:]
+    # Then the solutions with fields of all lengths, as one stack where points are few.
     at_once = len(FIELD_LENGTHS) if knots is positions else 1
     for start in range(0, len(FIELD_LENGTHS), at_once):
         batch = FIELD_LENGTHS[start:start + at_once]
@@ -404,28 +406,31 @@ def _cached_gaussian_process(measurements: Measurements, variables: int) -> Gaus
         if knots is not positions:
             covariances = np.array([_covariances_with_knots(positions, knots, lengths)
                                     for lengths in batch])
-        shrunken = np.concatenate([np.broadcast_to(own, (len(batch), *own.shape)),
-                                   covariances @ whitenings.swapaxes(1, 2)], axis=2)
-        grids = solve_posteriors(lead, shrunken, points.image, weights, scales, len(shrunk))
+        shrunken = np.concatenate([
+            np.broadcast_to(shrunk_columns, (len(batch), *shrunk_columns.shape)),
+            covariances @ whitenings.swapaxes(1, 2)], axis=2)
+        grids = solve_posteriors(affine_columns, shrunken, points.image, weights, scales,
+                                 len(shrunk))
         if grids is None:
             return None
         solutions += map(_solutions_of, grids, batch, whitenings)
         highest = max(solution.log_evidence for solution in solutions)
-        # Of solutions that are far less likely than others the arrays go, which fill the memory.
+        # Solutions that are far less likely than others lose their arrays, which fill the memory.
         for i, solution in enumerate(solutions[1:], 1):
             if solution.log_evidence <= highest - MAX_LOG_RATIO:
                 solutions[i] = replace(solution, grid=None)
-    if spline_weight > 0.0:  # next to affine functions alone, all of one scale
+    if spline_weight > 0.0:
+        # A spline is added to affine functions alone: the shrunken terms have the scale 0.
         whitening = _whitening_of_spline(knots)
+        spline_columns = _columns_with_field(shrunk_columns, positions, knots, SPLINE_LENGTHS,
+                                             whitening)
         grids = solve_posteriors(
-            lead, _columns_with_field(own, positions, knots, SPLINE_LENGTHS,
-                                      whitening)[None], points.image,
-            weights, np.repeat([[0.0, 1.0]], [len(shrunk), len(whitening)], axis=1), len(shrunk))
+            affine_columns, spline_columns[None], points.image, weights,
+            np.repeat([[0.0, 1.0]], [len(shrunk), len(whitening)], axis=1), len(shrunk))
         if grids is None:
             return None
         solutions.append(_solutions_of(grids[0], SPLINE_LENGTHS, whitening, spline_weight))
-    # Where a spline is a course of its own, so is the affine image that it would smooth.
-    if spline_weight > 0.0:
+        # Where a spline is a course of its own, so is the affine image that it would smooth.
         affine = solve_posterior(
             columns, points.image, order, weights, np.zeros((1, len(shrunk))), len(points))
         assert affine is not None
@@ -458,9 +463,10 @@ def _spline_weight(points: int) -> float:
 
 
 def _scales_with_field(exponents: Exponents, knots: int) -> FloatArray:
-    """Return scales of shrunken coefficients (k, 3) and of a field's knots, shape (g, k + knots).
+    """Return scales of k shrunken coefficients and of a field's knots, shape (g, k + knots).
 
-    Every fall with every ratio; the columns of the field share one scale.
+    A group has one of the falls and one of the ratios, in all g pairs; all columns of the field
+    share one scale. `exponents` are those of the k terms.
     """
     shrunk = np.array(exponents)
     order = shrunk.sum(axis=1)
@@ -474,10 +480,10 @@ def _scales_with_field(exponents: Exponents, knots: int) -> FloatArray:
 
 
 def _affine_to_image(points: Points, linear: Exponents) -> FloatArray:
-    """Return the affine transformation that brings places into the image, shape (f, 2).
+    """Return the affine transformation of the ground to the image, by least squares, shape (f, 2).
 
     Distances between places are taken in the image: there sheets shrink and scanners shake, and
-    line and sample have one unit. The exponents (f) are those of an affine function.
+    line and sample have one unit. `linear` are the f exponents of an affine function.
     """
     return np.asarray(np.linalg.lstsq(evaluate_monomials(points.ground, linear), points.image)[0])
 
@@ -496,9 +502,9 @@ def _prior_probability(lengths: tuple[float, float] | None) -> float:
 
 def _columns_with_field(columns: FloatArray, positions: FloatArray, knots: FloatArray,
                         lengths: tuple[float, float] | None, whitening: FloatArray) -> FloatArray:
-    """Return monomials (n, k) and the columns that span a field of some lengths, (n, k + c).
+    """Return monomials (n, k) followed by the columns that span a field, (n, k + c).
 
-    Without lengths there is no field, and the monomials are returned alone.
+    Without `lengths` there is no field, and the monomials come back alone.
     """
     if lengths is None:
         return columns
@@ -526,7 +532,7 @@ def _whitening_of_spline(knots: FloatArray) -> FloatArray:
 
 def _covariances_with_knots(positions: FloatArray, knots: FloatArray,
                             lengths: tuple[float, float]) -> FloatArray:
-    """Return covariances of places with knots, shape (m, k)."""
+    """Return covariances of a field at places (m, 2) and at knots (k, 2), shape (m, k)."""
     if lengths != SPLINE_LENGTHS:
         # Matern with nu = 3/2: (1 + r) exp(-r), r = sqrt(3) times the distance by lengths.
         r = squared_distances(positions * np.sqrt(3.0) / lengths, knots * np.sqrt(3.0) / lengths)
@@ -540,7 +546,7 @@ def _covariances_with_knots(positions: FloatArray, knots: FloatArray,
 
 def _field_variances(positions: FloatArray, knots: FloatArray,
                      lengths: tuple[float, float]) -> FloatArray:
-    """Return variances of places, (m,)."""
+    """Return the variances of a field at places (m, 2), (m,); its scale is another factor."""
     if lengths != SPLINE_LENGTHS:
         return np.ones(len(positions))
     return spline_field(knots).variances(positions)

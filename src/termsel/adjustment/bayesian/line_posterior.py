@@ -91,8 +91,11 @@ class LinePosterior:
 
     def _held_out_errors_and_weights(self, redundancy: FloatArray, rows: IntArray,
                                      ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return errors of features (c, r, f), each held out with its rows (f, r); then, (c, f),
-        the probabilities of the solutions without it, sums of squares, and how much less they are.
+        """Return what c solutions become without each of f features of r rows.
+
+        These are the errors of the features, (c, r, f); and, (c, f) each, the probabilities of the
+        solutions, their sums of squares, and by how much these are less than with the feature.
+        `redundancy` (c, r, r, f) and `rows` (f, r) are as of a `RowGroup`.
         """
         fitted = self.errors[:, rows.T]
         # (I - H)^-1 e: the errors without the feature, all of its rows held out.
@@ -106,10 +109,10 @@ class LinePosterior:
         return held_out, share, other_squares, quadratic
 
     def predictions(self, weights: FloatArray) -> FeaturePredictions:
-        """Return each feature as the others predict it.
+        """Return each of n features as the others predict it.
 
-        The rows of features are multiplied by the weights (n,). Those with another weight than 1,
-        too small to matter, do not count as others.
+        `weights` (n,) are what the rows of each feature were multiplied by. Features with another
+        weight than 1, which is too small to matter, are predicted by those with the weight 1.
         """
         n = sum(len(group.feature) for group in self.groups)
         errors = np.empty(self.errors.shape[1])
@@ -131,7 +134,7 @@ class LinePosterior:
                 else:
                     weight = weights[feature]
                     identity = np.eye(rows.shape[1])[:, :, None]
-                    # Its rows are multiplied by a tiny weight: back to the unit of the others.
+                    # From rows with a tiny weight back to the unit of the other features.
                     held_out /= weight
                     covariance = identity + (identity - redundancy) / weight**2
                     quadratic = (held_out * _solve_by_cholesky(covariance, held_out)[0]).sum(axis=1)
@@ -169,19 +172,22 @@ def _extreme_eigenvalue(a: FloatArray, *, smallest: bool = False) -> FloatArray:
     """Return the largest or the least eigenvalue of symmetric matrices (..., r, r, f)."""
     if a.shape[-2] != 2:
         return np.asarray(np.linalg.eigvalsh(np.moveaxis(a, -1, -3))[..., 0 if smallest else -1])
-    first = a[..., 0, 0, :]
-    second = a[..., 1, 1, :]
-    middle = (first + second) / 2
-    half = (first - second) / 2
-    return np.asarray(middle + (-1 if smallest else 1) * np.sqrt(half**2 + a[..., 0, 1, :]**2))
+    # Of [[p, q], [q, r]]: (p + r) / 2 -+ sqrt(((p - r) / 2)^2 + q^2).
+    p = a[..., 0, 0, :]
+    q = a[..., 0, 1, :]
+    r = a[..., 1, 1, :]
+    middle = (p + r) / 2
+    half_difference = (p - r) / 2
+    sign = -1 if smallest else 1
+    return np.asarray(middle + sign * np.sqrt(half_difference**2 + q**2))
 
 
 def mean_line_solution(equations: Equations, exponents: Exponents,
                        ) -> tuple[FloatArray, float, FloatArray] | None:
-    """Return averaged coefficients (2 k,), effective parameters and held-out errors (m,).
+    """Return averaged shrunken coefficients, effective parameters and held-out errors (m,).
 
-    They are those of `LinePosterior.mean` and `held_out_errors`, of all solutions for the m rows in
-    use. None as for `line_posterior`.
+    They are those of `LinePosterior.mean` and `held_out_errors`, over all solutions for m rows that
+    are all in use. None comes back where `line_posterior` returns none.
     """
     return _cached_mean(equations.A.tobytes(), equations.b.tobytes(), equations.feature.tobytes(),
                         exponents)
@@ -205,31 +211,35 @@ def _cached_mean(A: bytes, b: bytes, feature: bytes, exponents: Exponents,
 
 def line_posterior(equations: Equations, exponents: Exponents, draws: int,
                    in_use: int) -> LinePosterior | None:
-    """Return all solutions for features; None if all but any one do not determine the affine terms.
+    """Return all solutions for points and lines.
 
     The equations are those of a polynomial, weighted: all terms of line, then all of sample, with
-    the same k exponents; affine ones are not shrunk. Factors of single terms are drawn `draws`
-    times (see `scales_of`). The weight of `in_use` rows matters.
+    the same k exponents; affine terms are not shrunk. Factors of single terms are drawn `draws`
+    times (see `scales_of`). `in_use` is how many rows have a weight that matters.
+
+    None comes back if the features without some one of them do not determine the affine terms, or
+    leave fewer than two degrees of freedom.
     """
     A = equations.A
     b = equations.b
     powers = np.array(exponents)
     order = powers.sum(axis=1)
-    free = np.tile(order < 2, 2)
+    is_free = np.tile(order < 2, 2)
     scales = scales_of(powers[order > 1], draws)
-    count = int(free.sum())
+    count = int(is_free.sum())
     freedom = in_use - count
     by_row_count = _features_by_row_count(equations.feature)
     if freedom - max(rows.shape[1] for _, rows in by_row_count) < 2 or len(A) <= count:
         return None
-    q, r = np.linalg.qr(np.concatenate([A[:, free], A[:, ~free]], axis=1))
-    # Without any one feature the affine terms are still to be determined.
-    lead = q[:, :count]
-    if (np.abs(np.diag(r))[:count] <= TOLERANCE * np.linalg.norm(A[:, free], axis=0)).any() or min(
-            _extreme_eigenvalue(_redundancy_matrices(lead, rows), smallest=True).min()
-            for _, rows in by_row_count) < TOLERANCE:
+    q, r = np.linalg.qr(np.concatenate([A[:, is_free], A[:, ~is_free]], axis=1))
+    lengths = np.linalg.norm(A[:, is_free], axis=0)
+    if (np.abs(np.diag(r))[:count] <= TOLERANCE * lengths).any():
         return None
-    # Of line and of sample: the geometric mean of both sizes is that of the grid.
+    # The affine terms must be determined without any one feature, too.
+    if min(_extreme_eigenvalue(_redundancy_matrices(q[:, :count], rows), smallest=True).min()
+           for _, rows in by_row_count) < TOLERANCE:
+        return None
+    # Sizes of line and of sample by their geometric mean, which is the size of the grid.
     axis_sizes = np.stack([np.sqrt(AXIS_RATIOS), 1 / np.sqrt(AXIS_RATIOS)])
     grid = np.concatenate([(scales * axis_size[:, None, None]).reshape(-1, scales.shape[1])
                            for axis_size in axis_sizes], axis=1)                     # (g, 2 j)
@@ -279,15 +289,21 @@ def line_posterior(equations: Equations, exponents: Exponents, draws: int,
 
 
 def _features_by_row_count(feature: IntArray) -> list[tuple[IntArray, IntArray]]:
-    """Return the features of each number of rows, (f,), and their rows, (f, r)."""
-    number = np.bincount(feature)
+    """Return the features that have r rows, (f,), and their rows, (f, r), for each r in order.
+
+    `feature` (m,) is the feature of each row.
+    """
+    row_counts = np.bincount(feature)
     order = np.argsort(feature, kind="stable")
-    first = np.cumsum(number) - number
-    by_count = [(np.flatnonzero(number == rows), np.arange(rows)) for rows in np.unique(number)]
-    return [(selected, order[first[selected, None] + rows]) for selected, rows in by_count]
+    starts = np.cumsum(row_counts) - row_counts
+    groups = []
+    for row_count in np.unique(row_counts):
+        features = np.flatnonzero(row_counts == row_count)
+        groups.append((features, order[starts[features, None] + np.arange(row_count)]))
+    return groups
 
 
 def _redundancy_matrices(q: FloatArray, rows: IntArray) -> FloatArray:
-    """Return 1 minus the leverage that orthonormal columns give to rows, shape (r, r, f)."""
+    """Return I - Q_i Q_i' of f features, (r, r, f), for orthonormal columns q and `rows` (f, r)."""
     leverage = q[rows] @ q[rows].transpose(0, 2, 1)
     return np.ascontiguousarray((np.eye(rows.shape[1]) - leverage).transpose(1, 2, 0))

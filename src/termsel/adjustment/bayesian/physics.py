@@ -266,10 +266,11 @@ class CameraSolutions:
         return fewer
 
     def left_out(self) -> tuple[FloatArray, FloatArray]:
-        """Return the prediction of each point by the others under each prior.
+        """Return what each prior makes of each point without it.
 
-        That is the logarithm of the marginal likelihood without it, (p, n), and its error,
-        (p, n, 2): P^-1 P y of its two rows, P being the inverse covariance of all rows.
+        These are the logarithm of the marginal likelihood of the other points, (p, n), and the
+        point's error by them, (p, n, 2): P_ii^-1 (P y)_i of its two rows i, P being the inverse
+        covariance of all rows.
         """
         rows = self._equations.basis @ self._u                                       # (p, 2n, r)
         n = len(self._equations.image)
@@ -298,18 +299,18 @@ class CameraSolutions:
         """The coefficients, averaged over the noises, shape (p, k, 2)."""
         equations = self._equations
         priors = self.priors
+        # The mean of the prior, and what the residuals add to it: x = mu + C A' S^-1 v.
         weighted = (self.share[:, None] @ self._precision)[:, 0] * self._along          # (p, r)
-        turned = (self._u @ weighted[..., None])[..., 0] @ equations.shrunken          # (p, c)
-        rest = (priors.means[priors.view] + priors.covariance_times(turned)).reshape(
-            len(turned), 2, -1)
-        # The mean of the prior, and what the residuals add to it: mu + C A' S^-1 v.
-        found = np.empty((len(rest), equations.columns.shape[1], 2))
-        found[:, N_FREE:] = rest.swapaxes(1, 2)
-        # Free coefficients fit what the others leave: R x = Q'(y - A rest), of their factors Q R.
-        left = equations.free_target - rest.reshape(len(rest), -1) @ equations.free_projections.T
-        free = np.linalg.solve(equations.lead, left.T).T
-        found[:, :N_FREE] = free.reshape(-1, 2, N_FREE).swapaxes(1, 2)
-        return found
+        projected = (self._u @ weighted[..., None])[..., 0] @ equations.shrunken       # (p, c)
+        shrunken = priors.means[priors.view] + priors.covariance_times(projected)      # (p, c)
+        n_priors = len(shrunken)
+        coefficients = np.empty((n_priors, equations.columns.shape[1], 2))
+        coefficients[:, N_FREE:] = shrunken.reshape(n_priors, 2, -1).swapaxes(1, 2)
+        # Free coefficients fit what the others leave: R x = Q'(y - A shrunken), with factors Q R.
+        left_to_free = equations.free_target - shrunken @ equations.free_projections.T
+        free = np.linalg.solve(equations.lead, left_to_free.T).T
+        coefficients[:, :N_FREE] = free.reshape(-1, 2, N_FREE).swapaxes(1, 2)
+        return coefficients
 
     @property
     def effective(self) -> FloatArray:
@@ -331,40 +332,43 @@ class CameraSolutions:
         variance = np.empty((len(self.share), len(columns), 2))
         count = len(columns)
         for axis in (0, 1):
-            lead, rest = (_stack_axes(part, np.ones((count, 2)))[axis * count:(axis + 1) * count]
-                          for part in (columns[:, :N_FREE], columns[:, N_FREE:]))
-            # What free coefficients take of a place's columns.
-            q = np.linalg.solve(equations.lead.T, lead.T).T
-            free = rest - q @ equations.free_projections                               # (m, c)
-            by_views = free @ priors.covariances                                     # (v, m, c)
+            rows_of_axis = slice(axis * count, (axis + 1) * count)
+            equal_weights = np.ones((count, 2))
+            free_columns = _stack_axes(columns[:, :N_FREE], equal_weights)[rows_of_axis]
+            shrunken_columns = _stack_axes(columns[:, N_FREE:], equal_weights)[rows_of_axis]
+            # What free coefficients take of a place's columns, and what remains of the others.
+            q = np.linalg.solve(equations.lead.T, free_columns.T).T
+            remaining = shrunken_columns - q @ equations.free_projections              # (m, c)
+            by_views = remaining @ priors.covariances                                # (v, m, c)
             for prior, share in enumerate(self.share):
-                spanned = (priors.width[prior] ** 2 * by_views[priors.view[prior]]
-                           + priors.size[prior] ** 2 * priors.departure**2 * free)
-                along = spanned @ equations.shrunken.T @ self._u[prior]                # (m, r)
+                covariances = (priors.width[prior] ** 2 * by_views[priors.view[prior]]
+                               + priors.size[prior] ** 2 * priors.departure**2 * remaining)
+                along = covariances @ equations.shrunken.T @ self._u[prior]            # (m, r)
                 precision = self._precision[prior].T                                   # (r, a)
                 means = along @ (precision * self._along[prior, :, None])              # (m, a)
-                # The prior variance less what the points explain of it.
-                own = (spanned * free).sum(axis=1, keepdims=True) - along**2 @ precision
-                middle = means @ share
+                # The prior variance less what the points explain of it, under each noise.
+                variances = ((covariances * remaining).sum(axis=1, keepdims=True)
+                             - along**2 @ precision)
+                mean = means @ share
                 variance[prior, :, axis] = (q**2).sum(axis=1) * noise[prior] + (
-                    own + (means - middle[:, None]) ** 2) @ share
+                    variances + (means - mean[:, None]) ** 2) @ share
         return variance, noise
 
 
 def log_marginal_likelihood(posterior: Posterior, of_heights: FloatArray | None, height: float,
                             pixel: float) -> float:
-    """Return the logarithm of the marginal likelihood of regularised polynomials.
+    """Return the logarithm of the marginal likelihood of a regularised polynomial.
 
-    On the scale of `CameraSolutions.log_evidence`. Of Z, if heights are known, line and sample have
-    coefficients (2,); `height` is what a scaled height of 1 moves on the ground, in scaled units of
-    the image.
+    It is on the scale of `CameraSolutions.log_evidence`. `of_heights` (2,) are the coefficients of
+    Z in line and in sample, None if heights are not known; `height` is a scaled height of 1 as a
+    distance on the ground, in scaled units of the image; `pixel` is a pixel in these units.
     """
     half = posterior.freedom / 2
     sizes = np.exp(log_prior_of_sizes())
     size_sum = sizes[PRIOR_SIZES > 0.0].sum() ** 2 + sizes[0] ** 2
     # The prior of scales and sizes, which the posterior has without its sum.
     log = posterior.cells.log_evidence - np.log(len(posterior.scales) * size_sum)
-    # The integral over the noise of its density 1 / sigma: Gamma(nu/2) / 2 pi^(nu/2).
+    # The integral over the noise, with the density 1 / sigma: Gamma(nu/2) / 2 pi^(nu/2).
     log = log + lgamma(half) - np.log(2.0) - half * np.log(np.pi)
     # What the affine terms determine: the determinant of the free columns is that of the triangle.
     log = log - sum(np.log(np.abs(np.diag(design.free_triangle))).sum()

@@ -156,29 +156,30 @@ def _axis_evidence(designs: Sequence[Design], targets: FloatArray) -> list[list[
 
 def _evidence_with_shared_scales(designs: Sequence[Design], projections: FloatArray,
                                  ) -> list[tuple[FloatArray, FloatArray] | None]:
-    """Return log factors, (g, s), and sums of squares, (a, g, s), in the basis of each design.
+    """Return log factors (g, s) and sums of squares (a, g, s) of each design, in its own basis.
 
-    By one decomposition for all groups, that of the columns of one scale. With W what a size leaves
-    along it, and the few other columns C by their scales, a sum of squares is
-    y'W y - y'W C (I + C'W C)^-1 C'W y. None without such columns, and where rounding errors matter:
-    where hardly anything remains of a difference.
+    One decomposition serves all groups: that of the columns which share one scale. With W what a
+    size leaves along it, and C the few other columns times their scales, a sum of squares is
+    y'W y - y'W C (I + C'W C)^-1 C'W y. A design has None in place of both where no columns share a
+    scale, and where rounding errors matter, as hardly anything remains of that difference.
     """
     decompositions = [design.shared_decomposition for design in designs
                       if design.shared_decomposition is not None]
     if not decompositions:
         return [None] * len(designs)
-    first = designs[0]
-    n_own = first.n_own
-    groups = len(first.scales)
-    scales = _shared_scales(first.scales[:, :n_own + 1].tobytes(), PRIOR_SIZES.tobytes(), n_own,
-                            projections.shape[2])
+    # All designs have the same scales.
+    scales_of_designs = designs[0].scales
+    n_own = designs[0].n_own
+    groups = len(scales_of_designs)
+    scales = _shared_scales(scales_of_designs[:, :n_own + 1].tobytes(), PRIOR_SIZES.tobytes(),
+                            n_own, projections.shape[2])
     u, values = (np.array(factors) for factors in zip(*decompositions, strict=True))
     own = np.array([design.shrunken[:, :n_own] for design in designs])
     rotated = u.swapaxes(1, 2) @ np.concatenate([own, projections], axis=2)
     rows, columns = scales.pairs
     shrink = 1.0 / (1.0 + np.multiply.outer(values, scales.shared) ** 2)             # (d, m, r)
     grams = (rotated[..., rows] * rotated[..., columns]).swapaxes(1, 2) @ shrink     # (d, p, r)
-    # I + C'W C with rows of y'W C and y'W y, of all groups and sizes.
+    # I + C'W C with rows of y'W C and y'W y, for all groups and sizes.
     systems = grams.take(scales.number, axis=2)
     common_squares = systems[:, scales.target_pairs]
     systems *= scales.products
@@ -241,10 +242,11 @@ def _grid_cells(line: AxisEvidence, sample: AxisEvidence, freedom: int, noise: f
                 affine: bool) -> GridCells:
     """Return the likely cells of the grid of group, size of line and size of sample.
 
-    What is less likely than the likeliest by MAX_LOG_RATIO is left out. An image is affine in line
-    and sample, or in none; `affine` is whether it may be.
+    Cells that are less likely than the likeliest by MAX_LOG_RATIO are left out. `noise` is the sum
+    of squares that counts as none. An image is affine in both line and sample, or in neither;
+    `affine` says whether it may be.
     """
-    # Scales are those of both axes; sizes are each axis' own.
+    # Both axes have the same group of scales; each has a size of its own.
     count = len(PRIOR_SIZES)
     line_log, sample_log, line_square, sample_square = (
         values.reshape(-1, count) for values in (line.log_factor, sample.log_factor, line.square,
@@ -309,9 +311,10 @@ def _fill_likely_cells(logs_of_squares: FloatArray, line_log: FloatArray, sample
 
 
 def normalise_probabilities(logarithm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return probabilities (p, ...) from logarithms but for a constant, and the log of their sum.
+    """Return probabilities (p, ...) from their logarithms up to a constant, and the log of the sum.
 
-    The probabilities add up to 1 along the first axis, which the sum lacks.
+    The probabilities add up to 1 along the first axis. The sum (...), over that axis, is the one of
+    the numbers whose logarithms are given.
     """
     highest = logarithm.max(axis=0)
     share = np.exp(logarithm - highest)
@@ -339,17 +342,21 @@ class Posterior:
 
     @cached_property
     def solutions(self) -> tuple[AxisSolutions, AxisSolutions]:
-        """Solutions of line and of sample: of many points few matter, and of a model that is not
-        chosen none is asked for."""
-        cells = np.stack(self.cells.solutions)
-        matters = np.bincount(cells.ravel()) > 0  # as np.unique, without sorting
-        cell = (np.cumsum(matters) - 1)[cells]
-        group, size = np.divmod(np.flatnonzero(matters), len(PRIOR_SIZES))
+        """The solutions of line and of sample that occur in a likely cell.
+
+        Of many points these are few, and a model that is not chosen never needs them.
+        """
+        solutions_of_cells = np.stack(self.cells.solutions)
+        occurs = np.bincount(solutions_of_cells.ravel()) > 0  # as np.unique, without sorting
+        renumbered = (np.cumsum(occurs) - 1)[solutions_of_cells]
+        group, size = np.divmod(np.flatnonzero(occurs), len(PRIOR_SIZES))
         line, sample = self.designs
-        of_line = shrinkage_of(line, group, size, PRIOR_SIZES)
-        of_sample = of_line if sample is line else shrinkage_of(sample, group, size, PRIOR_SIZES)
-        return (of_line.solutions(self.targets[:, 0], cell[0]),
-                of_sample.solutions(self.targets[:, 1], cell[1]))
+        line_shrinkage = shrinkage_of(line, group, size, PRIOR_SIZES)
+        sample_shrinkage = line_shrinkage
+        if sample is not line:
+            sample_shrinkage = shrinkage_of(sample, group, size, PRIOR_SIZES)
+        return (line_shrinkage.solutions(self.targets[:, 0], renumbered[0]),
+                sample_shrinkage.solutions(self.targets[:, 1], renumbered[1]))
 
     @property
     def square(self) -> FloatArray:
@@ -394,10 +401,10 @@ class Posterior:
         return leave_each_point_out(*self.errors_of(batch), cells, self.freedom // 2 - 1)
 
     def predict_unused(self, weight: float) -> HeldOutPredictions:
-        """Return the predictions of the points of too little weight by the points in use.
+        """Return the predictions of the points that are not in use by those in use.
 
-        With the weight w of a point and 1 less its leverage l, its error is e / (l w), and the
-        variance of that, by the noise of a point in use, 1 + (1 - l) / w^2.
+        The former have the tiny `weight` w. With l, which is 1 less the leverage of such a point,
+        its error is e / (l w), whose variance by the noise of a point in use is 1 + (1 - l) / w^2.
         """
         share = self.cells.share
         count = len(self.targets) - self.in_use
@@ -428,17 +435,17 @@ class Posterior:
 def solve_posterior(columns: FloatArray, image: FloatArray, order: IntArray,
                     weights: FloatArray | None,
                     scales: FloatArray, in_use: int, *, affine: bool = False) -> Posterior | None:
-    """Return all solutions for points; None if all but any one do not determine the affine terms.
+    """Return all solutions for n points; None if they are too few, or have dependent columns.
 
-    The columns (n, k) are monomials of the scaled ground positions, affine ones first, of some
-    order (k,). The image is (n, 2); the equations are multiplied by the weights (n, 2), if any. The
-    scales (g, j) are as `scales_of` gives them. The first `in_use` points are those whose weight
-    matters. `affine` is whether the image may be affine, which a test for blunders must not rely
-    on.
+    `columns` (n, k) are monomials of the scaled ground positions, affine ones first, and `order`
+    (k,) are their total powers. The image is (n, 2); the equations are multiplied by the weights
+    (n, 2), if any. `scales` (g, j) are as `scales_of` gives them. Only the first `in_use` points
+    have weights that matter. `affine` says whether the image may be affine, which a test for
+    blunders must not rely on.
     """
-    free = order < 2
-    solutions = solve_posteriors(columns[:, free], columns[None, :, ~free], image, weights, scales,
-                                 scales.shape[1], in_use=in_use, affine=affine)
+    is_free = order < 2
+    solutions = solve_posteriors(columns[:, is_free], columns[None, :, ~is_free], image, weights,
+                                 scales, scales.shape[1], in_use=in_use, affine=affine)
     return None if solutions is None else solutions[0]
 
 
@@ -447,9 +454,9 @@ def solve_posteriors(free_columns: FloatArray, shrunken: FloatArray, image: Floa
                      in_use: int | None = None, affine: bool = False) -> list[Posterior] | None:
     """Return all solutions as `solve_posterior` does, for d systems with equal free columns (n, f).
 
-    The shrunken columns are (d, n, k). After the first few, which may be all, each system has one
-    scale for all others in a group. None with fewer than four degrees of freedom, or dependent
-    columns.
+    The shrunken columns are (d, n, k). The first `n_own` of them, which may be all, have scales of
+    their own; the others share one scale in each group. None comes back for fewer than four degrees
+    of freedom, and for dependent columns.
     """
     in_use = len(free_columns) if in_use is None else in_use
     freedom = 2 * (in_use - free_columns.shape[1])
@@ -541,8 +548,9 @@ def predict_positions(posterior: Posterior, free: FloatArray, shrunken: FloatArr
                       unspanned: FloatArray | None = None) -> PredictedPositions:
     """Return the positions that a posterior predicts at m places.
 
-    The columns there are (m, f) of those that are not shrunken, and (m, k) of the others. Of what
-    no column spans comes the variance for size 1, (g, m), for each group of scales.
+    `free` (m, f) are the columns there that are not shrunken, `shrunken` (m, k) the others.
+    `unspanned` (g, m) is the variance of what no column spans, for the size 1 in each group of
+    scales.
     """
     noise = float(posterior.cells.share @ _expected_noise_variances(posterior))
     count = free.shape[1] + shrunken.shape[1]
@@ -552,7 +560,7 @@ def predict_positions(posterior: Posterior, free: FloatArray, shrunken: FloatArr
         solutions = posterior.solutions[axis]
         design = posterior.designs[axis]
         free_reduced = np.linalg.solve(design.free_triangle.T, free.T).T
-        # W; `free_reduced` is q.
+        # The w of the text above; `free_reduced` is its q.
         shrunken_reduced = shrunken - free_reduced @ design.free_projections
         weight, mean, root = _coefficient_moments(posterior, axis)
         image[:, axis] = free_reduced @ solutions.free + shrunken_reduced @ mean
@@ -573,8 +581,8 @@ def _coefficient_moments(posterior: Posterior,
                          axis: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return moments of the shrunken coefficients of an axis.
 
-    The noise of each solution by its probability, (g, s), and mean and root of the covariance of
-    the coefficients, (k,) and (k, k).
+    These are the noise of each solution times its probability, (g, s), the mean of the
+    coefficients, (k,), and a root B of their covariance B B', (k, k).
     """
     solutions = posterior.solutions[axis]
     cells = posterior.cells

@@ -17,6 +17,9 @@ log = logging.getLogger(__name__)
 _PART_OF_ANGLE = re.compile(
     r"(.*?)[\s_.(\[-]*(?:(d|deg|degrees?|grad|°)|(m|min|mins|minutes?|minuten|'|′)"
     r"|(s|sec|secs|seconds?|sek|sekunden|\"|″))[\s)\]]*", re.IGNORECASE)
+_DEGREES, _MINUTES, _SECONDS = 2, 3, 4
+"""Groups of the pattern that hold the unit; the first group holds the name of the angle."""
+
 _WHOLE = re.compile(r"([+-]?\d{1,3})(?:[.,]0*)?")
 _SIXTIETHS = re.compile(r"[0-5]?\d(?:[.,]\d*)?")
 _SIDE_WORDS = {"y": frozenset(("N", "S", "NORTH", "SOUTH")),
@@ -28,95 +31,103 @@ _FROM_ZERO = 10.0
 
 def joined_angles(header: Sequence[str], rows: list[list[str]],
                   ) -> tuple[list[str], list[list[str]], list[str]]:
-    """Return a table whose longitudes and latitudes are in one column each, and what was joined.
+    """Return a header and rows with each longitude and latitude in one column.
 
     Minutes and seconds are found by the names of their columns, as lat_d, lat_m and lat_s or lat,
-    min and sec, beside whole degrees. Other tables are returned as they are.
+    min and sec, beside whole degrees. The column of the degrees then has the whole angle. Last come
+    the names of the columns that were joined, a text for each angle; a table without such columns
+    comes back as it is.
     """
     names = list(header)
     joined = [list(row) for row in rows]
-    said = []
-    parts = [_PART_OF_ANGLE.fullmatch(name.strip()) for name in header]
+    joined_in_words = []
+    matches = [_PART_OF_ANGLE.fullmatch(name.strip()) for name in header]
     # Without minutes or seconds there is nothing to join.
-    if not any(part and (part[3] or part[4]) for part in parts):
+    if not any(match and (match[_MINUTES] or match[_SECONDS]) for match in matches):
         return names, rows, []
     for axis in "xy":
         degrees = next((i for i in range(len(header)) if _is_degrees(header, i, axis)
                         and _are_all(_WHOLE, rows, i)), None)
         if degrees is None:
             continue
-        match = parts[degrees]
-        base = match[1] if match and match[2] else header[degrees].strip()
-        further = []
-        for group, column in product((3, 4), range(len(header))):
-            part = parts[column]
-            if part is None or not part[group] or not _are_all(_SIXTIETHS, rows, column):
+        match = matches[degrees]
+        angle_name = match[1] if match and match[_DEGREES] else header[degrees].strip()
+        sixtieths = []  # columns of minutes, then of seconds
+        for group, column in product((_MINUTES, _SECONDS), range(len(header))):
+            match = matches[column]
+            if match is None or not match[group] or not _are_all(_SIXTIETHS, rows, column):
                 continue
-            # Of this angle by its name, or without a name right after the degrees.
-            if part[1].casefold() == base.casefold() or (
-                    not part[1] and column == degrees + group - 2):
-                further.append(column)
-        if not further:
+            # Either the name says of which angle they are, or they stand right after the degrees.
+            if match[1].casefold() == angle_name.casefold() or (
+                    not match[1] and column == degrees + group - _DEGREES):
+                sixtieths.append(column)
+        if not sixtieths:
             continue
         for row in joined:
-            row[degrees] = _angle_text(row, degrees, further)
-        said.append(" and ".join(header[i].strip() for i in (degrees, *further)))
-        names[degrees] = base
-        for column, word in zip(further, ("minutes", "seconds"), strict=False):
-            names[column] = f"{base} {word}"
-    return (names, joined, said) if said else (list(header), rows, [])
+            row[degrees] = _angle_text(row, degrees, sixtieths)
+        joined_in_words.append(" and ".join(header[i].strip() for i in (degrees, *sixtieths)))
+        names[degrees] = angle_name
+        for column, word in zip(sixtieths, ("minutes", "seconds"), strict=False):
+            names[column] = f"{angle_name} {word}"
+    if not joined_in_words:
+        return list(header), rows, []
+    return names, joined, joined_in_words
 
 
-def _angle_text(row: Sequence[str], degrees: int, further: Sequence[int]) -> str:
-    """Return the cells of a row that are parts of an angle as one: 47 deg 54' 56.6"."""
-    parts = [f"{row[degrees].strip().partition('.')[0].partition(',')[0]}°"]
-    for column, sign in zip(further, "'\"", strict=False):
-        parts.append(f"{row[column].strip()}{sign}")
-    return " ".join(parts)
+def _angle_text(row: Sequence[str], degrees: int, sixtieths: Sequence[int]) -> str:
+    """Return the angle of a row as one text, such as 47 deg 54' 56.6".
+
+    `degrees` is its column of degrees, `sixtieths` are those of minutes and of seconds.
+    """
+    parts_in_words = [f"{row[degrees].strip().partition('.')[0].partition(',')[0]}°"]
+    for column, sign in zip(sixtieths, "'\"", strict=False):
+        parts_in_words.append(f"{row[column].strip()}{sign}")
+    return " ".join(parts_in_words)
 
 
 def _is_degrees(header: Sequence[str], column: int, axis: str) -> bool:
-    """Return whether a column may hold the degrees of an axis, by its name without that part."""
+    """Return whether a column may hold the degrees of an axis, by its name without the unit."""
     match = _PART_OF_ANGLE.fullmatch(header[column].strip())
-    base = match[1] if match and match[2] else header[column].strip()
+    angle_name = match[1] if match and match[_DEGREES] else header[column].strip()
     # x and y, n and e stand for plane coordinates, too.
-    return len(base) > 1 and bool(columns_by_meaning([base], POINTS)[axis])
+    return len(angle_name) > 1 and bool(columns_by_meaning([angle_name], POINTS)[axis])
 
 
 def _are_all(pattern: re.Pattern[str], rows: Sequence[Sequence[str]], column: int) -> bool:
-    """Return whether the cells of a column of all rows have a form."""
+    """Return whether all cells of a column match a pattern; False without rows."""
     return bool(rows) and all(len(row) > column and pattern.fullmatch(row[column].strip())
                               for row in rows)
 
 
-def column_of_sides(axis: str, numbers: Sequence[str], others: Mapping[int, Sequence[str]],
-                    near: int, header: Sequence[str]) -> int | None:
+def column_of_sides(axis: str, numbers: Sequence[str], unused: Mapping[int, Sequence[str]],
+                    angle_column: int, header: Sequence[str]) -> int | None:
     """Return the column that says on which side of the equator or of Greenwich angles are.
 
-    It holds N and S beside latitudes, E and W beside longitudes. `others` are the columns without
-    a meaning by their places, of which the next after `near` counts. None where there is none, or
-    where it turns no sign.
+    It holds N and S beside latitudes, E and W beside longitudes. `numbers` are the cells of the
+    angles, in `angle_column`; `unused` are the cells of columns without a meaning, by their index.
+    Of several columns of sides the nearest after that of the angles counts, else the nearest
+    before it. None comes back where there is none, or where it changes no sign.
     """
     sizes = [_size(cell) for cell in numbers]
     # Eastings and northings have no side.
     if max(sizes, default=0.0) > 360.0:
         return None
-    columns_of_sides = [place for place, cells in others.items()
-                        if _are_sides(axis, cells, is_next=place == near + 1)]
-    # On both sides are the points of one scene only near zero, or near 180 degrees.
-    is_far = min(sizes, default=0.0) > _FROM_ZERO and max(sizes) < 180.0 - _FROM_ZERO
-    for place in columns_of_sides if is_far else ():
-        letters = sorted({cell.strip().upper()[0] for cell in others[place]})
-        if len(letters) > 1:
-            log.info("Note: %s holds %s, and is not taken for the side of %s: the points would be "
-                     "far apart.", header[place].strip(), " and ".join(letters),
-                     header[near].strip())
-            columns_of_sides = [other for other in columns_of_sides if other != place]
+    columns_of_sides = [i for i, cells in unused.items()
+                        if _are_sides(axis, cells, is_next=i == angle_column + 1)]
+    # The points of one scene are on both sides only near zero, or near 180 degrees.
+    if min(sizes, default=0.0) > _FROM_ZERO and max(sizes) < 180.0 - _FROM_ZERO:
+        for column in list(columns_of_sides):
+            letters = sorted({cell.strip().upper()[0] for cell in unused[column]})
+            if len(letters) > 1:
+                log.info("Note: %s holds %s, and is not taken for the side of %s: the points would "
+                         "be far apart.", header[column].strip(), " and ".join(letters),
+                         header[angle_column].strip())
+                columns_of_sides.remove(column)
     if not columns_of_sides:
         return None
-    place = min(columns_of_sides, key=lambda i: (i < near, abs(i - near)))
-    turns = any(cell.strip().upper() not in _ALONG[axis] for cell in others[place])
-    return place if turns else None
+    nearest = min(columns_of_sides, key=lambda i: (i < angle_column, abs(i - angle_column)))
+    changes_sign = any(cell.strip().upper() not in _ALONG[axis] for cell in unused[nearest])
+    return nearest if changes_sign else None
 
 
 def _are_sides(axis: str, cells: Sequence[str], *, is_next: bool) -> bool:
@@ -127,7 +138,7 @@ def _are_sides(axis: str, cells: Sequence[str], *, is_next: bool) -> bool:
 
 
 def _size(cell: str) -> float:
-    """Return the size of a number; 0 of a cell that is none, as of degrees and minutes."""
+    """Return the size of the number in a cell; 0 if it is no number, as degrees and minutes are."""
     try:
         return abs(float(cell.replace(",", ".")))
     except ValueError:

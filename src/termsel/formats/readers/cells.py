@@ -38,6 +38,7 @@ _HEADER_WITHIN = 4_000  # characters in which a header is looked for among comme
 _PLAIN_COMMA = re.compile(r"(?<!\d),|,(?!\d)")  # not between digits
 _XML_OR_JSON = re.compile(r"\s*(<|\{|\[\s*\{)")
 _SEARCHED = 20  # rows in which a header may be found, below a title
+_LOOKED_AT = 400  # bytes that show whether a text is UTF-16
 WIDEST = 1_000  # columns
 _SHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")  # zip of .xlsx and .ods; .xls
 
@@ -142,7 +143,7 @@ def first_rows(path: Path, head: bytes, aliases: Aliases,
         return []
     text = _with_header(text, aliases, stated)
     delimiter = _best_delimiter(text, aliases, stated)
-    return [_split_lines(line, delimiter) for line in _first_lines(text)]
+    return [_split_line(line, delimiter) for line in _first_lines(text)]
 
 
 def decode(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
@@ -150,14 +151,9 @@ def decode(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
 
     If not `final`, `data` are the first bytes of more. Raises TermselError if they are no text.
     """
-    # Of text in UTF-16, every other byte is mostly zero: the first of each pair if the high byte
-    # comes first.
-    zeros = [data[start:400:2].count(0) * 5 > len(data[:400]) // 2 for start in (0, 1)]
-    wide = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-    encodings = (["utf-16"] if wide else ["utf-16-be"] if zeros == [True, False] else
-             ["utf-16-le"] if zeros == [False, True] else ["utf-8-sig", *_TOLD_BY_NAMES, "cp1252"])
+    has_mark = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     first_error: UnicodeDecodeError | None = None
-    for encoding in encodings:
+    for encoding in _possible_encodings(data):
         try:
             text = codecs.getincrementaldecoder(encoding)().decode(data, final)
         except UnicodeDecodeError as error:
@@ -169,19 +165,34 @@ def decode(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
         if any(name in text.casefold() for name in names):
             return text, encoding
     # A zero byte is in no text of these encodings but UTF-16.
-    if first_error is None or (b"\0" in data and not wide):
+    if first_error is None or (b"\0" in data and not has_mark):
         raise TermselError("this file is binary, expected text or a spreadsheet", file=path,
                            hint="Save it as CSV or as .xlsx.")
-    raise BadText(f"the text of this file is not {'UTF-16' if wide else 'UTF-8'}", file=path,
+    raise BadText(f"the text of this file is not {'UTF-16' if has_mark else 'UTF-8'}", file=path,
                   line=data[:first_error.start].count(b"\n") + 1,
                   hint="Save it with the encoding UTF-8.")
+
+
+def _possible_encodings(data: bytes) -> list[str]:
+    """Return the encodings that a text may have by its first bytes, in the order to try them."""
+    if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        return ["utf-16"]
+    # In UTF-16 every other byte is mostly zero: of each pair the first, if the high byte comes
+    # first. Mostly is here a fifth, as there may be letters of other scripts.
+    head = data[:_LOOKED_AT]
+    has_zeros = [head[start::2].count(0) * 5 > len(head) // 2 for start in (0, 1)]
+    if has_zeros == [True, False]:
+        return ["utf-16-be"]
+    if has_zeros == [False, True]:
+        return ["utf-16-le"]
+    return ["utf-8-sig", *_TOLD_BY_NAMES, "cp1252"]
 
 
 def _refuse_wide(path: Path, text: str) -> None:
     """Raise BadText for an endless first row, before its names are compared with known ones."""
     # Comparing a million names with those that are known would take minutes.
     first = next(_first_lines(text), "")
-    cells = max(len(_split_lines(first, delimiter)) for delimiter in _DELIMITERS)
+    cells = max(len(_split_line(first, delimiter)) for delimiter in _DELIMITERS)
     if cells > WIDEST:
         raise BadText(f"the first row has {cells:,} cells, more than {WIDEST:,}", file=path,
                       line=text[:text.index(first)].count("\n") + 1,
@@ -197,28 +208,29 @@ def _first_lines(text: str) -> Iterator[str]:
 
 
 def _with_header(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
-    """Return a text whose header is a comment, as NumPy writes it, with that as a plain line.
+    """Return a text whose header is a comment, as NumPy writes it, with the header as a plain line.
 
-    It stands right above the first row and has as many cells: other comments explain formats.
+    Such a header stands right above the first row, and has as many cells: other comments explain
+    formats. Any other text comes back as it is.
     """
     lines = text[:_HEADER_WITHIN].splitlines(keepends=True)
-    first = next((i for i, line in enumerate(lines) if line.strip() and line[0] != "#"), 0)
-    if not first or not lines[first - 1].startswith("#"):
+    first_row = next((i for i, line in enumerate(lines) if line.strip() and line[0] != "#"), 0)
+    if not first_row or not lines[first_row - 1].startswith("#"):
         return text
-    header = lines[first - 1].lstrip("# ")
+    header = lines[first_row - 1].lstrip("# ")
     for delimiter in _delimiters_of(header):
-        cells = _split_lines(header, delimiter)
+        cells = _split_line(header, delimiter)
         if (count_meanings(cells, aliases, stated) >= _FEWEST_NAMES
-                and len(_split_lines(lines[first], delimiter)) == len(cells)
+                and len(_split_line(lines[first_row], delimiter)) == len(cells)
                 and not any(_names_in(line, aliases, stated) >= _FEWEST_NAMES
                             for line in _first_lines(text))):
-            return text.replace(lines[first - 1], header, 1)
+            return text.replace(lines[first_row - 1], header, 1)
     return text
 
 
 def _names_in(line: str, aliases: Aliases, stated: Mapping[str, str]) -> int:
-    """Return how many meanings a line names, by the separator by which it names most."""
-    return max(count_meanings(_split_lines(line, delimiter), aliases, stated)
+    """Return how many meanings a line names, with the separator with which it names most."""
+    return max(count_meanings(_split_line(line, delimiter), aliases, stated)
                for delimiter in _delimiters_of(line))
 
 
@@ -231,19 +243,22 @@ def _delimiters_of(line: str) -> tuple[str, ...]:
     return _DELIMITERS[:-1] if has_separators else _DELIMITERS
 
 
-def _split_lines(line: str, delimiter: str) -> list[str]:
-    """Return the cells of a line; none if it cannot be a row."""
+def _split_line(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line; [] if it cannot be a row, as with an open quotation mark."""
     if not delimiter:
         return line.split()
     try:
-        # A quotation mark that is not closed, of a line that is no row.
         return next(csv.reader([line], delimiter=delimiter), [])
     except csv.Error:
         return []
 
 
 def _best_delimiter(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
-    """Return the separator by which a line names most columns, or divides into most cells."""
+    """Return the separator of a text: the one with which one of its first lines names most columns.
+
+    Where none names enough columns, the last of these lines decides: by the sign that it has most
+    of, or by its words.
+    """
     return _delimiter_of_lines(tuple(_first_lines(text)), tuple(
         (meaning, tuple(names)) for meaning, names in aliases.items()),
                                tuple(stated.items()))
@@ -252,25 +267,27 @@ def _best_delimiter(text: str, aliases: Aliases, stated: Mapping[str, str]) -> s
 @lru_cache(64)  # several readers ask about a file, some of them several times
 def _delimiter_of_lines(lines: tuple[str, ...], items: tuple[tuple[str, tuple[str, ...]], ...],
                         stated_items: tuple[tuple[str, str], ...]) -> str:
-    """Return the delimiter of a text by its first lines; "" for spaces."""
+    """Return what `_best_delimiter` does; "" stands for spaces. Mappings are given as items."""
     aliases = dict(items)
     stated = dict(stated_items)
     candidates = [(0, 0, 0, ",")]
     for i, line in enumerate(lines):
         for delimiter in _delimiters_of(line):
-            cells = _split_lines(line, delimiter)
+            cells = _split_line(line, delimiter)
             # Most columns named, then the earliest line, then most cells.
             width = len(cells) if delimiter else 0
             candidates.append((count_meanings(cells, aliases, stated), -i, width, delimiter))
-    best = max(candidates)
-    if best[0] >= _FEWEST_NAMES:
-        return best[-1]
-    # The last of the lines, as a title may stand above the others.
-    line = lines[-1] if lines else ""
+    names, _, _, best_delimiter = max(candidates)
+    if names >= _FEWEST_NAMES:
+        return best_delimiter
+    # A title may stand above the last of the lines, but not below it.
+    last_line = lines[-1] if lines else ""
     # Commas between digits may be decimal, where anything else separates cells.
-    bare = re.sub(r"(?<=\d),(?=\d)", "", line)
-    sign = max(",;\t|", key=bare.count)
-    return sign if sign in bare else "" if len(line.split()) > 2 else ","
+    without_decimals = re.sub(r"(?<=\d),(?=\d)", "", last_line)
+    most_frequent = max(",;\t|", key=without_decimals.count)
+    if most_frequent in without_decimals:
+        return most_frequent
+    return "" if len(last_line.split()) > 2 else ","
 
 
 def _rows_of_text(path: Path, text: str, delimiter: str) -> Cells:
@@ -359,9 +376,10 @@ def _choose_sheet(path: Path, aliases: Aliases, stated: Mapping[str, str],
 
 def _visible_sheets(path: Path, layer: str | None,
                     ) -> tuple[list[str], dict[str, tuple[list[list[str]], list[int]]]]:
-    """Return the names of the visible sheets, and the rows of the layer or of all of them.
+    """Return the names of the visible sheets; and by name the rows of the layer, or of all of them.
 
-    A sheet of a kilobyte can say that it has 17 billion cells: see `termsel.core.files.apart`.
+    With the rows of a sheet come their numbers in it. A sheet of a kilobyte can say that it has 17
+    billion cells: see `termsel.core.files.apart`.
 
     Raises TermselError for a spreadsheet that cannot be read.
     """
@@ -400,9 +418,9 @@ def rows_of_records(records: Sequence[Mapping[str, Any]], row_name: str,
                     fixed: Mapping[str, str], numbers: Sequence[int] = ()) -> Cells:
     """Return records, such as the properties of features, as rows below a header.
 
-    Values that are lists or objects are left out. `row_name` is what one record is called,
-    `numbers` (by default from 1) are what messages call each, `fixed` the columns whose meaning is
-    known.
+    Values that are lists or objects are left out. `row_name` is what messages call a record,
+    `numbers` are their numbers there, by default from 1. `fixed` are names of records by the
+    meaning that they are known to have.
     """
     texts = []
     for record in records:
@@ -424,26 +442,27 @@ def counts_columns(row: Sequence[str]) -> bool:
 
 
 def without_header(cells: Cells, stated: Mapping[str, str]) -> Cells:
-    """Return the cells with numbers for a header, where columns are declared by number and the
-    first row holds numbers there.
+    """Return a table without a header with the numbers of its columns as one; others as they are.
 
-    A title above that row, whose cells are too few or count the columns, is left out.
+    A table has no header where columns are declared by number, and the first row holds numbers in
+    these. Rows above that, whose cells are too few or count the columns, are left out as a title.
     """
     largest = max((int(name) for name in stated.values() if name.isdecimal()), default=0)
-    titles = next((i for i, row in enumerate(cells.rows[:_SEARCHED])
-                   if len(row) >= largest and not counts_columns(row)), 0)
-    first = cells.rows[titles] if cells.rows else []
-    columns = find_declared_columns(first, stated)
-    names = {name.strip().casefold() for name in first}
+    n_titles = next((i for i, row in enumerate(cells.rows[:_SEARCHED])
+                     if len(row) >= largest and not counts_columns(row)), 0)
+    first_row = cells.rows[n_titles] if cells.rows else []
+    columns = find_declared_columns(first_row, stated)
+    names = {name.strip().casefold() for name in first_row}
     by_number = [i for meaning, i in columns.items()
                  if meaning not in USE and stated[meaning].casefold() not in names]
-    # A header of numbers would be the first row of data.
-    if not by_number or not all(any(map(str.isdigit, first[i])) for i in by_number):
+    # Without digits there the first row is a header.
+    if not by_number or not all(any(map(str.isdigit, first_row[i])) for i in by_number):
         return cells
-    header = [str(i + 1) for i in range(len(first))]
-    title = " ".join(chain.from_iterable(cells.rows[:titles]))
-    above = (f"{count_in_words(titles, cells.row_name)} above the points left out as a "
-             f"title: {title}")
-    note = (above,) if titles else ()
-    return replace(cells, rows=[header, *cells.rows[titles:]], lines=[0, *cells.lines[titles:]],
-                   notes=(*cells.notes, *note))
+    header = [str(i + 1) for i in range(len(first_row))]
+    notes = cells.notes
+    if n_titles:
+        title = " ".join(chain.from_iterable(cells.rows[:n_titles]))
+        notes = (*notes, f"{count_in_words(n_titles, cells.row_name)} above the points left out as "
+                         f"a title: {title}")
+    return replace(cells, rows=[header, *cells.rows[n_titles:]],
+                   lines=[0, *cells.lines[n_titles:]], notes=notes)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from math import isnan
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -54,9 +55,9 @@ class PointsCsv(TableReader):
     def features(self, table: Table) -> FeatureSet:
         """Return the points of a table; errors name file, line and column."""
         images = _images_of({name: list(cells) for name, cells in table.attributes.items()})
-        wanted = self.options["image_name"]
-        if images or wanted is not None:
-            image = image_of(table.path or Path(), images, wanted,
+        stated_image = self.options["image_name"]
+        if images or stated_image is not None:
+            image = image_of(table.path or Path(), images, stated_image,
                              "image_name=NAME")
             table = table.take([row for row, name in enumerate(images) if name == image])
         features = replace(points_of(table, table.crs), image_size=table.image_size)
@@ -80,9 +81,10 @@ def parts_of(header: Sequence[str], rows: Sequence[Sequence[str]]) -> dict[str, 
 
 
 def _images_of(columns: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return the image that each point was measured in; empty where a table has one image.
+    """Return the name of the image that each point was measured in; [] where there is one image.
 
-    A picture of each point is no image that points were measured in.
+    `columns` are cells by the name of their column. A column with another name for each point does
+    not count: these are pictures of the points.
     """
     for name, cells in columns.items():
         images = [str(cell).strip() for cell in cells]
@@ -92,14 +94,14 @@ def _images_of(columns: Mapping[str, Sequence[str]]) -> list[str]:
 
 
 def _check_pixels(table: Table, features: FeatureSet) -> None:
-    """Log that x and y are read as pixels next to lon and lat.
+    """Say where columns called x and y are read as sample and line, next to lon and lat.
 
-    Raises TermselError if they are too large for pixels.
+    Tables of GIS have x and y on the ground, tables of viewers in the image; next to lon and lat
+    they can only be in the image. Raises TermselError if they are too large for pixels.
     """
-    # Tables of GIS have x and y on the ground, tables of viewers in the image: next to lon and lat
-    # they can only be the latter.
-    if ([table.names.get(meaning, "").strip().casefold() for meaning in ("sample", "line")]
-            != ["x", "y"] or not len(features.points)):
+    image_names = [table.names.get(meaning, "").strip().casefold()
+                   for meaning in ("sample", "line")]
+    if image_names != ["x", "y"] or not len(features.points):
         return
     if np.abs(features.points.image).max() > LARGEST_IMAGE:
         raise table.error("x and y are no pixels, and there are no other columns of the image", 0,
@@ -250,17 +252,20 @@ def table_text(crs: str, header: list[str], texts: list[list[str]], values: Floa
     `texts` are the first cells of each row, `values` (rows, columns) those after them, where NaN
     becomes a blank cell; `attributes` are further columns of text.
     """
-    # repr() gives the fewest digits, 17 at most, that are read back to the same number.
-    named = attributes or {}
-    further = zip(*named.values(), strict=True) if named else [()] * len(texts)
+    attributes = attributes or {}
+    if attributes:
+        attributes_of_rows = list(zip(*attributes.values(), strict=True))
+    else:
+        attributes_of_rows = [()] * len(texts)
     rows = []
-    for row, numbers, further_cells in zip(texts, values.tolist(), further, strict=True):
-        # Only NaN differs from itself.
-        number_cells = ["" if number != number else repr(number) for number in numbers]
+    for row, numbers, attribute_cells in zip(texts, values.tolist(), attributes_of_rows,
+                                             strict=True):
+        # repr() gives the fewest digits, 17 at most, that are read back to the same number.
+        number_cells = ["" if isnan(number) else repr(number) for number in numbers]
         rows.append(",".join([*map(cell_text, row), *number_cells,
-                              *map(cell_text, further_cells)]))
+                              *map(cell_text, attribute_cells)]))
     # WKT may span lines, a comment may not.
-    declared = [f"# crs: {' '.join(crs.split())}"] if crs else []
+    comments = [f"# crs: {' '.join(crs.split())}"] if crs else []
     if image_size is not None:
-        declared.append(f"# image_size: {image_size[0]},{image_size[1]}")
-    return "\n".join([*declared, ",".join([*header, *map(cell_text, named)]), *rows]) + "\n"
+        comments.append(f"# image_size: {image_size[0]},{image_size[1]}")
+    return "\n".join([*comments, ",".join([*header, *map(cell_text, attributes)]), *rows]) + "\n"

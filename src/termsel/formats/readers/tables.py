@@ -129,12 +129,12 @@ class Table:
                        attributes=rows_at(self.attributes, np.asarray(rows, dtype=np.intp)))
 
     def placed(self, error: TermselError) -> TermselError:
-        """Return `error` with the line of the first feature it names, and the name of the column.
+        """Return an error with the line of the first feature it names, and its column as headed.
 
-        The error has the meaning of a column, if any.
+        The error comes with the meaning of a column, such as "x", if it is about one. A feature
+        whose id occurs in several rows has no line.
         """
         rows = [row for row, name in enumerate(self.ids()) if name in error.ids[:1]]
-        # The error names the meaning, such as "x"; the user knows the column.
         error.column = self.names.get(str(error.column or ""))
         return self.at(error, rows[0] if len(rows) == 1 else None)
 
@@ -169,20 +169,24 @@ class Table:
 
     def points(self, image: FloatArray, ground: FloatArray, sigma: FloatArray | None,
                roles: Sequence[str]) -> Points:
-        """Return the points; errors name the line they are on.
+        """Return the points of all rows, with these coordinates and roles.
 
-        Ids that occur twice are refused, or where repetitions are averaged become one point each.
-        `image`, `ground` and `sigma` have a row each, `roles` may be empty.
+        `image` (n, 2), `ground` (n, 3) and `sigma` (n, 2) are those of the n rows. Repeated points
+        become one where they are to be averaged.
+
+        Raises TermselError, with its line, for an id that is used twice, and for what `Points`
+        refuses.
         """
         ids = self.ids()
-        first: dict[str, int] = {}
+        first_row_of: dict[str, int] = {}
         for row, name in enumerate(ids):
+            first_row = first_row_of.setdefault(name, row)
             # Ids that the program made up cannot be twice.
-            if first.setdefault(name, row) != row and "id" in self.names:
-                if self._row(row) == self._row(first[name]):
-                    raise self._repeated_row(row, first[name])
+            if first_row != row and "id" in self.names:
+                if self._row(row) == self._row(first_row):
+                    raise self._repeated_row(row, first_row)
                 raise self.error(f"id {name!r} is already used on {self.row_name} "
-                                 f"{self.lines[first[name]]}", row, "id",
+                                 f"{self.lines[first_row]}", row, "id",
                                  "Give every point a different id.")
         attributes = self.attributes
         try:
@@ -200,16 +204,16 @@ class Table:
         """Return the cells of a row, of the columns that are known."""
         return tuple(cells[row].strip() for cells in self.columns.values())
 
-    def _repeated_row(self, row: int, first: int) -> TermselError:
-        """Return the error for a row that is the copy of another, with how many more there are."""
+    def _repeated_row(self, row: int, first_row: int) -> TermselError:
+        """Return the error for a row that is a copy of an earlier one, with how many more are."""
         rows = [self._row(i) for i in range(len(self.lines))]
         further = len(rows) - len(set(rows)) - 1
         more = ""
         if further:
             verb = "repeats" if further == 1 else "repeat"
             more = f", and {count_in_words(further, 'more row')} {verb} others"
-        return self.error(f"this row repeats {self.row_name} {self.lines[first]}{more}", row, "id",
-                          "Delete the copies: a point that is there twice would weigh twice.")
+        return self.error(f"this row repeats {self.row_name} {self.lines[first_row]}{more}", row,
+                          "id", "Delete the copies: a point that is there twice would weigh twice.")
 
     def roles(self) -> list[str]:
         """Return the role of each row, in their order; "" where a blank cell leaves it open.
@@ -286,12 +290,11 @@ class Table:
         if meanings[0] not in self.columns:
             return None
         sigma = self.stack(*meanings, may_be_blank=True)
-        blank = np.isnan(sigma)
-        if blank.all():
-            # A column of blanks is none.
+        is_blank = np.isnan(sigma)
+        if is_blank.all():
             return None
-        if blank.any():
-            row, axis = (int(i) for i in np.argwhere(blank)[0])
+        if is_blank.any():
+            row, axis = (int(i) for i in np.argwhere(is_blank)[0])
             raise self.error("the standard deviation is blank here but not in all rows", row,
                              meanings[axis],
                              "Fill it in for every row, or remove the columns.")
@@ -313,7 +316,6 @@ class Table:
 
         Raises TermselError for a cell that is no number, and for a height that stands for none.
         """
-        # A table without heights has none for any row.
         if meaning not in self.columns and meaning[0] == "z":
             return np.full(len(self.lines), np.nan)
         self._require_pixels(meaning)
@@ -324,15 +326,16 @@ class Table:
                                    angle=meaning[0] if meaning[0] in "xy" else "")
         except BadCell as error:
             raise self.error(error.what, error.row, meaning, error.hint) from None
-        # What stands for none in rasters, such as -9999.
-        voids = np.flatnonzero((meaning[0] == "z") & np.isin(numbers, VOID_HEIGHTS))
-        if len(voids):
-            further = f", as in {amount_in_words(len(voids), 'row')}" if len(voids) > 1 else ""
-            raise self.error(f"{numbers[voids[0]]:.0f} is no height, but what rasters have where "
-                             f"there is none{further}", int(voids[0]), meaning,
+        void_rows = np.flatnonzero((meaning[0] == "z") & np.isin(numbers, VOID_HEIGHTS))
+        if len(void_rows):
+            further = ""
+            if len(void_rows) > 1:
+                further = f", as in {amount_in_words(len(void_rows), 'row')}"
+            raise self.error(f"{numbers[void_rows[0]]:.0f} is no height, but what rasters have "
+                             f"where there is none{further}", int(void_rows[0]), meaning,
                              "Leave these cells blank, or correct them.")
         if meaning[0] in "xy" and counts_against_axis(self.names[meaning], meaning[0]):
-            return self._turned(numbers, meaning)
+            return self._with_sign_of_axis(numbers, meaning)
         factor = FACTORS.get(self.named_units().get(meaning[0], ""))
         if factor is None:
             return numbers
@@ -352,25 +355,24 @@ class Table:
                                          "upper-left pixel to the right and downwards. If they "
                                          "are pixels, leave the unit out of the name.")
 
-    def _turned(self, numbers: FloatArray, meaning: str) -> FloatArray:
+    def _with_sign_of_axis(self, numbers: FloatArray, meaning: str) -> FloatArray:
         """Return angles that count west or south, by the name of their column, with a minus sign.
 
-        Those that are negative already stay; plane coordinates have axes of their CRS.
-
-        Raises TermselError where only some of them are negative.
+        Angles that are all negative already stay, and so do plane coordinates, which have the axes
+        of their CRS. Raises TermselError where only some angles are negative.
         """
-        negative = np.flatnonzero(numbers < 0.0)
-        if len(negative) == len(numbers) or np.abs(numbers).max(initial=0.0) > 360.0:
+        negative_rows = np.flatnonzero(numbers < 0.0)
+        if len(negative_rows) == len(numbers) or np.abs(numbers).max(initial=0.0) > 360.0:
             return numbers
         name = self.names[meaning].strip()
-        if len(negative):
+        direction = "west" if meaning[0] == "x" else "south"
+        if len(negative_rows):
             raise self.error(f"a number is negative here, and not in other rows, and {name} counts "
-                             f"{'west' if meaning[0] == 'x' else 'south'} by its name",
-                             int(negative[0]), meaning,
+                             f"{direction} by its name", int(negative_rows[0]), meaning,
                              "Write all angles with their sign, and leave the direction out of "
                              "the name.")
         log.info("Note: %s counts %s by its name, so that its numbers are taken as negative.",
-                 name, "west" if meaning[0] == "x" else "south")
+                 name, direction)
         return -numbers
 
     def named_units(self) -> dict[str, str]:
@@ -430,14 +432,14 @@ def sniff_table(path: Path, head: bytes, aliases: Aliases, columns: str = "",
 def _column_by_meaning(path: Path | None, line: int | None, header: Sequence[str],
                        rows: list[list[str]], aliases: Aliases, stated: Mapping[str, int],
                        fixed: Collection[int], *, flat: bool) -> dict[str, int]:
-    """Return the number of the column of each meaning, counted from 0.
+    """Return the number of the column of each meaning, counted from 0, without optional ones.
 
-    `line` is that of the header, for errors; `stated` has the columns that the user named by
-    meaning, `fixed` the columns that nobody can declare, such as those of a geometry. Heights have
-    no column if `flat` and all of theirs are missing. Of several columns of one meaning that never
-    have a value in the same row, the cells are put together in the first.
+    `line` is the line of the header, for errors. `stated` are the columns that the user declared,
+    by meaning; `fixed` are columns that nobody can declare, such as those of a geometry. If `flat`,
+    all columns of heights may be missing. Where several columns have one meaning and never a value
+    in the same row, their cells are put together in the first of them, in place.
 
-    Raises TermselError for a meaning whose column is missing, ambiguous, or stated to be another.
+    Raises TermselError for a meaning whose column is missing, ambiguous, or declared to be another.
     """
     columns: dict[str, int] = {}
     by_name = columns_by_meaning(header, aliases)
@@ -463,27 +465,27 @@ def _column_by_meaning(path: Path | None, line: int | None, header: Sequence[str
             if len(candidates) > 1 and meaning != "id":
                 if not _exclude_each_other(rows, candidates):
                     error = _ambiguous_columns_error(path, line, header, meaning, candidates)
-                    named = {name: [stated[name]] if name in stated else indices
-                             for name, indices in by_name.items()}
-                    raise with_both_readings(error, header, rows, named, aliases, fixed)
+                    stated_or_named = {name: [stated[name]] if name in stated else indices
+                                       for name, indices in by_name.items()}
+                    raise with_both_readings(error, header, rows, stated_or_named, aliases, fixed)
                 _merge_into_first(rows, candidates)
             columns[meaning] = candidates[0]
         elif not may_be_missing:
             _refuse_if_column_taken(path, line, header, meaning, by_name[meaning], stated)
-            # Advice needs what is known, though some of it may be ambiguous.
-            last_by_name = {name: indices[-1] for name, indices in by_name.items() if indices}
             # Nobody can declare a column of deviations that is not there.
             if needs_other_sigma:
-                other = {"sigma_line": "sigma_sample", "sigma_sample": "sigma_line"}[meaning]
-                raise TermselError(f"{other} needs the column {meaning} beside it", file=path,
+                present = {"sigma_line": "sigma_sample", "sigma_sample": "sigma_line"}[meaning]
+                raise TermselError(f"{present} needs the column {meaning} beside it", file=path,
                                    line=line, column=meaning,
-                                   hint=f"Add {meaning}, or remove {other}.")
+                                   hint=f"Add {meaning}, or remove {present}.")
             missing = [name for name in aliases if not is_there(name) and name not in OPTIONAL
                        and not (name in heights and without_heights)]
             error = _missing_column_error(path, line, header, missing, aliases)
+            # Advice needs what is known, though some of it may be ambiguous.
+            last_by_name = {name: indices[-1] for name, indices in by_name.items() if indices}
             raise with_advice(error, header, rows,
                               {**last_by_name, **stated}, aliases, fixed)
-    # Said once the table can be read: the columns of one that cannot are looked for again.
+    # Said on success alone: the columns of a table that cannot be read are looked for again.
     if flat and not any(is_there(meaning) for meaning in heights):
         log.info(f"Note: %s has no column for %s, {NO_HEIGHTS}. Accepted names: %s.",
                  path or "the table", " and ".join(heights), ", ".join(aliases[heights[0]]),
@@ -492,14 +494,15 @@ def _column_by_meaning(path: Path | None, line: int | None, header: Sequence[str
 
 
 def _refuse_if_column_taken(path: Path | None, line: int | None, header: Sequence[str],
-                            meaning: str, named: Sequence[int], stated: Mapping[str, int],
-                            ) -> None:
-    """Raise a TermselError where the user gave another meaning to the column of this one.
+                            meaning: str, named_columns: Sequence[int],
+                            stated: Mapping[str, int]) -> None:
+    """Raise TermselError where --columns gives another meaning to a column headed as this one.
 
-    `named` are the columns whose heading means `meaning`, `stated` those of --columns by meaning.
+    `named_columns` are the columns whose heading means `meaning`, `stated` the columns that
+    --columns declares, by meaning.
     """
     for stated_meaning, column in stated.items():
-        if column in named:
+        if column in named_columns:
             name = header[column].strip()
             raise TermselError(
                 f"--columns takes column {name!r} for {stated_meaning}, so that none is left for "
@@ -521,19 +524,21 @@ def _ambiguous_columns_error(path: Path | None, line: int | None, header: Sequen
 
 def _require_stated(path: Path | None, line: int | None, header: Sequence[str],
                     stated: Mapping[str, str], aliases: Aliases) -> None:
-    """Raise TermselError for columns that --columns names and the header has not."""
-    lost = {meaning: name for meaning, name in stated.items()
-            if meaning not in find_declared_columns(header, stated)}
-    if not lost:
+    """Raise TermselError for columns that --columns names and the header does not have.
+
+    `stated` are the names or numbers of columns by meaning, as --columns has them.
+    """
+    declared = find_declared_columns(header, stated)
+    absent = {meaning: name for meaning, name in stated.items() if meaning not in declared}
+    if not absent:
         return
-    named = " and ".join(f"{name!r} for {meaning}" for meaning, name in lost.items())
-    columns = "is no column" if len(lost) == 1 else "are no columns"
+    absent_in_words = " and ".join(f"{name!r} for {meaning}" for meaning, name in absent.items())
+    verb = "is no column" if len(absent) == 1 else "are no columns"
     by_name = columns_by_meaning(header, aliases)
+    remedy = ""
     if all(len(by_name.get(meaning, ())) == 1 for meaning in stated):
         remedy = " They have their usual names: leave --columns out."
-    else:
-        remedy = ""
-    raise TermselError(f"there {columns} {named}", file=path, line=line,
+    raise TermselError(f"there {verb} {absent_in_words}", file=path, line=line,
                        hint=f"The columns here are: {_list_header(header)}.{remedy}")
 
 
@@ -565,7 +570,10 @@ def _ragged_row_error(path: Path | None, line: int, header: Sequence[str], row: 
 
 def _missing_column_error(path: Path | None, line: int | None, header: Sequence[str],
                           missing: Sequence[str], aliases: Aliases) -> TermselError:
-    """Return the error for meanings that no column has."""
+    """Return the error for the `missing` meanings, which no column has.
+
+    It tells apart lines without ground coordinates, and a first line of numbers.
+    """
     meaning = missing[0]
     if meaning == "x1" and "line1" in {cell.strip().casefold() for cell in header}:
         return TermselError(
@@ -583,16 +591,18 @@ def _missing_column_error(path: Path | None, line: int | None, header: Sequence[
     accepted = "; ".join(
         ", ".join([name for name in aliases[absent] if name in TAKEN] or aliases[absent])
         for absent in missing)
-    blank = f" The cells of {missing[-1]} may be blank." if missing[-1][0] == "z" else ""
+    may_be_blank = ""
+    if missing[-1][0] == "z":
+        may_be_blank = f" The cells of {missing[-1]} may be blank."
     if len(missing) == 1:
-        which = f"is no column for {meaning}"
+        message = f"there is no column for {meaning}"
     else:
-        which = f"are no columns for {', '.join(missing[:-1])} and {missing[-1]}"
+        message = f"there are no columns for {', '.join(missing[:-1])} and {missing[-1]}"
     return TermselError(
-        f"there {which}", file=path, line=line, column=meaning,
+        message, file=path, line=line, column=meaning,
         code="column-missing",
         hint=f"The columns here are: {_list_header(header)}. "
-             f"Accepted names: {accepted}, and others.{blank}")
+             f"Accepted names: {accepted}, and others.{may_be_blank}")
 
 
 def _is_number(cell: str) -> bool:
@@ -658,11 +668,11 @@ def _declared_size(comments: Mapping[int, str]) -> tuple[int, int] | None:
 
 def read_table(path: Path, aliases: Aliases, *, columns: str = "", decimal: str | None = None,
                layer: str | None = None, flat: bool = False) -> Table:
-    """Return the table of a file whose header names the columns, as `columns`, too, may say.
+    """Return the table of a file whose columns are named by its header, or by `columns`.
 
-    `aliases` has the names of the columns by meaning. Numbers other than deviations are required;
-    if `flat`, the heights, meanings that begin with z, may all be missing: they are then blank,
-    and a note says so. Raises TermselError if the file is not such a table.
+    `aliases` has the names of the columns by meaning. Columns of numbers other than deviations are
+    required. If `flat`, the heights, which are meanings that begin with z, may all be missing: they
+    are then blank, and a note says so. Raises TermselError if the file is not such a table.
     """
     stated = parse_columns(columns)
     cells = read_cells(path, aliases, stated, layer)
@@ -688,16 +698,11 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
     cells = without_header(cells, stated)
     for note in cells.notes:
         log.info("Note: %s.", note)
-    # Only text and sheets may have a title above their header; records have keys.
-    first = 0 if cells.row_name != "line" else header_row(cells.rows, aliases, stated)
-    header = cells.rows[first]
-    rows = cells.rows[first + 1:]
-    lines = cells.lines[first + 1:]
-    line = cells.lines[first] or None
-    if first:
-        _require_rows_below(path, header, rows, line)
-        log.info("Note: the header of %s is taken from line %s, below a title.", path, line)
-    # Who declares a column means it as it stands.
+    cells = _without_title(path, cells, aliases, stated)
+    header, *rows = cells.rows
+    header_line, *lines = cells.lines
+    line = header_line or None
+    # A column that the user declares is taken as it stands.
     if not {"x", "y"} & stated.keys() and "x" in aliases:
         header, rows, joined = joined_angles(header, rows)
         for columns_in_words in joined:
@@ -706,18 +711,9 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
     _require_stated(path, line, header, stated, aliases)
     column_of = _column_by_meaning(path, line, header, rows, aliases, given_columns,
                                    cells.fixed.values(), flat=flat)
-    width = len(header)
-    if rows and set(map(len, rows)) != {width}:
-        # Spreadsheets leave separators after the last cell.
-        rows = [row if "".join(row[width:]).strip() else row[:width] for row in rows]
-        # The first bad row is named; the rest are likely bad for the same reason.
-        i = next((i for i, row in enumerate(rows) if len(row) != width), None)
-        if i is not None:
-            raise _ragged_row_error(path, lines[i], header, rows[i], cells.delimiter)
-    # A row of units below the header has a text in each of these columns.
-    numbers = [i for meaning, i in column_of.items() if meaning not in USE]
-    if (rows and not any(any(map(str.isdigit, rows[0][i])) for i in numbers)
-            and any(rows[0][i].strip() for i in numbers) and len(rows) > 1):
+    rows = _rows_of_width(path, header, rows, lines, cells.delimiter)
+    number_columns = [i for meaning, i in column_of.items() if meaning not in USE]
+    if len(rows) > 1 and _is_row_of_units(rows[0], number_columns):
         log.info("Note: line %s of %s, below the header, holds no numbers and is left out: %s.",
                  lines[0], path or "the table", " ".join(filter(None, rows[0])))
         header = _with_units_of_row(header, rows[0])
@@ -752,6 +748,45 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
                      for text in texts]
         attributes[name] = text_array(texts)
     return replace(table, signs=signs, attributes=attributes)
+
+
+def _without_title(path: Path | None, cells: Cells, aliases: Aliases,
+                   stated: Mapping[str, str]) -> Cells:
+    """Return cells whose first row is the header, without the title that may stand above it.
+
+    Only text and sheets may have a title; records have keys. Raises TermselError where no row of as
+    many cells is below a title.
+    """
+    first = header_row(cells.rows, aliases, stated) if cells.row_name == "line" else 0
+    if first == 0:
+        return cells
+    line = cells.lines[first] or None
+    _require_rows_below(path, cells.rows[first], cells.rows[first + 1:], line)
+    log.info("Note: the header of %s is taken from line %s, below a title.", path, line)
+    return replace(cells, rows=cells.rows[first:], lines=cells.lines[first:])
+
+
+def _rows_of_width(path: Path | None, header: Sequence[str], rows: list[list[str]],
+                   lines: Sequence[int], delimiter: str | None) -> list[list[str]]:
+    """Return rows with as many cells as the header; blank cells after these are left out.
+
+    Raises TermselError for the first row with fewer or more cells.
+    """
+    width = len(header)
+    if set(map(len, rows)) <= {width}:
+        return rows
+    # Spreadsheets leave separators after the last cell.
+    rows = [row if "".join(row[width:]).strip() else row[:width] for row in rows]
+    for row, line in zip(rows, lines, strict=True):
+        if len(row) != width:
+            raise _ragged_row_error(path, line, header, row, delimiter)
+    return rows
+
+
+def _is_row_of_units(row: Sequence[str], number_columns: Sequence[int]) -> bool:
+    """Return whether a row has texts without any digit where a table has numbers."""
+    cells = [row[i] for i in number_columns]
+    return any(map(str.strip, cells)) and not any(map(str.isdigit, "".join(cells)))
 
 
 def _with_units_of_row(header: Sequence[str], units: Sequence[str]) -> list[str]:
@@ -810,7 +845,10 @@ def _require_rows_below(path: Path | None, header: Sequence[str], rows: Sequence
 
 
 def _attribute_columns(header: Sequence[str], used: Collection[int]) -> dict[str, int]:
-    """Return the places of the columns that are attributes, by name; of several alike the first."""
+    """Return the indices of the columns that are attributes, by name.
+
+    These are the columns that are not `used` and have a name; of several with one name the first.
+    """
     columns: dict[str, int] = {}
     for i, cell in enumerate(header):
         name = unguard_cell(cell.strip())
@@ -832,7 +870,7 @@ def _decimal_signs(table: Table, decimal: str | None, *, points_only: bool) -> d
     except BadCell as error:
         raise table.error(error.what, error.row, error.column, error.hint) from None
     for meaning, sign in signs.items():
-        # Undecided: 1.234 could be 1234, which no default may guess.
+        # Where it is open, 1.234 could be 1234, which no default may guess.
         if not sign:
             row = next(i for i, cell in enumerate(columns[meaning])
                        if COMMA in cell or POINT in cell)
