@@ -198,3 +198,21 @@ def test_names_are_known_in_many_languages(header: str, encoding: str, tmp_path:
     assert points.ids == tuple(ids)
     np.testing.assert_array_equal(points.image, np.column_stack([LINE, SAMPLE]))
     np.testing.assert_array_equal(points.ground, np.column_stack([LON, LAT, Z]))
+
+
+def test_a_mirrored_plane_without_a_crs_is_said(tmp_path: Path,
+                                                caplog: pytest.LogCaptureFixture) -> None:
+    """Its y may point down as lines do; or the names of two columns are exchanged."""
+    for header, is_mirrored in (("col;row;x;y", True), ("row;col;x;y", False)):
+        caplog.clear()
+        termsel.read(write(tmp_path, header, LINE, SAMPLE, EAST, NORTH), crs="local")
+        assert ("the image mirrors the plane of x and y" in caplog.text) == is_mirrored
+
+
+@pytest.mark.parametrize("header", [
+    "im_y;im_x;geo_x;geo_y", "imgRow;imgCol;utm_e;utm_n", "Y_img;X_img;X_map;Y_map",
+    "image row;image col;UTM East;UTM North"])
+def test_prefixes_of_programs_are_known(header: str, tmp_path: Path) -> None:
+    points = termsel.read(write(tmp_path, header, LINE, SAMPLE, EAST, NORTH), crs=METRES).points
+    np.testing.assert_array_equal(points.image, np.column_stack([LINE, SAMPLE]))
+    np.testing.assert_array_equal(points.ground[:, :2], np.column_stack([EAST, NORTH]))

@@ -226,6 +226,15 @@ def test_the_ground_of_pix4d_is_found_beside_the_marks(tmp_path: Path) -> None:
     same(termsel.read(tmp_path / "marks.csv", crs="EPSG:32633", ground="survey.csv"), "EPSG:32633")
 
 
+def test_a_header_of_another_order_heads_no_links(tmp_path: Path) -> None:
+    """The northings of a plane may be negative, as the ordinates of links are."""
+    path = tmp_path / "table.csv"
+    path.write_text("mapX,mapY,r,c\n" + "".join(
+        f"{2.0 * sample + 900.0},{-2.0 * line - 900.0},{line},{sample}\n"
+        for line, sample in IMAGE.tolist()))
+    assert not ArcgisLinks().sniff(path, path.read_bytes())
+
+
 def test_links_with_a_header_between_commas(tmp_path: Path) -> None:
     (tmp_path / "links.csv").write_text(
         "Link,X Source,Y Source,X Map,Y Map,Residual X,Residual Y,Residual\n" + "".join(

@@ -11,6 +11,7 @@ from termsel.core.errors import DOUBT, PENDING, TermselError
 from termsel.data.coordinates.crs import (
     EARTH,
     EXAMPLES,
+    LOCAL,
     UTM,
     area_of_use,
     body_of,
@@ -104,7 +105,19 @@ def note_on_turned(features: FeatureSet) -> str:
         return (f"{direction} here, as on maps whose y points up and in some radar images."
                 f"{upwards} If this is neither, check x and y: they may be swapped, or one of them "
                 "may have the wrong sign.")
+    if not is_declared and _is_mirrored_plane(features):
+        return ("the image mirrors the plane of x and y, as where y points down in both. If it "
+                "points up in the plane, line and sample may be swapped: --set "
+                "swapped=line-sample exchanges them, and --set swapped=xy x and y.")
     return ""
+
+
+def _is_mirrored_plane(features: FeatureSet) -> bool:
+    """Return whether the image mirrors plane coordinates without a CRS, whose y may point down."""
+    if normalise(features.crs) != LOCAL:
+        return False
+    turn = _rotation_matrix(features, _TELLING)
+    return turn is not None and bool(np.linalg.det(turn) < 0)
 
 
 def unknown_crs_error(features: FeatureSet, may_turn: bool) -> TermselError:

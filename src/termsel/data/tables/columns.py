@@ -57,23 +57,27 @@ _FURTHER = {meaning: frozenset(names.split()) for meaning, names in {
           "точка точки номер номерточки назва σημείο 点番号 점 점번호 点 点号 点名 编号 序号 "
           "名称 id号",
     "line": "lin lines rows pxy ypix ypixel pixely py imgy imagey yimg yimage lineno zeile "
-            "bildzeile bildy ligne rangee fila linea riga linha wiersz rij regel "
+            "imy imrow imgrow imagerow bildzeile bildy "
+            "ligne rangee fila linea riga linha wiersz rij regel "
             "riadok radek sor satır rivi rad rekke række rând redak vrstica "
             "строка ряд рядок γραμμή 행 行 行号 行数 行坐标",
     "sample": "samples samp cols columns xpix xpixel pixelx pix px imgx imagex ximg ximage spalte "
-              "bildspalte bildx colonne columna muestra colonna campione coluna kolumna kolom "
+              "imx imcol imgcol imagecol bildspalte bildx "
+              "colonne columna muestra colonna campione coluna kolumna kolom "
               "pxx sloupec stlpec oszlop sütun sarake kolumn kolonne coloană stupac stolpec "
               "столбец колонка стовпець στήλη 열 列 列号 列数 列坐标",
-    "x": "e east lng long easting pointx lange laenge langengrad laengengrad rechtswert ostwert "
+    "x": "e east lng long easting pointx geox xmap utme utmx utmeast utmeasting "
+         "lange laenge langengrad laengengrad rechtswert ostwert "
          "ost longitud longitudine este est leste xl93 dlugosc wschod lengte "
          "lengtegraad oost delka zemepisnadelka dlzka zemepisnadlzka hosszúság boylam itä "
          "longitud öst øst lengdegrad længdegrad longitudine долгота довгота γεωγραφικόμήκος "
          "経度 경도 经度 东经 东坐标",
-    "y": "n north nord norte northing pointy breite breitengrad hochwert nordwert latitud "
+    "y": "n north nord norte northing pointy lati geoy ymap utmn utmy utmnorth utmnorthing "
+         "breite breitengrad hochwert nordwert latitud "
          "latitudine yl93 szerokosc polnoc breedte breedtegraad noord "
          "sirka zemepisnasirka szélesség enlem pohjoinen norr nord breddegrad широта "
          "γεωγραφικόπλάτος 緯度 위도 纬度 北纬 北坐标",
-    "z": "hohe hoehe hoheunn hoheunhn hauteur altura altitud altitudine altezza cota quota "
+    "z": "geoz hohe hoehe hoheunn hoheunhn hauteur altura altitud altitudine altezza cota quota "
          "elevazione elevacion elevacao wysokosc hoogte pointz ellipsoidalheight ellheight "
          "vyska magasság yükseklik korkeus höjd høyde højde visina высота висота υψόμετρο "
          "標高 고도 표고 高程 高度 高 大地高 海拔"}.items()}

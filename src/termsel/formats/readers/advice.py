@@ -111,7 +111,8 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
     if numeric and all(_counts_upwards(numbers[reading["line"]]) for reading in numeric):
         error.options["--set"] = "image_origin=y-up"
         error.hint = f"{error.hint or ''} Its lines count upwards: --set image_origin=y-up."
-    elif numeric and (upwards := _read_upwards(numeric[0], known_columns)):
+    elif (numeric and (upwards := _read_upwards(numeric[0], known_columns))
+          and _by_axes_in_names([upwards], header) == [upwards]):
         columns = _columns_option(upwards, header, aliases, fixed)
         error.hint = (f"{error.hint or ''} If its lines count upwards from the lower edge: "
                       f"--columns {columns} --set image_origin=bottom-left --image FILE.")

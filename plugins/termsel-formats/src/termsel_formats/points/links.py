@@ -47,6 +47,9 @@ class ArcgisLinks(Reader):
         complete = text.rpartition("\n")[0] if len(head) > 60000 else text
         rows = [cells for _, cells in _numbered_rows(complete)]
         if rows and not all(map(is_number, rows[0])):
+            # A title says nothing of columns; a header of another order says that it is no link's.
+            if not _may_head_links(complete):
+                return False
             rows = rows[1:]
         if len(rows) < 2 or len({len(cells) for cells in rows}) > 1 or len(rows[0]) not in _WIDTHS:
             return False
@@ -100,6 +103,16 @@ class ArcgisLinks(Reader):
                  "Source counts upwards; the first is at sample %.6g, line %.6g, x %s, y %s.",
                  path, image[0, 1], image[0, 0], columns["x"][0], columns["y"][0])
         return FeatureSet(table.points(image, table.stack("x", "y", "z"), None, ()), crs="")
+
+
+def _may_head_links(text: str) -> bool:
+    """Return whether the first line of a text is a title, or names the places in the image first.
+    """
+    lines = [line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"]
+    separator = next((mark for mark in "\t;," if mark in lines[0]), None)
+    names = [name.strip(' "').casefold() for name in lines[0].split(separator)]
+    cells = lines[1].split(separator) if len(lines) > 1 else []
+    return len(names) != len(cells) or any("source" in name for name in names[:2])
 
 
 def _column_of_x(width: int) -> int:
