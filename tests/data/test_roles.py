@@ -183,6 +183,8 @@ def test_few_independent_points_come_after_the_prediction(tmp_path: Path) -> Non
     assert " ".join(repr(result).split()).count(first) == 1
     tags = accuracy_tags(result)
     assert tags["ACCURACY_STATED"].startswith(f"predicted RMSE {expected.rmse:.3g} px")
+    assert tags["ACCURACY_PREDICTED_RMSE_PX"] == f"{expected.rmse:.4g}"
+    assert "by cross-validation" in tags["ACCURACY_PREDICTED_BY"]
     assert termsel.read_result(tmp_path / "r").summary() == result.summary()
 
 

@@ -132,6 +132,18 @@ def test_without_independent_points_the_report_says_so(
         assert root.find(".//qhorizpa") is None
 
 
+def test_few_independent_points_are_beside_the_prediction() -> None:
+    """Twenty are the least of which a standard has a statement."""
+    for count, is_stated in ((3, True), (25, False)):
+        scene = termsel.simulate_scene("ikonos-hamedan", roles=(20, 0, count))
+        report = quality_of(termsel.run(features=scene))
+        predicted = [words for words in report.statements if words.startswith("Predicted, not")]
+        assert bool(predicted) == is_stated
+        assert all("by cross-validation" in words for words in predicted)
+        assert report.check_points == count
+        assert not report.predicted
+
+
 def test_the_fgdc_metadata_are_valid(result: Result, fgdc: Any, tmp_path: Path) -> None:
     path = tmp_path / "fgdc.xml"
     export(result, "fgdc-xml", path, organisation="Agency")

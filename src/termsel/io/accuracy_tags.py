@@ -128,6 +128,7 @@ def accuracy_tags(result: Result, heights: HeightCaution | None = None) -> dict[
     # As in the summary, the surer of both figures is said first.
     if is_prediction_surer(result):
         tags["ACCURACY_STATED"] = f"{predicted}; below {stated}"
+        tags |= _tags_of_prediction(prediction_of(result))
     else:
         tags["ACCURACY_STATED"] = stated
     tags["ACCURACY_POINTS"] = str(accuracy.image.n)

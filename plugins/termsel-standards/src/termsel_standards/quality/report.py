@@ -20,6 +20,7 @@ from termsel.toolkit import as_plain_data, require_regular
 from termsel.toolkit.coordinates import LOCAL, horizontal_crs
 from termsel.toolkit.files import Prediction, prediction_of
 from termsel_standards.outline import outline_of
+from termsel_standards.statement import LEAST_REDUCED
 
 RMSEP = "47"
 """Identifier of the root mean square error of planimetry among the measures of ISO 19157."""
@@ -161,7 +162,8 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
     software = dict(result.versions)
     for plugin in result.plugins.values():
         software[plugin.name] = plugin.version
-    prediction = prediction_of(result) if result.accuracy is None else None
+    expected = prediction_of(result)
+    prediction = expected if result.accuracy is None else None
     if result.accuracy is not None:
         method = ("Positions that the model computes for independent points are compared with "
                   "their surveyed positions, at the surveyed heights. No choice has used these "
@@ -176,7 +178,7 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
         crs=horizontal_crs(result.features.crs), bounds=(west, east, south, north),
         measures=_tested_measures(result) if prediction is None
         else _predicted_measures(prediction),
-        statements=_standard_statements(result, prediction),
+        statements=_standard_statements(result, expected),
         check_points=result.accuracy.image.n if result.accuracy else 0,
         control_features=counts.control,
         predicted=prediction is not None, method=method,
@@ -240,6 +242,9 @@ def _standard_statements(result: Result, prediction: Prediction | None) -> tuple
     if accuracy.nssda.value is not None:
         statements.append(f"Tested {accuracy.nssda.value:.3g} meters horizontal accuracy at 95% "
                           "confidence level")
+    # A test by few points is no statement of a standard, and less sure than the prediction.
+    if prediction is not None and accuracy.image.n < LEAST_REDUCED:
+        statements.append(prediction.sentence)
     if accuracy.ground is None:
         statements.append("The errors on the ground are not known in metres")
     return tuple(statements)
