@@ -77,6 +77,10 @@ def test_a_map_that_counts_to_the_north_and_a_radar_image_are_not_swapped(
     image = scene("EPSG:2100", (268900, 4488300), 0.5, turn, np.array([[0.0, 1.0], [1.0, 0.0]]))
     assert "Note: " + ("line numbers grow to the north" if turn < 90
                        else "sample numbers grow to the west") in said(image, caplog)
+    # What is to be done stands in the first sentence, which a screen shows.
+    first = said(image, caplog).partition(". ")[0]
+    assert "a map would be mirrored" in first
+    assert ("--set image_origin=bottom-left --image FILE" in first) == (turn < 90)
     # Swapped, it is turned and no mirror image; the area of the CRS tells.
     assert "x and y look swapped: exchanged, they lie in the area of EPSG:2100" in said(
         exchanged(image, "xy"), caplog)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -219,6 +220,20 @@ def _ids_if_few(features: FeatureSet, outside: BoolArray) -> str:
     feature_of_vertex = np.concatenate([np.arange(n), n + np.repeat(features.lines.feature, 2)])
     ids = [features.ids[i] for i in np.unique(feature_of_vertex[outside.any(axis=1)])]
     return f": {', '.join(ids)}" if len(ids) <= min(MAX_NAMED, len(features) // 3) else ""
+
+
+def say_other_number(tables: str, image: Path | str) -> None:
+    """Warn where points and image have one name but for a number, as of another sheet of a series.
+
+    Scans of a series often have one size, so that nothing else shows it. `tables` are the names of
+    the files of features with commas between them.
+    """
+    stem = Path(tables.split(", ")[0]).name.partition(".")[0]
+    image_stem = Path(image).name.partition(".")[0]
+    pattern, image_pattern = (re.sub(r"\d+", "#", name.casefold()) for name in (stem, image_stem))
+    if "#" in pattern and pattern == image_pattern and stem.casefold() != image_stem.casefold():
+        log.warning("Warning: the points are of %s, and the image is %s. Were they measured in it?",
+                    Path(tables.split(", ")[0]).name, Path(image).name)
 
 
 def other_image_error(size: tuple[int, int], reason: str, image: Path | str | None,

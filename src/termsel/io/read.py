@@ -56,6 +56,7 @@ from termsel.formats.image_origin import (
     image_size_of,
     note_on_exif_orientation,
     require_inside,
+    say_other_number,
     with_image_origin,
 )
 from termsel.formats.readers.advice import (
@@ -240,6 +241,8 @@ def read(
                 _propose_prj_of(Path(image), error)
             raise
         features = _with_image_size(features, image, size, off)
+        if image is not None and points is not None:
+            say_other_number(str(points), image)
     files = [path for path in (points, lines, areas) if path is not None]
     try:
         features = _with_rpc_and_heights(features, dem, rpc, z_unit, image_part,

@@ -26,6 +26,7 @@ from termsel.data.coordinates.crs import (
     short_crs_name,
     to_wgs84,
 )
+from termsel.data.coordinates.earth import note_on_turned
 from termsel.data.rasters import gdal_name, open_raster, refuse_empty_giant, require_rasterio
 from termsel.fitting.datum_accuracy import say_stand_in
 from termsel.fitting.rpc_fit import GOOD, RpcFit, closest_rpc
@@ -38,6 +39,7 @@ from termsel.formats.heights import (
     surface_of,
     write_ellipsoidal,
 )
+from termsel.formats.image_origin import say_other_number
 from termsel.formats.pictures import Picture
 from termsel.formats.rpc_files import rpc_items
 from termsel.formats.vrt import picture_for, vrt_text
@@ -149,6 +151,7 @@ def rectify(
     True
     """
     require_rasterio()
+    say_other_number(result.data.source, image)
     image = raster_in(Path(image))
     output = Path(output)
     require_tiff_name(output)
@@ -293,6 +296,8 @@ _SYMBOLS = {"metre": "m", "degree": "degrees", "foot": "ft", "US survey foot": "
 def _say(result: Result, grid: MapGrid, crs_note: str, share: float,
          dem: Path | str | None) -> None:
     """Log size and CRS of the map, and which share of the image it shows."""
+    if mirrored := note_on_turned(result.features):
+        log.warning("Warning: %s", mirrored)
     log.info("Map: %d x %d px of %g %s in %s%s, with %s of the image.", grid.samples,
              grid.lines, grid.transform.a, _SYMBOLS.get(grid.unit, grid.unit),
              short_crs_name(grid.crs), crs_note,

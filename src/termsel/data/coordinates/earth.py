@@ -100,11 +100,14 @@ def note_on_turned(features: FeatureSet) -> str:
                 direction = "sample numbers grow to the west"
         else:
             direction = "line numbers grow with y" if is_upwards else "sample numbers fall with x"
-        upwards = (" If lines count from the lower edge of the image, give --set "
-                   "image_origin=bottom-left and --image FILE." if is_upwards else "")
-        return (f"{direction} here, as on maps whose y points up and in some radar images."
-                f"{upwards} If this is neither, check x and y: they may be swapped, or one of them "
-                "may have the wrong sign.")
+        if is_upwards:
+            remedy = ("if lines count from the lower edge of the image, add --set "
+                      "image_origin=bottom-left --image FILE. Else x and y may be swapped, or one "
+                      "of them have the wrong sign.")
+        else:
+            remedy = "does x have the wrong sign, or are x and y swapped?"
+        return (f"{direction}, so that a map would be mirrored: {remedy} Only a radar image, or a "
+                "scan of the back of a film, is so.")
     if not is_declared and _is_mirrored_plane(features):
         return ("the image mirrors the plane of x and y, as where y points down in both. If it "
                 "points up in the plane, line and sample may be swapped: --set "
