@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
                     "pip install -e plugins/termsel-block")
 
+from termsel.testing import invoke
 from termsel.toolkit.coordinates import normalise, transformation_between
 from termsel_block.accuracy import independent_points, predicted_errors, rms_length
 from termsel_block.block import Block
@@ -32,8 +34,8 @@ def error(result: BlockResult, i: int) -> float:
     return rms_length(points.image - result.project(i, points.ground))
 
 
-def dem(path: Path, hills: Hills, off: float) -> Path:
-    """Write the heights of the simulated ground, off by so many metres."""
+def dem(path: Path, hills: Hills, off: float, unit: float = 1.0) -> Path:
+    """Write the heights of the simulated ground, off by so many metres, in a unit [m]."""
     rasterio = pytest.importorskip("rasterio")
     n, half = 400, 0.3
     step = 2 * half / n
@@ -43,7 +45,8 @@ def dem(path: Path, hills: Hills, off: float) -> Path:
             path, "w", driver="GTiff", width=n, height=n, count=1, dtype="float32",
             crs="EPSG:4979",
             transform=rasterio.transform.from_origin(LON - half, LAT + half, step, step)) as raster:
-        raster.write((ground_heights(places, hills) + off).reshape(n, n).astype(np.float32), 1)
+        heights = (ground_heights(places, hills) + off) / unit
+        raster.write(heights.reshape(n, n).astype(np.float32), 1)
     return path
 
 
@@ -155,19 +158,56 @@ def test_a_height_counts_while_most_of_its_rows_are_in_use() -> None:
     assert heights.control.tolist() == [5.0]
 
 
-def test_heights_that_are_the_dems_do_not_confirm_it(tmp_path: Path) -> None:
-    folder = tmp_path / "block"
+def example_without_heights(folder: Path, off: float, ids: Collection[str]) -> Path:
+    """Write the example with a DEM that is `off` [m], from which these points have their heights.
+    """
     write_example(folder)
-    dem(folder / "dem.tif", Hills(), -28.0)
+    dem(folder / "dem.tif", Hills(), off)
     for name in "AB":
         file = folder / f"{name}_points.csv"
         rows = [line.split(",") for line in file.read_text().splitlines()]
         assert rows[1][-1] == "z"
         file.write_text("".join(",".join(
-            [*row[:-1], ""] if row[0] in ("G0", "G1", "G2") else row) + "\n" for row in rows))
+            [*row[:-1], ""] if row[0] in ids else row) + "\n" for row in rows))
     stated = folder / "block.toml"
     stated.write_text('dem = "dem.tif"\n' + stated.read_text())
-    block = read_block(stated)
+    return stated
+
+
+@pytest.mark.slow_cases("0.0")
+@pytest.mark.parametrize("off", [0.0, 30.0])
+def test_independent_heights_contradict_a_dem_that_control_follows(
+        off: float, tmp_path: Path) -> None:
+    stated = example_without_heights(tmp_path / "block", off, [f"G{i}" for i in range(6)])
+    done = invoke("block", stated, "--out", tmp_path / "adjusted", "--quiet")
+    assert done.exit_code == 0
+    screen = " ".join(done.stdout.split())
+    assert ("The DEM is 30 m above the independent check points (median of 30 heights, standard "
+            "deviation " in screen) == (off != 0.0)
+    assert ("Independent check points contradict what is predicted (A " in screen) == (off != 0.0)
+
+
+def test_a_dem_in_feet_is_left_out_where_ties_contradict_it(tmp_path: Path) -> None:
+    """Ties are tens of pixels off under it, and may not be blamed for that."""
+    block = simulate_block(3, rpcs=True, control=(), n_ties=60, seed=1, independent=5).block
+    result = adjust(replace(block, dem=dem(tmp_path / "dem.tif", Hills(), 0.0, unit=0.3048)))
+    assert result.block.dem is None
+    assert "and the block is adjusted without it: are the heights of the DEM in feet?" in (
+        result.block.notes[0])
+    without = adjust(block)
+    for i in range(3):
+        assert error(result, i) == pytest.approx(error(without, i), abs=0.01)
+
+
+def test_points_that_judge_a_selection_are_said_to_be_control() -> None:
+    block = simulate_block(3, rpcs=True, control=(6, 6), n_ties=60, seed=1, independent=10,
+                           check=5).block
+    (note,) = record_of(adjust(block)).notes
+    assert note.startswith("15 observations with the role check are adjusted as control")
+
+
+def test_heights_that_are_the_dems_do_not_confirm_it(tmp_path: Path) -> None:
+    block = read_block(example_without_heights(tmp_path / "block", -28.0, ("G0", "G1", "G2")))
     assert [sorted(image.of_dem) for image in block.images] == [["G0", "G1", "G2"]] * 2 + [[]]
     known = heights_of(block, Frame.at(np.array([[LON, LAT, 1700.0]]), block.crs),
                        lambda xy: ground_heights(xy) - 28.0)
@@ -231,8 +271,11 @@ def test_without_control_a_block_says_that_the_dem_is_another(
     """The RPCs follow it, so that nothing else would show it: images would be 50 and 200 px off."""
     block = simulate_block(3, rpcs=True, control=(), n_ties=60, seed=1, independent=5).block
     result = adjust(replace(block, dem=dem(tmp_path / "dem.tif", Hills(), off)))
-    (note,) = result.block.notes
+    note = result.block.notes[0]
     assert ("m below it by the RPCs" if said
             else "For each 100 m that it is off, images are up to 17 px off") in note
+    of_independent = [f"The DEM is {off:,.0f} m above the independent" in note
+                      for note in result.block.notes[1:]]
+    assert of_independent == [True] * said
     for i in range(3):
         assert error(result, i) < predicted_errors(result, i).high

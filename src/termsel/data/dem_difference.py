@@ -81,6 +81,12 @@ class DemDifference:
         """Whether the median is beyond three times its standard deviation."""
         return abs(self.above) > BEYOND * self.sigma
 
+    @property
+    def evidence(self) -> str:
+        """Of how many heights the difference is the median, and how sure it is, in words."""
+        return (f"median of {count_in_words(self.count, 'height')}, standard deviation "
+                f"{_rounded_metres_in_words(self.sigma)} m")
+
     def sentence(self, pixels: float | None = None) -> str:
         """Return the difference as one sentence, with its effect on a map [px] if that is known."""
         if pixels is None:
@@ -89,15 +95,13 @@ class DemDifference:
             effect = f": {_rounded_metres_in_words(pixels)} px on a map"
         else:
             effect = ", of which this model makes no use"
-        evidence = (f"median of {count_in_words(self.count, 'height')}, standard deviation "
-                    f"{_rounded_metres_in_words(self.sigma)} m")
         cause = ""
         if self.in_feet:
             cause = "is one of them in feet? --set z_unit=ft says so of the points"
         elif self.in_kilometres:
             cause = "is one of them in kilometres?"
         return sentence_on_common_offset(
-            self.above, "the control", evidence, effect, self.dem, cause)
+            self.above, "the control", self.evidence, effect, self.dem, cause)
 
 
 def sentence_on_common_offset(above: float, reference: str, evidence: str, effect: str = "",

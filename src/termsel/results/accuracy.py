@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from math import log
-from statistics import NormalDist
-
 from termsel.core.errors import count_in_words, interval_text, rounded_size_text
 from termsel.data.record.figures import (
     MANY_INDEPENDENT,
+    RARE,
     Accuracy,
     Predicted,
     is_determined_exactly,
@@ -19,9 +17,6 @@ _ROUNDING_PX = 1e-9
 """Predicted RMSE [px] below which points without errors leave only rounding."""
 _MEASURABLE = 0.01
 """RMSE [px] below which points were computed: nobody measures so well."""
-
-_RARE = 0.01
-"""Chance of a measured RMSE beyond its prediction, below which the prediction was wrong."""
 
 PREDICTED_BY = "predicted by cross-validation"
 
@@ -182,24 +177,11 @@ def _agreement_text(accuracy: Accuracy, predicted: Predicted) -> str:
     if predicted.low <= measured <= predicted.high:
         return ": consistent"
     is_above = measured > predicted.high
-    chance = _chance_beyond(measured, predicted)
-    if chance < _RARE:
+    chance = predicted.chance_beyond(measured)
+    if chance < RARE:
         return f": the prediction was too {'small' if is_above else 'large'}"
     # One measured value in ten lies outside its interval; how far outside shows more.
     return f": {'lower' if is_above else 'higher'}; chance of such a gap {100 * chance:.0f} %"
-
-
-def _chance_beyond(measured: float, predicted: Predicted) -> float:
-    """Return the chance of a measured RMSE so far above, or below, its prediction.
-
-    The interval of the prediction is read as that of a log-normal distribution.
-    """
-    if not 0.0 < predicted.low < predicted.high or measured <= 0.0:
-        return 0.0
-    level = NormalDist().inv_cdf(0.5 + predicted.level / 2.0)
-    spread = log(predicted.high / predicted.low) / (2.0 * level)
-    middle = log(predicted.high * predicted.low) / 2.0
-    return 1.0 - NormalDist().cdf(abs(log(measured) - middle) / spread)
 
 
 def _doubt_clauses(record: Record, accuracy: Accuracy) -> list[str]:

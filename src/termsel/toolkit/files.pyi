@@ -17,6 +17,7 @@ from termsel.core.files.texts import guard_cell as guard_cell
 from termsel.core.files.texts import is_number as is_number
 from termsel.core.files.texts import markdown_text as markdown_text
 from termsel.core.files.texts import xml_attribute as xml_attribute
+from termsel.data.dem_difference import dem_difference as dem_difference
 from termsel.data.fingerprints import is_cut as is_cut
 from termsel.data.fingerprints import makers_of as makers_of
 from termsel.data.tables.columns import POINTS as POINTS

@@ -10,6 +10,7 @@ from termsel.data.monomials import Exponents as Exponents
 from termsel.data.monomials import evaluate_monomials as evaluate_monomials
 from termsel.data.monomials import graded_exponents as graded_exponents
 from termsel.data.monomials import monomial_name as monomial_name
+from termsel.data.record.figures import RARE as RARE
 from termsel.data.record.figures import OnGround as OnGround
 from termsel.data.record.figures import Predicted as Predicted
 from termsel.data.record.figures import Rmse as Rmse

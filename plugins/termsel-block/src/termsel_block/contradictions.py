@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from termsel.toolkit import sentence_on_common_offset
+from termsel.toolkit.files import dem_difference
 from termsel_block.block import Block, BlockImage
 from termsel_block.estimation.unknowns import Adjusted
 from termsel_block.geometry.frame import FloatArray, Frame
@@ -182,11 +184,16 @@ def doubts_of_models(block: Block, adjusted: Adjusted) -> list[str]:
             for i, contradiction in contradictions_of(adjusted).items()]
 
 
+IN_FEET = "are the heights of the DEM in feet? gdal_edit.py -units ft states that of its band."
+"""Advice on a DEM that agrees with the ground if its heights are in feet."""
+
+
 def compare_ground_with_dem(
         ground: FloatArray, frame: Frame, adjusted: Adjusted, dem: Surface) -> tuple[float, str]:
-    """Return by how much the ground as adjusted without a DEM is off it [m], and that as a note.
+    """Return by how much the ground as adjusted without a DEM is off it [m], and that in words.
 
-    The note is empty where that may be chance.
+    What is said ends with its advice, before which "{}" stands for what is done about it. It is
+    empty where the difference may be chance.
 
     Parameters
     ----------
@@ -210,10 +217,36 @@ def compare_ground_with_dem(
     if abs(middle) < _FAR_SIGMAS * np.hypot(sigma, OFF):
         return middle, ""
     direction = "above" if middle > 0 else "below"
+    heights = frame.heights(ground)
+    difference = dem_difference(heights[is_known], (heights - over)[is_known])
+    in_feet = difference is not None and difference.in_feet
+    advice = IN_FEET if in_feet else "check what its heights refer to, or give control."
     note = (f"Without the DEM the ground is {abs(middle):.0f} m {direction} it by the RPCs, with a "
-            f"standard deviation of {sigma:.0f} m, and the DEM is taken to be as far off: check "
-            "what its heights refer to, or give control.")
+            f"standard deviation of {sigma:.0f} m, and {{}}: {advice}")
     return middle, note
+
+
+def note_on_independent_heights(block: Block, frame: Frame, dem: Surface) -> str:
+    """Return how far a DEM is off the heights that independent points state.
+
+    Empty where that may be chance. Nothing else shows it where control has its heights from the
+    DEM, too.
+    """
+    grounds = [np.empty((0, 3))]
+    for image in block.images:
+        if image.features is not None:
+            points = image.features.points
+            grounds.append(points.ground[[role == "independent" and name not in image.of_dem
+                                          for name, role in zip(points.ids, points.roles,
+                                                                strict=True)]])
+    # Images see the same points.
+    ground = np.unique(np.concatenate(grounds), axis=0)
+    difference = dem_difference(frame.heights(ground), dem(ground[:, :2]))
+    if difference is None or not difference.contradicts:
+        return ""
+    return sentence_on_common_offset(
+        difference.above, "the independent check points", difference.evidence,
+        cause=IN_FEET if difference.in_feet else "")
 
 
 def _terms_in_words(contradiction: Contradiction) -> str:

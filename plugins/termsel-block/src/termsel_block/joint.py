@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from termsel_block.contradictions import (
     agrees_better,
     compare_ground_with_dem,
     gain_of_control,
+    note_on_independent_heights,
     note_without,
     sensor_of,
     stated_sensors,
@@ -42,6 +44,15 @@ _FAR_LESS = 0.5
 
 _CONTRADICTED = 3.0
 """Misfit of control by that of ties, 1 px at least, from which on polynomials are not the model."""
+
+_TIES_CONTRADICT = "ties-contradict"
+"""Code of the error of ties that agree no better than places at random."""
+
+_LEFT_OUT = "the block is adjusted without it"
+"""What is done about a DEM that the ties contradict."""
+
+_FAR_MORE = 2.0
+"""Misfit of ties under a DEM by that without it, 1 px at least, from which on it is left out."""
 
 _EXTENT_TIES = 8
 """Ties of an image from which on their extent shows that of the image."""
@@ -133,7 +144,7 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
     3
     """
     frame = Frame.at(_frame_positions(block), block.crs)
-    result = _adjust_as_stated(block, frame, progress)
+    result = _adjust_with_fit_dem(block, frame, progress)
     right: set[str] = set()
     freed_blocks: dict[str, BlockResult] = {}
     # Each round either frees the sensor that is contradicted most, or finds that it is right.
@@ -152,8 +163,37 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
             sensor = sensor_of(result.block, worst)
             right.add(sensor)
             freed_blocks[sensor] = freed
-    return _with_note_on_dem(
+    return _with_notes_on_dem(
         _result_or_photos(_without_worse(result, freed_blocks, progress), progress))
+
+
+def _adjust_with_fit_dem(block: Block, frame: Frame,
+                         progress: Callable[[float], None] | None) -> BlockResult:
+    """Return the block as adjusted with its DEM, or without one that its ties contradict.
+
+    Raises TermselError where the ties contradict one another without the DEM, too.
+    """
+    try:
+        return _adjust_as_stated(block, frame, progress)
+    except TermselError as error:
+        if error.code != _TIES_CONTRADICT or block.dem is None:
+            raise
+        free = _adjust_as_stated(replace(block, dem=None), frame, progress)
+    _, note = _ground_on_dem(free, block.dem)
+    return _with_note(free, note.format(_LEFT_OUT) if note else (
+        f"The ties contradict the DEM, and {_LEFT_OUT}: check its heights and their unit."))
+
+
+def _with_note(result: BlockResult, note: str) -> BlockResult:
+    """Return the result with one note more in its block."""
+    block = result.block
+    return replace(result, block=replace(block, notes=(*block.notes, note)))
+
+
+def _ground_on_dem(free: BlockResult, path: Path) -> tuple[float, str]:
+    """Return how far the ground of a block that was adjusted without a DEM is off that DEM."""
+    with open_surface(path, free.block.crs) as dem:
+        return compare_ground_with_dem(free.ties, free.frame, free.adjusted, dem)
 
 
 def _result_or_photos(result: BlockResult, progress: Callable[[float], None] | None) -> BlockResult:
@@ -230,27 +270,48 @@ def _without_worse(result: BlockResult, freed_blocks: dict[str, BlockResult],
         freed_blocks = {}
 
 
-def _with_note_on_dem(result: BlockResult) -> BlockResult:
+def _with_notes_on_dem(result: BlockResult) -> BlockResult:
+    """Return the result with notes on what contradicts its DEM.
+
+    Where control shows how high the DEM is, the block follows that (see `Heights`).
+    """
+    _, stated, _ = _control_places(result.block)
+    if result.block.dem is None or stated.any():
+        return result
+    with open_surface(result.block.dem, result.block.crs) as dem:
+        of_independent = note_on_independent_heights(result.block, result.frame, dem)
+    if not any(map(len, result.control)):
+        result = _doubt_dem(result, result.block.dem)
+    return _with_note(result, of_independent) if of_independent else result
+
+
+def _doubt_dem(result: BlockResult, path: Path) -> BlockResult:
     """Return the result, adjusted again under a doubtful DEM where the RPCs contradict it.
 
     Without control the RPCs follow the DEM, so that only a block without the DEM shows whether they
-    agree. If not, its heights are as uncertain as both differ, and a note says so.
+    agree. If not, its heights are as uncertain as both differ, and a note says so. Where ties agree
+    far less under such a DEM than without it, it is left out.
     """
     block = result.block
-    path = block.dem
-    if path is None or any(map(len, result.control)):
-        return result
-    result = replace(result, block=replace(block, notes=(*block.notes, _height_errors(result))))
     try:
         # The same block by its RPCs alone, which then say how high the ground is.
         free = _adjust_as_stated(replace(block, dem=None), result.frame, None)
     except TermselError:
         # Nothing but the DEM holds the heights, so that they say nothing of it.
-        return result
-    with open_surface(path, block.crs) as dem:
-        off, note = compare_ground_with_dem(free.ties, free.frame, free.adjusted, dem)
-    return result if not note else _adjust_as_stated(replace(
-        block, notes=(*block.notes, note)), result.frame, None, doubt=abs(off))
+        return _with_note(result, _height_errors(result))
+    off, note = _ground_on_dem(free, path)
+    if not note:
+        return _with_note(result, _height_errors(result))
+    try:
+        doubted = _adjust_as_stated(block, result.frame, None, doubt=abs(off))
+    except TermselError as error:
+        log.debug("not adjusted under the DEM: %s", error)
+        return _with_note(free, note.format(_LEFT_OUT))
+    ties_agree = (doubted.adjusted.state.sigma_ties
+                  < _FAR_MORE * max(free.adjusted.state.sigma_ties, 1.0))
+    if doubted.adjusted.converged and ties_agree:
+        return _with_note(doubted, note.format("the DEM is taken to be as far off"))
+    return _with_note(free, note.format(_LEFT_OUT))
 
 
 def _height_errors(result: BlockResult) -> str:
@@ -308,6 +369,7 @@ def _refuse_contradiction(adjusted: Adjusted, inputs: list[ImageInput]) -> None:
     sigma = adjusted.state.sigma_ties
     if extents and sigma > ABSURD * np.median(extents):
         raise TermselError(f"the ties contradict one another: they differ by {sigma:.3g} px",
+                           code=_TIES_CONTRADICT,
                            hint="Check that an id is the same point in all images, and that line "
                                 "and sample are not exchanged.")
 

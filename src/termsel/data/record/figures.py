@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from math import nan, sqrt
+from math import log, nan, sqrt
+from statistics import NormalDist
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -64,6 +65,9 @@ def _as_json(value: Any) -> Any:
 
 CONFIDENCE = 0.9
 """Probability of an interval."""
+
+RARE = 0.01
+"""Chance of a measured RMSE beyond its prediction, below which the prediction was wrong."""
 
 FEW_EVALUATIONS = 1000
 """Evaluations below which a search that finds no selection shows nothing of the model."""
@@ -246,6 +250,18 @@ class Predicted(RecordPart, frozen=True, omit_defaults=False):
     weighted: Literal[True] | UnsetType = UNSET
     """True if points state unlike standard deviations: their squared errors then count by the
     inverse squares of these; absent otherwise."""
+
+    def chance_beyond(self, measured: float) -> float:
+        """Return the chance of a measured RMSE so far above, or below, the predicted one.
+
+        The interval is read as that of a log-normal distribution.
+        """
+        if not 0.0 < self.low < self.high or measured <= 0.0:
+            return 0.0
+        level = NormalDist().inv_cdf(0.5 + self.level / 2.0)
+        spread = log(self.high / self.low) / (2.0 * level)
+        middle = log(self.high * self.low) / 2.0
+        return 1.0 - NormalDist().cdf(abs(log(measured) - middle) / spread)
 
 
 class Errors(RecordPart, frozen=True, kw_only=True):

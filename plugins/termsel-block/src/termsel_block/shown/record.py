@@ -8,7 +8,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from termsel.toolkit import sentence_on_common_offset
+from termsel.toolkit import count_in_words, sentence_on_common_offset
+from termsel.toolkit.models import RARE, Predicted
 from termsel.toolkit.runs import rpc_without_record
 from termsel_block.accuracy import errors_in_space, independent_points, predicted_errors, rms_length
 from termsel_block.contradictions import doubts_of_models
@@ -144,7 +145,8 @@ def record_of(result: BlockResult) -> BlockRecord:
         steps=adjusted.steps, converged=adjusted.converged, datum=_datum_in_words(images),
         parts=parts,
         sigma_places=(east, north, up), wrong_ties=_rejected_ties(result),
-        wrong_control=_rejected_control(result), notes=[*block.notes, *doubts_about_block(result)],
+        wrong_control=_rejected_control(result),
+        notes=[*block.notes, *doubts_about_block(result), *doubts_about_predictions(images)],
         independent=None if space is None else SpaceRecord(
             space.east, space.north, space.up, space.n))
 
@@ -174,6 +176,12 @@ def doubts_about_block(result: BlockResult) -> list[str]:
         notes.append((f"Images that still moved in the last step: {', '.join(worst)}. Give them "
                      if worst else "The precision of ties and control did not settle. Give images "
                      ) + "more control points or ties, or a plainer model.")
+    n_check = sum(image.features.points.roles.count("check") for image in result.block.images
+                  if image.features is not None)
+    if n_check:
+        notes.append(f"{count_in_words(n_check, 'observation')} with the role check "
+                     f"{'is' if n_check == 1 else 'are'} adjusted as control: only block-select "
+                     "selects. Points with the role independent assess.")
     notes += doubts_of_models(result.block, adjusted)
     for i, image in enumerate(result.block.images):
         used = adjusted.state.in_use[i]
@@ -208,10 +216,35 @@ def doubts_about_block(result: BlockResult) -> list[str]:
                 notes.append(f"The correction of the RPC of {image.name} differs by "
                             f"{np.ptp(bent, axis=0).max():.0f} px over the image: is it of another "
                             "image?")
-    if result.block.dem is not None and abs(adjusted.offset) > _OFF:
+    # Without control nothing but RPCs shows it, which are judged by a block without the DEM.
+    if (result.block.dem is not None and any(map(len, result.control))
+            and abs(adjusted.offset) > _OFF):
         notes.append(
             sentence_on_common_offset(-adjusted.offset, "the ground", "by control and ties"))
     return notes
+
+
+def doubts_about_predictions(images: Sequence[ImageRecord]) -> list[str]:
+    """Return which images independent points contradict, as a sentence; [] if they do none.
+
+    What control, ties and DEM have in common is in none of their residuals, and so in no interval.
+    """
+    assessed = [image for image in images if image.independent is not None]
+    beyond = []
+    for image in assessed:
+        predicted = Predicted(image.predicted, image.low, image.high)
+        measured = image.independent or 0.0
+        # Of many images some are beyond by chance.
+        if measured > image.high and predicted.chance_beyond(measured) < RARE / len(assessed):
+            beyond.append(f"{image.name} {measured:.2f} px instead of {image.low:.2f} to "
+                          f"{image.high:.2f} px")
+    if not beyond:
+        return []
+    named = ", ".join(beyond[:_NAMED_IMAGES])
+    further = f", {len(beyond) - _NAMED_IMAGES} more" if len(beyond) > _NAMED_IMAGES else ""
+    return [f"Independent check points contradict what is predicted ({named}{further}): they, or "
+            "control and DEM, may be off as a whole. Check what their coordinates and heights "
+            "refer to, and in what unit they are."]
 
 
 def _image_record(result: BlockResult, i: int) -> ImageRecord:
