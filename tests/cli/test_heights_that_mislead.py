@@ -87,3 +87,48 @@ def test_no_metres_stand_by_a_model_that_a_wrong_point_bends(files: Path, shift:
     # A run would reject the point.
     bent = termsel.fit(termsel.read(_points(files, "moved.csv", 3, move)), "regularised-cubic")
     assert (pixel_on_ground(bent) is not None) == is_known
+
+
+def _in_ed50(files: Path, kind: str) -> list[object]:
+    """Write control of the example without heights in EPSG:2059, and return how a run reads it."""
+    pyproj = pytest.importorskip("pyproj")
+    to_ed50 = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:2059", always_xy=True)
+    points = termsel.read(files / "gcps.csv").points.take(range(0, 60, 3))
+    xy = np.column_stack(to_ed50.transform(*points.ground[:, :2].T))
+    rows = np.column_stack([points.image, xy]).round(4).astype(str)
+    if kind == "points":
+        table = ["id,line,sample,x,y", *(f"p{i},{','.join(row)}" for i, row in enumerate(rows))]
+    else:
+        # A line through the points i and i + 1.
+        table = ["id,line1,sample1,line2,sample2,x1,y1,x2,y2"]
+        table += [f"l{i},{','.join([*a[:2], *b[:2], *a[2:], *b[2:]])}"
+                  for i, (a, b) in enumerate(zip(rows[:-1], rows[1:], strict=True))]
+    path = files / f"ed50-{kind}.csv"
+    path.write_text("\n".join(["# crs: EPSG:2059", *table]) + "\n")
+    return [f"--{kind}", path]
+
+
+@needs_rpc
+@pytest.mark.parametrize("kind", ["points", "lines"])
+def test_heights_that_count_from_another_ellipsoid_are_named_with_what_they_do_to_an_rpc(
+        files: Path, tmp_path: Path, call: Call, kind: str) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    control = _in_ed50(files, kind)
+    declared = tmp_path / "declared.tif"
+    declared.write_bytes((files / "dem.tif").read_bytes())
+    with rasterio.open(declared, "r+") as raster:
+        raster.update_tags(VERTICAL_DATUM="ellipsoid")
+    screens = {}
+    for dem in (files / "dem.tif", declared):
+        out = tmp_path / dem.stem
+        done = call("run", *control, "--rpc", files / "vendor.RPB", "--dem", dem, "--out", out)
+        assert done.exit_code == 0, done.stderr
+        screens[dem.stem] = " ".join(done.stdout.split())
+        exported = call("export", out, "--to", "rpc-txt", "-o", tmp_path / f"{dem.stem}_RPC.TXT")
+        screens[dem.stem] += " ".join(exported.stderr.split())
+    named = "count from the ellipsoid of EPSG:2059, 33"
+    assert screens["dem"].count(named) == 2
+    assert "above that of WGS84 here: if they are heights above the latter, an RPC is wrong by " in (
+        screens["dem"])
+    assert "geoid" not in screens["dem"].replace("for that geoid", "")
+    assert "count from" not in screens["declared"]

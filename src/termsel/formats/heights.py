@@ -19,7 +19,14 @@ from termsel.core.errors import (
     require_import,
     rounded_size_text,
 )
-from termsel.data.coordinates.crs import LOCAL, UTM, horizontal_crs, plane_transformer, to_wgs84
+from termsel.data.coordinates.crs import (
+    LOCAL,
+    UTM,
+    horizontal_crs,
+    plane_transformer,
+    short_crs_name,
+    to_wgs84,
+)
 from termsel.data.coordinates.earth import degrees_of, place_of, position_in_words
 from termsel.data.coordinates.longitudes import nearest_longitudes
 from termsel.data.coordinates.metres import height_unit
@@ -28,7 +35,9 @@ from termsel.data.features import BoolArray, FeatureSet, FloatArray
 from termsel.data.rasters import open_raster, pixel_positions, refuse_empty_giant
 from termsel.formats.readers.tables import VOID_HEIGHTS
 from termsel.formats.vertical import (
+    UNDECLARED,
     Heights,
+    counts_from_ellipsoid,
     datum_in_words,
     metres_of_band,
     require_grid,
@@ -49,6 +58,7 @@ _AROUND = 2  # further pixels on each side of a part
 _NODATA = -1e10
 _SAMPLED = 2048  # lines and samples of a raster, of which the highest is looked for
 _DATUM_MARGIN = 20.0  # [m]
+_SAME_ELLIPSOID = 1.0  # metres apart up to which ellipsoids are no other heights
 _HEIGHT_TYPES = ("int16", "int32", "float32", "float64")
 _PLACED = "Give a raster in a geographic or projected CRS of the Earth."
 
@@ -451,6 +461,34 @@ def pixels_by(above: float, features: FeatureSet, project: Projection) -> float:
         raised = ground + np.array([0.0, 0.0, above])
         moved = np.linalg.norm(project(raised) - project(ground), axis=1)
     return float(np.nanmedian(moved)) if np.isfinite(moved).any() else 0.0
+
+
+def note_on_ellipsoid(features: FeatureSet, project: Projection) -> str:
+    """Return that heights of no declared datum count from another ellipsoid than that of WGS84.
+
+    They are those of a raster that declares none, and count from the ellipsoid of the features'
+    CRS. Empty for others, and where both ellipsoids meet.
+
+    Parameters
+    ----------
+    features : FeatureSet
+    project : callable
+        Image positions of places, by which the effect is said.
+    """
+    if not features.heights.endswith(UNDECLARED) or not counts_from_ellipsoid(features.crs):
+        return ""
+    middle = np.nanmedian(features.ground_vertices(), axis=0)
+    middle[2] = 0.0
+    above = float(to_wgs84(features.crs)(middle[None])[0, 2])
+    if abs(above) < _SAME_ELLIPSOID:
+        return ""
+    pixels = pixels_by(above / height_unit(features.crs), features, project)
+    side = "above" if above > 0 else "below"
+    return (f"the heights of the DEM, whose datum it does not declare, count from the ellipsoid of "
+            f"{short_crs_name(features.crs)}, {abs(above):.3g} m {side} that of WGS84 here: if "
+            "they are heights above the latter, an RPC is wrong by "
+            f"{rounded_size_text(pixels)} px. State what they are in the raster and run again: "
+            "gdal_edit.py -mo VERTICAL_DATUM=ellipsoid, or =EGM96 for that geoid.")
 
 
 def say_difference(features: FeatureSet, project: Projection, surface: Dem | float,

@@ -195,6 +195,15 @@ def _advice_if_same_heights(crs: str, raster_crs: CRS) -> str:
             f"--crs {crs if plane else 'EPSG:n'}+{number}.")
 
 
+def counts_from_ellipsoid(crs: str) -> bool:
+    """Return whether heights of a CRS count from its ellipsoid, by what it states or for want of
+    that.
+    """
+    from pyproj import CRS
+
+    return _vertical_part(CRS.from_user_input(crs)) is None
+
+
 def _vertical_part(crs: CRS) -> CRS | None:
     """Return the vertical part of a compound CRS; None of another."""
     return next((component for component in crs.sub_crs_list if component.is_vertical), None)

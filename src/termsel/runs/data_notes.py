@@ -41,7 +41,7 @@ from termsel.data.roles import Observations, find_twins, twin_groups
 from termsel.data.rpc import CHECK_HEIGHTS, Rpc
 from termsel.fitting.extrapolation import corners_of
 from termsel.fitting.fit import Fit
-from termsel.formats.heights import pixels_of
+from termsel.formats.heights import note_on_ellipsoid, pixels_of
 from termsel.runs.between_points import checked_next_to_control
 from termsel.runs.request import note_on_blank
 
@@ -343,6 +343,9 @@ def _note_on_rpc_heights(features: FeatureSet, rpc: Rpc) -> Iterator[str]:
     ground = features.ground_vertices()
     outside = rpc.heights_outside(
         to_wgs84(features.crs)(ground[np.isfinite(ground).all(axis=1)])[:, 2])
+    if note := note_on_ellipsoid(features, lambda ground: rpc.project(
+            to_wgs84(features.crs)(ground))):
+        yield f"{note[0].upper()}{note[1:]}"
     if outside:
         if features.heights:
             remedy = "is the raster of heights the right one?"

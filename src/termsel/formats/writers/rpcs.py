@@ -26,7 +26,7 @@ from termsel.data.rasters import empty_tiff, open_raster, require_rasterio
 from termsel.data.rpc import Rpc
 from termsel.formats.base import Writer
 from termsel.formats.deviation import places_of, say_deviation
-from termsel.formats.heights import pixels_by
+from termsel.formats.heights import note_on_ellipsoid, pixels_by
 from termsel.formats.rpc_control import control_items
 from termsel.formats.rpc_files import read_rpc, rpb_text, rpc_items, rpc_txt_text
 from termsel.formats.vertical import UNDECLARED
@@ -147,6 +147,9 @@ def _say_unknown_datum(result: Result) -> None:
     """Warn where heights of the control are from a raster that does not state their datum."""
     heights = result.features.heights
     if not heights.endswith(UNDECLARED):
+        return
+    if note := note_on_ellipsoid(result.features, result.project):
+        log.warning("Warning: %s", note)
         return
     step = STEP_OF_HEIGHT / height_unit(result.features.crs)
     pixels = pixels_by(step, result.features, result.project)
