@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -19,12 +20,12 @@ NORTH_UP = np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 
 def scene(crs: str, origin: tuple[float, float], unit: float, turn: float = 0.0,
-          axes: FloatArray = NORTH_UP) -> FeatureSet:
+          axes: FloatArray = NORTH_UP, seen: FloatArray = SEEN) -> FeatureSet:
     """Return points of an image that is turned by some degrees against north."""
     c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
-    ground = (SEEN - 2500) @ (np.array([[c, -s], [s, c]]) @ axes).T * unit + origin
-    return FeatureSet(Points([f"P{i}" for i in range(12)], SEEN, np.column_stack(
-        [ground, np.full(12, np.nan)])), empty_lines(), crs)
+    ground = (seen - 2500) @ (np.array([[c, -s], [s, c]]) @ axes).T * unit + origin
+    return FeatureSet(Points([f"P{i}" for i in range(len(seen))], seen, np.column_stack(
+        [ground, np.full(len(seen), np.nan)])), empty_lines(), crs)
 
 
 def exchanged(features: FeatureSet, what: str) -> FeatureSet:
@@ -69,6 +70,16 @@ def test_axes_that_an_annotation_states_are_not_doubted(
     names = np.array(["annotation.xml"] * len(image.points), dtype=object)
     stated = image.with_(points=replace(image.points, attributes={"sensor": names}))
     assert said(stated, caplog) == ""
+
+
+@pytest.mark.parametrize("turn", [80, 100, 260])
+@pytest.mark.parametrize(("latitude", "doubted"), [(85.0, False), (-76.0, False), (50.0, True)])
+def test_axes_of_a_lattice_are_doubted_where_no_satellite_turns(
+        turn: float, latitude: float, doubted: bool, caplog: pytest.LogCaptureFixture) -> None:
+    """The image of a radar product alone, without its annotation, has a lattice of places."""
+    lattice = np.array(list(product(range(0, 5000, 1000), range(0, 6000, 1000))), dtype=float)
+    image = scene("EPSG:4326", (-60.0, latitude), 1e-5, turn, -NORTH_UP * [-1.0, 1.0], lattice)
+    assert ("look swapped" in said(image, caplog)) == doubted
 
 
 @pytest.mark.parametrize("turn", [0, 12, -35, 180, 192])

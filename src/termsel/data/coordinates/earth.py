@@ -42,6 +42,7 @@ _NO_DEGREES = 360.0  # beyond which no longitude is
 _WIDE = 20.0  # degrees that a scene may be wide
 _OF_A_COUNTRY = 3.0  # degrees from which on the projection of a map shows
 _SENSOR = "sensor"  # column that names what took the image
+_TURNING_LATITUDE = 70.0  # degrees from which on satellites fly more to the east or west
 AREA_MARGIN = 5.0  # degrees outside the area of a CRS at which features may still be
 
 
@@ -190,9 +191,7 @@ def find_swapped_axes(features: FeatureSet) -> str:
             and (as_they_stand is None or not is_inside(as_they_stand, area, AREA_MARGIN))):
         return (f"x and y look swapped: exchanged, they lie in the area of "
                 f"{short_crs_name(features.crs)}, and not as they stand")
-    # The annotation that points name states which axis is which; near a pole the columns of a radar
-    # image that looks to its right may run along either diagonal.
-    if _SENSOR in features.points.attributes:
+    if _has_turning_radar(features):
         return ""
     # A mirror image of the ground about a diagonal: exchanging makes it the view from above.
     turn = _rotation_to_east_north_up(features)
@@ -200,6 +199,21 @@ def find_swapped_axes(features: FeatureSet) -> str:
         return ""
     pair = "x and y" if turn[0, 1] + turn[1, 0] > 0 else "line and sample"
     return f"{pair} look swapped: the image mirrors the ground"
+
+
+def _has_turning_radar(features: FeatureSet) -> bool:
+    """Return whether an image may mirror the ground about a diagonal, and no axes are exchanged.
+
+    A radar looks to its right, and flies along a parallel where its orbit is next to a pole.
+    """
+    # An annotation that points name states which axis is which.
+    if _SENSOR in features.points.attributes:
+        return True
+    # Nobody types a lattice: a processor computes it for each product, as those of radars have.
+    if lattice_of(features) is None:
+        return False
+    position = degrees_of(features.crs, features.ground_vertices())
+    return position is not None and abs(position[1]) > _TURNING_LATITUDE
 
 
 def is_mirrored(features: FeatureSet) -> bool | None:
