@@ -78,6 +78,7 @@ RATIONAL = [
     ("blocks", _blocks(line=lambda x: x * np.nan), "returned as line 4 numbers that are not"),
     ("blocks", _blocks(sample=lambda x: None), "returned as sample an object of type NoneType"),
     ("blocks", _blocks(line_denominator=lambda x: x[:-1]), "returned as line_denominator an"),
+    ("blocks", _blocks(line=lambda x: x[:, :1 + 3 * (len(x) > 1)]), "returned 4 columns of"),
     ("column_names", raising, "failed in column_names(): ValueError"),
     ("column_names", always("abcd"), "returned an object of type str; expected tuple"),
     ("column_names", always(7), "returned an object of type int; expected tuple"),
@@ -165,6 +166,18 @@ def test_faulty_criterion(fault: Any, message: str, task: Task) -> None:
     told_of(caught, message, "criterion 'faulty'")
 
 
+@pytest.mark.parametrize("figure", [np.nan, np.inf, -np.inf])
+def test_a_criterion_without_finite_figures_is_named_and_not_the_budget(
+        figure: float, scene: FeatureSet) -> None:
+    figures = altered(CheckRmse, "score", lambda self, fits: np.full(len(fits.terms), figure))
+    result = run("rfm-terms", features=scene, model="affine", criterion=figures(),
+                 solver="random", evaluations=200)
+    screen = " ".join(result.summary().split())
+    assert "do not use this fit: the criterion gives no finite figure for any selection" in screen
+    assert "budget" not in screen
+    assert "The criterion 'faulty' gives no finite figure" in result.judgement
+
+
 @pytest.mark.parametrize(("score", "message"), [
     (raising, "failed in score(): ValueError"),
     (lambda selected: np.full(len(selected.terms), np.nan), "score() returned 4 numbers that are"),
@@ -231,6 +244,7 @@ SOLVER = [
     (_yields(lambda i, g, e: Generation(i, g, e.take(np.arange(2)))), "objectives an array of sh"),
     (_yields(lambda i, g, e: Generation(i, g, Evaluation(e.objectives * np.nan, e.violation))),
      "5 numbers that are not finite"),
+    (_yields(lambda i, g, e: Generation(i, g[:0], e.take(np.arange(0)))), "of no individuals"),
     (_yields(lambda i, g, e: Generation(i, g, e, [1])), "yielded details that are no mapping"),
     (_asks(lambda g: g.astype(float)), "asks for an evaluation of"),
     (_asks(lambda g: g[:, :3]), "asks for an evaluation of"),

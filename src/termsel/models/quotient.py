@@ -183,8 +183,15 @@ class RationalModel(SensorModel):
     def _columns(self, ground: FloatArray) -> Columns:
         """Return the columns of each block at places, with which terms they are of."""
         blocks = self.blocks(ground)
-        return {block: (span, np.asarray(getattr(blocks, block), dtype=np.float64))
-                for block, span, _, _ in self._layout}
+        columns_by_block = {}
+        for block, span, _, names in self._layout:
+            columns = np.asarray(getattr(blocks, block), dtype=np.float64)
+            if columns.shape[1] != len(names):
+                raise fault_of_method(self, "blocks", (
+                    f"returned {columns.shape[1]} columns of {block!r} at {len(ground)} places, "
+                    f"and {len(names)} at one; expected as many at any places"))
+            columns_by_block[block] = (span, columns)
+        return columns_by_block
 
     def _axis_rows(self, columns_by_block: Columns, image: FloatArray) -> FloatArray:
         """Return rows over all terms for line and sample of n places, shape (n, 2, k).

@@ -21,6 +21,7 @@ from termsel.data.record.figures import (
     EXACTLY,
     FEW_EVALUATIONS,
     MANY_INDEPENDENT,
+    NO_FIGURE,
     TOO_FEW,
     BaselineRow,
     Outlier,
@@ -633,7 +634,10 @@ def _urgent_warnings(record: Record) -> Iterator[str]:
     before one of figures, as with wrong coordinates all figures are those of other places.
     """
     # In the order of how much a wrong answer would cost.
-    if not record.feasible and TOO_FEW in record.judgement:
+    if not record.feasible and NO_FIGURE in record.judgement:
+        yield (f"do not use this fit: the criterion {NO_FIGURE} for any selection that was found. "
+               "Choose another (--criterion); if it is your own, its score() gives NaN or infinity")
+    elif not record.feasible and TOO_FEW in record.judgement:
         yield ("do not use this fit: a budget of "
                f"{amount_in_words(record.evaluations, 'evaluation')} is "
                f"too small to find a selection. Allow {FEW_EVALUATIONS:,} or more (--evaluations, "

@@ -8,7 +8,7 @@ import numpy as np
 
 from termsel.auto.methods import BY_NAME
 from termsel.core.errors import amount_in_words, count_in_words, rounded_size_text
-from termsel.data.record.figures import FEW_EVALUATIONS, MANY_INDEPENDENT, TOO_FEW
+from termsel.data.record.figures import FEW_EVALUATIONS, MANY_INDEPENDENT, NO_FIGURE, TOO_FEW
 from termsel.data.roles import Observations
 from termsel.fitting.extrapolation import warnings_of
 from termsel.fitting.figures import PARALLEL, Baseline, Rmses, orientation_spread
@@ -29,7 +29,8 @@ terms."""
 
 def judge(conventional: str, criterion: str, rmse: Rmses, baselines: tuple[Baseline, ...],
           reference: str, feasible: bool, noise: float | None, *, converged: bool = True,
-          method: Method | None = None, blunders: int = 0, evaluations: int | None = None) -> str:
+          method: Method | None = None, blunders: int = 0, evaluations: int | None = None,
+          has_figure: bool = True) -> str:
     """Return one or two sentences that compare the selection with fits that need no search.
 
     `conventional` names the features and terms of the conventional fit, such as "all lines"; that
@@ -40,8 +41,12 @@ def judge(conventional: str, criterion: str, rmse: Rmses, baselines: tuple[Basel
     contradict all others, and the noise is the standard deviation of the measurements [px], None if
     it is not known. A selection that is not `feasible` may be so because its fit has not
     `converged`, or because its search had too few `evaluations`, which are those of a search that
-    its budget ended.
+    its budget ended, or as its criterion gives it no finite figure (`has_figure`).
     """
+    if not has_figure:
+        return (f"The criterion {criterion!r} {NO_FIGURE} for this selection, and none was found "
+                "that it gives one for. Do not use it: choose another criterion; if this one is "
+                "your own, its score() gives NaN or infinity.")
     if not converged:
         return ("The fit of this selection did not converge: its coefficients are those of the "
                 "last step. Do not use it: measure more control points or choose a simpler model.")

@@ -44,6 +44,7 @@ from termsel.runs.without_blunders import search_without_blunders
 from termsel.selection.problems.base import Selection
 from termsel.selection.problems.recipes import Recipe
 from termsel.selection.problems.segments import Genes
+from termsel.selection.problems.selection import SelectionProblem
 from termsel.selection.solvers.base import GIVEN
 from termsel.selection.solvers.proofs.exact import gap_to_optimum
 from termsel.selection.solvers.proofs.proof import SizeProof
@@ -221,6 +222,8 @@ def finding_of(task: Task, search: SearchResult, auto: Auto,
     selection = task.problem.decode(search.genes)
     fitted = estimated(task, selection, search)
     feasible = is_feasible(task, search, fitted)
+    has_figure = feasible or not (isinstance(task.problem, SelectionProblem)
+                                  and task.problem.lacks_figure(search.genes))
     verdict = verdict or judge_features(observations, auto, task.options["data"]["tested"])
     # The conventional fit: all terms, all control, no selection.
     all_terms = fit(task.model, observations.control, task.scaling)
@@ -247,7 +250,8 @@ def finding_of(task: Task, search: SearchResult, auto: Auto,
                      reference=comparison.reference, feasible=feasible,
                      noise=task.features.noise, converged=fitted.adjustment.converged,
                      method=comparison.method, blunders=comparison.blunders,
-                     evaluations=None if task.solver.ends_by_itself else search.evaluations)
+                     evaluations=None if task.solver.ends_by_itself else search.evaluations,
+                     has_figure=has_figure)
 
     doubt = "" if rpc_of_model(task.model) is None else doubt_of_rpc(observations)
     notes = (*([doubt] if doubt else []),

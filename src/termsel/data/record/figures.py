@@ -75,6 +75,9 @@ FEW_EVALUATIONS = 1000
 TOO_FEW = "which is too few"
 """What the judgement of a search says whose evaluations were too few to find a selection."""
 
+NO_FIGURE = "gives no finite figure"
+"""What the judgement of a search says whose criterion has no figure for the best selection."""
+
 EXACTLY = "the model exactly"
 """What `is_determined_exactly` ends with."""
 

@@ -223,13 +223,44 @@ class SelectionProblem(Problem):
     def _evaluate(self, genes: Genes, near: BoolArray | None = None) -> Evaluation:
         """Fit, judge by the criterion, and add up what is violated (see `evaluate`).
 
-        Least squares for all individuals at once come first, then what each violates: terms beyond
-        the equations, axes without terms, poles in the scene, features that leave a part of it
-        uncovered, terms without those they need. Only what violates nothing is scored. `near` are
-        individuals that these are neighbours of, whose solutions are corrected instead of computed.
+        Only what violates nothing is scored. `near` are individuals that these are neighbours of,
+        whose solutions are corrected instead of computed.
         """
         inputs = self.inputs
         terms, features = self.masks(genes)
+        coefficients, violation = self._solve(terms, features, near)
+        # A figure of what is not determined, or has a pole in the scene, would mean nothing.
+        feasible = violation == 0
+        score = np.full(len(genes), WORST)
+        if feasible.any():
+            score[feasible] = inputs.criterion.score(Fits(
+                model=inputs.model, control=inputs.control.points, check=inputs.check,
+                pixels=inputs.pixels, terms=terms[feasible], coefficients=coefficients[feasible],
+                lines=inputs.control.lines, parts=self._parts,
+                used=None if features is None else features[feasible],
+                gene_of_term=self._gene_of_term,
+                optional=None if self._gene_of_term is None
+                else self.genome.free[self._gene_of_term]))
+            if inputs.criterion.is_rmse or inputs.criterion.in_px:
+                # What is rounding of the data is ordered by the share of genes that are on.
+                share = self.genome.chosen(genes[feasible]).mean(axis=1)
+                # An infinite figure, of either sign, is none.
+                figures = score[feasible]
+                score[feasible] = np.where(np.isinf(figures), figures, replace_rounding_by_size(
+                    figures, ROUNDING * inputs.pixels, np.sqrt(share)))
+        # Objectives are finite, always: what has no figure is infeasible, with the worst one.
+        violation[~np.isfinite(score)] = 1.0
+        score = np.minimum(np.nan_to_num(score, nan=WORST, posinf=WORST, neginf=WORST), WORST)
+        return Evaluation(self._all_objectives(score, terms, features), violation)
+
+    def _solve(self, terms: BoolArray, features: BoolArray | None, near: BoolArray | None,
+               ) -> tuple[FloatArray, FloatArray]:
+        """Return coefficients (p, k) by least squares, and what each individual violates (p,).
+
+        That is terms beyond the equations, axes without terms, poles in the scene, features that
+        leave a part of it uncovered, terms without those they need.
+        """
+        inputs = self.inputs
         model = _iterated_model(inputs)
         # Neighbours of a selection of features are corrected from its solution, which needs all
         # terms, and equations that are the same for all.
@@ -251,28 +282,17 @@ class SelectionProblem(Problem):
         violation += self._excess_uncovered(features)
         if self._pairs is not None:
             violation += count_orphans(terms, self._pairs)
-        # A figure of what is not determined, or has a pole in the scene, would mean nothing.
-        feasible = violation == 0
-        score = np.full(len(genes), WORST)
-        if feasible.any():
-            score[feasible] = inputs.criterion.score(Fits(
-                model=inputs.model, control=inputs.control.points, check=inputs.check,
-                pixels=inputs.pixels, terms=terms[feasible], coefficients=coefficients[feasible],
-                lines=inputs.control.lines, parts=self._parts,
-                used=None if features is None else features[feasible],
-                gene_of_term=self._gene_of_term,
-                optional=None if self._gene_of_term is None
-                else self.genome.free[self._gene_of_term]))
-            if inputs.criterion.is_rmse or inputs.criterion.in_px:
-                # What is rounding of the data is ordered by the share of genes that are on.
-                share = self.genome.chosen(genes[feasible]).mean(axis=1)
-                score[feasible] = replace_rounding_by_size(
-                    score[feasible], ROUNDING * inputs.pixels, np.sqrt(share)
-                )
-        # Objectives are finite, always: what has no figure is infeasible, with the worst one.
-        violation[~np.isfinite(score)] = 1.0
-        score = np.minimum(np.nan_to_num(score, nan=WORST, posinf=WORST), WORST)
-        return Evaluation(self._all_objectives(score, terms, features), violation)
+        return coefficients, violation
+
+    def lacks_figure(self, genes: Genes) -> bool:
+        """Return whether nothing but a figure of the criterion is missing from an individual.
+
+        A criterion of one's own may be at fault then, where more evaluations or control cannot
+        help.
+        """
+        terms, features = self.masks(genes[None])
+        _, violation = self._solve(terms, features, None)
+        return bool(violation[0] == 0.0 and self.evaluate(genes[None]).violation[0] > 0.0)
 
     def _excess_uncovered(self, features: BoolArray | None) -> FloatArray | float:
         """Return how far the uncovered share of the image exceeds its limit, (p,); 0.0 without one.

@@ -66,6 +66,8 @@ def _generation_fault(_solver: Solver, value: Any, problem: Problem, *_args: Any
     # Genes first: an evaluation is held against them.
     if fault := problem.genome.fault(value.genes):
         return f"yielded {fault}"
+    if not len(value.genes):
+        return "yielded a generation of no individuals"
     return evaluation_fault(problem, value.evaluation, value.genes)
 
 

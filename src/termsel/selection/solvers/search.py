@@ -294,8 +294,10 @@ def _write_checkpoint(ledger: Ledger) -> None:
 def _error_without_evaluation(solver: Solver, generation: Generation | None) -> TermselError:
     """Return the error for a search without an evaluation."""
     if generation is None:
-        return TermselError(f"solver {solver.name!r} evaluated nothing",
-                            hint="Increase the budget.")
+        return TermselError(f"solver {solver.name!r} ended without a generation, and evaluated "
+                            "nothing", hint="It must call evaluate() of the problem that it got, "
+                                            "and yield generations. A built-in one may need a "
+                                            "larger budget.")
     return TermselError(
         f"solver {solver.name!r} yields generations, but evaluated nothing with the problem that "
         "it got", hint="Call evaluate() of that problem: it counts, and remembers the best.")
