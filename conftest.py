@@ -63,18 +63,26 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def _remember_between_tests(request: pytest.FixtureRequest) -> Iterator[None]:
     """Let runs share what they found of features, as tests ask for the same few scenes.
 
-    Each run has a memory of its own; a test that changes what is done with features keeps that.
+    Each run has a memory of its own; a test that replaces code finds everything itself.
     """
     module = sys.modules.get("termsel.auto.memory")
-    if module is None or "monkeypatch" in request.fixturenames:
+    if module is None:
         yield
         return
+    patch = (request.getfixturevalue("monkeypatch") if "monkeypatch" in request.fixturenames
+             else None)
     shared = request.config.stash.setdefault(MEMORY, module.Memory(max_answers=500))
     recall = module.Memory.recall
 
+    def changes_code() -> bool:
+        """Return whether the test has replaced more than variables and the current folder."""
+        return patch is not None and bool(patch._setattr or any(
+            mapping is not os.environ for mapping, *_ in patch._setitem))
+
     @wraps(recall)
     def recall_shared(memory: Any, *args: Any) -> Any:
-        return recall(shared if memory.max_answers == module.MAX_ANSWERS else memory, *args)
+        shares = memory.max_answers == module.MAX_ANSWERS and not changes_code()
+        return recall(shared if shares else memory, *args)
 
     module.Memory.recall = recall_shared
     yield

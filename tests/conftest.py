@@ -26,8 +26,9 @@ _PLURAL_OF_ONE = re.compile(
 
 
 @pytest.fixture(autouse=True)
-def _no_plural_of_one(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def _no_plural_of_one() -> Iterator[None]:
     """Fail where a command prints the number 1 with a plural: `count_in_words` writes both."""
+    # Not by the fixture monkeypatch, which keeps runs from sharing what they found of features.
     if "termsel.cli.messages" not in sys.modules:
         yield
         return
@@ -39,8 +40,9 @@ def _no_plural_of_one(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         found.extend(match[0] for match in _PLURAL_OF_ONE.finditer(text))
         return plain(text, *further, **named)
 
-    monkeypatch.setattr(messages, "make_printable", looked_at)
-    yield
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(messages, "make_printable", looked_at)
+        yield
     assert not found, f"printed: {found}"
 
 

@@ -65,7 +65,7 @@ def test_an_export_that_was_killed_between_its_files_can_be_repeated(
     pytest.importorskip("rasterio")
     whole = tmp_path / "whole" / "scene.vrt"
     whole.parent.mkdir()
-    arguments = ("export", folder, "--to", "geolocation-vrt", "--output")
+    arguments = ("export", folder, "--to", "geolocation-vrt", "--set", "step=200", "--output")
     assert invoke(*arguments, whole).exit_code == 0
     array = whole.with_name("scene_xy.tif")
     target = tmp_path / "scene.vrt"

@@ -249,8 +249,9 @@ def with_blunder(features: FeatureSet, place: int, shift: tuple[float, float]) -
     return features.with_(points=replace(features.points, image=image))
 
 
+@pytest.mark.slow_cases("large-0", "large-9", "small-3")
 @pytest.mark.parametrize("place", [0, 3, 9])
-@pytest.mark.parametrize("shift", [(-40.0, 60.0), (900.0, 400.0)])
+@pytest.mark.parametrize("shift", [(-40.0, 60.0), (900.0, 400.0)], ids=["small", "large"])
 def test_a_map_with_a_blunder_takes_the_projection_of_its_other_points(
         place: int, shift: tuple[float, float]) -> None:
     candidates = candidate_projections(np.array([[2.0, 41.8], [14.0, 50.2]]), 19)
