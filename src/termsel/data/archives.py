@@ -20,7 +20,7 @@ _BROKEN = (OSError, EOFError, ValueError, zlib.error, NotImplementedError, zipfi
 
 
 def raster_in(path: Path) -> Path:
-    """Return the raster that a path means.
+    """Return the raster that a path stands for: itself, or the one in a zip or folder.
 
     Parameters
     ----------
@@ -38,7 +38,8 @@ def raster_in(path: Path) -> Path:
     TermselError
         If there are several, or none.
     """
-    # These of os.path take a name that the system refuses for one that is not there.
+    # os.path instead of pathlib, whose is_dir raises for names that the system refuses, such as
+    # too long ones: these are simply not there.
     if os.path.isdir(path):
         return _only_raster(path, _tiffs_in_folder(path))
     if os.path.isfile(path):

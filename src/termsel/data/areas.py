@@ -72,12 +72,12 @@ class Area:
 
 
 def boundary_lines(areas: Sequence[Area]) -> Lines:
-    """Return the edges of areas as lines, those of one area under its id; "off" ones stay out.
+    """Return the edges of areas as lines; areas that are "off" are left out.
 
-    Those of one area are pieces of one feature. An edge that neighbours share, with the same X and
-    Y at its ends, is used once, by the area that has fewer so far: each keeps some. Raises
-    TermselError for an area in the role check or independent, which lines cannot have; for one
-    whose edges others have all taken; and as `Lines`.
+    The edges of one area have its id, and are pieces of one feature. An edge that neighbours share,
+    with the same X and Y at its ends, is used once, by the area that has fewer edges so far: so
+    each keeps some. Raises TermselError for an area in the role check or independent, which lines
+    cannot have; for an area whose edges all belong to others; and for what `Lines` refuses.
 
     Yavari, Valadan Zoej and Salehi (2018) name areas as control features, next to points and lines;
     that an area enters by its boundary or its centroid is termsel's own formulation.

@@ -73,8 +73,9 @@ class FitData:
     def of(cls, features: FeatureSet, heights: bool | None = None) -> Self:
         """Return features with their scaling; by default with heights where these differ."""
         control = cls(features, make_scaling(features), bool(heights))
-        return control if heights is not None else replace(
-            control, heights=heights_differ(control))
+        if heights is not None:
+            return control
+        return replace(control, heights=heights_differ(control))
 
     def __len__(self) -> int:
         return len(self.features)
@@ -101,50 +102,55 @@ def heights_differ(control: FitData) -> bool:
         return False
     plane, z, _ = _plane_columns(control)
     off_plane_heights = _distances_about_plane(plane, z)[0]
-    return _do_heights_differ(
-        off_plane_heights) and _tell(off_plane_heights, *_effects_and_noise(control))
+    if not _do_heights_differ(off_plane_heights):
+        return False
+    return _show_effect(off_plane_heights, *_effects_and_noise(control))
 
 
 def errors_hide_heights(control: FitData) -> bool:
-    """Return whether heights would show their effect, if the points were measured as usual.
+    """Return whether heights show no effect only because the errors of the points are large.
 
-    Their errors are then so large, as by rows that are shifted, that no effect of a height shows.
+    They would show it if the points were measured as usual; rows that are shifted, for example,
+    make such errors.
     """
     plane, z, _ = _plane_columns(control)
     off_plane_heights = _distances_about_plane(plane, z)[0]
     effects, noise = _effects_and_noise(control)
-    return (_tell(off_plane_heights, effects, _usual_noise(control))
-            and not _tell(off_plane_heights, effects, noise))
+    return (_show_effect(off_plane_heights, effects, _usual_noise(control))
+            and not _show_effect(off_plane_heights, effects, noise))
 
 
 def relief_carriers(control: FitData, limit: int = 2) -> tuple[str, ...]:
-    """Return the ids of the one or two features that make all relief; () if more do.
+    """Return the ids of the one or two features that make all relief; () if more features do.
 
-    All ids where they show nothing already. Heights are known. `limit`, 1 or 2, is how many are
-    looked for; of fewer than `RELIEF_FEATURES` one.
+    All ids come back where the heights show no effect even with all features. Heights must be
+    known. `limit`, 1 or 2, is how many features are looked for; among fewer than `RELIEF_FEATURES`
+    it is one.
     """
     limit = limit if len(control) >= RELIEF_FEATURES else 1
-    plane, z, owner = _plane_columns(control)
-    keep = np.ones(len(z), dtype=bool)
-    # One feature after another is removed, that which the plane of heights gains most from.
-    carrying = list[int]()
+    plane, z, feature_of_vertex = _plane_columns(control)
     off_plane_heights, free = _distances_about_plane(plane, z)
     if not _do_heights_differ(off_plane_heights):
         return control.features.ids
     effects, noise = _effects_and_noise(control)
-    if not _tell(off_plane_heights, effects, noise):
+    if not _show_effect(off_plane_heights, effects, noise):
         return control.features.ids
-    while len(carrying) < limit:
-        # What the sum of squares falls by without a vertex: its residual squared by 1 - leverage.
-        gain = np.bincount(owner[keep], off_plane_heights**2 / free, minlength=len(control))
-        carrying.append(int(np.argmax(gain)))
-        keep &= owner != carrying[-1]
-        off_plane_heights, free = _distances_about_plane(plane[keep], z[keep])
+    # One feature after another is removed, each time the one without which the heights are
+    # closest to a plane.
+    carriers: list[int] = []
+    remains = np.ones(len(z), dtype=bool)
+    while len(carriers) < limit:
+        # Without a vertex the sum of squares falls by its squared residual over 1 - leverage.
+        decrease = np.bincount(feature_of_vertex[remains], off_plane_heights**2 / free,
+                               minlength=len(control))
+        carriers.append(int(np.argmax(decrease)))
+        remains &= feature_of_vertex != carriers[-1]
+        off_plane_heights, free = _distances_about_plane(plane[remains], z[remains])
         if not (_do_heights_differ(off_plane_heights)
-                and _tell(off_plane_heights, effects[keep], noise)):
-            if len(carrying) == 2 and _view_confirms_heights(control, noise):
+                and _show_effect(off_plane_heights, effects[remains], noise)):
+            if len(carriers) == 2 and _view_confirms_heights(control, noise):
                 return ()
-            return tuple(control.features.ids[i] for i in carrying)
+            return tuple(control.features.ids[i] for i in carriers)
     return ()
 
 
@@ -166,42 +172,46 @@ def _view_confirms_heights(control: FitData, noise: float) -> bool:
 def distance_off_plane(control: FitData, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return how far places (m, 3) are off the plane of the control's heights, and the effect.
 
-    In units of height, and the standard deviation of what it does to the image [px], each (m,). 0
-    where a height is not known, where those of the control are not, and where they show what a
-    height does. Carriers have no influence on the plane.
+    The distances (m,) are in units of height, the effect (m,) is the standard deviation of what
+    they do to the image [px]. Both are 0 where a height is not known, where heights of the control
+    are not known, and where the control shows what a height does. Features that alone make the
+    relief have no influence on the plane.
     """
-    none = np.zeros(len(ground))
-    carrying = () if control.features.without_height() else relief_carriers(control)
-    if not carrying or not np.isfinite(_effect_of_height(control)):
-        return none, none
-    (plane, z, owner) = _plane_columns(control)
+    zeros = np.zeros(len(ground))
+    carriers = () if control.features.without_height() else relief_carriers(control)
+    if not carriers or not np.isfinite(_effect_of_height(control)):
+        return zeros, zeros
+    (plane, z, feature_of_vertex) = _plane_columns(control)
     scaled = control.scaling.ground(ground)
-    keep = ~np.isin(np.array(control.features.ids)[owner], carrying) | (
-        len(carrying) == len(control))
-    # The plane through all vertices but those of carriers; of all where nothing else is there.
-    fitted = _plane_columns_at(scaled) @ np.linalg.lstsq(plane[keep], z[keep])[0]
-    off = np.where(np.isnan(ground[:, 2]), 0.0, np.abs(scaled[:, 2] - fitted))
-    return off * control.scaling.ground_scale[2], off * _effects_of_height(control, scaled)
+    # Where all features are carriers, the plane is that of all.
+    ids_of_vertices = np.array(control.features.ids)[feature_of_vertex]
+    in_plane = ~np.isin(ids_of_vertices, carriers) | (len(carriers) == len(control))
+    plane_heights = _plane_columns_at(scaled) @ np.linalg.lstsq(plane[in_plane], z[in_plane])[0]
+    distances = np.where(np.isnan(ground[:, 2]), 0.0, np.abs(scaled[:, 2] - plane_heights))
+    return (distances * control.scaling.ground_scale[2],
+            distances * _effects_of_height(control, scaled))
 
 
 def with_usual_heights(control: FitData, ground: FloatArray) -> FloatArray:
-    """Return places (m, 3) with heights as far off a plane as the control's are (mean squares).
+    """Return places (m, 3) with heights as far off a plane as the control's are, in mean squares.
 
-    Unchanged where they are already, but for `OTHER`, and where a height is not known.
+    They come back as they are, the same array, where they are not more than `OTHER` times as far
+    off, where the control has unknown heights, and in a geocentric CRS.
     """
     if control.features.without_height() or not np.isfinite(_effect_of_height(control)):
         return ground
     (plane, z, _) = _plane_columns(control)
     scaled = control.scaling.ground(ground)
-    fitted = np.linalg.lstsq(plane, z)[0]
-    off = np.nan_to_num(scaled[:, 2] - _plane_columns_at(scaled) @ fitted)
-    usual = np.linalg.norm(z - plane @ fitted) / np.sqrt(max(len(z) - plane.shape[1], 1))
-    mean_off = np.linalg.norm(off) / np.sqrt(max(len(off), 1))
-    if mean_off <= max(OTHER * usual, FLAT):
+    coefficients = np.linalg.lstsq(plane, z)[0]
+    # A height that is not known is on the plane.
+    distances = np.nan_to_num(scaled[:, 2] - _plane_columns_at(scaled) @ coefficients)
+    usual_rms = np.linalg.norm(z - plane @ coefficients) / np.sqrt(max(len(z) - plane.shape[1], 1))
+    rms = np.linalg.norm(distances) / np.sqrt(max(len(distances), 1))
+    if rms <= max(OTHER * usual_rms, FLAT):
         return ground
     # Heights go towards the plane, so that their root mean square about it becomes the usual one.
-    off *= (1.0 - usual / mean_off) * control.scaling.ground_scale[2]
-    return ground - np.pad(off[:, None], ((0, 0), (2, 0)))
+    distances *= (1.0 - usual_rms / rms) * control.scaling.ground_scale[2]
+    return ground - np.pad(distances[:, None], ((0, 0), (2, 0)))
 
 
 def is_off_plane(points: Points) -> bool:
@@ -215,10 +225,11 @@ def _do_heights_differ(off_plane_heights: FloatArray) -> bool:
     return bool(np.abs(off_plane_heights).max(initial=0.0) > FLAT)
 
 
-def _tell(off_plane_heights: FloatArray, effects: FloatArray, noise: float) -> bool:
+def _show_effect(off_plane_heights: FloatArray, effects: FloatArray, noise: float) -> bool:
     """Return whether scaled heights off a plane, (n,), do more than the noise of a measurement.
 
-    The effects are those of a scaled height of 1 at each of them [px].
+    `effects` (n,) are what a scaled height of 1 does to the image at each of them [px]; `noise` is
+    in px, too.
     """
     return bool(np.linalg.norm(off_plane_heights * effects) > noise)
 
@@ -235,15 +246,15 @@ def _usual_noise(control: FitData) -> float:
 
 
 def _noise_of_measurement(control: FitData) -> float:
-    """Return the standard deviation of a measurement [px], or more where many points show it.
+    """Return the standard deviation of a measurement [px]: as usual, or more if points show it.
 
-    They do so by what a quadratic polynomial or a view leaves, without the points that fit worst:
-    blunders would hide what heights do.
+    Many points show it by what a quadratic polynomial or a view leaves, without the points that fit
+    worst: blunders would hide what heights do.
     """
-    floor = _usual_noise(control)
+    usual_noise = _usual_noise(control)
     points = control.scaled.points
     if len(control.features.lines) or len(points) < MANY:
-        return floor
+        return usual_noise
     x, y, z = points.ground.T
     columns = np.stack([x**0, x, y, z, x * x, x * y, y * y], axis=1)
     image = points.image
@@ -262,11 +273,11 @@ def _noise_of_measurement(control: FitData) -> float:
     noise = float(np.sqrt(square))
     if view is not None:
         noise = min(noise, view.noise)
-    return max(floor, noise * control.scaling.image_scale)
+    return max(usual_noise, noise * control.scaling.image_scale)
 
 
 def _effects_of_height(control: FitData, scaled: FloatArray) -> FloatArray:
-    """Return the deviation of the effect of a scaled height of 1 at scaled places [px], (n,).
+    """Return the standard deviation of what a scaled height of 1 does at scaled places [px], (n,).
 
     In an oblique view it is larger the nearer a place is to the camera.
     """
@@ -277,14 +288,14 @@ def _effects_of_height(control: FitData, scaled: FloatArray) -> FloatArray:
     # Pixels by a metre on the ground, along X and Y; the larger of both is across the view.
     metres = metres_of(control.features, control.scaling)
     assert metres is not None
-    across = view.magnification(scaled) * control.scaling.image_scale / metres[:2]
-    return np.asarray(PARALLAX * metres[2] * across.max(axis=1))
+    px_per_metre = view.magnification(scaled) * control.scaling.image_scale / metres[:2]
+    return np.asarray(PARALLAX * metres[2] * px_per_metre.max(axis=1))
 
 
 def _effect_of_height(control: FitData) -> float:
-    """Return the standard deviation of the effect of a scaled height of 1 on the image [px].
+    """Return the standard deviation of what a scaled height of 1 does to the image [px].
 
-    Infinite for geocentric coordinates, whose Z is no height.
+    It is infinite for geocentric coordinates, whose Z is no height.
     """
     features = control.features
     plan = plan_of(features.fit_crs or features.crs, to_fit_crs(
@@ -292,10 +303,12 @@ def _effect_of_height(control: FitData) -> float:
     if plan is None:
         return np.inf
     # The scale of the image is the ratio of the scatters in the image [px] and on the ground [m].
-    across = np.sqrt(plan.var(axis=0).sum())
-    image = np.sqrt(features.image_vertices().var(axis=0).sum())
+    extent_in_metres = np.sqrt(plan.var(axis=0).sum())
+    extent_in_image = np.sqrt(features.image_vertices().var(axis=0).sum())
     metres = control.scaling.ground_scale[2] * height_unit(features.fit_crs or features.crs)
-    return float(PARALLAX * metres * image / across) if across else np.inf
+    if not extent_in_metres:
+        return np.inf
+    return float(PARALLAX * metres * extent_in_image / extent_in_metres)
 
 
 def _plane_columns(control: FitData) -> tuple[FloatArray, FloatArray, IntArray]:

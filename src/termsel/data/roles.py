@@ -47,11 +47,11 @@ MAX_PAIRWISE_PLACES = 300
 
 
 def find_twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
-    """Return which points (n, 3) are twins, by their place on the ground alone, shape (n,).
+    """Return the number of each point's group of twins, (n,), by places on the ground (n, 3).
 
-    A number for each group, counted from 0 in the order of their first points. Points `typical` (m,
-    3), by default all, have the spread that decides what is near. NaN for heights that are not
-    known.
+    Groups are counted from 0 in the order of their first points; a point without a twin is a group
+    of its own. The spread of the points `typical` (m, 3), by default all, decides what is near.
+    Heights that are not known are NaN.
     """
     n = len(ground)
     typical = ground if typical is None else typical
@@ -87,10 +87,10 @@ def _pairs_nearby(positions: FloatArray) -> IntArray:
 
 
 def with_merged_twins(features: FeatureSet) -> FeatureSet:
-    """Return features in which twins count as one point, at their mean; lines stay as they are.
+    """Return features in which twins are one point, at their mean; lines stay as they are.
 
-    Each group has the id, the role and the attributes of its first point. Its sigma is the mean,
-    not less: twins repeat one measurement. Without twins the same object is returned.
+    Each point has the id, the role and the attributes of the first of its twins. Its sigma is their
+    mean, and not less, as twins repeat one measurement. Without twins the same object comes back.
     """
     points = features.points
     labels = find_twins(points.ground)
@@ -197,9 +197,12 @@ def random_roles(ids: tuple[str, ...], _ground: FloatArray, shares: FloatArray,
 
 def _roles_in_turn(order: Sequence[int] | np.ndarray, shares: FloatArray,
                    rng: np.random.Generator) -> list[str]:
-    """Return a role for each place of an order, so that every stretch of it has all shares."""
-    # Each place in the order goes to the role that lags most behind its share; among roles
-    # that lag alike the draw decides, so that different seeds give different splits.
+    """Return the role of each point, so that every stretch of an order has all roles by share.
+
+    `order` are the numbers of the points, `shares` (3,) those of the roles.
+    """
+    # Each point in the order gets the role that lags most behind its share; among roles that lag
+    # alike the draw decides, so that different seeds give different splits.
     names = ASSIGNABLE
     if not shares[0]:  # the same draws, whether points or lines are the control
         names = (*names[1:], names[0])
@@ -289,8 +292,7 @@ class Observations:
 
     @cached_property
     def lattice(self) -> Lattice | None:
-        """The lattice that all points are, with the numbers of those in the pool; if they are one.
-        """
+        """The lattice that all points form, at those of the pool; None if they form none."""
         points = self.features.points
         all_points = lattice_of(self.features)
         if all_points is None:
@@ -344,7 +346,7 @@ def asked_roles(off: str | None, role: str | None) -> dict[str, str]:
     Ids, and ID=ROLE, each with commas between them. Raises TermselError for what is not of this
     form, a role that does not exist, or a feature named twice.
     """
-    named: dict[str, str] = {}
+    role_of: dict[str, str] = {}
     # "off" is short for ID=off; both options go the same way.
     pairs = [(name, "off") for name in (off or "").split(",")]
     for pair in (role or "").split(","):
@@ -357,41 +359,49 @@ def asked_roles(off: str | None, role: str | None) -> dict[str, str]:
             raise unknown_name_error("role", value.strip(), ROLES,
                                      f"It stands in --role {pair.strip()}. {meant}".rstrip())
         pairs.append((name, value.strip()))
-    for name, value in ((name.strip(), value) for name, value in pairs if name.strip()):
-        if named.setdefault(name, value) != value:
-            raise TermselError(f"{name!r} is given the roles {named[name]} and {value}",
+    for name, value in pairs:
+        name = name.strip()
+        if name and role_of.setdefault(name, value) != value:
+            raise TermselError(f"{name!r} is given the roles {role_of[name]} and {value}",
                                hint="Give it one role.")
-    return named
+    return role_of
 
 
-def with_roles(features: FeatureSet, named: Mapping[str, str]) -> FeatureSet:
-    """Return the features with the roles that are named; lines that are off are not among them.
+def with_roles(features: FeatureSet, role_of: Mapping[str, str]) -> FeatureSet:
+    """Return the features with some roles changed, without the lines that become off.
 
-    `named` has a role for each id, as of --off and --role. Raises TermselError for ids that no
-    feature has, with the nearest, and for lines in a role that lines cannot have.
+    `role_of` has the new role of each id, as the options --off and --role state it. Raises
+    TermselError for ids that no feature has, and for lines in a role that lines cannot have.
     """
-    if not named:
+    if not role_of:
         return features
     points = features.points
     lines = features.lines
-    for name, role in named.items():
+    for name, role in role_of.items():
         if name not in features.ids:
-            near = get_close_matches(name, features.ids, n=3)
-            # P1-P9 may be meant as a range, but may be an id as well: it is never expanded.
-            is_range = RANGE.search(name) or set(name.split("-")) <= set(features.ids)
-            raise TermselError(
-                f"{'--off' if role == 'off' else '--role'} names {name!r}, an id that the files "
-                "do not have",
-                hint="Write each id, with commas between: ranges and patterns are not read."
-                if is_range else f"Did you mean {' or '.join(map(repr, near))}?" if near
-                else f"Their ids are {first_names_in_words(features.ids)}.", name=name)
+            raise _unknown_id_error(name, role, features.ids)
         if name in lines.features and role not in ("control", "off"):
             raise TermselError(f"{name!r} is a line and cannot have the role {role}",
                                hint="Lines are control, or off.", ids=[name])
-    roles = tuple(named.get(name, role)
+    roles = tuple(role_of.get(name, role)
                   for name, role in zip(points.ids, points.roles, strict=True))
-    is_kept = [named.get(name) != "off" for name in lines.ids]
+    is_kept = [role_of.get(name) != "off" for name in lines.ids]
     return features.with_(points=replace(points, roles=roles), lines=lines.take(is_kept))
+
+
+def _unknown_id_error(name: str, role: str, ids: Sequence[str]) -> TermselError:
+    """Return the error for an id of --off or --role that no feature has, with near ids."""
+    near_ids = get_close_matches(name, ids, n=3)
+    # P1-P9 may be meant as a range, but may be an id as well: it is never expanded.
+    if RANGE.search(name) or set(name.split("-")) <= set(ids):
+        hint = "Write each id, with commas between: ranges and patterns are not read."
+    elif near_ids:
+        hint = f"Did you mean {' or '.join(map(repr, near_ids))}?"
+    else:
+        hint = f"Their ids are {first_names_in_words(ids)}."
+    option = "--off" if role == "off" else "--role"
+    return TermselError(f"{option} names {name!r}, an id that the files do not have", hint=hint,
+                        name=name)
 
 
 def observe(
@@ -402,14 +412,17 @@ def observe(
     fractions: Sequence[float] = THIRDS,
     rng: np.random.Generator,
 ) -> Observations:
-    """Give every measured feature its role; in the order of ids, with longitudes that do not jump.
+    """Give every measured feature its role.
 
-    `control`, "points", "lines" or "both", says which features are control; with lines control
-    points stay out. Without a split the roles of the file stay, and blank ones are stratified; a
-    split disregards the file's roles, except "off". Twins that are assigned share a role, and so do
-    the points on a line of a lattice, which show each other. Fractions are those of control, check
-    and independent among the points that are assigned; with control from lines alone, all become
-    check and independent points. Raises TermselError if the control that is required is not there.
+    The observations are in the order of ids, with longitudes that do not jump. `control`, "points",
+    "lines" or "both", says which features are control; where lines alone are, control points are
+    off. Without a `split` the roles of the file stay, and blank ones are stratified; a split
+    disregards the file's roles, except "off". Twins that are assigned share a role, and so do the
+    points on a line of a lattice, which show each other. `fractions` are the shares of control,
+    check and independent among the points that are assigned; with control from lines alone, all
+    become check and independent points.
+
+    Raises TermselError if the control that is required is not there.
     """
     features, labels = _order_and_labels(features)
     points = features.points
@@ -417,12 +430,10 @@ def observe(
         raise TermselError("the problem needs control points and there are none",
                            hint="Give a points file, or choose a problem over lines.")
     if control in ("lines", "both") and not len(features.lines):
+        remedy = "without mixed=true" if control == "both" else "such as rfm-terms"
         raise TermselError(
             "the problem needs control lines and there are none",
-            hint="Give them with --lines FILE, or choose a problem over points, without mixed=true."
-            if control == "both"
-            else "Give them with --lines FILE, or choose a problem over points, such as "
-                 "rfm-terms.")
+            hint=f"Give them with --lines FILE, or choose a problem over points, {remedy}.")
     roles = np.array(points.roles, dtype=object)
     if split is not None:
         # A point that is off stays off, whatever the split.
@@ -435,8 +446,9 @@ def observe(
     blank = np.flatnonzero(roles == "")
     if blank.size:
         # One representative of each group of twins is assigned, and the others follow.
-        _, first, group = np.unique(labels[blank], return_index=True, return_inverse=True)
-        assigned = assign_roles(points.take(blank[first]), split=split or STRATIFIED,
+        _, first_of_group, group = np.unique(labels[blank], return_index=True,
+                                             return_inverse=True)
+        assigned = assign_roles(points.take(blank[first_of_group]), split=split or STRATIFIED,
                                 fractions=fractions, lines=control == "lines",
                                 crs=features.crs, rng=rng)
         roles[blank] = np.array(assigned, dtype=object)[group]
@@ -450,9 +462,9 @@ def observe(
 
 @lru_cache(maxsize=2)  # roles and folds ask about the same features
 def _order_and_labels(features: FeatureSet) -> tuple[FeatureSet, IntArray]:
-    """Return features in order, without jumps, and a label of each point, (n,).
+    """Return features in the order of ids, without jumps of longitude, and a label of each point.
 
-    Points of one label share a role: twins, or a line of a lattice. Cells of a study share theirs.
+    Points of one label share a role: they are twins, or on one line of a lattice.
     """
     features = without_jump(sorted_by_id(features))
     lattice = lattice_of(features)
@@ -469,7 +481,7 @@ def sorted_by_id(features: FeatureSet) -> FeatureSet:
 
 
 def _order(names: Sequence[str]) -> list[int]:
-    """Return the rows of names in their order; the pieces of one line keep theirs."""
+    """Return the indices of names in their order; the pieces of one line stay in theirs."""
     keys = []
     for name in names:
         # Numbers count by their value. Of two without leading zeros the longer one is larger.

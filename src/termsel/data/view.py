@@ -111,16 +111,17 @@ class CentralView:
         return np.asarray(_projection_columns(ground, self.matrix.shape[1]) @ self.matrix[2])
 
     def has_square_pixels(self, metres: FloatArray) -> bool:
-        """Return whether a camera with square pixels sees so, but for PIXEL_TOLERANCE.
+        """Return whether a camera with square pixels could see this view, within PIXEL_TOLERANCE.
 
-        `metres` (3,) are those of a unit of the scaled ground. Of the numerators p, q and the
-        denominator d, less their constants, p and q are focal lengths along lines and samples times
-        axes of the camera, and the principal point times d (Abdel-Aziz and Karara 1971). Heights
-        that are wrong together make a view of their own, but seldom that of a camera.
+        `metres` (3,) are the size of a unit of the scaled ground. Without their constants, the
+        numerators p and q are the focal lengths along lines and samples times axes of the camera,
+        plus the principal point times the denominator d (Abdel-Aziz and Karara 1971). Heights that
+        are wrong together make a view of their own, but seldom that of a camera.
         """
-        line, sample, below = self.matrix[:, 1:] / metres
-        across_line = np.cross(line, below)
-        across_sample = np.cross(sample, below)
+        line, sample, denominator = self.matrix[:, 1:] / metres
+        # Across the view, the principal point has no part.
+        across_line = np.cross(line, denominator)
+        across_sample = np.cross(sample, denominator)
         focal_line = float(np.linalg.norm(across_line))
         focal_sample = float(np.linalg.norm(across_sample))
         ratio = focal_line / focal_sample
@@ -162,23 +163,24 @@ class CentralView:
         return np.asarray(~(homogeneous[:, 0] > 0.0))
 
     def magnification(self, ground: FloatArray) -> FloatArray:
-        """Return how far places move in the image, by a move in X or in Y, (n, 2).
+        """Return how far places (n, 3) move in the image by a unit of X and by one of Y, (n, 2).
 
-        Places nearer than the image shows count as the nearest there are.
+        Places nearer than the image shows count as the nearest that it shows.
         """
         columns = _projection_columns(ground, self.matrix.shape[1])
-        above = columns @ self.matrix[:2].T
-        below = np.maximum(columns @ self.matrix[2], NEARER * self.nearest)[:, None]
+        numerators = columns @ self.matrix[:2].T
+        denominator = np.maximum(columns @ self.matrix[2], NEARER * self.nearest)[:, None]
         # With f = a / d: df/dX = (da/dX - f dd/dX) / d.
-        moves = [(self.matrix[:2, axis] - above / below * self.matrix[2, axis]) / below
-                 for axis in (1, 2)]
+        moves = [(self.matrix[:2, axis] - numerators / denominator * self.matrix[2, axis])
+                 / denominator for axis in (1, 2)]
         return np.stack([np.linalg.norm(move, axis=1) for move in moves], axis=1)
 
 
 def view_of(points: Points) -> CentralView | None:
-    """Return the central projection that scaled points support, or None.
+    """Return the central projection that scaled points support; None if they support none.
 
-    A DLT, or a projective transformation of the plane where heights are not known or show nothing.
+    It is a DLT, or a projective transformation of the plane where heights are not known or show
+    nothing.
     """
     return _view_of(Measurements.of(points))
 
@@ -288,9 +290,9 @@ def _may_be_clearly_better(columns: FloatArray, image: FloatArray, affine_sigma:
 
 
 def _fit_projection(columns: FloatArray, points: Points, affine_sigma: float) -> CentralView | None:
-    """Return the projection of least distances, if it is clearly better than an affine one.
+    """Return the projection of least distances; None unless clearly better than an affine one.
 
-    None if not determined, or with points behind, too.
+    None comes back, too, where the points do not determine it, or some would be behind the camera.
     """
     matrix = _least_distance_matrix(columns, points.image)
     if matrix is None:
@@ -300,9 +302,9 @@ def _fit_projection(columns: FloatArray, points: Points, affine_sigma: float) ->
     sigma = float(np.sqrt((distances**2).sum() / (2 * len(distances) - unknown)))
     if not sigma < CLEARER * affine_sigma:
         return None
+    # The noise is that of the points that fit best, which blunders do not reach; it is never more
+    # than that of all points.
     noise = np.inf
-    # The noise of the points that fit best, which blunders do not reach; never more than that of
-    # all.
     best = np.argsort(distances)[:round(BEST * len(distances))]
     best_matrix = _least_distance_matrix(columns[best], points.image[best])
     if best_matrix is not None:
@@ -312,9 +314,10 @@ def _fit_projection(columns: FloatArray, points: Points, affine_sigma: float) ->
 
 
 def _least_distance_matrix(columns: FloatArray, image: FloatArray) -> FloatArray | None:
-    """Return the matrix of least distances in the image, (3, k), by Gauss-Newton.
+    """Return the matrix (3, k) of the projection of least distances in the image, by Gauss-Newton.
 
-    None without redundancy, where it is not determined, and where no start has all points in front.
+    `columns` (n, k) are 1, X, Y (and Z) of the points. None comes back without redundancy, where
+    the projection is not determined, and where the first solution has points behind the camera.
     """
     size = columns.shape[1]
     if image.size <= 3 * size - 1:

@@ -14,12 +14,13 @@ _ROUNDED_DISTANCE = 1e-9
 
 
 def cluster_labels(plan: FloatArray, gap: float) -> IntArray | None:
-    """Return the cluster of each place (n, 2), counted from 0, (n,); None where there are none.
+    """Return the number of each place's cluster, (n,), counted from 0; None without clusters.
 
-    Of the edges of the shortest tree that joins all places, those between clusters are at least
-    `gap` times as long as those within. Half of the edges at least are within, as of places that
-    were measured twice; of places at random the longer half of the edges has no such gap. No
-    cluster is as long as the gaps.
+    The shortest tree that joins all places (n, 2) has edges within clusters, and others between
+    them that are at least `gap` times as long. At least half of the edges are within, as among
+    places that were measured twice; among places at random the longer half of the edges has no such
+    gap. A cluster is shorter than the gaps. None comes back, too, for fewer than MIN_PLACES or more
+    than MAX_PLACES places.
 
     Examples
     --------
@@ -57,9 +58,11 @@ def cluster_labels(plan: FloatArray, gap: float) -> IntArray | None:
 
 
 def _shortest_tree(plan: FloatArray) -> tuple[list[int], list[int], FloatArray]:
-    """Return the places of the shortest tree but the first, their parents, and the edges between.
+    """Return the shortest tree that joins places (n, 2), from place 0 on.
 
-    By R.C. Prim, Bell System Technical Journal 36 (1957) 1389-1401.
+    These are the numbers of the other places in the order in which they are joined, of the place
+    that each is joined to, and the lengths of these edges. The algorithm is by R.C. Prim, Bell
+    System Technical Journal 36 (1957) 1389-1401.
     """
     distances = np.linalg.norm(plan - plan[0], axis=1)
     nearest_inside = np.zeros(len(plan), dtype=np.intp)

@@ -188,16 +188,19 @@ def _crs_by_name(text: str) -> str:
     utm_name = _UTM_NAME.fullmatch(text)
     if utm_name:
         zone = int(utm_name["zone"])
-        hemisphere = 7 if utm_name["side"][0] in "sS" else 6
-        return f"EPSG:32{hemisphere}{zone:02d}" if 1 <= zone <= 60 else ""
+        # EPSG:326xx are the zones in the north, EPSG:327xx those in the south.
+        series = 327 if utm_name["side"][0] in "sS" else 326
+        return f"EPSG:{series}{zone:02d}" if 1 <= zone <= 60 else ""
     if text.startswith("+") and _PROJ.fullmatch(text):
         return _crs_of_proj_string(text)
-    name = _crs_of_listed_name(text) if _CRS_NAME.fullmatch(text) else ""
-    of_datum = _UTM_OF_DATUM.fullmatch(text)
-    if name or not of_datum:
-        return name
-    return _crs_of_listed_name(f"{of_datum['datum'].strip()} / UTM zone {int(of_datum['zone'])}"
-                               f"{of_datum['side'][0].upper()}")
+    # A name that is listed as it stands is certain; "ED50 UTM 32N" is only read as one.
+    crs = _crs_of_listed_name(text) if _CRS_NAME.fullmatch(text) else ""
+    utm_of_datum = _UTM_OF_DATUM.fullmatch(text)
+    if crs or not utm_of_datum:
+        return crs
+    return _crs_of_listed_name(
+        f"{utm_of_datum['datum'].strip()} / UTM zone {int(utm_of_datum['zone'])}"
+        f"{utm_of_datum['side'][0].upper()}")
 
 
 def _crs_of_proj_string(text: str) -> str:

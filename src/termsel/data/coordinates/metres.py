@@ -74,8 +74,9 @@ def _scales_of_place(crs: str, x: float, y: float) -> tuple[float, float] | None
 def _scales_along_axes(crs: str, positions: FloatArray) -> FloatArray:
     """Return how long a projection shows a metre along x and along y at positions, (n, 2).
 
-    By differences of places a metre to either side, as points of the ellipsoid in space: a
-    projection need not be conformal, and a pole is a place like any other.
+    That is found from places a metre to either side, as points of the ellipsoid in space: a
+    projection need not be conformal, and a pole is then a place like any other. A scale is 1 where
+    the projection is not known, and NaN where it shows nothing.
     """
     angles_of = longitudes_and_latitudes_of(crs)
     unit = _kind_and_units(crs)[2]
@@ -101,8 +102,8 @@ def _scales_along_axes(crs: str, positions: FloatArray) -> FloatArray:
 def has_compass_axes(crs: str, positions: FloatArray) -> bool:
     """Return whether x points to the east and y to the north, nearly, at positions (n, 2 or more).
 
-    In the middle of a polar projection y is south along one meridian; the axes of coordinates
-    without a known CRS may point anywhere.
+    They need not: around a pole a projected y is south along one meridian. False comes back without
+    positions, and for coordinates without a known CRS, whose axes may point anywhere.
     """
     if not crs or not len(positions):
         return False
@@ -118,8 +119,8 @@ def has_compass_axes(crs: str, positions: FloatArray) -> bool:
     lon, lat = (angles_of(middle + steps)).T
     east = np.cos(lat[0]) * ((lon[1:] - lon[0] + np.pi) % (2.0 * np.pi) - np.pi)
     north = lat[1:] - lat[0]
-    off = np.abs(np.arctan2([north[0], east[1]], [east[0], north[1]]))
-    return bool((off <= np.radians(COMPASS_TOLERANCE)).all())
+    deviations = np.abs(np.arctan2([north[0], east[1]], [east[0], north[1]]))
+    return bool((deviations <= np.radians(COMPASS_TOLERANCE)).all())
 
 
 def _offsets_on_plane(crs: str, positions: FloatArray, offsets: FloatArray) -> FloatArray | None:

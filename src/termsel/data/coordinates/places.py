@@ -19,16 +19,15 @@ are rounded more."""
 
 
 def spatial_order(xy: ArrayLike) -> IntArray:
-    """Return an order (n,) of points (n, 2): neighbours in it are neighbours in the plane.
+    """Return an order (n,) of points (n, 2) in which neighbours are neighbours in the plane, too.
 
-    It is that of a k-d tree: points are halved at the median of their longer side until one or two
-    are left. Every stretch of it is compact, and every k-th point spreads over all.
+    It is the order of the leaves of a k-d tree: points are halved at the median of their longer
+    side until one or two are left. Every stretch of it is compact, and every k-th point of it are
+    spread over all points.
     """
     xy = np.asarray(xy, dtype=np.float64)
     order = np.arange(len(xy))
-    starts = np.zeros(1, dtype=np.intp)
-    # The points are halved repeatedly at the median of their longer side; the order is that of the
-    # leaves.
+    starts = np.zeros(1, dtype=np.intp)  # of the parts, in the order
     while (sizes := np.diff(starts, append=len(xy))).max(initial=0) > 2:
         group = np.repeat(np.arange(len(starts)), sizes)
         ordered = xy[order]
@@ -60,8 +59,8 @@ def ground_centres(control: FeatureSet) -> FloatArray:
 def distance_beyond_hull(control: FloatArray, positions: FloatArray) -> FloatArray:
     """Return how far positions (m, 2) are outside the convex hull of the control (n, 2), (m,).
 
-    The largest distance from a side of the hull, divided by the longer side of the control's box; 0
-    inside, infinite if the control has no hull.
+    That is the largest distance from a side of the hull, divided by the longer side of the
+    control's box. It is 0 inside, and infinite if the control has no hull.
     """
     corners = control[convex_hull(control)]
     if not len(corners):
@@ -75,11 +74,10 @@ def distance_beyond_hull(control: FloatArray, positions: FloatArray) -> FloatArr
 
 
 def convex_hull(positions: FloatArray) -> list[int]:
-    """Return the corners of the convex hull of positions (n, 2), against the clock.
+    """Return the indices of the corners of the convex hull of positions (n, 2), against the clock.
 
-    None where all lie on one line.
-
-    By A.M. Andrew, Information Processing Letters 9 (1979) 216-219; to import SciPy's takes long.
+    There are none, [], where all positions lie on one line. The algorithm is by A.M. Andrew,
+    Information Processing Letters 9 (1979) 216-219; to import SciPy's would take long.
     """
     size = np.ptp(positions, axis=0).max(initial=0.0) if len(positions) > 2 else 0.0
     if not 0.0 < size < np.inf:
@@ -173,11 +171,11 @@ class Lattice:
 
 
 def lattice_of(features: FeatureSet) -> Lattice | None:
-    """Return the lattice that features are, or None if they are none or have lines.
-
-    Longitudes that jump at 180 degrees go on there: the jump is no noise.
-    """
-    return None if len(features.lines) else _lattice_of_points(without_jump(features).points)
+    """Return the lattice that the features form; None if they form none, or have lines."""
+    if len(features.lines):
+        return None
+    # A jump of longitudes at 180 degrees is no noise.
+    return _lattice_of_points(without_jump(features).points)
 
 
 @lru_cache(maxsize=8)  # roles, folds and verdict ask about the same points
@@ -199,7 +197,10 @@ def _lattice_of_points(points: Points) -> Lattice | None:
 
 
 def _ranks_of_values(values: FloatArray) -> IntArray:
-    """Return the rank of each value (n,) among the different ones, counted from 0, (n,)."""
+    """Return the rank of each value (n,) among the distinct values, counted from 0, (n,).
+
+    Values that follow each other within `ROUND` are one.
+    """
     order = np.argsort(values, kind="stable")
     ranks = np.empty(len(values), dtype=np.intp)
     ranks[order] = np.concatenate([[0], np.cumsum(np.diff(values[order]) > ROUND)])
@@ -209,8 +210,9 @@ def _ranks_of_values(values: FloatArray) -> IntArray:
 def _noise_along_lines(points: Points, lattice: Lattice) -> float | None:
     """Return the noise of the ground along lines [px]; None where too few neighbours show it.
 
-    In each run of neighbours on a line, weights take out a cubic polynomial of the sample. Of a
-    smooth geometry they leave of longitude and latitude what they leave of smooth columns.
+    In each run of neighbours on a line, weights take out a cubic polynomial of the sample. If the
+    geometry is smooth, what they leave of x and y is a linear function of what they leave of
+    `_smooth_columns`; the rest is noise.
     """
     runs = np.array(list(_runs_of_neighbours(lattice)), dtype=np.intp).reshape(-1, _RUN)
     if len(runs) < _ENOUGH:
@@ -221,15 +223,15 @@ def _noise_along_lines(points: Points, lattice: Lattice) -> float | None:
     residuals = np.einsum("rn,rnk->rk", weights, plan[runs])
     residuals -= columns @ np.linalg.lstsq(columns, residuals)[0]
     freedom = len(runs) - np.linalg.matrix_rank(columns)
-    # Of noise that is independent in all points the weights, whose squares sum to 1, leave as much.
+    # The squares of the weights sum to 1, so that they leave independent noise as large as it is.
     noise = np.sqrt((residuals**2).sum(axis=0) / freedom)
     return _ground_noise_in_pixels(points, noise)
 
 
 def _storage_noise(points: Points) -> float:
-    """Return the noise [px] of places that are stored in 32 bits; 0 of more precise ones.
+    """Return the noise [px] that places have which are stored in 32 bits; 0 if they are not.
 
-    Degrees in 32 bits are up to half a metre from the next.
+    Degrees in 32 bits are up to half a metre from the next number.
     """
     plan = points.ground[:, :2]
     single = plan.astype(np.float32)
@@ -241,8 +243,10 @@ def _storage_noise(points: Points) -> float:
 
 
 def _ground_noise_in_pixels(points: Points, noise: FloatArray) -> float | None:
-    """Return noise of x and of y on the ground as that of line or sample [px], None of a line."""
-    # The affine map from the image to the ground turns noise on the ground into pixels.
+    """Return noise on the ground, of x and of y, as noise in line and sample [px].
+
+    None comes back for points on a line, which show no affine map from the image to the ground.
+    """
     columns = np.column_stack([np.ones(len(points)), points.image])
     pixels = np.linalg.lstsq(columns, points.ground[:, :2])[0][1:]
     if abs(np.linalg.det(pixels)) == 0.0:
@@ -259,12 +263,12 @@ def _smooth_columns(points: Points) -> FloatArray:
                     / np.ptp(points.image, axis=0)).T
     height = np.nan_to_num(points.ground[:, 2])
     height = (height - height.mean()) / max(float(np.ptp(height)), 1.0)
-    # Ten factors of line^i sample^j up to the third degree, six powers beyond it, three of squares:
-    # _TERMS in all.
-    slow = [line**i * sample**j for i, j in product(range(4), range(4)) if i + j < 4]
+    # Six powers, ten factors line^i sample^j up to the third degree, and three: _TERMS in all.
     powers = [sample**power * line**i for power, i in product((4, 5, 6), (0, 1))]
-    return np.stack([*powers, *(height * factor for factor in slow),
-                     *(height**2 * factor for factor in (1.0, line, sample))], axis=1)
+    slow_factors = [line**i * sample**j for i, j in product(range(4), range(4)) if i + j < 4]
+    with_heights = [height * factor for factor in slow_factors]
+    with_squares = [height**2 * factor for factor in (1.0, line, sample)]
+    return np.stack([*powers, *with_heights, *with_squares], axis=1)
 
 
 def _runs_of_neighbours(lattice: Lattice) -> Iterator[IntArray]:
@@ -277,9 +281,10 @@ def _runs_of_neighbours(lattice: Lattice) -> Iterator[IntArray]:
 
 
 def _without_cubic(positions: FloatArray) -> FloatArray:
-    """Return weights (r, 5) of sum of squares 1 that remove cubics of positions (r, 5).
+    """Return weights (r, 5) whose sums over values at positions (r, 5) are 0 for any cubic.
 
-    They are divided differences: w_i = 1 / prod over j of (x_i - x_j).
+    They are divided differences, w_i = 1 / product over j of (x_i - x_j), scaled so that their
+    squares sum to 1.
     """
     unit = np.ptp(positions, axis=1, keepdims=True)
     differences = (positions[:, :, None] - positions[:, None, :]) / unit[:, :, None]

@@ -267,62 +267,72 @@ def decimal_signs(columns: Mapping[str, Sequence[str]], stated: str = "", *,
                   points_only: bool = False) -> tuple[dict[str, str], list[str]]:
     """Return the decimal sign of each column of numbers, by the evidence of all its rows.
 
-    1,234 alone may be one thousand or little more than one. A column where that is open takes the
-    sign of the columns where it is not, if they agree, or the sign `stated`; else its sign is "".
-    With `points_only` commas separate the columns, so that points without commas are decimal. The
-    open columns that others, or the user, decided come second. Raises BadCell if cells of one
-    column contradict each other.
+    1,234 alone may be one thousand or little more than one. A column that leaves it open takes the
+    sign `stated`, or else the sign of the columns that do not, if they agree; else its sign is "".
+    With `points_only` commas separate the columns, so that points without commas are decimal.
+
+    Second come the names of the open columns whose sign others, or the user, decided. Raises
+    BadCell if cells of one column contradict each other.
     """
-    # "." or "," where cells show, "three" or "" where they leave it open, None without any sign.
+    # "." or "," where cells show it, "three" or "" where they leave it open, None without any sign.
     evidence = {name: _decimal_sign(name, cells, points_only) for name, cells in columns.items()}
     certain = {sign for sign in evidence.values() if sign in (POINT, COMMA)}
-    open_sign = stated or (certain.pop() if len(certain) == 1 else "")
-    signs = {name: sign if sign in (POINT, COMMA) else POINT if sign is None else
-             open_sign or (POINT if sign == _THREE else "") for name, sign in evidence.items()}
-    return signs, [name for name, sign in evidence.items()
-                   if (open_sign and sign == "") or (open_sign == COMMA and sign == _THREE)]
+    sign_of_open = stated or (certain.pop() if len(certain) == 1 else "")
+    signs: dict[str, str] = {}
+    decided = []
+    for name, sign in evidence.items():
+        if sign is None:
+            signs[name] = POINT
+        elif sign == _THREE:
+            signs[name] = sign_of_open or POINT
+        else:
+            signs[name] = sign or sign_of_open
+        # A column of points with three digits is decided by others only if they are no decimals.
+        if (sign_of_open and sign == "") or (sign_of_open == COMMA and sign == _THREE):
+            decided.append(name)
+    return signs, decided
 
 
 def _decimal_sign(name: str, cells: Sequence[str], points_only: bool) -> str | None:
-    """Return the decimal sign of a column, or how open it is; None where it has no such sign.
+    """Return the decimal sign of a column's cells, or how open it is; None if no cell has a sign.
 
-    POINT or COMMA is certain; "" stands for commas or points of which nothing says whether they
+    POINT or COMMA is certain. "" stands for commas or points of which nothing says whether they
     separate thousands, and `_THREE` for points with three digits in every row, which other columns
-    may decide. With `points_only` a table without commas has decimal points. Raises BadCell where
-    two cells disagree.
+    may decide. With `points_only` a column without commas has decimal points. Raises BadCell, with
+    the `name` of the column, where two cells disagree.
     """
     joined = "".join(cells)
-    commas = COMMA in joined
-    if not commas and (points_only or POINT not in joined):
+    has_commas = COMMA in joined
+    if not has_commas and (points_only or POINT not in joined):
         return POINT if POINT in joined else None
-    first_row: dict[str, int] = {}
-    whole_numbers = 0
+    first_row_with: dict[str, int] = {}  # by decimal sign
+    has_whole_numbers = False
     for row, cell in enumerate(cells):
         text = _PARTED.sub("", cell.strip())
         # The sign further right is the decimal one, unless it occurs twice or is followed by three
         # digits alone.
-        last = max(COMMA, POINT, key=text.rfind)
-        other_sign = POINT if last == COMMA else COMMA
-        if last not in text:
-            whole_numbers += bool(text)
-        elif text.count(last) > 1:
-            first_row.setdefault(other_sign, row)
-        elif other_sign in text or not _ONE_GROUP[last].fullmatch(text):
-            first_row.setdefault(last, row)
-    if len(first_row) > 1:
-        (_, _), (sign, row) = sorted(first_row.items(), key=lambda item: item[1])
+        last_sign = max(COMMA, POINT, key=text.rfind)
+        other_sign = POINT if last_sign == COMMA else COMMA
+        if last_sign not in text:
+            has_whole_numbers = has_whole_numbers or bool(text)
+        elif text.count(last_sign) > 1:
+            first_row_with.setdefault(other_sign, row)
+        elif other_sign in text or not _ONE_GROUP[last_sign].fullmatch(text):
+            first_row_with.setdefault(last_sign, row)
+    if len(first_row_with) > 1:
+        (_, _), (sign, row) = sorted(first_row_with.items(), key=lambda item: item[1])
         sign_word, other_word = ("comma", "point") if sign == COMMA else ("point", "comma")
         raise BadCell(row, f"{cells[row].strip()!r} has a decimal {sign_word}, other cells a "
                            f"decimal {other_word}", "Use one of them in the whole column.", name)
-    if first_row:
-        return next(iter(first_row))
+    if first_row_with:
+        return next(iter(first_row_with))
     # Points with three digits in each row are decimal; if only the large numbers have one, not.
-    return "" if commas or whole_numbers else _THREE
+    return "" if has_commas or has_whole_numbers else _THREE
 
 
 def read_numbers(cells: Sequence[str], sign: str, *, may_be_blank: bool, angle: str = "",
                  ) -> NDArray[np.float64]:
-    """Return cells as numbers, NaN for blank ones; raises BadCell for the first that is none.
+    """Return cells as numbers (n,), NaN for blank ones; raise BadCell for the first other cell.
 
     The sign other than the decimal `sign` separates thousands. `angle` is "x" or "y" where cells
     may be longitudes or latitudes in degrees, minutes and seconds.
@@ -373,7 +383,7 @@ def _number_of_cell(row: int, cell: str, sign: str, may_be_blank: bool, angle: s
 
 
 def _parse_degrees(row: int, text: str, angle: str) -> float | None:
-    """Return an angle in degrees, such as of 10°59'28.7"E; None where the text is none.
+    """Return an angle such as 10°59'28.7"E in degrees; None where the text is no such angle.
 
     Degrees, minutes and seconds are separated by their marks or by spaces, with a hemisphere before
     or after, or a sign. `row` is that of the cell and `angle` its axis, "x" or "y", for errors.

@@ -96,37 +96,40 @@ def _refuse_bad_values(is_bad: NDArray[np.bool_], ids: Sequence[str], kind: str,
 
 
 def check_places(ground: FloatArray, ids: Sequence[str]) -> None:
-    """Raise TermselError for points at one place on the ground, naming all of them."""
-    # One image position with several ground points is a line of sight through several
-    # heights; one ground point cannot be seen at two image positions.
+    """Raise TermselError for points with the same ground coordinates (n, 3), naming them.
+
+    One image position with several ground points is a line of sight through several heights; but
+    one ground point cannot be seen at two image positions.
+    """
     repeated = repeated_places(ground)
-    if repeated:
-        is_pair = len(repeated) == 1 and len(repeated[0]) == 2
-        surplus = "one of them" if is_pair else "all but one of each"
-        earlier, later, *_ = repeated[0]
-        if len(repeated[0]) == len(ids) > 2:
-            raise TermselError("all points have the same ground coordinates",
-                               ids=[ids[later], ids[earlier]],
-                               hint="Was one position filled down the columns x and y? Give each "
-                                    "point its own.")
-        at_zero = next((rows for rows in repeated if not ground[rows, :2].any()), None)
-        if at_zero is not None:
-            # Their mean would keep a false point.
-            earlier, later, *_ = at_zero
-            raise TermselError(f"{places_in_words(ids, [at_zero])}, x = 0 and y = 0",
-                               ids=[ids[later], ids[earlier]],
-                               hint="Zeros stand for places that are not known: remove these "
-                                    "points. In a raster of coordinates state 0 as its nodata "
-                                    "value.")
-        raise TermselError(places_in_words(ids, repeated), ids=[ids[later], ids[earlier]],
-                           hint=f"Remove {surplus}, or average their image coordinates: --set "
-                                "repeated=average.")
+    if not repeated:
+        return
+    earlier, later, *_ = repeated[0]
+    if len(repeated[0]) == len(ids) > 2:
+        raise TermselError("all points have the same ground coordinates",
+                           ids=[ids[later], ids[earlier]],
+                           hint="Was one position filled down the columns x and y? Give each "
+                                "point its own.")
+    at_zero = next((rows for rows in repeated if not ground[rows, :2].any()), None)
+    if at_zero is not None:
+        # To average them, as others are, would keep a false point.
+        earlier, later, *_ = at_zero
+        raise TermselError(f"{places_in_words(ids, [at_zero])}, x = 0 and y = 0",
+                           ids=[ids[later], ids[earlier]],
+                           hint="Zeros stand for places that are not known: remove these "
+                                "points. In a raster of coordinates state 0 as its nodata "
+                                "value.")
+    is_pair = len(repeated) == 1 and len(repeated[0]) == 2
+    surplus = "one of them" if is_pair else "all but one of each"
+    raise TermselError(places_in_words(ids, repeated), ids=[ids[later], ids[earlier]],
+                       hint=f"Remove {surplus}, or average their image coordinates: --set "
+                            "repeated=average.")
 
 
 def repeated_places(ground: FloatArray, *, with_single: bool = False) -> list[list[int]]:
-    """Return the rows of each place (n, 3) on the ground that has several points.
+    """Return the rows of the points at each place on the ground (n, 3) that has several points.
 
-    `with_single` adds the places that have one.
+    `with_single` adds the places that have a single point. Heights that are not known count as 0.
     """
     _, labels = np.unique(np.nan_to_num(ground, nan=0.0), axis=0, return_inverse=True)
     rows: dict[int, list[int]] = {}
@@ -138,26 +141,26 @@ def repeated_places(ground: FloatArray, *, with_single: bool = False) -> list[li
 def places_in_words(ids: Sequence[str], groups: Sequence[Sequence[int]]) -> str:
     """Return a clause on which points have the same ground coordinates, by the rows of each place.
     """
-    named = []
+    groups_in_words = []
     for rows in groups[:_MAX_NAMED]:
-        # Three of a place show which it is.
-        listed = [repr(ids[row]) for row in rows[:_MAX_IN_PLACE]]
-        surplus = [f"{len(rows) - _MAX_IN_PLACE} more"] if len(rows) > _MAX_IN_PLACE else []
-        *first, last = [*listed, *surplus]
-        named.append(f"{', '.join(first)} and {last}")
+        # A few points of a place show which place it is.
+        names = [repr(ids[row]) for row in rows[:_MAX_IN_PLACE]]
+        if len(rows) > _MAX_IN_PLACE:
+            names.append(f"{len(rows) - _MAX_IN_PLACE} more")
+        groups_in_words.append(f"{', '.join(names[:-1])} and {names[-1]}")
+    named = "; ".join(groups_in_words)
+    unnamed = ""
     if len(groups) > _MAX_NAMED:
         unnamed = f"; and those of {len(groups) - _MAX_NAMED} more positions"
-    else:
-        unnamed = ""
     each_group = " each" if len(groups) > 1 else ""
-    return f"points {'; '.join(named)}{unnamed}{each_group} have the same ground coordinates"
+    return f"points {named}{unnamed}{each_group} have the same ground coordinates"
 
 
 def check_segments(ground: FloatArray, ids: Sequence[str]) -> None:
-    """Raise TermselError for two lines with the same ground vertices."""
+    """Raise TermselError for two lines with the same ground vertices (n, 2, 3), in any order."""
     ends = np.nan_to_num(ground, nan=0.0)
-    # One order of the ends, by X, then Y, then Z, so that a reversed line is found too.
-    # The first coordinate in which the two ends differ says which of them comes first.
+    # The ends of each line are put in one order: the first coordinate in which they differ says
+    # which of them comes first.
     differs = ends[:, 0] != ends[:, 1]
     first_difference = np.argmax(differs, axis=1)
     index = np.arange(len(ends))
@@ -165,9 +168,9 @@ def check_segments(ground: FloatArray, ids: Sequence[str]) -> None:
     ends[swap] = ends[swap][:, ::-1]
     pair = _first_repeated_row(ends.reshape(len(ids), -1))
     if pair:
-        first, second = (ids[i] for i in pair)
-        raise TermselError(f"lines {first!r} and {second!r} have the same ground vertices",
-                           hint="Remove one of them.", ids=[second, first])
+        earlier, later = (ids[i] for i in pair)
+        raise TermselError(f"lines {earlier!r} and {later!r} have the same ground vertices",
+                           hint="Remove one of them.", ids=[later, earlier])
 
 
 def _first_repeated_row(rows: FloatArray) -> tuple[int, int] | None:
@@ -220,10 +223,11 @@ def is_free(name: str) -> bool:
 
 
 def as_attributes(attributes: Mapping[str, Iterable[Any]], n: int, *reserved: str) -> Attributes:
-    """Return columns of n rows as features have them: stripped text that cannot be changed.
+    """Return columns of n rows as features hold them: stripped text that cannot be changed.
 
-    None, NaN and the like of pandas stand for a value that is not known. Raises TermselError for a
-    column with a name of `reserved`, a name used twice, or another number of rows than n.
+    None, NaN and what pandas has in their place become "", a value that is not known. Raises
+    TermselError for a column whose name is `reserved`, taken or used twice, and for one of more or
+    fewer rows than n.
     """
     columns: dict[str, TextArray] = {}
     for name, values in attributes.items():

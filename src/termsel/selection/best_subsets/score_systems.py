@@ -60,6 +60,7 @@ PROGRAMMED = 1 << 24
 _ENUMERATED = 300  # subsets that cost less than bounds of their residuals
 _PROGRAMS = 100  # most check points with linear programs: each takes one, of all points
 _BOUND_HALVINGS = 7  # of the interval in which a bound lies: less than a per cent is left
+_TIE = 1e-9  # relative difference of scores that may be equal but for rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,14 +160,17 @@ class ScoreSystems:
                 for n in range(self.everything.room + 1)]
 
     def trimmed(self, node: SubtreeNode, best: FloatArray) -> SubtreeNode:
-        """Return a node with only the room in which it may have a best subset; -1 if none."""
+        """Return a node with only as much room as a best subset of it may need; -1 if it has none.
+
+        `best` (k + 1,) are the least scores so far of each size.
+        """
         if self.kind != RSS:
             return node
         smallest = len(node.used)
         room = min(node.room, len(node.candidates))
-        # Residuals fall as columns join: only the largest sizes can be cut off.
-        # Ties within rounding stay, as the smaller mask of two equal scores counts.
-        reachable = best[smallest:smallest + room + 1] * (1.0 + 1e-9) + self._slack
+        # Residuals fall as columns join: only the largest sizes can be cut off. Ties within
+        # rounding stay, as of two equal scores the smaller mask counts.
+        reachable = best[smallest:smallest + room + 1] * (1.0 + _TIE) + self._slack
         open_rooms = np.flatnonzero(node.lower_bound <= reachable)
         return replace(node, room=int(np.append(-1, open_rooms)[-1]))
 
@@ -231,10 +235,10 @@ class ScoreSystems:
                        self.margin, len(node.used))
 
     def bounded(self, node: SubtreeNode, best: FloatArray) -> SubtreeNode:
-        """Return a node with a lower bound of the scores of its subsets.
+        """Return a node with a lower bound of the scores of its subsets, not below the one it has.
 
-        The bound is not below the node's own. If not of residuals, it is at most the best score so
-        far; a node without any subset that has a score has that best score too.
+        `best` (k + 1,) are the least scores so far of each size. A bound of other scores than
+        residuals is at most the least of them, which a node without any feasible subset has, too.
         """
         incumbent = float(best.min())
         if not self.branches or not 0.0 < incumbent < np.inf or (
@@ -338,11 +342,12 @@ class ScoreSystems:
         return np.append(np.ones(c), 1.0 / (self.margin * c))
 
     def _vectors_of_node(self, node: SubtreeNode) -> tuple[Vectors, Limits, FloatArray] | None:
-        """Return a node's vectors, its limits, and the guard's denominators.
+        """Return a node's vectors, its limits, and the guard's denominators; None if dependent.
 
-        None if the columns in use are dependent. They are taken out here, by LAPACK. With the
-        factor R of the columns [used, later] in blocks [[R_uu, R_ul], [0, R_ll]], the later ones
-        less their parts along the used ones have the inner products of R_ll, which has fewer rows.
+        None comes back if the columns in use depend on each other. What they explain is taken out
+        of the later ones, candidates and targets, by LAPACK. With the factor R of [used, later] in
+        blocks [[R_uu, R_ul], [0, R_ll]], the later columns without it have the inner products of
+        R_ll, which has fewer rows.
         """
         used = node.used
         n = len(node.candidates)
@@ -407,8 +412,9 @@ def _counts_of_subsets(columns: int, room: int) -> IntArray:
 
 def score_systems(system: SubsetSystem, score: str, folds: Sequence[IntArray],
                   max_terms: int | None) -> ScoreSystems:
-    """Return the rows that a walk scores subsets by, for a score such as "press".
+    """Return the systems of rows by which a walk scores the subsets of a system's columns.
 
+    `score` is one of SCORES, such as "press", `folds` are the rows held out together for "kfold".
     Raises TermselError for an unknown score, and where forced terms are forbidden as well or more
     than `max_terms`.
     """

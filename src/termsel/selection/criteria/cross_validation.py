@@ -58,11 +58,11 @@ class Press(_LeftOut):
     subset_score = "press"
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the RMSE of all features, each held out from its own fit [px], (p,).
+        """Return the RMSE of all features, each held out from the fit to all others [px], (p,).
 
-        The predicted residual sum of squares of Allen (1974), in closed form. Twins are held out
-        together, as one would predict the other. It is infinite where a feature's absence leaves
-        the others undetermined.
+        It is that of the predicted residual sum of squares of Allen (1974), in closed form. Twins
+        are held out together, as one would predict the other. The RMSE is infinite where the
+        features without some one of them do not determine the terms.
         """
         p, k = fits.terms.shape
         used = fits.in_use
@@ -74,13 +74,13 @@ class Press(_LeftOut):
         for start in range(0, p, step):
             batch = slice(start, start + step)
             solutions = np.zeros((n, *fits.terms[batch].shape))
-            determined = np.ones(len(fits.terms[batch]), dtype=bool)
-            for system in fits.parts:
-                solutions[..., system.columns], one_by_one = leave_one_out(
-                    system.equations, fits.terms[batch, system.columns], used[batch])
-                determined &= one_by_one
-            squares[batch] = np.where(determined[:, None], fits.held_out_each(solutions), np.inf)
-        # A twin would show what the point held out is: all of them are held out together.
+            is_determined = np.ones(len(fits.terms[batch]), dtype=bool)
+            for part in fits.parts:
+                solutions[..., part.columns], is_part_determined = leave_one_out(
+                    part.equations, fits.terms[batch, part.columns], used[batch])
+                is_determined &= is_part_determined
+            squares[batch] = np.where(is_determined[:, None], fits.held_out_each(solutions),
+                                      np.inf)
         for group in groups:
             if len(group) > 1:
                 squares[:, group] = _fold_errors(fits, group)
@@ -154,7 +154,7 @@ class KFold(_LeftOut):
 
 
 def _fold_errors(fits: Fits, fold: IntArray) -> FloatArray:
-    """Return the squared errors of a fold predicted from all others, shape (p, n of the fold)."""
+    """Return the squared errors [px^2] of a fold (f,) predicted from all others, shape (p, f)."""
     # Features that are not in use stay out, whatever the fold.
     control_in_use = fits.in_use.copy()
     control_in_use[:, fold] = False
@@ -164,11 +164,13 @@ def _fold_errors(fits: Fits, fold: IntArray) -> FloatArray:
 
 @lru_cache(maxsize=4)  # a search asks again and again
 def _groups_of_twins(points: Points, lines: Lines) -> tuple[IntArray, ...]:
-    """Return the indices of each feature and its twins, points before lines, by their first ones.
+    """Return the indices of each group of twins, in the order of their first members.
+
+    A feature without a twin is a group of its own, as is each line; points come before lines.
     """
     labels = find_twins(points.ground)
     n = len(FeatureSet(points, lines))
     labels = np.concatenate([labels, np.arange(len(labels), n)])
-    # Lines have no twins: each has a label of its own. Groups are runs of equal labels.
+    # Groups are runs of equal labels.
     order = np.argsort(labels, kind="stable")
     return tuple(np.split(order, np.flatnonzero(np.diff(labels[order])) + 1))

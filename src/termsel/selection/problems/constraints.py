@@ -44,9 +44,10 @@ def split_names(value: str | None) -> list[str]:
 
 
 def without_heights(names: tuple[str, ...], options: Mapping[str, Any]) -> dict[str, str]:
-    """Return options of a problem by which no term with Z is in use but those that are asked for.
+    """Return the options by which a problem uses no term with Z, except those that are asked for.
 
-    They are for control that does not show what a height does; `options` are those it has.
+    They are for control that does not show what a height does. `names` are the model's terms,
+    `options` the values that the problem's options have; {} comes back where it has none for this.
     """
     height_terms = {name: term for name in names if (term := Term.parse(name)).has_height
                     and not isinstance(term.exponents, str)}
@@ -65,31 +66,32 @@ def without_heights(names: tuple[str, ...], options: Mapping[str, Any]) -> dict[
 
 
 def forced_labels(value: str | None, labels: tuple[str, ...], ids: tuple[str, ...]) -> list[str]:
-    """Return the labels of the genes that the value of an option names.
+    """Return the labels of the genes that the value of an option names, in its order.
 
-    Labels are those of all genes of terms, such as "line.num:X", or "num:X" for both axes; ids
-    those of all features that are selected. Raises TermselError for a name that none has.
+    `labels` are those of all genes of terms, such as "line.num:X", or "num:X" for both axes; `ids`
+    those of all features that may be selected. Raises TermselError for a name that no gene has.
     """
-    genes: list[str] = []
+    forced: list[str] = []
     for name in split_names(value):
-        named = [label for label, term in zip(labels, map(Term.parse, labels), strict=True)
-                 if name in (label, str(term.shared), term.column)]
-        named += [feature_id for feature_id in ids if feature_id == name]
-        if not named:
+        matches = [label for label, term in zip(labels, map(Term.parse, labels), strict=True)
+                   if name in (label, str(term.shared), term.column)]
+        matches += [feature_id for feature_id in ids if feature_id == name]
+        if not matches:
             kinds = []
             if labels:
                 kinds.append("term")
             if ids:
                 kinds.append("feature")
             raise unknown_name_error(" or ".join(kinds), name, (*labels, *ids))
-        genes += named
-    return genes
+        forced += matches
+    return forced
 
 
 def parent_pairs(names: tuple[str, ...]) -> tuple[IntArray, IntArray]:
-    """Return pairs of terms, the second a monomial of one power less in the first's part.
+    """Return the indices of children and of their parents, (n,) both, a pair for each parent.
 
-    Names are of all terms (see `termsel.Term.parents`).
+    A parent is the same monomial with one power less, in the same part of the model (see
+    `termsel.Term.parents`). `names` are those of all terms.
     """
     terms = [Term.parse(name) for name in names]
     index = {term: i for i, term in enumerate(terms)}
@@ -102,7 +104,10 @@ def parent_pairs(names: tuple[str, ...]) -> tuple[IntArray, IntArray]:
 
 
 def count_orphans(terms: BoolArray, pairs: tuple[IntArray, IntArray]) -> FloatArray:
-    """Return how many terms in use lack a parent, each counted for every one, shape (p,)."""
+    """Return how many parents are missing of the terms in use (p, k), shape (p,).
+
+    `pairs` are those of `parent_pairs`; a term that lacks two parents counts twice.
+    """
     child, parent = pairs
     return np.asarray((terms[:, child] & ~terms[:, parent]).sum(axis=1), dtype=np.float64)
 
@@ -112,43 +117,48 @@ MAX_SHARE = 2 / 3
 redundant."""
 
 
-def largest_term_share(equations: IntArray, share: float, freedom: int = 1) -> IntArray:
-    """Return the most terms that numbers of equations (s,) support, as a share of them, (s,).
+_SHARE_ROUNDING = 1e-9
+"""What is added to a share of equations before it is rounded down."""
 
-    At least `freedom` degrees of freedom remain.
+
+def largest_term_share(equations: IntArray, share: float, freedom: int = 1) -> IntArray:
+    """Return the most terms that each number of equations (s,) supports, (s,).
+
+    That is a share of the equations, but at least `freedom` degrees of freedom remain.
     """
     # 0.29 of 100 is 29, which rounding makes 28.999...
-    rounding = 1e-9
-    supported = np.floor(share * equations + rounding).astype(np.intp)
+    supported = np.floor(share * equations + _SHARE_ROUNDING).astype(np.intp)
     return np.asarray(np.minimum(supported, equations - freedom))
 
 
-def count_excess_terms(systems: tuple[IndependentPart, ...], terms: BoolArray,
+def count_excess_terms(parts: tuple[IndependentPart, ...], terms: BoolArray,
                        features: BoolArray | None, share: float, freedom: int = 1) -> FloatArray:
     """Return how many terms are in use beyond those that the equations support, shape (p,).
 
-    Each part supports its own terms, (p, k), or (1, k) if all have the same. Features (p, f) are
-    all in use by default. Share and freedom are those of `largest_term_share`.
+    Each independent part supports its own terms. `terms` are (p, k), or (1, k) if all individuals
+    have the same; `features` (p, f) are None where all are in use. `share` and `freedom` are as for
+    `largest_term_share`.
     """
     total: FloatArray = np.zeros(len(terms))
-    for system in systems:
+    for part in parts:
         # Only rows of features in use count: a feature may have several in a part, or none.
-        rows_of_feature = np.bincount(system.equations.feature,
-                                      minlength=0 if features is None else features.shape[1])
-        # As floats, which are exact here: BLAS has no whole numbers.
-        rows = np.asarray(rows_of_feature.sum() if features is None
-                          else features @ rows_of_feature.astype(np.float64), dtype=np.intp)
-        n_terms = terms[:, system.columns].sum(axis=1)
+        if features is None:
+            rows = np.asarray(len(part.equations.feature), dtype=np.intp)
+        else:
+            rows_of_feature = np.bincount(part.equations.feature, minlength=features.shape[1])
+            # As floats, which are exact here: BLAS has no whole numbers.
+            rows = np.asarray(features @ rows_of_feature.astype(np.float64), dtype=np.intp)
+        n_terms = terms[:, part.columns].sum(axis=1)
         total = total + np.maximum(n_terms - largest_term_share(rows, share, freedom), 0)
     return total
 
 
 def cap_segments(segments: Iterable[Bits], gene_of_term: IntArray,
-                 systems: tuple[IndependentPart, ...], share: float) -> list[Bits]:
-    """Return the segments of terms with a maximum that no selection without excess is above.
+                 parts: tuple[IndependentPart, ...], share: float) -> list[Bits]:
+    """Return the segments of terms, each with a maximum that only selections with excess exceed.
 
-    Segments are all those of terms, in the order of the genes. Raises TermselError if one may not
-    have any term.
+    `segments` are all those of terms, in the order of the genes; `gene_of_term` (k,) is the gene
+    that switches each term. Raises TermselError for a segment that may not have any term.
     """
     # This keeps a search from most of what `count_excess_terms` would count, which is more where
     # several segments share equations, or features are selected too.
@@ -158,13 +168,14 @@ def cap_segments(segments: Iterable[Bits], gene_of_term: IntArray,
         genes = np.arange(start, start + len(segment.labels))
         start += len(genes)
         maximum = len(genes)
-        for system in systems:
-            columns = np.bincount(gene_of_term[system.columns], minlength=start)[genes]
-            # A gene of a shared mask switches a column in each axis, one of a mask per axis in one.
+        for part in parts:
+            # How many columns of the part each gene switches: with a shared mask one in each axis.
+            columns = np.bincount(gene_of_term[part.columns], minlength=start)[genes]
             if columns.any():
-                equations = len(system.equations.b)
+                equations = len(part.equations.b)
                 supported = int(largest_term_share(np.array(equations), share))
-                # Genes of no column here are free; the others switch as many as the fewest do.
+                # Genes without a column here are free; any other switches as many as the gene
+                # with the fewest, or more.
                 maximum = min(maximum, int((columns == 0).sum())
                               + supported // columns[columns > 0].min())
         if maximum < 1:

@@ -61,12 +61,16 @@ def n_features(selected: PopulationSelection) -> FloatArray:
     return np.asarray(selected.features.sum(axis=1), dtype=np.float64)
 
 
+_CONSTANT = 1e-12
+"""Length of a column's deviations, by its own, up to which it is constant."""
+
+
 def unit_deviations(design: FloatArray) -> FloatArray:
-    """Return columns (m, k) less their means, of length 1; 0 where constant but for rounding."""
-    # A constant column has no deviations but rounding: it is correlated with nothing.
+    """Return columns (m, k) less their means, each of length 1; a constant column becomes 0."""
     centred = design - design.mean(axis=0)
     lengths = np.linalg.norm(centred, axis=0)
-    varies = lengths > 1e-12 * np.linalg.norm(design, axis=0)
+    # The deviations of a constant column are rounding: it is correlated with nothing.
+    varies = lengths > _CONSTANT * np.linalg.norm(design, axis=0)
     return np.asarray(centred / np.where(varies, lengths, np.inf))
 
 
@@ -79,11 +83,11 @@ def max_correlation(selected: PopulationSelection) -> FloatArray:
     objective: Gholinejad et al. 2019.)
     """
     largest = np.zeros(len(selected.terms))
-    for system in selected.parts:
-        A = unit_deviations(system.equations.A)
+    for part in selected.parts:
+        A = unit_deviations(part.equations.A)
         correlation = np.abs(A.T @ A)
         np.fill_diagonal(correlation, 0.0)
-        terms = selected.terms[:, system.columns]
+        terms = selected.terms[:, part.columns]
         # Column by column: the largest correlation with any other in use, where it is in use too.
         for row, mask in zip(correlation, terms.T, strict=True):
             correlated = np.where(terms, row, 0.0).max(axis=1)
@@ -121,22 +125,23 @@ def uncovered(selected: PopulationSelection) -> FloatArray:
 
 
 def unevenness(selected: PopulationSelection) -> FloatArray:
-    """Return the unevenness of the selected features, (p,): 0 if equally far from the nearest.
+    """Return the unevenness of the selected features, (p,).
 
-    The coefficient of variation of the distances to the nearest selected neighbour in the image; 1
-    for fewer than three features. termsel's own measure.
+    It is the coefficient of variation of their distances to the nearest selected neighbour in the
+    image: 0 where all these are equal. It is 1 for fewer than three features, as two are always
+    equally far from each other. termsel's own measure.
     """
     positions = feature_centres(selected.control)
-    distance = np.linalg.norm(positions[:, None] - positions[None], axis=2)
+    distances = np.linalg.norm(positions[:, None] - positions[None], axis=2)
     # No feature is its own neighbour.
-    np.fill_diagonal(distance, np.inf)
-    # Two features are always equally far from each other: three are the fewest.
-    result = np.ones(len(selected.features))
+    np.fill_diagonal(distances, np.inf)
+    variation = np.ones(len(selected.features))
     for i, mask in enumerate(selected.features):
         if mask.sum() >= 3:
-            nearest = distance[np.ix_(mask, mask)].min(axis=1)
-            result[i] = nearest.std() / nearest.mean() if nearest.mean() > 0 else 1.0
-    return result
+            to_nearest = distances[np.ix_(mask, mask)].min(axis=1)
+            if to_nearest.mean() > 0:
+                variation[i] = to_nearest.std() / to_nearest.mean()
+    return variation
 
 
 @dataclass(frozen=True)

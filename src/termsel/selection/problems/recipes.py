@@ -187,7 +187,9 @@ def term_options(**defaults: Any) -> tuple[Option, ...]:
 
 
 def with_defaults(declared: tuple[Option, ...], **defaults: Any) -> tuple[Option, ...]:
-    """Return options of which some, by name, have other defaults, and do not show the usual one.
+    """Return options with other defaults for some of them, given by name.
+
+    The text of such an option no longer states its usual default.
 
     Raises
     ------

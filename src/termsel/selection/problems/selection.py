@@ -128,11 +128,11 @@ class SelectionProblem(Problem):
         self._require_solvable(terms)
 
     def frozen(self, labels_on: BoolArray, frozen_labels: BoolArray) -> SelectionProblem:
-        """Return the problem with the genes of some labels of the genome no longer free.
+        """Return the problem with some labels of the genome frozen, so that no search changes them.
 
-        What is frozen is as chosen. A segment that is frozen whole need no longer keep its minimum
-        and maximum. If all terms are frozen and are more than max_share allows, that limit no
-        longer holds.
+        `frozen_labels` (labels,) are these, `labels_on` (labels,) says which of them stay on. A
+        segment that is frozen as a whole need no longer keep its minimum and maximum. If all terms
+        are frozen and are more than max_share allows, that limit no longer holds.
         """
         genome = self.genome
         segments: list[AnySegment] = []
@@ -181,20 +181,23 @@ class SelectionProblem(Problem):
         max_features = _feature_counts(self.inputs)[1] if self._selects_features else None
         # A user may ask for so few features that the model is just determined.
         self._least_freedom = 1 if max_features is None or selects_terms else 0
-        for system in self._parts:
-            columns = int(self._terms_in_use[system.columns].sum())
+        for part in self._parts:
+            columns = int(self._terms_in_use[part.columns].sum())
             # The features with the most rows: no selection of so many has more equations.
-            rows_of_feature = np.sort(np.bincount(system.equations.feature))[::-1]
+            rows_of_feature = np.sort(np.bincount(part.equations.feature))[::-1]
             rows = rows_of_feature[:max_features].sum()
             if not selects_terms and rows < columns + self._least_freedom:
+                message = (f"model {self.inputs.model.name!r} has {columns} terms to be determined "
+                           f"together; the control gives {rows} equations")
+                remedy = "Give more control"
+                if max_features is not None:
+                    message += f" with at most {max_features} features"
+                    remedy = "Raise max_features"
+                if rows == columns:
+                    message += ", so there is no redundancy"
                 raise TermselError(
-                    f"model {self.inputs.model.name!r} has {columns} terms to be determined "
-                    f"together; the control gives {rows} equations"
-                    + ("" if max_features is None else f" with at most {max_features} features")
-                    + (", so there is no redundancy" if rows == columns else ""),
-                    hint=("Give more control" if max_features is None else "Raise max_features")
-                    + ", lower the order or degree of the model (--set order=1, "
-                      "--set degree=1), or select terms.")
+                    message, hint=f"{remedy}, lower the order or degree of the model (--set "
+                                  "order=1, --set degree=1), or select terms.")
 
     def evaluate(self, genes: Genes) -> Evaluation:
         """Return the criterion and the violation of a population (see `Problem.evaluate`).
@@ -221,34 +224,39 @@ class SelectionProblem(Problem):
         return self._evaluate(genes, self.masks(near[None])[1])
 
     def _evaluate(self, genes: Genes, near: BoolArray | None = None) -> Evaluation:
-        """Fit, judge by the criterion, and add up what is violated (see `evaluate`).
+        """Return the evaluation of a population (see `evaluate`).
 
-        Only what violates nothing is scored. `near` are individuals that these are neighbours of,
-        whose solutions are corrected instead of computed.
+        Only individuals that violate nothing are scored. `near` (1, n) is a selection of features
+        of which these individuals are neighbours: its solution is corrected then, where that is
+        possible.
         """
         inputs = self.inputs
         terms, features = self.masks(genes)
         coefficients, violation = self._solve(terms, features, near)
-        # A figure of what is not determined, or has a pole in the scene, would mean nothing.
-        feasible = violation == 0
+        # The figure of an individual that is not determined, or has a pole in the scene, would
+        # mean nothing.
+        is_feasible = violation == 0
         score = np.full(len(genes), WORST)
-        if feasible.any():
-            score[feasible] = inputs.criterion.score(Fits(
+        if is_feasible.any():
+            optional_terms = None
+            if self._gene_of_term is not None:
+                optional_terms = self.genome.free[self._gene_of_term]
+            score[is_feasible] = inputs.criterion.score(Fits(
                 model=inputs.model, control=inputs.control.points, check=inputs.check,
-                pixels=inputs.pixels, terms=terms[feasible], coefficients=coefficients[feasible],
+                pixels=inputs.pixels, terms=terms[is_feasible],
+                coefficients=coefficients[is_feasible],
                 lines=inputs.control.lines, parts=self._parts,
-                used=None if features is None else features[feasible],
-                gene_of_term=self._gene_of_term,
-                optional=None if self._gene_of_term is None
-                else self.genome.free[self._gene_of_term]))
+                used=None if features is None else features[is_feasible],
+                gene_of_term=self._gene_of_term, optional=optional_terms))
             if inputs.criterion.is_rmse or inputs.criterion.in_px:
-                # What is rounding of the data is ordered by the share of genes that are on.
-                share = self.genome.chosen(genes[feasible]).mean(axis=1)
+                # Figures that are rounding of the data are ordered by the share of genes on.
+                share = self.genome.chosen(genes[is_feasible]).mean(axis=1)
                 # An infinite figure, of either sign, is none.
-                figures = score[feasible]
-                score[feasible] = np.where(np.isinf(figures), figures, replace_rounding_by_size(
+                figures = score[is_feasible]
+                score[is_feasible] = np.where(np.isinf(figures), figures, replace_rounding_by_size(
                     figures, ROUNDING * inputs.pixels, np.sqrt(share)))
-        # Objectives are finite, always: what has no figure is infeasible, with the worst one.
+        # Objectives are finite, always: an individual without a figure is infeasible, and has the
+        # worst one.
         violation[~np.isfinite(score)] = 1.0
         score = np.minimum(np.nan_to_num(score, nan=WORST, posinf=WORST, neginf=WORST), WORST)
         return Evaluation(self._all_objectives(score, terms, features), violation)
@@ -257,27 +265,27 @@ class SelectionProblem(Problem):
                ) -> tuple[FloatArray, FloatArray]:
         """Return coefficients (p, k) by least squares, and what each individual violates (p,).
 
-        That is terms beyond the equations, axes without terms, poles in the scene, features that
-        leave a part of it uncovered, terms without those they need.
+        Violations are terms beyond the equations, axes without terms, poles in the scene, features
+        that leave a part of it uncovered, and terms without their parents.
+        `near` is as in `_evaluate`.
         """
         inputs = self.inputs
         model = _iterated_model(inputs)
-        # Neighbours of a selection of features are corrected from its solution, which needs all
-        # terms, and equations that are the same for all.
-        corrects = (near is not None and model is None and self._gene_of_term is None
-                    and self._terms_in_use.all())
-        coefficients, violation = solve_parts(self._parts, terms, features,
-                                              near[0] if near is not None and corrects else None)
+        # A solution can be corrected where all terms are in use, and all individuals have the same
+        # equations.
+        can_correct = (model is None and self._gene_of_term is None and self._terms_in_use.all())
+        start = near[0] if near is not None and can_correct else None
+        coefficients, violation = solve_parts(self._parts, terms, features, start)
         if model is not None:
-            determined = violation == 0
-            coefficients[determined] = model.least_distances(
-                inputs.control.points, self._parts, terms[determined],
-                None if features is None else features[determined])
+            is_determined = violation == 0
+            coefficients[is_determined] = model.least_distances(
+                inputs.control.points, self._parts, terms[is_determined],
+                None if features is None else features[is_determined])
         # Where terms are not selected all individuals have the same: one row stands for all.
-        differing = terms[:1] if self._gene_of_term is None else terms
+        distinct_terms = terms[:1] if self._gene_of_term is None else terms
         violation += count_excess_terms(
-            self._parts, differing, features, self._share, self._least_freedom)
-        violation += self._empty_axes(differing)
+            self._parts, distinct_terms, features, self._share, self._least_freedom)
+        violation += self._empty_axes(distinct_terms)
         violation += pole_violation(inputs.model, coefficients, self._guard, self._margin)
         violation += self._excess_uncovered(features)
         if self._pairs is not None:
@@ -323,10 +331,12 @@ class SelectionProblem(Problem):
     def _masks(self, labels_on: BoolArray) -> tuple[BoolArray, BoolArray | None]:
         """Return masks of terms (p, k) and of features (p, n) from the labels that are on.
 
-        That of features is None where the problem selects terms alone.
+        The mask of features is None where the problem selects terms alone.
         """
-        terms = (np.repeat(self._terms_in_use[None], len(labels_on), axis=0)
-                 if self._gene_of_term is None else labels_on[:, self._gene_of_term])
+        if self._gene_of_term is None:
+            terms = np.repeat(self._terms_in_use[None], len(labels_on), axis=0)
+        else:
+            terms = labels_on[:, self._gene_of_term]
         return terms, labels_on[:, self._n_term_genes:] if self._selects_features else None
 
     def decode(self, genes: Genes) -> Selection:
@@ -351,12 +361,11 @@ class SelectionProblem(Problem):
     def row_systems(self) -> tuple[RowSystem, ...] | None:
         """Return the parts of a selection of features alone (see `Problem.row_systems`).
 
-        None where terms are selected; () where each selection has equations or an objective of its
-        own.
+        None comes back where terms are selected; () where no rows say what a selection scores, as
+        a plugin evaluates it, or each selection has equations of its own.
         """
         if self._gene_of_term is not None or not self._selects_features:
             return None
-        # A plugin's own objective, or equations of each selection's own.
         if type(self).evaluate is not SelectionProblem.evaluate or _iterated_model(self.inputs):
             return ()
         from termsel.selection.problems.feature_rows import row_systems
@@ -374,13 +383,14 @@ class SelectionProblem(Problem):
         axis = self.inputs.model.axis
         if gene is None or self._selects_features:
             return super().design()
-        blocks_of_axes = [(np.ones(len(A), dtype=bool), np.ones(len(axis), dtype=bool))]
+        # Rows and terms of each block.
+        selections = [(np.ones(len(A), dtype=bool), np.ones(len(axis), dtype=bool))]
         if len(gene) > self.genome.size:
-            # A shared mask: rows and terms of line, then those of sample, with what is of both.
-            blocks_of_axes = [((A[:, axis == image_axis] != 0).any(axis=1), axis != other_axis)
-                              for image_axis, other_axis in ((LINE, SAMPLE), (SAMPLE, LINE))]
+            # A shared mask: line, then sample, each with the terms that belong to both.
+            selections = [((A[:, axis == image_axis] != 0).any(axis=1), axis != other_axis)
+                          for image_axis, other_axis in ((LINE, SAMPLE), (SAMPLE, LINE))]
         blocks = []
-        for rows, terms in blocks_of_axes:
+        for rows, terms in selections:
             block = np.zeros((rows.sum(), self.genome.size))
             block[:, gene[terms]] = A[np.ix_(rows, terms)]
             blocks.append(block)
@@ -398,10 +408,11 @@ class SelectionProblem(Problem):
 
 
 def _iterated_model(inputs: ProblemData) -> RationalModel | None:
-    """Return a model that is iterated for each selection of points, else None."""
+    """Return the model if its equations are iterated for each selection of points; else None."""
     model = inputs.model
-    lines = inputs.control.lines
-    return model if isinstance(model, RationalModel) and model.weighted and not len(lines) else None
+    if isinstance(model, RationalModel) and model.weighted and not len(inputs.control.lines):
+        return model
+    return None
 
 
 def _terms_in_use(inputs: ProblemData) -> BoolArray:
@@ -438,13 +449,17 @@ def _feature_counts(inputs: ProblemData) -> tuple[int, int | None]:
 
 def _term_segments(names: tuple[str, ...], axis: IntArray, mask: str,
                    ) -> tuple[list[Bits], IntArray]:
-    """Return the segments of term genes, and the gene that switches each of the k terms, (k,)."""
+    """Return the segments of term genes, and the gene that switches each of the k terms, (k,).
+
+    `axis` (k,) is the image axis of each term; `mask` is "shared" where one gene switches a
+    monomial in line and in sample.
+    """
     if mask == "shared":
         # "line.num:X2Y" and "sample.num:X2Y" share the gene "num:X2Y".
-        shared = [str(Term.parse(name).shared) for name in names]
-        labels = tuple(dict.fromkeys(shared))
+        label_of_term = [str(Term.parse(name).shared) for name in names]
+        labels = tuple(dict.fromkeys(label_of_term))
         return ([Bits("terms", labels)],
-                np.array([labels.index(name) for name in shared], dtype=np.intp))
+                np.array([labels.index(label) for label in label_of_term], dtype=np.intp))
     segments: list[Bits] = []
     order: list[int] = []
     for image_axis, title in ((0, "terms.line"), (1, "terms.sample"), (2, "terms.shared")):

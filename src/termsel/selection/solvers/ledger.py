@@ -46,8 +46,9 @@ class BudgetSpent(Exception):
 class Ledger(ProblemAround):
     """A problem that counts evaluations, looks up known ones, and remembers the best.
 
-    At most so many individuals are evaluated, and none after a deadline by `time.perf_counter`. The
-    solver is who asks for the evaluations. What a checkpoint has of them is not computed again.
+    At most `evaluations` individuals are evaluated, and none after the `deadline`, a time by
+    `time.perf_counter`. `solver` is the one that asks for them. Evaluations that are in the `stage`
+    of a checkpoint are not computed again.
     """
 
     def __init__(self, problem: Problem, *, evaluations: int | None = None,
@@ -98,7 +99,7 @@ class Ledger(ProblemAround):
             return self._evaluate(genes, near)
 
     def _evaluate(self, genes: Genes, near: Genes | None = None) -> Evaluation:
-        """Return the evaluation of genes, near some others if given.
+        """Return the evaluation of genes (n, size), neighbours of `near` if that is given.
 
         Genes beyond the budget are not evaluated; then BudgetSpent is raised, which ends the
         search.
@@ -159,7 +160,8 @@ class Ledger(ProblemAround):
         The table of known individuals is emptied when it is full. Raises PluginFault where a
         problem returns anything but finite values of the right shape.
         """
-        # A front is made of all individuals; of one objective the best is remembered apart.
+        # A front is made of all individuals; with one objective only the best is needed, which is
+        # remembered apart.
         if len(self.objectives) == 1 and len(self._row_of) > _KNOWN:
             self._row_of = {}
         keys = _keys_of_individuals(genes)
@@ -168,15 +170,16 @@ class Ledger(ProblemAround):
         unknown_keys = dict.fromkeys(key for key in keys if key not in self._row_of)
         end = start + len(unknown_keys)
         if unknown_keys:
-            # The first of equal individuals stands for all of them.
+            # The first of equal individuals stands for all of them: of equal keys, the one that
+            # comes last in the reversed order stays.
             unknown_genes = genes
             if len(unknown_keys) < len(genes):
-                first = dict(zip(reversed(keys), range(len(keys) - 1, -1, -1), strict=True))
-                unknown_genes = genes[[first[key] for key in unknown_keys]]
+                row_of_key = dict(zip(reversed(keys), range(len(keys) - 1, -1, -1), strict=True))
+                unknown_genes = genes[[row_of_key[key] for key in unknown_keys]]
             evaluation = self._evaluation_of(list(unknown_keys), unknown_genes, near)
             if fault := evaluation_fault(self.inner, evaluation, unknown_genes):
                 raise fault_of_method(self.inner, "evaluate", fault)
-            # At least doubled: in the whole search each row is copied about once.
+            # The table is at least doubled: so each row is copied about once in a search.
             if end > len(self._values):
                 space = np.empty((max(len(self._values), len(unknown_keys)), self._values.shape[1]))
                 self._values = np.concatenate([self._values, space])
@@ -186,19 +189,19 @@ class Ledger(ProblemAround):
             self._row_of.update(zip(unknown_keys, range(start, end), strict=True))
             self._remember(unknown_genes, compared, evaluation.objectives)
             self._note_gains(keys, list(unknown_keys), compared, evaluation.objectives)
-        self.count += len(genes)  # looked up or not, so that budgets mean the same for all solvers
+        self.count += len(genes)
         self.lookups += len(genes) - len(unknown_keys)
         rows = np.fromiter(map(self._row_of.__getitem__, keys), np.intp, len(keys))
         return Evaluation(self._values[rows, :-1], self._values[rows, -1])
 
     def _evaluation_of(self, keys: list[bytes], genes: Genes, near: Genes | None) -> Evaluation:
-        """Return the evaluation of a checkpoint, or else that of the problem."""
+        """Return the evaluation of genes (n, size) by the checkpoint, or else by the problem."""
         stored = None if self.stage is None else self.stage.replay_next(keys, self.inner, genes)
         if stored is not None:
             return stored
         evaluation = (self.inner.evaluate(genes) if near is None
                       else self.inner.evaluate_near(genes, near))
-        # What is wrong is refused by the caller, and never kept.
+        # A faulty evaluation is refused by the caller, and never kept.
         if self.stage is not None and evaluation_fault(self.inner, evaluation, genes) is None:
             self.stage.add(keys, evaluation)
         return evaluation
@@ -211,8 +214,8 @@ class Ledger(ProblemAround):
         solver compares them; what is noted are the objectives (k, m) as they were computed.
         """
         values = np.where(compared.violation == 0, compared.objectives[:, 0], np.inf)
-        before = np.minimum.accumulate(np.concatenate([[self._least_noted], values[:-1]]))
-        for i in np.flatnonzero(values < before):
+        best_before = np.minimum.accumulate(np.concatenate([[self._least_noted], values[:-1]]))
+        for i in np.flatnonzero(values < best_before):
             self._least_noted = float(values[i])
             self.gains.append((self.count + keys.index(unknown_keys[i]) + 1,
                                float(objectives[i, 0])))
@@ -231,20 +234,20 @@ class Ledger(ProblemAround):
     def _remember(self, genes: Genes, compared: Evaluation, objectives: FloatArray) -> None:
         """Keep the best individual, and the least feasible value of each objective.
 
-        Individuals are compared as the solver compares them; what is kept of the best are its
-        objectives (k, m) as they were computed.
+        Individuals (k, size) are compared as the solver compares them, by `compared`; the best is
+        kept with its `objectives` (k, m) as they were computed.
         """
-        # Of each objective the least that is feasible, of whichever individual: for `Patience`.
+        # The least feasible value of each objective, of whichever individual, is for `Patience`.
         feasible = compared.objectives[compared.violation == 0]
         self.least = np.minimum(self.least, feasible.min(axis=0, initial=np.inf))
-        first = int(compared.order()[0])
+        best_row = int(compared.order()[0])
         # The violation comes first: any feasible individual is better than an infeasible one.
-        rank = (float(compared.violation[first]), float(compared.objectives[first, 0]))
+        rank = (float(compared.violation[best_row]), float(compared.objectives[best_row, 0]))
         if rank < self._best_compared:
             self._best_compared = rank
-            self.best = (rank[0], float(objectives[first, 0]))
-            self.best_genes = genes[first].copy()
-            self.best_objectives = objectives[first].copy()
+            self.best = (rank[0], float(objectives[best_row, 0]))
+            self.best_genes = genes[best_row].copy()
+            self.best_objectives = objectives[best_row].copy()
 
 
 def _keys_of_individuals(genes: Genes) -> list[bytes]:

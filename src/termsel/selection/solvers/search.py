@@ -122,7 +122,10 @@ class SearchResult:
         return self.interrupted or self.ended_by_observer
 
     def after(self, earlier: SearchResult, *notes: str) -> SearchResult:
-        """Return the search with evaluations and history of an earlier one, and notes on both."""
+        """Return this search as the second step after an `earlier` one, with further notes.
+
+        Evaluations, generations, lookups, seconds and history are those of both.
+        """
         later = tuple(structs.replace(row, evaluations=row.evaluations + earlier.evaluations)
                       for row in self.history)
         return replace(self, evaluations=earlier.evaluations + self.evaluations,
@@ -315,7 +318,7 @@ def require_able(problem: Problem, solver: Solver,
                  other_solvers: Callable[[], Iterable[type[Solver]]] = tuple) -> None:
     """Refuse a solver that cannot handle the objectives or the genes of the problem.
 
-    Of the other solvers the error names those that can.
+    The error names those of the `other_solvers` that can.
     """
     _require_declared(problem)
     n_objectives = len(problem.objectives)
@@ -327,25 +330,25 @@ def require_able(problem: Problem, solver: Solver,
     able = [alternative.name for alternative in other_solvers()
             if alternative.min_objectives <= n_objectives <= alternative.max_objectives
             and _can_handle(alternative, types)]
-    # A solver may take other objectives by its options: then it is not advised against itself.
-    itself = solver.name in able  # with other options
-    able = [name for name in able if name != solver.name]
-    hints = [f"Choose one of: {', '.join(able)}."] if able else []
-    if itself:
+    hints = []
+    others = [name for name in able if name != solver.name]
+    if others:
+        hints.append(f"Choose one of: {', '.join(others)}.")
+    # A solver whose class can handle them may do so with other options.
+    if solver.name in able:
         hints.append(f"Or set its options otherwise (termsel describe {solver.name}).")
-    others_hint = " ".join(hints) or None
+    advice = " ".join(hints) or None
     if not objectives_fit:
         usual = "nsga2" if n_objectives > 1 else "ga, ica or exact"
-        others_hint = others_hint or f"Choose one that can, such as {usual}."
         raise TermselError(
             f"solver {solver.name!r} cannot handle {n_objectives} "
             f"objective{'s' if n_objectives > 1 else ''}: {', '.join(problem.objectives)}",
-            hint=others_hint)
+            hint=advice or f"Choose one that can, such as {usual}.")
     segment = next(s for s in problem.genome.segments if not isinstance(s, tuple(solver.segments)))
     handled = ", ".join(segment_type.__name__ for segment_type in solver.segments)
     raise TermselError(
         f"solver {solver.name!r} handles genes of the type {handled}; those of {segment.name!r} "
-        f"are {type(segment).__name__}", hint=others_hint)
+        f"are {type(segment).__name__}", hint=advice)
 
 
 def _can_handle(solver: Solver | type[Solver], types: Iterable[type]) -> bool:
@@ -354,9 +357,9 @@ def _can_handle(solver: Solver | type[Solver], types: Iterable[type]) -> bool:
 
 
 def _require_declared(problem: Problem) -> None:
-    """Raise TermselError unless the genome is a Genome, and objectives are named one by one.
+    """Raise TermselError unless the genome is a Genome, and the objectives are a tuple of names.
 
-    Of a str the letters would be taken for names.
+    A str is refused, too: its letters would be taken for names.
     """
     genome = getattr(problem, "genome", None)
     names = getattr(problem, "objectives", None)

@@ -145,10 +145,10 @@ class Selections:
         return np.asarray(squares * (1.0 + SQUARES_MARGIN) + rounding)
 
     def walk(self, branch: Branch, limits: FloatArray) -> tuple[BoolArray, FloatArray]:
-        """Return the selections of a branch that may have at most so large squared errors, (r, n).
+        """Return the selections of a branch whose squared errors may be within the limits, (r, n).
 
         The limits (n + 1,) are squared errors of the check points, for selections of 0 to n
-        features. With the selections come their squared errors (r,); minus infinity where they are
+        features. With the selections come their squared errors (r,), minus infinity where they are
         not known.
         """
         if not self.systems:
@@ -278,14 +278,14 @@ class _InErrorUnits:
 
     @classmethod
     def of(cls, system: RowSystem, free: IntArray, on: BoolArray) -> _InErrorUnits:
-        """Return a system in units of the check points' errors.
+        """Return a system in the unknowns y, whose squared length is that of the errors.
 
-        With C = Q R of the check points, the sum of squared errors is |e0|^2 + |y|^2 in the
-        unknowns y = R x - Q'c, whatever is selected: the score of a selection is the length of its
-        solution. `free` are the features that may be selected, `on` those that always are.
+        With C = Q R of the check points and y = R x - Q'c, the errors are a constant part e0 and
+        -Q y, orthogonal to each other. So the sum of their squares is |e0|^2 + |y|^2, whatever is
+        selected. `free` (f,) are the features that may be selected, `on` (n,) marks those that
+        always are.
         """
         k = system.design.shape[1]
-        # With C = Q R of the check points and y = R x - Q'c, errors are a constant part and -Q y.
         q, r = np.linalg.qr(system.check_design)
         explained = q.T @ system.check_target
         residuals = system.check_target - q @ explained
@@ -316,7 +316,7 @@ def _feature_masks(n: int) -> Any:
 
 
 def _condense_rows(A: FloatArray, b: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
-    """Return at most k rows A and b with the same normal equations: with A = Q R, R'R = A'A."""
+    """Return at most k rows with the same normal equations as A and b: R and Q'b, with A = Q R."""
     if len(b) <= k:
         return A, b
     q, r = np.linalg.qr(A)

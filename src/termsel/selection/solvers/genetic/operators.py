@@ -43,28 +43,28 @@ def draw_evenly(genome: Genome, rng: np.random.Generator, n: int) -> Genes:
 
 def cross_pairs(genes: Genes, genome: Genome, probability: float, rng: np.random.Generator,
                 points: int = 0) -> Genes:
-    """Return children of neighbours: of genes (p, g) rows 0 and 1 are a pair, 2 and 3, and so on.
+    """Return children (p, g) of pairs of parents (p, g): rows 0 and 1, 2 and 3, and so on.
 
-    A pair mates with a chance. Bits and categories are swapped with chance 1/2, or between two
-    places of the segment if there are two `points`. Numbers are crossed
-    by simulated binary crossover (Deb, Agrawal 1995), whole ones rounded; permutations by order
-    crossover (Davis 1985). Subsets keep what both parents have.
+    A pair mates with the given probability; else its children are the parents. Bits and categories
+    are swapped with chance 1/2, or between two places of the segment if there are two `points`.
+    Numbers are crossed by simulated binary crossover (Deb, Agrawal 1995), whole ones rounded;
+    permutations by order crossover (Davis 1985). Subsets keep what both parents have.
     """
     if genome.dtype == np.bool_:
         mate = cross_at_two_points if points else uniform_crossover
         return mate(genes, probability, rng)
     # An odd individual at the end stays as it is.
     pairs = len(genes) // 2
-    # Parents stand in turn, and so do their children.
-    first = slice(0, 2 * pairs, 2)
-    second = slice(1, 2 * pairs, 2)
+    even_rows = slice(0, 2 * pairs, 2)
+    odd_rows = slice(1, 2 * pairs, 2)
     mates = rng.random((pairs, 1)) < probability
     children = genes.copy()
     for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
-        child_1, child_2 = _cross_pairs(segment, genes[first, columns], genes[second, columns], rng,
-                                        points)
-        children[first, columns] = np.where(mates, child_1, genes[first, columns])
-        children[second, columns] = np.where(mates, child_2, genes[second, columns])
+        parents_1 = genes[even_rows, columns]
+        parents_2 = genes[odd_rows, columns]
+        children_1, children_2 = _cross_pairs(segment, parents_1, parents_2, rng, points)
+        children[even_rows, columns] = np.where(mates, children_1, parents_1)
+        children[odd_rows, columns] = np.where(mates, children_2, parents_2)
     return children
 
 
@@ -111,12 +111,14 @@ def _cross_numbers(segment: Integers | Reals, parents_1: Genes, parents_2: Genes
     """Cross numbers by simulated binary crossover (Deb, Agrawal 1995)."""
     from pymoo.operators.crossover.sbx import cross_sbx
 
-    # Of each pair the spread, the chance that a number is crossed, and that children change places.
-    each_pair = (len(parents_1), 1)
+    # The spread of each pair, the chance that a number is crossed, and that children change places.
+    spreads = np.full((len(parents_1), 1), SPREAD_OF_CHILDREN)
+    crossing = 0.5
+    exchange = np.full((len(parents_1), 1), 0.5)
     children = cross_sbx(
         np.stack([parents_1, parents_2]).astype(np.float64),
         np.array(segment.low, dtype=np.float64), np.array(segment.high, dtype=np.float64),
-        np.full(each_pair, SPREAD_OF_CHILDREN), 0.5, np.full(each_pair, 0.5), random_state=rng)
+        spreads, crossing, exchange, random_state=rng)
     return segment.repaired(children[0]), segment.repaired(children[1])
 
 
@@ -141,9 +143,9 @@ def _mutate_segment(segment: AnySegment, genes: Genes, probability: float,
         case Bits():
             return flip_bits(genes.astype(bool), probability, rng)
         case Categories():
-            # Any other one: 1 to n - 1 places on, in a circle.
-            categories = (genes + rng.integers(1, max(len(segment.choices), 2), genes.shape)
-                     ) % len(segment.choices)
+            # Any other category is 1 to n - 1 places on, in a circle.
+            n = len(segment.choices)
+            categories = (genes + rng.integers(1, max(n, 2), genes.shape)) % n
             return np.where(rng.random(genes.shape) < probability, categories, genes)
         case Integers() | Reals():
             return _mutate_polynomially(segment, genes, probability, rng)
@@ -186,34 +188,39 @@ def _reverse_parts(genes: Genes, probability: float, rng: np.random.Generator) -
 
 
 def uniform_crossover(genes: Genes, probability: float, rng: np.random.Generator) -> Genes:
-    """Return children of neighbours (p, g); each gene of a mating pair is swapped with chance 1/2.
+    """Return children (p, g); each gene of a mating pair of parents is swapped with chance 1/2.
 
-    Rows 0 and 1 are a pair, 2 and 3, and so on, which mates with the given chance.
+    Rows 0 and 1 are a pair, 2 and 3, and so on, which mates with the given probability.
     """
-    pairs = len(genes) // 2
-    first = genes[0:2 * pairs:2]
-    second = genes[1:2 * pairs:2]
-    swap = rng.random(first.shape) < 0.5
-    swap &= rng.random((pairs, 1)) < probability
-    children = genes.copy()
-    children[0:2 * pairs:2] = np.where(swap, second, first)
-    children[1:2 * pairs:2] = np.where(swap, first, second)
-    return children
+    parents_1, _ = _parents_in_pairs(genes)
+    is_swapped = rng.random(parents_1.shape) < 0.5
+    is_swapped &= rng.random((len(parents_1), 1)) < probability
+    return _with_swapped_genes(genes, is_swapped)
 
 
 def cross_at_two_points(genes: Genes, probability: float, rng: np.random.Generator) -> Genes:
-    """Return children of neighbours (p, g); a mating pair swaps the genes between two places.
+    """Return children (p, g); a mating pair of parents swaps the genes between two places.
 
-    Rows 0 and 1 are a pair, 2 and 3, and so on, which mates with the given chance.
+    Rows 0 and 1 are a pair, 2 and 3, and so on, which mates with the given probability.
     """
+    parents_1, _ = _parents_in_pairs(genes)
+    is_swapped = _are_between_two_places(parents_1, rng)
+    is_swapped &= rng.random((len(parents_1), 1)) < probability
+    return _with_swapped_genes(genes, is_swapped)
+
+
+def _parents_in_pairs(genes: Genes) -> tuple[Genes, Genes]:
+    """Return the even and the odd rows of genes (p, g), without an odd individual at the end."""
     pairs = len(genes) // 2
-    first = genes[0:2 * pairs:2]
-    second = genes[1:2 * pairs:2]
-    swap = _are_between_two_places(first, rng)
-    swap &= rng.random((pairs, 1)) < probability
+    return genes[0:2 * pairs:2], genes[1:2 * pairs:2]
+
+
+def _with_swapped_genes(genes: Genes, is_swapped: BoolArray) -> Genes:
+    """Return genes (p, g) in which the pairs of rows have exchanged some, (p // 2, g)."""
+    parents_1, parents_2 = _parents_in_pairs(genes)
     children = genes.copy()
-    children[0:2 * pairs:2] = np.where(swap, second, first)
-    children[1:2 * pairs:2] = np.where(swap, first, second)
+    children[0:2 * len(parents_1):2] = np.where(is_swapped, parents_2, parents_1)
+    children[1:2 * len(parents_1):2] = np.where(is_swapped, parents_1, parents_2)
     return children
 
 
@@ -231,37 +238,38 @@ def flip_bits(genes: BoolArray, probability: float, rng: np.random.Generator) ->
 
 
 def set_crossover(tuples: IntArray, probability: float, rng: np.random.Generator) -> IntArray:
-    """Return children with the numbers that both parents have, and random ones that one has.
+    """Return children (p, m) with the numbers that both parents have, and random others of theirs.
 
-    Parents are tuples (p, m), each row ascending; rows 0 and 1 are a pair, 2 and 3, and so on,
-    which mates with the given chance. So are their children, two per pair, without repetition.
+    Parents are tuples (p, m) of numbers without repetition, each row ascending, and so are their
+    children. Rows 0 and 1 are a pair, 2 and 3, and so on, which mates with the given probability.
     """
     pairs = len(tuples) // 2
     m = tuples.shape[1]
     # Sorted, the numbers that both parents have stand twice, next to each other.
     numbers = np.sort(tuples[:2 * pairs].reshape(pairs, 2 * m), axis=1)
-    twin = np.zeros(numbers.shape, dtype=bool)
-    twin[:, 1:] = numbers[:, 1:] == numbers[:, :-1]
+    is_repeated = np.zeros(numbers.shape, dtype=bool)
+    is_repeated[:, 1:] = numbers[:, 1:] == numbers[:, :-1]
     mates = rng.random(pairs) < probability
     children = tuples.copy()
     for child in (0, 1):
-        # Shared numbers come first, once; then numbers of one parent, shuffled.
-        key = rng.random(numbers.shape)
-        key[twin] = -1.0
-        key[:, :-1][twin[:, 1:]] = 2.0
-        members = np.take_along_axis(numbers, key.argsort(axis=1)[:, :m], axis=1)
+        # Of a shared number one comes first and its twin last; numbers of one parent are shuffled
+        # between them.
+        sort_key = rng.random(numbers.shape)
+        sort_key[is_repeated] = -1.0
+        sort_key[:, :-1][is_repeated[:, 1:]] = 2.0
+        members = np.take_along_axis(numbers, sort_key.argsort(axis=1)[:, :m], axis=1)
         children[child:2 * pairs:2][mates] = np.sort(members[mates], axis=1)
     return children
 
 
 def replace_one(tuples: IntArray, n: int, probability: float, rng: np.random.Generator) -> IntArray:
-    """Return chromosomes, some with one number replaced by one they did not have.
+    """Return tuples (p, m), in some of which one number is replaced by one they did not have.
 
-    Tuples (p, m) are of numbers below n, each row ascending. A chromosome mutates with the given
-    chance.
+    Tuples have numbers from 0 to n - 1, each row ascending. Each is changed with the given
+    probability; none can be where they have all numbers, or none.
     """
     p, m = tuples.shape
-    # Who mutates is drawn first, also where nobody can: the stream of chance stays the same.
+    # Which tuples change is drawn even where none can: the stream of chance stays the same.
     mutants = np.flatnonzero(rng.random(p) < probability)
     if not m or m == n:
         return tuples
@@ -275,11 +283,11 @@ def replace_one(tuples: IntArray, n: int, probability: float, rng: np.random.Gen
 
 
 def neighbours_of_segment(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
-    """Yield the neighbours of one chromosome's genes of a segment that is not bits, (n, size).
+    """Yield the neighbours of genes (size,) of a segment that is not bits, in batches (n, size).
 
-    Integers and real numbers are a half, a quarter, ... of their range away, or at a bound;
-    categories are all others; a permutation has two of its things exchanged; a subset has one
-    member replaced. All are valid and differ from the genes.
+    Integers and real numbers move by a half, a quarter, ... of their range, or to a bound; a
+    category becomes each other one; a permutation has two of its members exchanged; a subset has
+    one member replaced. All neighbours are valid and differ from the genes.
 
     Raises TypeError for bits, of which `swap.neighbours` knows.
     """
@@ -289,11 +297,11 @@ def neighbours_of_segment(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
             low = np.array(segment.low)
             high = np.array(segment.high)
             for i in range(n):
-                reach = (high[i] - low[i]) * 0.5 ** np.arange(1, HALVINGS + 1)
+                steps = (high[i] - low[i]) * 0.5 ** np.arange(1, HALVINGS + 1)
                 if isinstance(segment, Integers):
-                    reach = np.unique(np.maximum(np.rint(reach), 1))[::-1]
-                values = np.clip(genes[i] + np.concatenate([reach, -reach]), low[i], high[i])
-                # Several reaches end at a bound: each value once, in order of its reach.
+                    steps = np.unique(np.maximum(np.rint(steps), 1))[::-1]
+                values = np.clip(genes[i] + np.concatenate([steps, -steps]), low[i], high[i])
+                # Several steps end at a bound: each value once, in the order of its step.
                 values = values[np.sort(np.unique(values, return_index=True)[1])]
                 yield _with_values_at(genes, i, values[values != genes[i]])
         case Categories():

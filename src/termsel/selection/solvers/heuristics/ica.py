@@ -73,9 +73,10 @@ def assimilate(colonies: BoolArray, imperialists: BoolArray, rate: FloatArray | 
 
 def revolt(colonies: BoolArray, rebels: BoolArray, redrawn: BoolArray,
            drawn: BoolArray) -> BoolArray:
-    """Return colonies (n, g), some with redrawn genes, figure 4.
+    """Return colonies (n, g) after the revolt of some of them, figure 4.
 
-    Of a rebel (n,) the genes that are redrawn (n, g) get the values drawn for them (n, g).
+    The colonies that are `rebels` (n,) get the values `drawn` (n, g) in the genes that are
+    `redrawn` (n, g).
     """
     return np.where(rebels[:, None] & redrawn, drawn, colonies)
 
@@ -84,11 +85,10 @@ def total_power(cost: FloatArray, empire: IntArray, imperialists: IntArray,
                 alpha: float) -> FloatArray:
     """Return the total power of empires (k,), equation (8); the smaller the more powerful.
 
-    Of each country come its cost (p,) and the number of its empire (p,), of each empire its
-    imperialist (k,). `alpha` weighs the mean cost of the colonies; that of an empire without
-    colonies is the cost of its imperialist.
+    It is TC = cost(imperialist) + alpha mean cost(colonies). `cost` (p,) and `empire` (p,) are the
+    cost and the number of the empire of each country, `imperialists` (k,) are countries. Where an
+    empire has no colonies, the cost of its imperialist takes the place of their mean.
     """
-    # TC = cost(imperialist) + alpha mean cost(colonies), equation (8).
     k = len(imperialists)
     imperialist_cost = cost[imperialists]
     count = np.bincount(empire, minlength=k) - 1
@@ -98,10 +98,10 @@ def total_power(cost: FloatArray, empire: IntArray, imperialists: IntArray,
 
 
 def normalised_power(power: FloatArray) -> FloatArray:
-    """Return the normalised power of empires, equation (9), from that of equation (8), shape (k,).
+    """Return the normalised power (k,) of empires, equation (9), from their total power (k,).
 
-    The equation divides by the power and assumes that it is positive, as for an RMSE. A power of
-    zero counts as 10^-12 of the largest. If a power is negative, as with an information
+    The equation divides by the total power and assumes that it is positive, as for an RMSE. A power
+    of zero counts as 10^-12 of the largest. If a power is negative, as with an information
     criterion, all are shifted until the least equals their spread.
     """
     lowest = power.min()
@@ -131,20 +131,21 @@ class Empires:
     def crown(self, cost: FloatArray) -> Empires:
         """Return the empires after each best colony has taken over from a worse imperialist."""
         # In a tie the imperialist stays: colonies come after it.
-        ruled = np.ones(len(cost), dtype=bool)
-        ruled[self.imperialists] = False
+        is_colony = np.ones(len(cost), dtype=bool)
+        is_colony[self.imperialists] = False
         # By empire, then by cost: the first of each empire is its best country.
-        order = np.lexsort((ruled, cost, self.empire))
-        first = np.searchsorted(self.empire[order], np.arange(len(self.imperialists)))
-        return Empires(self.empire, order[first], self.names)
+        order = np.lexsort((is_colony, cost, self.empire))
+        starts = np.searchsorted(self.empire[order], np.arange(len(self.imperialists)))
+        return Empires(self.empire, order[starts], self.names)
 
     def compete(self, cost: FloatArray, power: FloatArray, drawn: FloatArray) -> Empires:
         """Return the empires after the competition for the weakest colony.
 
-        The weakest colony of the weakest empire that has any goes to the empire with the largest D
-        = Pr - R, which may be the weakest itself. Empires left without colonies vanish; their
-        imperialists become colonies of that empire. The cost is of each country (p,), the power of
-        equation (8) of each empire (k,); R are random numbers from (0, 1), `drawn` (k,).
+        The weakest colony of the weakest empire that has any goes to the winner, the empire with
+        the largest D = Pr - R, which may be the weakest itself. Empires left without colonies
+        vanish; their imperialists become colonies of the winner. `cost` (p,) is that of each
+        country, `power` (k,) the total power of each empire, equation (8); `drawn` (k,) are the R,
+        random numbers from (0, 1).
         """
         k = len(self.imperialists)
         # D = Pr - R: chance decides where powers are about equal.

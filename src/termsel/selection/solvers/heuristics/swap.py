@@ -28,9 +28,9 @@ def improving_moves(genes: Genes, problem: Problem) -> Iterator[Genes]:
 def neighbour_batches(genes: Genes, genome: Genome) -> Iterator[Genes]:
     """Yield all valid individuals one step away, in batches (n, size) of up to BATCH.
 
-    Of bits, first come the selections with one gene more or less, then those in which a gene that
-    is on is replaced by another of its segment. Forced genes stay and each segment keeps its
-    cardinality. Of other genes see
+    In a genome of bits, selections with one gene more or less come first, then those in which a
+    gene that is on is replaced by another of its segment. Forced genes stay, and each segment keeps
+    its cardinality. The steps of other genes are those of
     `termsel.selection.solvers.genetic.operators.neighbours_of_segment`.
     """
     if genome.dtype == np.bool_:
@@ -46,7 +46,7 @@ def neighbour_batches(genes: Genes, genome: Genome) -> Iterator[Genes]:
 
 
 def _neighbours_in_segment(genes: Genes, genome: Genome, segment: AnySegment) -> Iterator[Genes]:
-    """Yield the genes one step away from those of a segment, (size,), in batches (b, size).
+    """Yield the genes one step away from the genes (size,) of a segment, in batches (b, size).
 
     Forced genes stay.
     """
@@ -72,9 +72,9 @@ def _neighbours_of_bits(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]
     its batch is asked for.
     """
     flips: list[IntArray] = []  # genes that may be switched without leaving the cardinality
-    # Pairs of one gene of the first and one of the second, of which there may be very many: they
-    # are numbered, and made when their batch is. A flip is a pair of the gene with itself.
-    pairs: list[tuple[IntArray, IntArray]] = []
+    # A move exchanges a gene that is on for one that is off. Of each segment these genes are kept:
+    # their pairs may be very many, so that they are numbered, and made when their batch is.
+    movable: list[tuple[IntArray, IntArray]] = []
     for segment, columns in zip(genome.segments, genome.slices().values(), strict=True):
         assert isinstance(segment, Bits)
         count = int(genes[columns].sum())
@@ -83,24 +83,27 @@ def _neighbours_of_bits(genes: BoolArray, genome: Genome) -> Iterator[BoolArray]
         off = free[~genes[free]]
         flips += [off] if count < segment.most else []
         flips += [on] if count > segment.minimum else []
-        pairs.append((on, off))
-    # Numbers 0 to ends[0] are flips, then come the pairs of each segment.
-    single = np.concatenate([*flips, np.empty(0, dtype=np.intp)])
-    ends = np.cumsum([len(single), *(len(on) * len(off) for on, off in pairs)])
+        movable.append((on, off))
+    # Numbers 0 to ends[0] are flips, then come the moves of each segment.
+    flippable = np.concatenate([*flips, np.empty(0, dtype=np.intp)])
+    ends = np.cumsum([len(flippable), *(len(on) * len(off) for on, off in movable)])
     for start in range(0, int(ends[-1]), BATCH):
         number = np.arange(start, min(start + BATCH, int(ends[-1])))
-        first = np.empty(len(number), dtype=np.intp)
-        second = np.empty_like(first)
-        first[number < ends[0]] = second[number < ends[0]] = single[number[number < ends[0]]]
-        for (on, off), begin, end in zip(pairs, ends[:-1], ends[1:], strict=True):
+        # The two genes that change; in a flip both are one gene.
+        switched_off = np.empty(len(number), dtype=np.intp)
+        switched_on = np.empty_like(switched_off)
+        is_flip = number < ends[0]
+        switched_off[is_flip] = switched_on[is_flip] = flippable[number[is_flip]]
+        for (on, off), begin, end in zip(movable, ends[:-1], ends[1:], strict=True):
             in_segment = (number >= begin) & (number < end)
-            # Pair i of a segment has its gene i // |off| that is on, and i % |off| that is off.
-            first[in_segment] = on[(number[in_segment] - begin) // max(len(off), 1)]
-            second[in_segment] = off[(number[in_segment] - begin) % max(len(off), 1)]
-        individuals = np.repeat(genes[None], len(first), axis=0)
-        # In a flip both are one gene, which the second write leaves inverted.
-        individuals[np.arange(len(first)), first] ^= True
-        individuals[np.arange(len(first)), second] = ~genes[second]
+            # Move i of a segment has its gene i // |off| that is on, and i % |off| that is off.
+            switched_off[in_segment] = on[(number[in_segment] - begin) // max(len(off), 1)]
+            switched_on[in_segment] = off[(number[in_segment] - begin) % max(len(off), 1)]
+        individuals = np.repeat(genes[None], len(number), axis=0)
+        rows = np.arange(len(number))
+        individuals[rows, switched_off] ^= True
+        # Written from the genes themselves, so that a flip is not undone.
+        individuals[rows, switched_on] = ~genes[switched_on]
         yield individuals
 
 
@@ -176,7 +179,11 @@ def _shake_genes(genes: Genes, genome: Genome, rng: np.random.Generator) -> Gene
 
 def _combine_best_changes(problem: Problem, genes: Genes, evaluation: Evaluation, around: Genes,
                           neighbour_evaluation: Evaluation) -> tuple[Genes, Evaluation]:
-    """Return the best of a selection, its neighbours, and the best change of each segment."""
+    """Return the best of a selection, its neighbours and a combination, with its evaluation.
+
+    The combination takes from the neighbours `around` (n, size) the best change of each segment
+    that improves the selection, genes (1, size).
+    """
     order = neighbour_evaluation.order()
     best = _better_of_two(genes, evaluation, around[order[:1]],
                           neighbour_evaluation.take(order[:1]))
