@@ -20,6 +20,7 @@ from termsel.auto.auto import Auto
 from termsel.auto.blunders import find_blunders, judge_others
 from termsel.auto.contradictions import Test as Contradictions
 from termsel.auto.memory import Memory
+from termsel.auto.misplaced import misplaced_points
 from termsel.auto.shrunken import average
 from termsel.data.features import empty_lines, empty_points
 from termsel.data.fit_data import FitData
@@ -406,6 +407,58 @@ def test_far_ground_that_an_oblique_view_shows_over_near_points_is_no_blunder() 
     suspects = find_blunders(FitData.of(features))
     assert suspects is not None
     assert not suspects.blunders.any()
+
+
+def panorama(seed: int, *, count: int = 40) -> FeatureSet:
+    """Return places of a plain on an upright cylinder, down from near the horizon, with noise."""
+    rng = np.random.default_rng(seed)
+    focal, altitude = 2000.0, 600.0
+    azimuth, slope = rng.uniform(-1.0, 1.0, count), rng.uniform(np.tan(np.radians(3.0)), 1.0, count)
+    distance = altitude / slope
+    ground = np.column_stack([distance * np.sin(azimuth), distance * np.cos(azimuth),
+                              np.full(count, np.nan)])
+    image = focal * np.column_stack([slope, azimuth]) + 4.0 * rng.standard_normal((count, 2))
+    return FeatureSet(Points(tuple(f"P{i:02}" for i in range(count)), image,
+                             ground + np.array([5e5, 5e6, 0.0])), crs="EPSG:32632")
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_ground_near_the_horizon_of_a_panorama_is_no_blunder(seed: int) -> None:
+    suspects = find_blunders(FitData.of(panorama(seed)))
+    assert suspects is not None
+    assert not suspects.blunders.any()
+
+
+@pytest.mark.parametrize("view", ["panorama", "photograph"])
+def test_ground_near_the_horizon_is_not_out_of_place(view: str) -> None:
+    for seed in range(40):
+        points = panorama(seed).points
+        if view == "photograph":  # the same rays on a plane
+            turn = points.image[:, 1] / 2000.0
+            image = np.column_stack([points.image[:, 0] / np.cos(turn), 2000.0 * np.tan(turn)])
+            points = replace(points, image=image)
+        assert not misplaced_points(points)[0].any()
+
+
+def test_a_digit_that_is_wrong_in_a_panorama_is_no_blunder_for_certain_but_named() -> None:
+    features = panorama(2)
+    ground = features.points.ground.copy()
+    near = int(np.argmin(np.linalg.norm(ground[:, :2] - [5e5, 5e6], axis=1)))
+    ground[near, 0] += 20_000.0
+    suspects = find_blunders(FitData.of(
+        features.with_(points=replace(features.points, ground=ground))))
+    assert suspects is not None
+    assert (suspects.blunders | suspects.undecided)[near]
+
+
+def test_a_digit_that_is_wrong_is_out_of_place_on_a_map_with_errors_of_drawing() -> None:
+    rng = np.random.default_rng(4)
+    plan = rng.uniform(0.0, 1000.0, (20, 2))
+    image = plan[:, ::-1] * [-1.0, 1.0] + 15.0 * rng.standard_normal((20, 2))
+    plan[5, 0] += 10_000.0
+    points = Points(tuple(f"P{i:02}" for i in range(20)), image,
+                    np.column_stack([plan, np.full(20, np.nan)]))
+    assert np.flatnonzero(misplaced_points(points)[0]).tolist() == [5]
 
 
 def test_limits_of_detection_do_not_depend_on_a_point_out_of_place() -> None:

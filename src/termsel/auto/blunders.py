@@ -131,18 +131,22 @@ def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
     """Return blunders, probable ones and open cases among features; None if they are too few.
 
     Points that an image cannot show where they lie are blunders whatever the others say of them.
-    The others are judged without them, or where they are too few for that, with them.
+    The others are judged without them, or where they are too few for that, with them. Points that
+    an oblique view might show there are judged like others; those in use are named as undecided.
     """
-    verdict = _verdict_without_misplaced(control, auto) or _verdict_on(control, auto)
-    return None if verdict is None else verdict.suspects(control)
+    misplaced, doubtful = _points_out_of_place(control, auto)
+    verdict = _verdict_without(misplaced, control, auto) or _verdict_on(control, auto)
+    if verdict is None:
+        return None
+    undecided = verdict.undecided | (doubtful & verdict.used)
+    return replace(verdict, undecided=undecided).suspects(control)
 
 
-def _verdict_without_misplaced(control: FitData, auto: Auto) -> _Verdict | None:
-    """Return the verdict where points lie out of place; None where none does.
+def _verdict_without(misplaced: BoolArray, control: FitData, auto: Auto) -> _Verdict | None:
+    """Return the verdict with points out of place, the mask `misplaced` (n,); None without any.
 
     None, too, where the other features are too few for a test.
     """
-    misplaced = _points_out_of_place(control, auto)
     if not misplaced.any():
         return None
     others = _verdict_on(control.take(~misplaced), auto)
@@ -162,25 +166,26 @@ def _verdict_without_misplaced(control: FitData, auto: Auto) -> _Verdict | None:
                     of_all(others.undecided, False), test)
 
 
-def _points_out_of_place(control: FitData, auto: Auto) -> BoolArray:
-    """Return which points lie where the image cannot show them, (n,).
+def _points_out_of_place(control: FitData, auto: Auto) -> tuple[BoolArray, BoolArray]:
+    """Return which points lie where the image cannot show them, and where it hardly can, (n,).
 
     They are far from the others on the ground and among them in the image, and the model of the
     others puts them outside the image: an oblique view may show far ground over near summits.
     """
     points = control.features.points
-    misplaced = np.zeros(len(control), dtype=bool)
-    misplaced[:len(points)] = misplaced_points(points)
-    if not misplaced.any():
-        return misplaced
-    choice = auto.choose(control.take(~misplaced), with_contained=False)
+    misplaced, doubtful = np.zeros((2, len(control)), dtype=bool)
+    misplaced[:len(points)], doubtful[:len(points)] = misplaced_points(points)
+    folded = misplaced | doubtful
+    if not folded.any():
+        return misplaced, doubtful
+    choice = auto.choose(control.take(~folded), with_contained=False)
     if choice is None:
-        return np.zeros_like(misplaced)
+        return np.zeros_like(misplaced), doubtful
     errors = np.abs(choice.chosen.errors(points)).max(axis=1)
-    extent = np.ptp(points.image[~misplaced[:len(points)]], axis=0).max()
+    extent = np.ptp(points.image[~folded[:len(points)]], axis=0).max()
     # Behind a camera there is no image of a place.
-    misplaced[:len(points)] &= ~(errors <= OUT_OF_PLACE * extent)
-    return misplaced
+    folded[:len(points)] &= ~(errors <= OUT_OF_PLACE * extent)
+    return misplaced & folded, doubtful & folded
 
 
 def _verdict_on(control: FitData, auto: Auto) -> _Verdict | None:
