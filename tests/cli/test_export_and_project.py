@@ -315,6 +315,22 @@ def test_project_says_which_rays_meet_no_ground(folder: Path, tmp_path: Path) ->
     assert err == f"Warning: no position was found for 12 points: {first} and 2 more\n"
 
 
+def test_image_positions_with_heights_are_located_at_these(folder: Path, tmp_path: Path) -> None:
+    points = read_result(folder).features.points.ground[::5]
+    places, pixels = tmp_path / "places.csv", tmp_path / "pixels.csv"
+    places.write_text("\n".join(["id,x,y,z", *(
+        f"P{i},{x!r},{y!r},{z!r}" for i, (x, y, z) in enumerate(points.tolist()))]) + "\n")
+    _, out, _ = _termsel("project", folder, "--points", places)
+    pixels.write_text(out)
+    code, out, err = _termsel("project", folder, "--points", pixels, "--inverse")
+    assert (code, err) == (0, "")
+    np.testing.assert_allclose(_table(out)[:, 2:], points, rtol=0, atol=1e-6)
+    code, out, err = _termsel("project", folder, "--points", pixels, "--inverse", "--height", "900")
+    assert code == 0
+    assert "Note: the heights z of pixels.csv are not used, as --height is given." in err
+    assert (_table(out)[:, 4] == 900.0).all()
+
+
 def test_a_plane_model_locates_without_heights(tmp_path: Path) -> None:
     run = termsel.run("poly-terms", model="poly2d", solver="all-terms", criterion="press",
                       options={"degree": 1, "max_share": 1.0})
@@ -414,7 +430,11 @@ def test_places_in_one_of_several_layers(folder: Path, tmp_path: Path) -> None:
     ("id,x,y,z\na,59,36,\n", ["--dem", "d.tif"], "d.tif: this file does not exist"),
     ("id,x,y,z\na,59,36,1\n", ["--dem", "d.tif"], "d.tif: this file does not exist"),
     ("id,x,y,z\na,59,36,\n", ["--height", "-9999"], "-9999 is no height"),
-    ("id,line,sample\na,1,2\n", ["--inverse"], "Give --dem FILE or --height H"),
+    ("id,line,sample\na,1,2\n", ["--inverse"], "Give --dem FILE or --height H, or a column z."),
+    ("id,line,sample,z\na,1,2,\n", ["--inverse"], "Give --dem FILE or --height H, or a column z."),
+    ("id,line,sample,z\na,1,2,3\nb,1,2,\n", ["--inverse"], "line 3, column 'z': the height is "),
+    ("# crs: EPSG:32640\nid,line,sample,z\na,1,2,3\n", ["--inverse"], "the CRS EPSG:32640"),
+    ("id,line,sample,z_ft\na,1,2,3\n", ["--inverse"], "table.csv: z is in feet by the"),
     ("id,line,sample\na,1,2\n", ["--inverse", "--height", "nan"], "cannot be nan"),
     ("id,line,sample\na,1,2\n", ["--inverse", "--height", "1", "--dem", "d.tif"], "exclude"),
     ("id,line,sample\na,1,2\n", ["--inverse", "--dem", "no.tif"],

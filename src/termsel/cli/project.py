@@ -15,11 +15,13 @@ from termsel.cli.options.shared import final_option, remote_option
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 @click.option("--points", metavar="FILE", required=True, type=click.Path(path_type=Path),
               help="Table id,x,y,z of ground points in the CRS of the control, or GeoJSON and "
-                   "other vector files; with --inverse id,line,sample of image points.")
+                   "other vector files; with --inverse id,line,sample of image points, and z.")
 @COLUMNS_OPTION
 @click.option("--layer", metavar="NAME",
               help="Layer of a vector file, or sheet of a spreadsheet; by default the first.")
-@click.option("--inverse", is_flag=True, help="From the image to the ground.")
+@click.option("--inverse", is_flag=True,
+              help="From the image to the ground: at --height, on --dem, or at the heights z of "
+                   "the table.")
 @click.option("--dem", metavar="FILE", type=click.Path(path_type=Path),
               help="Raster of heights of the ground, for points without heights and for "
                    "--inverse.")

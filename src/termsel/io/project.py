@@ -60,8 +60,9 @@ def project_table(
 
     The table has x, y and, for models with height, z, or is a vector file of points; blank and
     missing heights are those of the raster `dem` or the one `height`. With `inverse`, from the
-    image to the ground, it has line and sample, and `dem` or `height` is the ground; models without
-    height need neither. `layer` names a layer of a vector file or a sheet of a spreadsheet.
+    image to the ground, it has line and sample, and `dem` or `height` is the ground, or else the
+    heights z of the table; models without height need none of them. `layer` names a layer of a
+    vector file or a sheet of a spreadsheet.
 
     The CSV is headed id,line,sample,x,y,z,uncertainty_line,uncertainty_sample,outside: standard
     deviations of what the model predicts (`termsel.Fit.sigma`), and how far a place is outside the
@@ -79,7 +80,9 @@ def project_table(
                            hint="Give a finite number.")
     if inverse:
         try:
-            table = _read_table(path, columns, "line", "sample", layer=layer)
+            by_table = model.uses_height and dem is None and height is None
+            names = ["line", "sample", "z"] if by_table else ["line", "sample"]
+            table = _read_table(path, columns, *names, layer=layer, flat=by_table)
         except TermselError as error:
             if (error.code == "column-missing"
                     and _has_columns(path, columns, "x", "y", layer=layer)):
@@ -90,18 +93,20 @@ def project_table(
             raise
         ids = table.ids()
         image = table.stack("line", "sample")
-        if dem is None and height is None and model.uses_height:
-            raise TermselError("the ground position depends on the height",
-                               hint="Give --dem FILE or --height H.")
+        heights = _heights_on_ground(table, crs, path) if by_table else None
+        if model.uses_height and not by_table and _has_columns(path, columns, "z", layer=layer):
+            log.warning("Note: the heights z of %s are not used, as %s is given.", path.name,
+                        "--height" if dem is None else "--dem")
         with surface_of(dem, crs, 0.0 if height is None else height) as surface:
-            say_difference(result.features, result.project, surface)
-            ground = result.locate(image, surface)
+            if heights is None:
+                say_difference(result.features, result.project, surface)
+            ground = result.locate(image, surface if heights is None else heights)
             if (isinstance(surface, Dem) and not np.isfinite(ground).any()
                     and _is_elsewhere(surface, result.fit.control.ground_vertices())):
                 raise TermselError("this raster of heights does not cover the control, which is "
                                    f"around {place_of(result.fit.control)}", file=dem,
                                    hint="Give a raster of that area.")
-        if dem is None and height is None:
+        if dem is None and height is None and heights is None:
             ground[:, 2] = np.nan
     else:
         try:
@@ -145,6 +150,28 @@ def project_table(
     return text, list(_projection_warnings(
         select(ids, missed & ~hidden & ~off_image), select(ids, hidden), select(ids, off_image),
         select(ids, ~missed & (distances > FAR_OUTSIDE)), encloses=encloses, inverse=inverse))
+
+
+def _heights_on_ground(table: Table, crs: str, path: Path) -> FloatArray:
+    """Return the heights z (n,) of image positions of a table.
+
+    Raises TermselError where there are none, some are blank, or they are of another CRS or unit
+    than the control's.
+    """
+    if not any(cell.strip() for cell in table.columns.get("z", ())):
+        raise TermselError("the ground position depends on the height",
+                           hint="Give --dem FILE or --height H, or a column z.")
+    _require_crs_and_heights(table, crs, path, True, True)
+    try:
+        refuse_other_units(table.named_units(), crs)
+    except TermselError as error:
+        raise error_in_file(error, path) from error
+    heights = table.stack("z")[:, 0]
+    blank = np.flatnonzero(np.isnan(heights))
+    if blank.size:
+        raise table.error("the height is blank, and the ground position depends on it",
+                          int(blank[0]), "z", "Give it, or --dem FILE or --height H for all.")
+    return heights
 
 
 def _is_elsewhere(surface: Dem, control: FloatArray) -> bool:
