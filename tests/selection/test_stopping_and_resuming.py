@@ -181,6 +181,32 @@ def test_a_checkpoint_is_refused_once_one_reading_is_corrected(
         search(scene)
 
 
+@pytest.mark.parametrize(("change", "is_same"), [
+    (lambda points: replace(points, ids=tuple(f"other {name}" for name in points.ids)), False),
+    (lambda points: replace(points, ground=points.ground * [1.0, 1.0, 1.01]), False),
+    (lambda points: points.take(range(len(points) - 1, -1, -1)), True)],
+    ids=["names", "heights", "order of rows"])
+def test_a_checkpoint_without_a_solution_is_refused_by_its_data(
+        change: Any, is_same: bool, tmp_path: Path) -> None:
+    """Three selections of far too many terms are infinite with any data."""
+    scene = termsel.simulate_scene("ikonos-hamedan", roles=(30, 15, 15), n_lines=0)
+
+    def search(features: FeatureSet) -> termsel.Result:
+        return termsel.run("rfm-terms", features=features, solver="random", evaluations=3,
+                           checkpoint=tmp_path / "file")
+
+    assert not search(scene).feasible
+    changed = scene.with_(points=change(scene.points))
+    if is_same:
+        search(changed)
+        return
+    with pytest.raises(termsel.TermselError, match="of other data, or of another problem"):
+        search(changed)
+    moved = replace(scene, crs="EPSG:4326")
+    with pytest.raises(termsel.TermselError, match="of other data, or of another problem"):
+        search(moved)
+
+
 def test_another_file_stays_as_it_is(task: termsel.Task, tmp_path: Path) -> None:
     file = tmp_path / "points.csv"
     file.write_text("id,line,sample\nP1,1,2")

@@ -49,7 +49,7 @@ from termsel.runs.task_method import TaskMethod
 from termsel.selection.criteria import Criterion
 from termsel.selection.problems.recipes import Recipe
 from termsel.selection.solvers.base import Solver
-from termsel.selection.solvers.checkpoint import Checkpoint, require_resumable
+from termsel.selection.solvers.checkpoint import Checkpoint, digest_of_data, require_resumable
 from termsel.selection.solvers.observers import Observer
 
 log = logging.getLogger(__name__)
@@ -212,7 +212,11 @@ def run(
             return assess(sole_method, task, seed=seed, observers=observers, memory=memory)
         from termsel.runs.searching import Search  # not for auto
 
-        saved_search = None if checkpoint is None else Checkpoint(checkpoint)
+        saved_search = None
+        if checkpoint is not None:
+            observations = task.observations
+            saved_search = Checkpoint(checkpoint, digest_of_data(
+                observations.control, observations.check))
         searching = Search(limits={**limits, "seed": seed, "observers": observers,
                                    "checkpoint": saved_search})
         return assess(searching, task, memory=memory)

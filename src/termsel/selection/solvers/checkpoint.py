@@ -23,9 +23,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from termsel.adjustment.solve import round_to_nine_digits
 from termsel.core.errors import TermselError
 from termsel.core.version import __version__
-from termsel.data.features import FloatArray
+from termsel.data.features import FeatureSet, FloatArray, Points
 from termsel.selection.problems.base import Evaluation, Problem
 from termsel.selection.solvers.base import Solver
 
@@ -34,6 +35,9 @@ log = logging.getLogger(__name__)
 CHECKPOINT_SCHEMA = "termsel-checkpoint-1"
 
 _WRITE_SECONDS = 0.5  # seconds between two writes
+
+_UNKNOWN = -1e99
+"""What stands for an unknown number in a digest of data."""
 
 _TOLERANCE = 1e-6
 """Relative difference of two evaluations of one selection that may be rounding."""
@@ -57,6 +61,8 @@ class _Head(msgspec.Struct, forbid_unknown_fields=True):
 
     schema: str
     version: str
+    data: str = ""
+    """Digest of what is searched, by `digest_of_data`; "" where nobody says."""
 
 
 class Checkpoint:
@@ -66,16 +72,20 @@ class Checkpoint:
     ----------
     path : path-like
         It is made if it is not there.
+    data : str, optional
+        Digest of the data that are searched, by `digest_of_data`. Figures that were evaluated show
+        other data, too, but only where they have a part in them.
 
     Raises
     ------
     TermselError
-        For another file, and for one that cannot be read or written.
+        For another file, one of other data, and for one that cannot be read or written.
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: Path | str, data: str = "") -> None:
         """Read the file, or begin it; raises TermselError as the class says."""
         self.path = Path(path)
+        self._data = data
         self._lines: dict[int, list[_Line]] = {}
         self._stages = 0
         try:
@@ -88,7 +98,7 @@ class Checkpoint:
                 with self.path.open("r+b") as file:
                     file.truncate(len(complete))
             else:
-                head = msgspec.json.encode(_Head(CHECKPOINT_SCHEMA, __version__))
+                head = msgspec.json.encode(_Head(CHECKPOINT_SCHEMA, __version__, data))
                 self.path.write_bytes(head + b"\n")
         except OSError as error:
             raise TermselError(f"the checkpoint cannot be used: {error.strerror or error}",
@@ -108,6 +118,8 @@ class Checkpoint:
         if head is None or head.schema != CHECKPOINT_SCHEMA:
             raise TermselError("this file is no checkpoint of a search, and stays as it is",
                                hint="Give the name of a new file.", file=self.path)
+        if head.data and self._data and head.data != self._data:
+            raise _error_for_other_data(self.path)
         if head.version != __version__:
             log.warning("Note: %s was begun by termsel %s; this is %s.", self.path, head.version,
                         __version__)
@@ -196,9 +208,7 @@ class Stage:
         self._is_compared = bool(is_solved.any())
         if not (_are_alike(evaluated_now.objectives, evaluation.objectives)
                 and _are_alike(evaluated_now.violation, evaluation.violation)):
-            raise TermselError("the checkpoint is of other data, or of another problem",
-                               hint="Give the name of a new file, or what the file was made with.",
-                               file=self.path)
+            raise _error_for_other_data(self.path)
 
     def _error_for_other_search(self) -> TermselError:
         """Return the error for a checkpoint that another search has written."""
@@ -240,6 +250,33 @@ def require_resumable(solver: Solver) -> None:
     if not solver.can_resume:
         raise TermselError(f"solver {solver.name!r} keeps no checkpoint: what takes its time is no "
                            "evaluation", hint="Leave the checkpoint out.")
+
+
+def digest_of_data(control: FeatureSet, check: Points) -> str:
+    """Return a digest of control and selection points: names, positions, weights and CRS.
+
+    Numbers count to nine digits, as another machine may round them otherwise.
+    """
+    digest = blake2b(digest_size=12)
+    points = control.points
+    lines = control.lines
+    for text in (control.crs, control.fit_crs or "", *points.ids, "", *lines.ids, "", *check.ids):
+        digest.update(f"{text}\0".encode())
+    for values in (points.image, points.ground, points.sigma, lines.image, lines.ground,
+                   lines.sigma, check.image, check.ground, check.sigma):
+        if values is None:
+            digest.update(b"none")
+            continue
+        known = np.nan_to_num(values, nan=_UNKNOWN)
+        digest.update(np.ascontiguousarray(round_to_nine_digits(known) + 0.0, "<f8").tobytes())
+    return b64encode(digest.digest()).decode()
+
+
+def _error_for_other_data(path: Path) -> TermselError:
+    """Return the error for a checkpoint whose search was of other data."""
+    return TermselError("the checkpoint is of other data, or of another problem",
+                        hint="Give the name of a new file, or what the file was made with.",
+                        file=path)
 
 
 def _checksum_of_state(keys: Sequence[bytes]) -> str:
