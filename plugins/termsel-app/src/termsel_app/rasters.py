@@ -9,7 +9,7 @@ from __future__ import annotations
 from contextlib import ExitStack
 from io import BytesIO
 from pathlib import Path
-from threading import Lock, Thread
+from threading import Event, Lock, Thread
 from typing import Any
 
 import numpy as np
@@ -53,6 +53,7 @@ class Raster:
             self._stack.enter_context(allow_remote())
         self.dataset: Any = self._stack.enter_context(open_raster(path))
         self.lock = Lock()
+        self._closed = Event()
         self.height, self.width = self.dataset.shape
         try:
             self.colours = _colour_table(self.dataset)
@@ -71,7 +72,7 @@ class Raster:
 
     def close(self) -> None:
         """Close the file."""
-        self._step = 0  # ends the reading of an overview
+        self._closed.set()  # ends the reading of an overview
         with self.lock:
             self._stack.close()
 
@@ -123,20 +124,24 @@ class Raster:
 
     def _read_overview(self) -> None:
         """Fill the overview by strips of whole blocks, from above."""
-        block = self.dataset.block_shapes[0][0]
-        # Whole blocks, so that none is read twice, and whole steps, so that strips meet.
-        rows = max(_STRIP // self.width // block, 1) * block
-        rows = max(rows // self._step, 1) * self._step
+        overview = self._overview
+        assert overview is not None
         step = self._step
-        for top in range(0, self.height, rows):
-            if not self._step:
+        block = self.dataset.block_shapes[0][0]
+        lines = max(_STRIP // self.width // block, 1) * block
+        # A row of the overview is the line in the middle of its step. Strips end between blocks,
+        # and have the rows whose lines they hold, so that no block is read twice.
+        middles = np.minimum(np.arange(len(overview)) * step + step // 2, self.height - 1)
+        for top in range(0, self.height, lines):
+            if self._closed.is_set():
                 return
-            count = min(rows, self.height - top)
-            shape = (-(-count // step), -(-self.width // step))
-            strip = self._read((top, 0, count, self.width), shape, average=False)
-            if self._overview is not None:
-                self._overview[top // step:top // step + shape[0]] = strip
-            self.share_read = (top + count) / self.height
+            first, end = np.searchsorted(middles, [top, top + lines]).tolist()
+            # A step may reach over several blocks of a line each.
+            if first < end:
+                count = min(end * step, self.height) - first * step
+                overview[first:end] = self._read((first * step, 0, count, self.width),
+                                                 (end - first, overview.shape[1]), average=False)
+            self.share_read = min(top + lines, self.height) / self.height
 
     def _read(self, box: tuple[float, float, float, float], shape: tuple[int, int],
               average: bool) -> Pixels:
@@ -153,7 +158,7 @@ class Raster:
         averages = average and self.colours is None
         resampling = Resampling.average if averages else Resampling.nearest
         with self.lock:
-            if not self._step:
+            if self._closed.is_set():
                 return np.zeros((*shape, 4), dtype=np.uint8)
             values = self.dataset.read(self.bands, window=window, resampling=resampling,
                                        out_shape=(len(self.bands), *shape))

@@ -42,7 +42,11 @@ def taken_by_otb(path: Path, raster_header: Header) -> Taken | None:
             values = dict(_VALUE.findall(answer(
                 [convert, "-in", str(path.absolute()), "-input.idx", repr(sample),
                  "-input.idy", repr(line)])))
-            ground[row] = float(values["output.idx"]), float(values["output.idy"])
+            try:
+                ground[row] = float(values["output.idx"]), float(values["output.idy"])
+            except (KeyError, ValueError):
+                raise NoAnswer("otbcli_ConvertSensorToGeoPoint gave an answer of another form"
+                               ) from None
         return ground
 
     values = dict(_VALUE.findall(answer([info, "-in", str(path.absolute())])))
