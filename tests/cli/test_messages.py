@@ -63,7 +63,7 @@ def test_no_option_of_any_command_answers_in_words_of_python() -> None:
             message = message_of(command, name, [option.opts[0], *["5m"] * option.nargs])
             assert message.startswith(f"Error: {option.opts[0]} "), message
             assert "number" in message
-            assert message.endswith(f"All options: termsel {name} --help")
+            assert message.removesuffix("-all").endswith(f"All options: termsel {name} --help")
             assert not re.search(r"valid|float|integer|range|<=", message), message
             tried += 1
     assert tried > 40
@@ -84,7 +84,7 @@ def test_no_option_of_any_command_answers_in_words_of_python() -> None:
     (["--quiet=1"], "--quiet takes no value.")])
 def test_an_option_that_cannot_be_read_is_named_with_a_remedy(words: list[str],
                                                               message: str) -> None:
-    assert refused("run", *words) == f"Error: {message}\nAll options: termsel run --help\n"
+    assert refused("run", *words) == f"Error: {message}\nAll options: termsel run --help-all\n"
 
 
 def test_words_beyond_those_of_a_command_are_shown_with_what_it_takes() -> None:

@@ -180,7 +180,7 @@ def test_a_solver_that_cannot_handle_the_objectives_is_refused_before_anything_r
     (["--problem", "poly-terms", "--crs", "local", "--out", "x"], "--crs requires"),
     (["--points", "no.csv", "--out", "x"], "no file matches 'no.csv'"),
     (["nothing.toml", "--out", "x"], "nothing.toml: this file does not exist. Check the name"),
-    (["a.toml", "b.toml", "--out", "x"], "two study files"),
+    (["a.toml", "b.toml", "--out", "x"], "there are 2 study files"),
     (["a.toml", "--seeds", "3", "--out", "x"], "exclude each other"),
     (["--status", "."], "no study in this folder"),
     (["--problem", "poly-terms", "--solver", "ga", "--export", "gif", "--out", "x"], "'gif'"),

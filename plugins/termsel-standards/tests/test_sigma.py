@@ -186,3 +186,17 @@ def test_a_full_disk_leaves_no_half_file(files: Path, tmp_path: Path) -> None:
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_bounds_in_degrees_are_answered_by_bounds_to_type(tmp_path: Path) -> None:
+    result = termsel.run("poly-terms", evaluations=200, options={"degree": 2})
+    target = tmp_path / "sigma.tif"
+    with pytest.raises(TermselError) as caught:
+        write_sigma(result, target, bounds=(48.49, 34.77, 48.53, 34.81))
+    hint = str(caught.value.hint)
+    assert "The raster is in EPSG:32639, and these bounds look like degrees" in hint
+    assert "add --crs EPSG:4326" in hint
+    bounds = [float(word) for word in hint.partition("--bounds ")[2].partition(",")[0].split()]
+    assert len(bounds) == 4
+    write_sigma(result, target, bounds=bounds)
+    assert target.exists()

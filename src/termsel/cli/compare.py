@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import time
 from pathlib import Path
@@ -162,6 +163,19 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
         sys.exit(EXIT_FAILED)
 
 
+def _several_files_error(files: tuple[Path, ...]) -> TermselError:
+    """Return the error for several study files, or for tables of points in their place."""
+    tables = [path for path in files if path.suffix.casefold() != ".toml"]
+    if not tables:
+        return TermselError(f"there are {len(files)} study files",
+                            hint="Give one study file at a time.")
+    first = tables[0]
+    pattern = shlex.quote(str(first.with_name(f"*{first.suffix}")))
+    return TermselError("this is no study file, which ends in .toml", file=first,
+                        hint="Of many images, a file of points each: termsel compare --points "
+                             f"{pattern} --out DIR.")
+
+
 def _study_asked_for(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[Path | None,
                                                                                 dict[str, Any]]:
     """Return the study file and {}, or None and the options as the keys of a study.
@@ -177,7 +191,7 @@ def _study_asked_for(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[
         keys["data"][0]["points"] = [*points, *map(str, files)]
         return None, keys
     if len(files) > 1:
-        raise TermselError("there are two study files", hint="Give one study file at a time.")
+        raise _several_files_error(files)
     if files and keys:
         # A study is one file that says everything: an option beside it would not be in its record.
         raise TermselError(f"{files[0]} and the option --{_first_option(options)} exclude each "

@@ -37,7 +37,7 @@ def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **argum
       termsel run map.points map.tif --out result
       termsel run --points gcp.csv --crs EPSG:4979 --out result
       termsel run --points gcp.csv --rpc vendor.RPB --out result
-      termsel run --problem owdis-lines --points points.csv --lines roads.csv
+      termsel run --problem owdis-lines --points points.csv --lines lines.csv
     """
     settings = RunOptions(**with_files(files, arguments))
     show_messages()

@@ -42,8 +42,16 @@ def usage_message(error: click.ClickException) -> str:
         lines = [_bad_value(error, error.param)]
     else:
         lines = [_extra_words(error)]
-    more = [f"All options: {path} --help"] if path else []
+    more = [f"All options: {path} {_help_option(error)}"] if path else []
     return "\n".join([f"Error: {lines[0]}", *lines[1:], *more])
+
+
+def _help_option(error: click.ClickException) -> str:
+    """Return the option of a command that lists all of its options."""
+    context = error.ctx if isinstance(error, click.UsageError) else None
+    params = context.command.get_params(context) if context else ()
+    options = {option for param in params for option in param.opts}
+    return "--help-all" if "--help-all" in options else "--help"
 
 
 def _lines_on_missing(error: click.MissingParameter) -> list[str]:
@@ -169,6 +177,7 @@ _ALSO_CALLED = {
     "force": ("overwrite",), "yes": ("overwrite",), "runs": ("seeds", "repeats"),
     "repeats": ("seeds",), "seed": ("seeds",), "elevation": ("dem",), "dsm": ("dem",),
     "dtm": ("dem",), "heights": ("dem",), "silent": ("quiet",), "folder": ("out",),
+    "o": ("out", "output"),
     "format": ("to",)}
 """Options by how other programs call them."""
 

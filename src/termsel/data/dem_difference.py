@@ -13,6 +13,7 @@ DEMs are off as a whole by some ROUGHLY, by their making and by epochs of the gr
 from __future__ import annotations
 
 from dataclasses import dataclass
+from shlex import quote
 
 import numpy as np
 
@@ -62,7 +63,7 @@ class DemDifference:
     count : int
         Heights of control that show it.
     in_feet : bool
-        Whether one of both looks as if it were in feet.
+        Whether one of both looks as if it were in feet: the DEM if it has the larger numbers.
     in_kilometres : bool
         Whether one of both looks as if it were in kilometres.
     dem : str
@@ -96,8 +97,12 @@ class DemDifference:
         else:
             effect = ", of which this model makes no use"
         cause = ""
-        if self.in_feet:
-            cause = "is one of them in feet? --set z_unit=ft says so of the points"
+        if self.in_feet and self.above > 0:
+            file = quote(self.dem) if self.dem else "DEM"
+            cause = ("is the DEM in feet? gdal_translate -ot Float32 -scale 0 1 0 0.3048 "
+                     f"{file} metres.tif makes one in metres")
+        elif self.in_feet:
+            cause = "are the points in feet? Run again with --set z_unit=ft"
         elif self.in_kilometres:
             cause = "is one of them in kilometres?"
         return sentence_on_common_offset(

@@ -628,7 +628,7 @@ def with_heights(features: FeatureSet, dem: Path,
         error = _without_heights(names, count, ground[still_unknown, :2],
                                  surface_extent, is_outside, dem)
         if not covers_some:
-            error.hint = f"{elsewhere} {error.hint}"
+            error.hint = f"{elsewhere} Give a raster of their area."
         raise error
     n = len(features.points)
     found = int((unknown & np.isfinite(ground[:, 2])).sum())
@@ -657,6 +657,8 @@ def where_raster_is(surface: Dem, features: FeatureSet) -> str:
     if middle is None:
         return "Is it of another place, or have x or y the wrong sign or CRS?"
     place = f"The raster is around {position_in_words(middle)}"
+    if place == f"The raster is around {place_of(features)}":
+        return _where_beside(surface, features)
     stated = UTM.match(horizontal_crs(features.crs))
     if stated is None:
         return f"{place}: is it of another place, or have x or y the wrong sign or CRS?"
@@ -670,6 +672,16 @@ def where_raster_is(surface: Dem, features: FeatureSet) -> str:
                 return (f"{place}. In {utm} the {features.word} would be on it: is {stated[0]} "
                         "right?")
     return f"{place}: is it of another place?"
+
+
+def _where_beside(surface: Dem, features: FeatureSet) -> str:
+    """Return a sentence on the extents of a raster and of features that lie beside it."""
+    extent = surface.extent()
+    ground = features.ground_vertices()[:, :2]
+    control = np.array([ground.min(axis=0), ground.max(axis=0)])
+    decimals = _decimals_of_side(extent)
+    return (f"The raster covers {_range_in_words(extent, decimals)}, and the {features.word} are "
+            f"at {_range_in_words(control, decimals)}: is it a neighbouring tile?")
 
 
 def _zones_near(lon: float) -> tuple[int, int, int]:

@@ -99,6 +99,8 @@ def with_image_origin(features: FeatureSet, choice: str | None, states_own: bool
     """
     size = features.image_size or size
     choice = choice or default or None
+    if not states_own:
+        _refuse_fractions(features, size)
     if choice is not None:
         origin = str(IMAGE_ORIGIN.parse(choice))
         origin = f"{TOP}-{CORNER}" if origin == CORNER else origin
@@ -129,6 +131,21 @@ def with_image_origin(features: FeatureSet, choice: str | None, states_own: bool
                 "pixel. If they count from its corner, give --set image_origin=y-up-corner.")
     return replace(_turn_to_upper_left(features, UP, size),
                    image_origin=f"{_ORIGIN_WORDS[UP]}, as all lines are at most 0")
+
+
+_LEAST_FRACTIONS = 3
+"""Features from which on fractions of an image are told from places in its first pixel."""
+
+
+def _refuse_fractions(features: FeatureSet, size: tuple[int, int] | None) -> None:
+    """Raise TermselError for lines and samples that all are from 0 to 1."""
+    image = features.image_vertices()
+    if len(image) < _LEAST_FRACTIONS or (image < 0.0).any() or (image > 1.0).any():
+        return
+    lines, samples = ("the number of its lines", "that of its samples") if size is None else size
+    raise TermselError("all lines and samples are between 0 and 1, as fractions of the image are, "
+                       "and image coordinates are pixels",
+                       hint=f"Multiply line by {lines}, and sample by {samples}.")
 
 
 def _turn_to_upper_left(features: FeatureSet, origin: str,

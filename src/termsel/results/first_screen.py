@@ -267,7 +267,7 @@ def _model_lines(record: Record) -> str:
                    if row.predicted is not None}
         # Cross-validation may prefer another model by less than its own noise.
         best = min(figures, key=lambda name: figures[name], default="") == strategy.chosen
-        if len(figures) > 1:
+        if len(figures) > 1 and record.predicted is not None:
             how = f" ({'best of' if best else 'chosen among'} {len(figures)} in cross-validation)"
         elif strategy.reason.endswith(ALL_TERMS_IN_USE) and not _shift_of(record):
             how = f", all {record.offered.n_terms} terms"
@@ -438,6 +438,11 @@ def _comparison_with_rival(record: Record, rival: BaselineRow) -> Iterator[str]:
     """
     strategy = record.strategy
     by_held_out = strategy is not None and not _points_compare_better(record)
+    # One point is not predicted by others: what stands for its error is that of the bare RPC.
+    if by_held_out and record.predicted is None:
+        if _shift_of(record):
+            yield from _rmse_as_delivered(record)
+        return
     if strategy is not None and by_held_out:
         # Of both the model alone: the prediction of the whole choice is larger than either.
         own_rmse = next((row.predicted for row in strategy.candidates

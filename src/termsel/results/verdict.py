@@ -46,7 +46,9 @@ def verdict_on_choice(own_rmse: float, rival_rmse: float, rival: str, among: int
     # The choice has kept to the simpler model, or averages, where the difference is small.
     if among > 1 and own_rmse <= CHANCE * rival_rmse:
         return "may be chance"
-    return f"{label_of(rival)} is better by {100 * (1 - rival_rmse / own_rmse):.0f} %"
+    better = f"{label_of(rival)} is better by {100 * (1 - rival_rmse / own_rmse):.0f} %"
+    # A choice asks for more than that one figure is smaller; the user need not.
+    return f"{better}, not for certain; --method {rival} fits it" if among > 1 else better
 
 
 def times_in_words(ratio: float) -> str:

@@ -174,7 +174,7 @@ def note_on_blank(ids: Sequence[str], features: FeatureSet) -> str:
         "take", "their heights", "them")
     return (f"{count_in_words(len(ids), features.word[:-1])} without a height {takes} no part, as "
             f"the model uses heights: {named}. Give {heights}, or take {them} from a raster (--dem "
-            "FILE). A plane model (--model poly2d) requires none.")
+            "FILE).")
 
 
 FILE = "file"

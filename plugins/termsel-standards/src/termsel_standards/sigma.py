@@ -15,6 +15,7 @@ from termsel import Result, TermselError, open_raster, require_replaceable
 from termsel.toolkit import FloatArray, picture_for, say_difference
 from termsel.toolkit.coordinates import (
     horizontal_crs,
+    is_geographic,
     nearest_longitudes,
     offsets_in_metres,
     plane_transformer,
@@ -262,7 +263,8 @@ class _Nodes:
         if FAR_OUTSIDE < closest < np.inf:
             raise TermselError("all of this map is far outside the control, and the model is not "
                                "valid there",
-                               hint=_advice_far_outside(control, known_heights, flat=flat))
+                               hint=_advice_far_outside(grid, result.features.crs, control,
+                                                        known_heights, flat=flat))
         truth = _sigma_at(result, tested_ground)
         if not np.isfinite(truth).any():
             raise TermselError("the uncertainty of this model is not known anywhere on this map",
@@ -337,15 +339,30 @@ class _Nodes:
         return bands.reshape(len(BANDS), window.height, window.width)
 
 
-def _advice_far_outside(control: FloatArray, heights: FloatArray, *, flat: bool) -> str:
+def _advice_far_outside(grid: MapGrid, control_crs: str, control: FloatArray,
+                        heights: FloatArray, *, flat: bool) -> str:
     """Return what to do about a map whose ground is all far outside the control (v, 3)."""
     lowest, highest = np.nanmin(control[:, 2]), np.nanmax(control[:, 2])
     if not flat and (heights.max() < lowest or heights.min() > highest):
-        return (f"Its heights are {heights.min():,.0f} to {heights.max():,.0f}, those of the "
-                f"control {lowest:,.0f} to {highest:,.0f}: give those of the ground, or --bounds "
-                "in the CRS of the raster, west, south, east and north, that hold the control.")
-    return ("Give --bounds in the CRS of the raster, west, south, east and north, that hold the "
-            "control.")
+        of_heights = (f"Its heights are {heights.min():,.0f} to {heights.max():,.0f}, those of the "
+                      f"control {lowest:,.0f} to {highest:,.0f}: give those of the ground. ")
+    else:
+        of_heights = ""
+    to_map = plane_transformer(horizontal_crs(control_crs), grid.crs)
+    x, y = to_map.transform(*control[:, :2].T)
+    # A degree in whole numbers would be most of a map.
+    decimals = 4 if is_geographic(grid.crs) else 0
+    bounds = " ".join(f"{round(bound, decimals):.10g}"
+                      for bound in (min(x), min(y), max(x), max(y)))
+    corner = np.abs([grid.transform.c, grid.transform.f])
+    if not is_geographic(grid.crs) and (corner <= _MOST_DEGREES).all():
+        return (f"{of_heights}The raster is in {grid.crs}, and these bounds look like degrees: add "
+                f"--crs EPSG:4326, or give --bounds {bounds}, which holds the control.")
+    return f"{of_heights}The raster is in {grid.crs}, where --bounds {bounds} holds the control."
+
+
+_MOST_DEGREES = (360.0, 90.0)
+"""Longitude and latitude beyond which no bounds are degrees."""
 
 
 def _no_area_error(bounds: Sequence[float]) -> TermselError:

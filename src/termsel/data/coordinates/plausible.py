@@ -561,9 +561,9 @@ def _far_group(eastings: FloatArray) -> BoolArray | None:
 def _note_on_minutes(features: FeatureSet) -> str:
     """Return a note that degrees and minutes, or seconds too, look typed as decimals; or "".
 
-    The features are in degrees. 34.4730 may stand for 34 deg 47.30', or for 34 deg 47' 30". Either
-    reading stretches what lies within a degree: where the points span more than one degree, at most
-    one of the readings makes them an affine image.
+    The features are in degrees. 34.4730 may stand for 34 deg 47.30', or for 34 deg 47' 30". The
+    first reading stretches what lies within a degree, the second what lies within a minute: where
+    the points span more than one, at most one of the readings makes them an affine image.
     """
     ground = features.points.ground
     image = features.points.image
@@ -572,14 +572,18 @@ def _note_on_minutes(features: FeatureSet) -> str:
     # With a margin for decimals such as 35.0 that are stored as 34.999...
     degrees = np.floor(size + 1e-9)
     decimals = size - degrees
-    # Within one degree both readings are affine images of each other, and nothing shows.
-    if not (np.ptp(degrees * sign, axis=0) > 0).any() or (decimals >= MINUTES).any():
+    if (decimals >= MINUTES).any():
         return ""
     minutes = np.floor(decimals * 100 + 1e-6)
     seconds = (decimals * 100 - minutes) * 100
-    readings = {"degrees and minutes": degrees + decimals * 100 / 60}
-    if (seconds < 60).all():
+    # Within one degree, or one minute, a reading is an affine image of the numbers: nothing shows.
+    readings = {}
+    if (np.ptp(degrees * sign, axis=0) > 0).any():
+        readings["degrees and minutes"] = degrees + decimals * 100 / 60
+    if (seconds < 60).all() and (np.ptp(minutes, axis=0) > 0).any():
         readings["degrees, minutes and seconds"] = degrees + minutes / 60 + seconds / 3600
+    if not readings:
+        return ""
     errors = {name: _rms_of_affine_fit(image, sign * size_as_read)
               for name, size_as_read in readings.items()}
     best_reading = min(errors, key=errors.__getitem__)
