@@ -133,3 +133,14 @@ def test_no_cross_validation_is_claimed_where_there_is_none(files: Path, tmp_pat
     assert "Compared  RPC as delivered: 16.7 px" in done.stdout
     three = changed(files, tmp_path / "three.csv", {}, count=3)
     assert "in cross-validation" not in call("run", three).stdout
+
+
+def test_a_folder_of_a_result_in_place_of_a_raster(result: Path, call: Call) -> None:
+    pytest.importorskip("termsel_formats")
+    done = call("check", result)
+    assert done.exit_code == 2
+    assert f"termsel report {result} shows the result" in done.stderr
+    assert f"termsel check map.tif --result {result}" in done.stderr
+    done = call("check", result / "certificate.json")
+    assert "the run of this folder has kept no certificate. Run again with --solver exact" in (
+        done.stderr)

@@ -279,3 +279,20 @@ def test_many_outliers_are_no_slips_to_leave_out() -> None:
     lines = "\n".join(first_screen(outliers=many))
     assert "are rows shifted, or matches wrong? 9 of " in lines
     assert "--verbose shows the option" not in lines
+
+
+@pytest.mark.parametrize(("distortion", "free", "says"), [
+    ("0.0,0.0", 0.3, "does the lens distort? State it with --set camera_distortion=K1,K2"),
+    ("-0.1,0.0", 0.3, "check the focal length and the distortion that are stated"),
+    ("0.0,0.0", 0.45, ""), ("0.0,0.0", 0.9, "")])
+def test_a_camera_as_stated_that_free_ones_fit_better_than_is_doubted(
+        distortion: str, free: float, says: str) -> None:
+    chosen = choice("known-camera", "affine", "pinhole")
+    chosen["candidates"][-1]["predicted"] = free
+    options = {**record()["options"], "model": {"distortion": distortion}}
+    screen = " ".join(" ".join(first_screen(strategy=chosen, options=options)).split())
+    if says:
+        assert ("a pinhole camera, of which nothing is stated, has 0.30 px in leave-one-out, the "
+                "camera as stated 0.50 px") in screen
+    assert ("as stated" in screen) == bool(says)
+    assert says in screen

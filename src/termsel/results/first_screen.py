@@ -31,6 +31,7 @@ from termsel.data.record.search import ALL_TERMS_IN_USE, NAMED_BY_USER, RPC_UNUS
 from termsel.results.accuracy import accuracy_lines, is_exact, lattice_of, reused_points_in_words
 from termsel.results.blocks import Fact
 from termsel.results.verdict import (
+    CHANCE,
     NO_FIT,
     NOT_FEW,
     are_alike,
@@ -61,8 +62,13 @@ _BLUNT = 0.005
 detected."""
 _CONTRADICTED = 2.0
 """Times the upper end of the predicted RMSE beyond which independent points contradict it."""
+_RPC = "rpc"
+"""How the names of corrections of an RPC begin."""
 AS_DELIVERED = "rpc-as-delivered"
 """Baseline of an RPC without a correction."""
+
+KNOWN_CAMERA = "known-camera"
+"""Method of a photo whose focal length is stated."""
 
 _PROVING = ("exact", "all-terms")
 """Solvers whose own search is the proof, or needs none."""
@@ -454,6 +460,10 @@ def _comparison_with_rival(record: Record, rival: BaselineRow) -> Iterator[str]:
         rival_rmse = rival.rmse.independent.total
     if own_rmse is None or rival_rmse is None:
         return
+    # Another correction of the same RPC is nearly the chosen one.
+    if _shift_of(record) and rival.name.startswith(_RPC) and rival.name != AS_DELIVERED:
+        yield from _rmse_as_delivered(record)
+        return
     name = "automatic choice without a search" if strategy is None else label_of(rival.name)
     if strategy is not None:
         verdict = verdict_on_choice(own_rmse, rival_rmse, record.reference,
@@ -675,8 +685,34 @@ def _urgent_warnings(record: Record) -> Iterator[str]:
     elif may_be_shifted(record):
         yield (f"are rows shifted, or matches wrong? {outlier_share_in_words(record)} contradict "
                "the others")
+    if doubt := _caution_on_known_camera(record):
+        yield doubt
     if record.interrupted:
         yield "the run was interrupted; run it again to its end"
+
+
+def _caution_on_known_camera(record: Record) -> str:
+    """Return that cameras of which nothing is stated fit clearly better than the stated one; or "".
+
+    A focal length alone is that of a lens without distortion, which bends all of the image.
+    """
+    strategy = record.strategy
+    if strategy is None or strategy.chosen != KNOWN_CAMERA:
+        return ""
+    figures = {row.name: row.predicted for row in strategy.candidates if row.predicted is not None}
+    free = {name: figures[name] for name in figures if name in BY_NAME and BY_NAME[name].central}
+    best = min(free, key=lambda name: free[name], default="")
+    if not best or figures.get(KNOWN_CAMERA, 0.0) <= CHANCE * free[best]:
+        return ""
+    distortion = str(record.options.model.get("distortion") or "")
+    if any(float(number) for number in distortion.split(",") if number):
+        remedy = "check the focal length and the distortion that are stated"
+    else:
+        remedy = ("does the lens distort? State it with --set camera_distortion=K1,K2, or check "
+                  "the focal length")
+    return (f"{BY_NAME[best].title}, of which nothing is stated, has "
+            f"{rounded_size_text(free[best])} px in leave-one-out, the camera as stated "
+            f"{rounded_size_text(figures[KNOWN_CAMERA])} px: {remedy}")
 
 
 def next_step_for_user(record: Record, folder: str = "") -> str:

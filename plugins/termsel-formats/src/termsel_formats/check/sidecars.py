@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,6 +18,8 @@ _PICTURES = (".tif", ".tiff", ".jp2", ".jpg", ".jpeg", ".png", ".ntf", ".img", "
 _STEM = re.compile(r"(?P<stem>.+?)(?P<rest>_rpc\.txt|\.rpb|\.t(?:i?f)?w|\.tifw|\.jgw|\.pgw|\.j2w"
                    r"|\.wld)$", re.IGNORECASE)
 _AUXILIARY = ".aux.xml"
+_RECORD, _CERTIFICATE = "result.json", "certificate.json"
+"""Files in the folder of a result."""
 
 
 @contextmanager
@@ -26,9 +29,10 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
     Raises TermselError where there is no raster and the result does not know its size.
     """
     if path.is_dir():
-        raise TermselError("this is a folder, expected a file", file=path,
-                           hint="Give a raster, a file that goes with one, or the "
-                                "certificate.json of a result.")
+        raise _folder_error(path)
+    if path.name == _CERTIFICATE and (path.parent / _RECORD).is_file() and not path.is_file():
+        raise TermselError("the run of this folder has kept no certificate", file=path,
+                           hint="Run again with --solver exact --set certificate=yes.")
     if not path.is_file():
         raise TermselError("there is no such file", file=path, hint="Check the name.")
     match = _STEM.fullmatch(path.name)
@@ -68,6 +72,18 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
         name = f"{image.name}{_AUXILIARY}" if auxiliary else f"image{match['rest']}"  # type: ignore[index]
         shutil.copy(path, folder / name)
         yield image
+
+
+def _folder_error(folder: Path) -> TermselError:
+    """Return the error for a folder in place of a raster, of a result with what shows that."""
+    if not (folder / _RECORD).is_file():
+        return TermselError("this is a folder, expected a file", file=folder,
+                            hint="Give a raster, a file that goes with one, or the "
+                                 f"{_CERTIFICATE} of a result.")
+    name = shlex.quote(str(folder))
+    return TermselError("this is the folder of a result, expected a raster", file=folder,
+                        hint=f"termsel report {name} shows the result; termsel check map.tif "
+                             f"--result {name} checks a map by it.")
 
 
 def _require_world_file(path: Path) -> None:
