@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,19 @@ def test_bands_of_one_raster(names: tuple[str, ...], tmp_path: Path) -> None:
     assert features.crs == "EPSG:4979"
     assert features.image_size == (LINES, SAMPLES)
     require_places(features)
+
+
+@pytest.mark.parametrize("east", [0.0, 172.98])
+def test_arrays_that_mirror_the_ground_are_said(east: float, tmp_path: Path,
+                                                caplog: pytest.LogCaptureFixture) -> None:
+    """GDAL takes arrays out of netCDF upside down; at 180 degrees longitudes begin anew."""
+    bands = whole()
+    bands[0] = (bands[0] + east + 180.0) % 360.0 - 180.0
+    for array, is_mirrored in ((bands, False), (bands[:, ::-1], True)):
+        caplog.clear()
+        with caplog.at_level(logging.INFO, logger="termsel"):
+            termsel.read(written(tmp_path / "xyz.tif", array, ("longitude", "latitude", "height")))
+        assert ("mirrors the ground" in caplog.text) == is_mirrored
 
 
 def test_files_of_their_own(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ between as well as it ever will.
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -21,6 +22,8 @@ from termsel import FeatureSet, Option, Points, Reader, TermselError, open_raste
 from termsel.toolkit import refuse_empty_giant
 from termsel.toolkit.files import read_head
 from termsel_formats.points.common import CORNER
+
+log = logging.getLogger("termsel.formats")
 
 FloatArray = NDArray[np.float64]
 
@@ -299,10 +302,26 @@ def _lattice_of(arrays: Arrays, path: Path, meshes: int | None) -> FeatureSet:
     ground = ground[finite]
     if np.isnan(ground[:, 2]).any():
         ground[:, 2] = np.nan
+    if _mirrors(image, ground):
+        log.info("Note: %s mirrors the ground, as radar images and raw scans may. GDAL takes "
+                 "arrays out of netCDF upside down: gdal_translate --config GDAL_NETCDF_BOTTOMUP "
+                 "NO, or the name HDF5:FILE://ARRAY, keeps them as they are.", path)
     names = tuple(f"L{line:g}P{sample:g}" for line, sample in image)
     return FeatureSet(Points(names, image, ground),
                       crs=_crs_of(arrays.crs, bool(np.isfinite(ground[:, 2]).all())),
                       image_size=arrays.image_size)
+
+
+def _mirrors(image: FloatArray, ground: FloatArray) -> bool:
+    """Return whether an image mirrors the ground at its places: lines and samples, x and y."""
+    plane = ground[:, :2].copy()
+    # Longitudes that jump at 180 degrees; metres reach further.
+    if np.abs(plane[:, 0]).max() <= 180.0 < np.ptp(plane[:, 0]):
+        plane[:, 0] %= 360.0
+    slopes = np.linalg.lstsq(image - image.mean(axis=0), plane - plane.mean(axis=0))[0]
+    # dx/dline dy/dsample - dy/dline dx/dsample: as seen from above, y falls along lines and x
+    # grows along samples.
+    return bool(np.linalg.det(slopes) < 0.0)
 
 
 def _crs_of(stated: str, heights: bool) -> str:
