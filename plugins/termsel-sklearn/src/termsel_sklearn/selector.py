@@ -31,31 +31,47 @@ _SMALL = 1e-10
 """Smallest share of a column that the others in use must leave."""
 
 
+def _unit_columns(values: FloatArray, root: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return columns (n, k) with mean 0 and length 1, and which of them are constant, shape (k,).
+
+    They are times `root` (n, 1), the roots of weights. Constant ones are 0 but for rounding.
+    """
+    # Of a constant rounding alone is left once the mean is taken off. Each column is judged by
+    # its own size, so that units do not matter.
+    rounding = len(values) * np.finfo(np.float64).eps * np.linalg.norm(root * values, axis=0)
+    centred = root * (values - np.average(values, axis=0, weights=root[:, 0]**2))
+    size = np.linalg.norm(centred, axis=0)
+    constant = size <= rounding
+    return centred / np.where(constant, 1.0, size), constant
+
+
 class ColumnProblem(Problem):
     """Which columns of X (n, k), at most so many, explain y (n, m) by the extended BIC.
 
     n log(RSS / n) + s log n + 2 log C(k, s) for s of k columns (Chen and Chen 2008, Biometrika
     95(3), equation 1 with gamma 1). A constant, the first gene, is always in the fit and does not
-    count. Weights (n,) are above 0; their sum is the n of the criterion.
+    count. RSS is that of all targets, each in the unit of its own standard deviation. Weights (n,)
+    are above 0 and count relative to each other: a variance that the criterion estimates has no
+    other use for them.
     """
 
     objectives = ("ebic",)
 
     def __init__(self, X: FloatArray, y: FloatArray, weights: FloatArray, max_columns: int) -> None:
-        self._n = weights.sum()
-        k = X.shape[1]
+        self._n, k = X.shape
+        # Their mean is 1, so that RSS / n is a mean of squares.
+        weights = weights / weights.mean()
         # Rows times the roots of their weights: plain least squares are then weighted ones.
         root = np.sqrt(weights)[:, None]
-        # A constant is always in the fit: of another one rounding alone is left once the mean is
-        # taken off. Each column is judged by its own size, so that units do not matter.
-        rounding = len(X) * np.finfo(np.float64).eps * np.linalg.norm(root * X, axis=0)
-        X, y = (root * (values - np.average(values, axis=0, weights=weights)) for values in (X, y))
-        size = np.linalg.norm(X, axis=0)
-        constant = size <= rounding
+        # Unit columns, so that what is small in the Gram matrix is small for all of them.
+        X, constant = _unit_columns(X, root)
         if constant.all():
             raise TermselError("every column of X is constant, so that there is none to select")
-        # Unit columns, so that what is small in the Gram matrix is small for all of them.
-        X = X / np.where(constant, 1.0, size)
+        y, same = _unit_columns(y, root)
+        if same.all():
+            raise TermselError("y is constant, so that there is nothing for columns to explain")
+        # Standard deviations of 1: the unit of a target does not decide how much it counts.
+        y = y[:, ~same] * np.sqrt(self._n)
         self._gram = X.T @ X
         self._right = X.T @ y
         self._total = float((y**2).sum())
@@ -168,8 +184,10 @@ class TermSelector(SelectorMixin, WithOptions):  # type: ignore[misc]
         ----------
         X : array_like, shape (n, k)
         y : array_like, shape (n,) or (n, m)
+            Targets; units do not matter, since each is divided by its standard deviation.
         sample_weight : array_like, shape (n,), optional
-            Weights of the rows, in the criterion as if each row were there so many times.
+            Weights of the rows relative to each other, such as 1 over the variance of each; their
+            scale does not matter, and a row of weight 0 is left out.
 
         Returns
         -------
@@ -179,7 +197,8 @@ class TermSelector(SelectorMixin, WithOptions):  # type: ignore[misc]
         Raises
         ------
         ValueError
-            For a parameter that is not known; if all columns are constant.
+            For a parameter that is not known, or a value it does not accept; if y or all columns of
+            X are constant.
         """
         X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64,
                              ensure_min_samples=2)
@@ -189,6 +208,9 @@ class TermSelector(SelectorMixin, WithOptions):  # type: ignore[misc]
         # Rows that are there twice leave no more freedom than one with their weight.
         distinct = len(np.unique(np.column_stack([X, y])[use], axis=0))
         max_columns = max(1, distinct // 3) if self.max_terms is None else self.max_terms
+        if not isinstance(max_columns, (int, np.integer)) or max_columns < 1:
+            raise ValueError(f"max_terms is {self.max_terms!r}: give a whole number of at least 1, "
+                             "or None for a third of the rows that differ")
         try:
             problem = ColumnProblem(X[use], y[use], weights[use], max_columns)
             self.search_ = search(problem, self._made(), seed=self.seed,
