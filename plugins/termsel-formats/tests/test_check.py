@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -233,3 +234,21 @@ def test_a_world_file_that_lacks_a_number_is_named(tmp_path: Path) -> None:
     world.write_text("10\n0\n0\n-10\n500000\n")
     with pytest.raises(TermselError, match="6 numbers, a line each, and this one has 5"):
         compare_programs(world)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="programs of the shell")
+def test_otb_that_answers_without_a_position_has_no_rpc(
+        result: termsel.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    programs = tmp_path / "programs"
+    programs.mkdir()
+    for name, said in (("otbcli_ReadImageInfo", "originx: 0.5\noriginy: 0.5\nspacingx: 1\n"
+                                                "spacingy: 1"),
+                       ("otbcli_ConvertSensorToGeoPoint", "nothing: known")):
+        program = programs / name
+        program.write_text(f"#!/bin/sh\necho '{said}'\n")
+        program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{programs}{os.pathsep}{os.environ['PATH']}")
+    found, answers = compare_programs(raster(tmp_path / "scene.tif", exact(result)), result)
+    (of_otb,) = (one for one in found if one.program == "OTB")
+    assert of_otb.transformation == "not reported by its applications"
+    assert not answers.failed
