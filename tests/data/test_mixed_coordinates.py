@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -237,6 +238,19 @@ def test_zeros_that_stand_for_unknown_places_are_named(zeros: int, of: str, said
     note = note_on_wrong_coordinates(FeatureSet(points))
     assert note.startswith(said) if said else "lie at" not in note
     assert not said or "P0" in note
+
+
+def test_points_at_zero_state_no_accuracy() -> None:
+    """Nor is a model compared with others at them."""
+    scene = termsel.simulate_scene("ikonos-hamedan", roles=(40, 0, 20), n_lines=0)
+    ground = scene.points.ground.copy()
+    ground[::5, :2] = 0.0
+    wrong = scene.with_(points=replace(scene.points, ground=ground))
+    screen = " ".join(termsel.run(features=wrong).summary().split())
+    assert "Accuracy not known: points whose coordinates are wrong are among the independent" in (
+        screen)
+    assert "Compared" not in screen
+    assert " px" in " ".join(termsel.run(features=scene).summary().partition("Accuracy")[2].split())
 
 
 def test_zeros_that_are_left_out_raise_no_doubt(tmp_path: Path,

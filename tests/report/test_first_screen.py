@@ -151,7 +151,7 @@ def test_the_figure_of_a_rival_stands_next_to_another_of_the_model() -> None:
     screen = CASES["auto-without-check-points"]
     predicted = {**screen, "predicted": {**PREDICTED, "rmse": 0.6}}
     [line] = [line for line in first_screen(**predicted) if line.startswith("Compared")]
-    assert "affine 0.60 px in leave-one-out (this model 0.50)" in line
+    assert "affine 0.60 px in leave-one-out (this model alone 0.50)" in line
 
 
 @pytest.mark.parametrize("name", CASES)

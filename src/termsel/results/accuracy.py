@@ -58,6 +58,9 @@ def accuracy_lines(record: Record) -> list[str]:
         predicted = expected_rmse(record)
     if accuracy is None:
         return _accuracy_without_check_points(record, predicted)
+    if are_places_wrong(record):
+        return ["not known: points whose coordinates are wrong are among the independent check "
+                "points, which contradict the model"]
     if predicted is None:
         return [_rmse_at_check_points(accuracy), *_doubt_clauses(record, accuracy)]
     if is_prediction_surer(record):
@@ -162,6 +165,19 @@ def _rmse_at_check_points(accuracy: Accuracy) -> str:
     return (f"{rounded_size_text(image.total)} px{ground}   RMSE at "
             f"{count_in_words(image.n, 'independent check point')} "
             f"{interval_text(*image.interval)}")
+
+
+def are_places_wrong(record: Record) -> bool:
+    """Return whether independent points contradict a model next to coordinates that cannot be.
+
+    Their RMSE is that of zeros, of another zone or of minutes, which no place on the map has.
+    """
+    read = record.data.read
+    predicted = expected_rmse(record)
+    if read is None or not read.mixed or record.accuracy is None or predicted is None:
+        return False
+    measured = record.accuracy.image.total
+    return measured > predicted.high and predicted.chance_beyond(measured) < RARE
 
 
 def _agreement_text(accuracy: Accuracy, predicted: Predicted) -> str:

@@ -28,7 +28,13 @@ from termsel.data.record.figures import (
 )
 from termsel.data.record.record import Record, WhatWasRead
 from termsel.data.record.search import ALL_TERMS_IN_USE, NAMED_BY_USER, RPC_UNUSED
-from termsel.results.accuracy import accuracy_lines, is_exact, lattice_of, reused_points_in_words
+from termsel.results.accuracy import (
+    accuracy_lines,
+    are_places_wrong,
+    is_exact,
+    lattice_of,
+    reused_points_in_words,
+)
 from termsel.results.blocks import Fact
 from termsel.results.verdict import (
     CHANCE,
@@ -101,7 +107,7 @@ def _brief_facts(record: Record, brief: int) -> list[Fact]:
     the search.
     """
     compared: list[str] = []
-    if record.feasible and brief < 3:
+    if record.feasible and brief < 3 and not are_places_wrong(record):
         # The best rival that needs no search, and the conventional fit.
         rival = next((row for row in record.baselines if row.name == record.reference), None)
         if rival is not None:
@@ -477,14 +483,15 @@ def _comparison_with_rival(record: Record, rival: BaselineRow) -> Iterator[str]:
     else:
         verdict = "better; leave out the search"
     if by_held_out:
-        # That of this model may be the prediction above, or the same as that of the other.
+        # The prediction above is of the whole choice, repeated; this one is of the model alone. It
+        # may be the same as either of the others.
         own_text = rounded_size_text(own_rmse)
         rival_text = rounded_size_text(rival_rmse)
         if record.predicted is None:
             predicted_text = ""
         else:
             predicted_text = rounded_size_text(record.predicted.rmse)
-        own = "" if own_text in (predicted_text, rival_text) else f" (this model {own_text})"
+        own = "" if own_text in (predicted_text, rival_text) else f" (this model alone {own_text})"
         yield f"{name} {rival_text} px in leave-one-out{own}: {verdict}"
     else:
         yield f"{name} {rounded_size_text(rival_rmse)} px: {verdict}"
