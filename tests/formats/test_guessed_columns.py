@@ -7,6 +7,7 @@ with ids, flags and constants. The true reading is always among those shown.
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from collections.abc import Callable
 from pathlib import Path
@@ -91,8 +92,20 @@ def test_pixels_next_to_degrees_are_read(tmp_path: Path) -> None:
     assert points.ground[:, :2].tolist() == [[-2.90, 53.38], [-2.91, 53.39], [-2.92, 53.37]]
     (tmp_path / "b.csv").write_text("id,x,y,lon,lat\n1,448000.5,5262000,8.3,47.5\n"
                                     "2,448100,5262900,8.31,47.51\n")
-    with pytest.raises(TermselError, match="x and y are no pixels"):
+    with pytest.raises(TermselError, match="x and y are no pixels, and there are no other"):
         termsel.read(tmp_path / "b.csv", crs="EPSG:4326")
+
+
+def test_primed_columns_of_the_image_are_offered(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("id;x;y;h;x';y'\n1;497304.75;3999053.32;270.74;142.70;1825.92\n"
+                    "2;498002.82;4002512.51;740.22;799.44;143.78\n")
+    with pytest.raises(TermselError, match="x' and y' look like pixels") as caught:
+        termsel.read(path, crs="EPSG:32631")
+    (columns,) = re.findall('--columns "(.*)"', str(caught.value))
+    points = termsel.read(path, crs="EPSG:32631", columns=columns).points
+    assert points.image.tolist() == [[1825.92, 142.70], [143.78, 799.44]]
+    assert points.ground[0].tolist() == [497304.75, 3999053.32, 270.74]
 
 
 def test_the_crs_in_a_first_line_is_no_header(tmp_path: Path) -> None:

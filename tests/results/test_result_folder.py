@@ -323,3 +323,9 @@ def test_blanks_around_ids_are_no_part_of_them(of_lines: Result, tmp_path: Path)
     assert _written(result, tmp_path).to_json() == result.to_json()
     with pytest.raises(TermselError, match="is used 2 times"):
         replace(features.points, ids=(" P", "P", *features.points.ids[2:]))
+
+
+def test_a_folder_that_is_not_there_is_to_be_made(tmp_path: Path) -> None:
+    result = next(iter(example_results()))
+    with pytest.raises(TermselError, match=r"this folder does not exist. Make it before"):
+        write_result(result, tmp_path / "none")

@@ -47,6 +47,17 @@ def test_that_tables_have_no_heights_is_said_once(
     assert caplog.messages[1:] == ["Note: so it is in 2 further files."]
 
 
+def test_that_x_and_y_are_pixels_is_said_once(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for name in "abc":
+        (tmp_path / f"{name}.csv").write_text("id,E,N,H,x,y\nP1,1,2,3,4,7\nP2,5,6,7,9,8\n")
+    spec = spec_of({"data": [{"points": "*.csv", "crs": "local"}], "strategies": ["auto"]})
+    with caplog.at_level("INFO", logger="termsel"):
+        assert len(data_of(spec, tmp_path)) == 3
+    assert sum("are read as sample and line" in message for message in caplog.messages) == 1
+    assert caplog.messages[1:] == ["Note: so it is in 2 further files."]
+
+
 def test_messages_outside_a_study_stay_as_they_are(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level("INFO", logger="termsel"):
         logging.getLogger("termsel.io.export").warning("Warning: %d px", 3)

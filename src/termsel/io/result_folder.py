@@ -181,6 +181,10 @@ def _put_in_place(folder: Path) -> None:
 
 def _cannot_write(folder: Path, error: OSError) -> TermselError:
     """Return the error for a result that cannot be written, and why."""
+    if not folder.exists():
+        return TermselError("cannot write the result: this folder does not exist", file=folder,
+                            hint="Make it before: its mkdir(parents=True). termsel.run(out=...) "
+                                 "makes its own.")
     return TermselError(f"cannot write the result: {error.strerror or error}", file=folder,
                         hint="Check that the folder is writable and has free space, or choose "
                              "another --out.")

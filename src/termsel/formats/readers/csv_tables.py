@@ -74,6 +74,10 @@ class PointsCsv(TableReader):
         return parts_of(header, [row for row in rows[first + 1:] if len(row) == len(header)])
 
 
+READ_AS_PIXELS = "are read as sample and line"
+"""What a note says of columns x and y next to others on the ground."""
+
+
 def parts_of(header: Sequence[str], rows: Sequence[Sequence[str]]) -> dict[str, dict[str, Any]]:
     """Return the options of each image of a table; empty where it has one image."""
     images = _images_of(dict(zip(header, zip(*rows, strict=True), strict=False)))
@@ -104,10 +108,21 @@ def _check_pixels(table: Table, features: FeatureSet) -> None:
     if image_names != ["x", "y"] or not len(features.points):
         return
     if np.abs(features.points.image).max() > LARGEST_IMAGE:
+        ground_names = [table.names[meaning].strip() for meaning in ("x", "y")]
+        # Photogrammetrists call the image x' and y'.
+        are_primed = [fold_name(name) for name in ground_names] == ["x", "y"]
+        if are_primed and np.abs(features.points.ground[:, :2]).max() <= LARGEST_IMAGE:
+            # In double quotes, as names may have a prime.
+            sample, line = ground_names
+            exchanged = f'"x=x,y=y,sample={sample},line={line}"'
+            raise table.error(
+                f"x and y are no pixels, and {' and '.join(ground_names)} look like pixels", 0,
+                "sample", f"Declare them: --columns {exchanged}. If lines count upwards, add --set "
+                          "image_origin=bottom-left --image FILE.")
         raise table.error("x and y are no pixels, and there are no other columns of the image", 0,
                           "sample", "Declare the columns of the image, --columns "
                                     "line=NAME,sample=NAME.")
-    log.info("Note: x and y are read as sample and line, next to %s and %s on the ground.",
+    log.info(f"Note: x and y {READ_AS_PIXELS}, next to %s and %s on the ground.",
              table.names["x"].strip(), table.names["y"].strip())
 
 

@@ -17,6 +17,7 @@ from termsel.core.display.quiet import quiet_logger
 from termsel.core.errors import TermselError, count_in_words
 from termsel.data.datasets import DatasetSpec
 from termsel.data.features import FeatureSet
+from termsel.formats.readers.csv_tables import READ_AS_PIXELS
 from termsel.formats.readers.tables import NO_HEIGHTS
 from termsel.io.read import parts_of, read
 from termsel.plugins.registry import registry
@@ -55,7 +56,9 @@ def data_of(spec: Spec, folder: Path, tables: frozenset[Path] = frozenset()) -> 
     """
     data_sets: list[Data] = []
     # What is said of the heights of one file would stand there for each of hundreds.
-    with quiet_logger("termsel.formats.heights", logging.WARNING), _said_once(NO_HEIGHTS):
+    with (quiet_logger("termsel.formats.heights", logging.WARNING),
+          _said_once(NO_HEIGHTS, "termsel.formats.readers.tables"),
+          _said_once(READ_AS_PIXELS, "termsel.formats.readers.csv_tables")):
         for source in spec.data:
             data_sets += _data_of_source(spec, source, folder, tables)
     _say_heights(data_sets)
@@ -73,8 +76,8 @@ def data_of(spec: Spec, folder: Path, tables: frozenset[Path] = frozenset()) -> 
 
 
 @contextmanager
-def _said_once(words: str) -> Iterator[None]:
-    """Let readers of tables log a note with these words for the first file only.
+def _said_once(words: str, by: str) -> Iterator[None]:
+    """Let the logger `by` log a note with these words for the first file only.
 
     On leaving, a note tells how many further files it would have been logged for.
     """
@@ -87,7 +90,7 @@ def _said_once(words: str) -> Iterator[None]:
         records.append(record)
         return len(records) == 1
 
-    logger = logging.getLogger("termsel.formats.readers.tables")
+    logger = logging.getLogger(by)
     logger.addFilter(is_first)
     try:
         yield
