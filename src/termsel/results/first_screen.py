@@ -16,7 +16,7 @@ from termsel.core.errors import (
     rounded_size_text,
 )
 from termsel.data.coordinates.crs import LOCAL, is_geographic, short_crs_name
-from termsel.data.record.cautions import BEYOND_RPC
+from termsel.data.record.cautions import BEYOND_RPC, SWAPPED_IMAGE
 from termsel.data.record.figures import (
     EXACTLY,
     FEW_EVALUATIONS,
@@ -732,7 +732,7 @@ def next_step_for_user(record: Record, folder: str = "") -> str:
     if read and read.mixed:
         return "Next: correct the coordinates, then run again"
     if read and read.doubt:
-        pair = "line-sample" if read.doubt.startswith("l") else "xy"
+        pair = "line-sample" if read.doubt.startswith(SWAPPED_IMAGE) else "xy"
         return f"Next: run again with --set swapped={pair}"
     if may_be_shifted(record):
         return "Next: compare some of these points with the map before leaving any out"

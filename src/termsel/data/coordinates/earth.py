@@ -30,6 +30,7 @@ from termsel.data.coordinates.longitudes import unwrap_longitudes, without_jump
 from termsel.data.coordinates.metres import has_compass_axes, metric_crs, offsets_in_metres
 from termsel.data.coordinates.places import lattice_of
 from termsel.data.features import FeatureSet, FloatArray
+from termsel.data.record.cautions import SWAPPED_GROUND, SWAPPED_IMAGE
 from termsel.data.record.chances import median_of
 
 log = logging.getLogger(__name__)
@@ -160,7 +161,7 @@ def unknown_crs_error(features: FeatureSet, may_turn: bool) -> TermselError:
         return error
     error.options["--crs"] = crs
     error.hint = f"{error.hint} They look like degrees: --crs {crs}{projection}."
-    impossible = ("x and y look swapped: no latitude is beyond 90"
+    impossible = (f"{SWAPPED_GROUND}: no latitude is beyond 90"
                   if np.abs(plane[:, 1]).max() > 90 else "")
     if may_turn and (doubt := impossible or find_swapped_axes(replace(features, crs=crs))):
         error.options["--set"] = _exchange_option(doubt)[0]
@@ -170,7 +171,8 @@ def unknown_crs_error(features: FeatureSet, may_turn: bool) -> TermselError:
 
 def _exchange_option(doubt: str) -> tuple[str, ...]:
     """Return the --set option that exchanges what `find_swapped_axes` names, then the other."""
-    return ("swapped=xy", "swapped=line-sample")[::-1 if doubt[0] == "l" else 1]
+    options = ("swapped=xy", "swapped=line-sample")
+    return options[::-1] if doubt.startswith(SWAPPED_IMAGE) else options
 
 
 def find_swapped_axes(features: FeatureSet) -> str:
@@ -189,7 +191,7 @@ def find_swapped_axes(features: FeatureSet) -> str:
     # Scenes may reach beyond the area, so one that is near it is not outside.
     if (area is not None and exchanged is not None and is_inside(exchanged, area, 0.0)
             and (as_they_stand is None or not is_inside(as_they_stand, area, AREA_MARGIN))):
-        return (f"x and y look swapped: exchanged, they lie in the area of "
+        return (f"{SWAPPED_GROUND}: exchanged, they lie in the area of "
                 f"{short_crs_name(features.crs)}, and not as they stand")
     if _has_turning_radar(features):
         return ""
@@ -197,8 +199,8 @@ def find_swapped_axes(features: FeatureSet) -> str:
     turn = _rotation_to_east_north_up(features)
     if turn is None or np.linalg.det(turn) >= 0 or not _is_diagonal(turn):
         return ""
-    pair = "x and y" if turn[0, 1] + turn[1, 0] > 0 else "line and sample"
-    return f"{pair} look swapped: the image mirrors the ground"
+    swapped = SWAPPED_GROUND if turn[0, 1] + turn[1, 0] > 0 else SWAPPED_IMAGE
+    return f"{swapped}: the image mirrors the ground"
 
 
 def _has_turning_radar(features: FeatureSet) -> bool:

@@ -31,6 +31,10 @@ BESIDE_CONTROL = " close beside control points"
 BEYOND_RPC = ", are outside those of the RPC, "
 """What a note has in it on control whose heights the RPC does not have."""
 
+SWAPPED_GROUND = "x and y look swapped"
+SWAPPED_IMAGE = "line and sample look swapped"
+"""How a doubt begins on axes of the ground, or of the image."""
+
 _OPENINGS = (EXTRAPOLATION, BETWEEN_POINTS)
 _WORDS = (ON_ONE_LINE, TWO_DATUMS, CONTRADICT, EXCHANGED, UNLIKE_CONTROL, BESIDE_CONTROL,
           BEYOND_RPC)
