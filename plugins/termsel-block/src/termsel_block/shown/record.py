@@ -39,7 +39,7 @@ class WrongTie(msgspec.Struct, frozen=True):
     id: str
     image: str
     error: float
-    """Distance from where the others see it [px]."""
+    """Distance from where the others see it, or where all its rays meet if none is used [px]."""
 
 
 class WrongControl(msgspec.Struct, frozen=True):
