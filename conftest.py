@@ -39,6 +39,7 @@ def pytest_collection() -> Iterator[None]:
         yield
     finally:
         gc.freeze()
+        gc.set_threshold(20_000, 20, 20)  # tests leave little, and are many
         gc.enable()
 
 

@@ -576,6 +576,14 @@ def _expected_noise_variances(posterior: Posterior) -> FloatArray:
     return np.asarray(posterior.square / (posterior.freedom - 2))
 
 
+@lru_cache(maxsize=2)  # line and sample mostly have one design, and weigh the same groups
+def _decomposed(design: Design, groups: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
+    """Return singular values (g, r) and right singular vectors (g, r, k) of the scaled columns."""
+    _, values, vt = np.linalg.svd(design.shrunken * design.scales[list(groups), None],
+                                  full_matrices=False)
+    return values, vt
+
+
 @lru_cache(maxsize=32)  # places come in batches
 def _coefficient_moments(posterior: Posterior,
                          axis: int) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -598,7 +606,7 @@ def _coefficient_moments(posterior: Posterior,
     deviations = solutions.coefficients - mean
     covariance = (deviations * share[:, None]).T @ deviations
     groups = np.flatnonzero(weight.any(axis=1))  # the others are not decomposed for this
-    values, vt = design.decomposed(groups)
+    values, vt = _decomposed(design, tuple(groups.tolist()))
     shrink = PRIOR_SIZES[:, None] ** 2 / (1.0 + (PRIOR_SIZES[:, None] * values[:, None, :]) ** 2)
     explained_weight = np.einsum("gs,gsp->gp", weight[groups], shrink)
     prior_weight = weight @ PRIOR_SIZES**2

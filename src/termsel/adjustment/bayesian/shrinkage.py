@@ -112,13 +112,6 @@ class Design:
         """The bidiagonal forms of the shrunken columns under the scales of each group."""
         return bidiagonal_forms(self.shrunken, self.scales)
 
-    def decomposed(self, groups: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return singular values (g, r) and right singular vectors (g, r, k) of the scaled columns.
-        """
-        _, values, vt = np.linalg.svd(self.shrunken * self.scales[groups, None],
-                                      full_matrices=False)
-        return values, vt
-
     def unexplained_part(self, target: FloatArray) -> FloatArray:
         """Return the part of a target (n,) that no column explains, (n,).
 
