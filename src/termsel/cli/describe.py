@@ -150,16 +150,20 @@ def _describe_problem(entry: Entry) -> None:
     """Print the defaults of a problem and its options."""
     recipe = entry.object
     # Of two rules the one that is met first ends the search.
-    rules = {"{} generations": recipe.generations,
-             "{} generations without a gain": recipe.patience}
+    rules = []
+    if recipe.generations:
+        rules.append(f"{recipe.generations} generations")
+    if recipe.patience:
+        rules.append(f"{recipe.patience} generations without a gain")
+    other_solvers = {f"with {solver}": _option_settings(options).strip()
+                     for solver, options in recipe.solver_options.items()
+                     if solver != recipe.solver}
     _print_pairs({
         "model": recipe.model + _option_settings(recipe.model_options), "data set": recipe.dataset,
         "criterion": recipe.criterion,
         "solver": recipe.solver + _option_settings(recipe.solver_options.get(recipe.solver, {})),
-        **{f"with {solver}": _option_settings(options).strip()
-           for solver, options in recipe.solver_options.items() if solver != recipe.solver},
-        "ends after": ", or ".join(rule.format(n) for rule, n in rules.items() if n) or
-                      "the budget of every search",
+        **other_solvers,
+        "ends after": ", or ".join(rules) or "the budget of every search",
         "control": recipe.control, "source": recipe.source})
     _print_options([*recipe.options, *_options_of_prepared_problem(recipe)])
     echo("\nOptions of the data: termsel describe data. Model, solver and criterion have their own "
@@ -247,21 +251,28 @@ _FUNCTIONS = {
 
 def _describe_method(entry: Entry) -> None:
     """Print when auto chooses a method, and how to fit it alone."""
-    # In the order in which the choice itself asks: the first that holds decides.
     method = entry.object
-    _print_pairs({"chosen": "never: it is fitted where it is asked for" if method.on_request else
-                  "never: it is shown for comparison" if method.only_shown else
-                  "by the smallest leave-one-out RMSE, if points are few" if method.for_few else
-                  "if it is better by one standard error, or instead of the methods that it "
-                  "contains"
-                  if method.has_prior else
-                  f"if it is better by {'two' if method.central else 'three'} standard errors "
-                  "and has the smaller RMSE",
-                  "contains": ", ".join(method.contains), "needs": ", ".join(method.needs),
-                  "tried for": (f"up to {method.max_features:g} features"
-                                if method.max_features < float("inf") else "")})
+    is_limited = method.max_features < float("inf")
+    _print_pairs({"chosen": _when_chosen(method), "contains": ", ".join(method.contains),
+                  "needs": ", ".join(method.needs),
+                  "tried for": f"up to {method.max_features:g} features" if is_limited else ""})
     echo(f"\nFit it alone with termsel run --method {entry.name}, in Python with "
          f"termsel.fit(features, {entry.name!r}).")
+
+
+def _when_chosen(method: Any) -> str:
+    """Return in words when auto chooses a method."""
+    # In the order in which the choice itself asks: the first that holds decides.
+    if method.on_request:
+        return "never: it is fitted where it is asked for"
+    if method.only_shown:
+        return "never: it is shown for comparison"
+    if method.for_few:
+        return "by the smallest leave-one-out RMSE, if points are few"
+    if method.has_prior:
+        return "if it is better by one standard error, or instead of the methods that it contains"
+    standard_errors = "two" if method.central else "three"
+    return f"if it is better by {standard_errors} standard errors and has the smaller RMSE"
 
 
 def _describe_dataset(entry: Entry) -> None:

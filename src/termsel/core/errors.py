@@ -158,21 +158,28 @@ _DEGREES = {"linear": 1, "quadratic": 2, "cubic": 3}
 
 def unknown_name_error(
         kind: str, name: str, names_known: Iterable[str], hint: str = "") -> TermselError:
-    """Return the error for a name of some kind that is not among the known, with the nearest."""
+    """Return the error for a name that is not among the known names of its kind.
+
+    Its hint asks whether one of up to three similar names was meant, lists the known ones unless
+    there is a similar name among very many, and ends with `hint`.
+    """
     names = sorted(set(names_known))
-    near = _likely_names(name, names)
-    if name.lower() in _DEGREES and "poly2d" in names:  # a word of the summary
+    similar_names = _likely_names(name, names)
+    # The summary calls polynomials by their degree, such as cubic, which is no name of a model.
+    if name.lower() in _DEGREES and "poly2d" in names:
         hint = (f"Name it poly2d, or poly3d with heights, and --set degree="
                 f"{_DEGREES[name.lower()]}. {hint}").rstrip()
-        near = []
-    guess = f"Did you mean {' or '.join(map(repr, near))}?" if near else ""
-    remainder = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    listed = (f"Known: {', '.join(names[:MOST_NAMED])}{remainder}." if names
-              else f"No {kind} is known here: leave it out.")
-    if near and len(names) > MOST_BESIDE_NEAR:
+        similar_names = []
+    question = f"Did you mean {' or '.join(map(repr, similar_names))}?" if similar_names else ""
+    if not names:
+        listed = f"No {kind} is known here: leave it out."
+    elif similar_names and len(names) > MOST_BESIDE_NEAR:
         listed = ""
+    else:
+        remainder = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+        listed = f"Known: {', '.join(names[:MOST_NAMED])}{remainder}."
     return TermselError(f"unknown {kind} {name!r}", name=name, code=f"{kind}-unknown",
-                        hint=" ".join(text for text in (guess, listed, hint) if text))
+                        hint=" ".join(text for text in (question, listed, hint) if text))
 
 
 def _likely_names(name: str, names: Sequence[str]) -> list[str]:

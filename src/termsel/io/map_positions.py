@@ -212,7 +212,7 @@ class MapPositions:
         to_pixel = ~surface.raster.transform
         sample, line = to_pixel @ (np.asarray(x), np.asarray(y))
         raster_positions = np.stack([line, sample], axis=1) - 0.5
-        window = _part_of(surface, raster_positions)
+        window = _raster_part_around(surface, raster_positions)
         if window is None:
             return self._height_of_each_pixel(shape, transform)
         pixels, first = window
@@ -249,8 +249,9 @@ def _node_positions(shape: tuple[int, int], step: int) -> tuple[FloatArray, tupl
     return nodes, (size[0], size[1])
 
 
-def _part_of(surface: Dem, positions: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Return the pixels of a raster around places, and where they begin in it.
+def _raster_part_around(
+        surface: Dem, positions: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return the pixels of a raster around places, and the position of their first in the raster.
 
     Parameters
     ----------
@@ -261,11 +262,11 @@ def _part_of(surface: Dem, positions: FloatArray) -> tuple[FloatArray, FloatArra
     Returns
     -------
     pixels : ndarray, shape (lines, samples)
-        With a margin for interpolation; one NaN if no position is known.
+        With a margin for interpolation; a single NaN if no position is known.
     first : ndarray, shape (2,)
         Line and sample of the first of them.
 
-    It is None instead where there are more than LARGEST_DEM pixels.
+    None is returned instead of both where there are more than LARGEST_DEM pixels.
     """
     from rasterio.windows import Window
 
@@ -297,12 +298,15 @@ def _largest_distance(positions: FloatArray, exact: FloatArray) -> float:
 
 
 def _positions_between(nodes: Any, levels: Any, heights: Any, step: int, positions: Any) -> None:
-    """Fill `positions` (lines, samples, 2) from those of `nodes` (levels, rows, columns, 2).
+    """Interpolate image positions at all pixels of a tile, from the positions at its nodes.
 
-    Bilinear in the plane; by Lagrange's polynomial between heights.
+    It fills `positions` (lines, samples, 2), from `nodes` (levels, rows, columns, 2) that are
+    `step` pixels apart and have the heights `levels` (levels,), at the `heights` (lines, samples)
+    of the pixels. Bilinear in the plane; by Lagrange's polynomial between heights. A pixel without
+    a height has NaN for both.
     """
     count = len(levels)
-    of_level = np.empty(count)
+    level_weights = np.empty(count)
     for i in range(positions.shape[0]):
         row = min(i // step, nodes.shape[1] - 2)
         down = i / step - row
@@ -317,13 +321,13 @@ def _positions_between(nodes: Any, levels: Any, heights: Any, step: int, positio
                 for m in range(count):
                     if m != k:
                         weight *= (height - levels[m]) / (levels[k] - levels[m])
-                of_level[k] = weight
+                level_weights[k] = weight
             # Bilinear between the four nodes around the pixel, in every level.
             line = 0.0
             sample = 0.0
             for k in range(count):
-                upper = of_level[k] * (1.0 - down)
-                lower = of_level[k] * down
+                upper = level_weights[k] * (1.0 - down)
+                lower = level_weights[k] * down
                 a = upper * (1.0 - right)
                 b = upper * right
                 c = lower * (1.0 - right)

@@ -262,19 +262,24 @@ def _propose_prj_of(image: Path, error: TermselError) -> None:
 
 def _options_of_image(path: Path, image: Path, readers: Sequence[type[Reader]],
                       formats: Sequence[str], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options with which a file of points is read as that of an image."""
+    """Return the options of the reader with which only the points of one image are read.
+
+    They are the part of the file that has the name of the image, unless `options` has the name of
+    an image already, and the image as the raster of a reader that takes one. Empty for a file of
+    one image.
+    """
     reader = find_reader(path, readers, next(iter(formats), None), options)
+    image_options: dict[str, Any] = {}
     if "image_name" not in options:
-        named = {name.casefold(): part for name, part in reader.parts(path).items()}
+        options_by_part = {name.casefold(): part for name, part in reader.parts(path).items()}
         # Metashape calls the camera of DJI_1.JPG DJI_1.
         name = image.name.casefold()
-        of_part = named.get(name) or named.get(name.rpartition(".")[0]) or {}
-    else:
-        of_part = {}
+        stem = name.rpartition(".")[0]
+        image_options |= options_by_part.get(name) or options_by_part.get(stem) or {}
     takes_raster = any(option.name == "raster" for option in reader.declared_options)
     if takes_raster and "raster" not in options:
-        return of_part | {"raster": str(image)}
-    return of_part
+        image_options["raster"] = str(image)
+    return image_options
 
 
 def read_options() -> tuple[Option, ...]:
@@ -342,9 +347,11 @@ def features_of(source: Any, crs: CrsLike | None = None,
 
 def _with_image_size(features: FeatureSet, image: Path | str | None, size: tuple[int, int] | None,
                      off: str | None) -> FeatureSet:
-    """Return features with the size of their image, where they do not state it.
+    """Return features with the size (lines, samples) of their image, where they do not state one.
 
-    All lie in it but those that are off.
+    Without an image or its size they are returned as they are. Raises TermselError for a feature
+    outside the image; those that are off, by their own role or by `off` (ids with commas between
+    them), may lie there. Warns where the image has georeferencing that contradicts the features.
     """
     if image is None or size is None:
         return features
@@ -359,21 +366,23 @@ def _with_image_size(features: FeatureSet, image: Path | str | None, size: tuple
 def _with_rpc_and_heights(features: FeatureSet, dem: Path | str | None,
                           rpc: Rpc | Path | str | None, z_unit: str | None,
                           image_part: ImagePart | None, roles: Mapping[str, str]) -> FeatureSet:
-    """Return features with those of an RPC, a unit of z and heights of a DEM that are given.
+    """Return features with an RPC, with z in the unit of the CRS, and with heights from a DEM.
 
-    Longitudes and latitudes in grads become degrees before. Features that are off, by the `roles`
-    that are asked for or their own, may lie outside the DEM.
+    Each is done only where it is given. Longitudes and latitudes in grads become degrees before.
+    `roles` are those that the run asks for, by id; features that are off, by these or by their own
+    role, may lie outside the DEM.
     """
     features = with_degrees(features)
     if rpc is not None:
         features = with_rpc(features, rpc, image_part)
-    path = None if dem is None else Path(dem)
-    features = with_z_unit(features, z_unit, path)
-    if path is None:
+    dem_path = None if dem is None else Path(dem)
+    features = with_z_unit(features, z_unit, dem_path)
+    if dem_path is None:
         return features
+    # Points of a table without a column of roles have no role at all.
     own_roles = dict(zip(features.points.ids, features.points.roles, strict=False))
-    return with_heights(features, path, [
-        name for name, role in {**own_roles, **roles}.items() if role == "off"])
+    ids_off = [name for name, role in {**own_roles, **roles}.items() if role == "off"]
+    return with_heights(features, dem_path, ids_off)
 
 
 def readers_of(paths: Sequence[Path], formats: Sequence[str]) -> list[type[Reader]]:
@@ -531,13 +540,15 @@ def _refuse_other_content(path: Path, head: bytes) -> None:
 
 
 def _reader_that_recognises(path: Path, head: bytes, readers: Sequence[Reader]) -> Reader | None:
-    """Return the reader that recognises a file, a built-in one first; None if none does.
+    """Return the reader that recognises a file by its first bytes; None if none does.
 
-    Raises TermselError if several readers of plugins do.
+    A built-in reader comes before those of plugins, of which any that recognises the file too is
+    noted. Among plugins, readers that are not general come first, and then those that do not
+    recognise noise. Raises TermselError if more than one is left.
     """
     built_in_reader = next((reader for reader in readers
                             if is_own(type(reader)) and reader.sniff(path, head)), None)
-    claims = []
+    claims: list[Reader] = []
     # Every reader of a plugin is asked: one that fails, or recognises noise as well, takes no file
     # of another.
     for reader in readers:
@@ -549,14 +560,16 @@ def _reader_that_recognises(path: Path, head: bytes, readers: Sequence[Reader]) 
         except PluginFault as fault:
             log.warning("Warning: %s", fault)
     claims = [reader for reader in claims if not reader.general] or claims
-    if built_in_reader is not None or len(claims) < 2:
-        for reader in claims if built_in_reader is not None else ():
+    if built_in_reader is not None:
+        for reader in claims:
             log.warning("Note: %s recognises %s too; --format %s reads it so.", name_of(reader),
                         path.name, reader.name)
-        return built_in_reader or next(iter(claims), None)
-    choosy = [reader for reader in claims if not _recognises_noise(reader, path)]
-    if len(choosy) == 1:
-        return choosy[0]
+        return built_in_reader
+    if len(claims) < 2:
+        return claims[0] if claims else None
+    choosy_readers = [reader for reader in claims if not _recognises_noise(reader, path)]
+    if len(choosy_readers) == 1:
+        return choosy_readers[0]
     raise TermselError(
         f"several readers recognise this file: {', '.join(map(name_of, claims))}", file=path,
         hint="Choose one: " + " or ".join(f"--format {reader.name}" for reader in claims) + ".")
@@ -615,7 +628,10 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
 
 def _options_asked_next(read_with: Callable[..., FeatureSet],
                         options: Mapping[str, Any]) -> dict[str, str]:
-    """Return the options that would be asked for next, given some."""
+    """Return the options that a message would ask for if `options` were given.
+
+    Without any error the files can be read with these options, and there are no further ones.
+    """
     try:
         with _silence_log():
             read_with(crs=None, options=options)
@@ -626,7 +642,11 @@ def _options_asked_next(read_with: Callable[..., FeatureSet],
 
 def _can_be_read(read_with: Callable[..., FeatureSet], crs: str | None,
                  options: Mapping[str, Any], columns: str) -> bool:
-    """Return whether files can be read with columns; without a CRS, in some plane."""
+    """Return whether files can be read with these columns.
+
+    Where no CRS is stated, they may also be read as plane coordinates without one: it is the
+    columns that are tried, and the CRS is asked for next.
+    """
     for stated in (crs,) if crs is not None else (None, LOCAL):
         try:
             with _silence_log():
@@ -704,16 +724,18 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
         if either and any(counts.values()):
             # A file that may hold either kind is judged by what it holds.
             continue
-        _check_kinds(path, counts, {"points": path == points, "lines": path == lines})
+        _require_given_kinds(path, counts, {"points": path == points, "lines": path == lines})
+    # What describes the image and the columns is taken from the first file that states it.
+    image_sizes = [features.image_size for features in sets.values() if features.image_size]
+    image_origins = [features.image_origin for features in sets.values() if features.image_origin]
+    named_units = [features.named_units for features in sets.values() if features.named_units]
     measured = FeatureSet(
         empty_points() if points is None else sets[points].points,
         empty_lines() if lines is None else sets[lines].lines,
         _agreed_crs(sets, stated),
-        next((features.image_size for features in sets.values() if features.image_size), None),
-        image_origin=next((features.image_origin for features in sets.values()
-                           if features.image_origin), ""),
-        named_units=next((features.named_units for features in sets.values()
-                          if features.named_units), {}))
+        image_sizes[0] if image_sizes else None,
+        image_origin=image_origins[0] if image_origins else "",
+        named_units=named_units[0] if named_units else {})
     # Where the columns were declared, swapped axes are no mistake of a guess.
     _require_crs(measured, sets, not options.get("columns") and swapped is None)
     for path, features in sets.items():
@@ -734,19 +756,21 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
 
 
 def _say_doubts(features: FeatureSet) -> None:
-    """Warn of axes that look swapped, of coordinates that are not all of one kind, or of another.
+    """Warn of coordinates that the CRS can have and that are nevertheless likely to be wrong.
 
-    What is left out raises no doubt.
+    That is where a column names another CRS, where only some of the coordinates fit the CRS, and
+    where axes look swapped. A projection that stretches lengths is noted. Features that are off
+    raise no doubt.
     """
-    features = without_off(features)
-    if other := note_on_other_crs(features):
-        log.warning("Warning: %s", other)
-    # Of coordinates of two kinds it means nothing how they are turned.
-    if mixed := note_on_wrong_coordinates(features):
-        log.warning("Warning: %s", mixed)
+    features_in_use = without_off(features)
+    if crs_doubt := note_on_other_crs(features_in_use):
+        log.warning("Warning: %s", crs_doubt)
+    # Where only some coordinates are wrong, whether all look swapped means nothing.
+    if coordinate_doubt := note_on_wrong_coordinates(features_in_use):
+        log.warning("Warning: %s", coordinate_doubt)
     else:
-        say_turned(features)
-    note_on_scale(features)
+        say_turned(features_in_use)
+    note_on_scale(features_in_use)
 
 
 def _say_misspelt(path: Path, features: FeatureSet) -> None:
@@ -768,7 +792,9 @@ def _say_misspelt(path: Path, features: FeatureSet) -> None:
 
 
 def _check_areas(path: Path, reader: Reader, asked_for: bool) -> None:
-    """Raise TermselError for areas that are not given as such, and for other files given as areas.
+    """Raise TermselError where a file of areas is given as another one, or another one as areas.
+
+    `asked_for` says whether the file was given as areas, and not as points or lines.
     """
     if not reader.areas:
         raise TermselError("this is a file of points or lines, not of areas", file=path,
@@ -816,28 +842,35 @@ def _refuse_idle_columns(columns: str, reader_of: Mapping[Path, Reader]) -> None
     known = {meaning: None for reader in tables for meaning in reader.aliases}
     idle = [meaning for meaning in parse_columns(columns) if meaning not in known]
     if idle:
+        nearest = _nearest_meaning(idle[0], known)
         raise TermselError(
             f"--columns names {' and '.join(idle)}, which this table does not have",
             file=" and ".join(map(str, reader_of)),
-            hint=f"Its columns are {', '.join(known)}: --columns {_like(idle[0], known)}=NAME.")
+            hint=f"Its columns are {', '.join(known)}: --columns {nearest}=NAME.")
 
 
-def _like(meaning: str, known: Collection[str]) -> str:
-    """Return the first of the known meanings that begins as another one does, else "line"."""
-    return next((name for name in known if name.startswith(meaning.rstrip("12"))), "line")
+def _nearest_meaning(meaning: str, known: Collection[str]) -> str:
+    """Return the known meaning of a column that is nearest to another one, else "line".
 
-
-def _check_kinds(path: Path, counts: dict[str, int], expected: dict[str, bool]) -> None:
-    """Raise TermselError for a file without points or lines that it was given as, or with others.
+    A table of points knows no line1 and x2: their names without the digit, line and x, are it.
     """
-    present = [kind for kind, count in counts.items() if count]
+    stem = meaning.rstrip("12")
+    return next((name for name in known if name.startswith(stem)), "line")
+
+
+def _require_given_kinds(path: Path, counts: dict[str, int], expected: dict[str, bool]) -> None:
+    """Raise TermselError where a file lacks features it was given for, or has others as well.
+
+    Both mappings are by "points" and "lines": `counts` has the features that the file holds, and
+    `expected` whether it was given as a file of them.
+    """
+    kinds_present = [kind for kind, count in counts.items() if count]
     for kind in counts:
-        # The counts are of what the file holds, the expected kinds of what it was given as.
-        if expected[kind] and kind not in present:
-            raise TermselError(f"the file has no {kind}", file=path, hint=" ".join(
-                f"It has {found_kind}: give it with --{found_kind}."
-                for found_kind in present) or None)
-    for kind in present:
+        if expected[kind] and kind not in kinds_present:
+            hint = " ".join(f"It has {present}: give it with --{present}."
+                            for present in kinds_present)
+            raise TermselError(f"the file has no {kind}", file=path, hint=hint or None)
+    for kind in kinds_present:
         if not expected[kind]:
             raise TermselError(f"the file also has {kind}", file=path,
                                hint=f"Give it with --{kind} too, or keep points and lines in "
@@ -878,14 +911,17 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
         elif {declared, agreed} == WGS84 and _may_add_heights(sets.values(), stated):
             agreed = "EPSG:4979"
         elif declared != agreed:
+            difference = ("They differ in the heights alone. " if {declared, agreed} == WGS84
+                          else "")
+            if stated:
+                remedy = "Leave --crs out, or correct the file"
+            else:
+                remedy = "Transform one of the files, or correct what they declare"
             raise TermselError(
                 f"the file declares the CRS {short_crs_name(declared)}, but {source} says "
                 f"{short_crs_name(agreed)}",
                 file=path,
-                hint=("They differ in the heights alone. " if {declared, agreed} == WGS84 else "")
-                + f"{'Leave --crs out' if stated else 'Transform one of the files'}, or correct "
-                  f"{'the file' if stated else 'what they declare'}; termsel does not transform "
-                  "coordinates.")
+                hint=f"{difference}{remedy}; termsel does not transform coordinates.")
     return agreed or ""
 
 

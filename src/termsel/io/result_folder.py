@@ -146,14 +146,17 @@ def write_result(result: Result, folder: Path | str) -> None:
 
 
 def _contents_by_file(result: Result) -> dict[str, str]:
-    """Return the content of each file of a result."""
+    """Return the text of each file of a result by its name, the record last."""
     points = result.features.points
     lines = result.features.lines
     crs = result.features.crs
     size = result.features.image_size
-    return {**({POINTS: points_text(points, crs, size)} if len(points) else {}),
-            **({LINES: lines_text(lines, crs, size)} if len(lines) else {}),
-            RESIDUALS: residuals_csv(result), SUMMARY: result.summary(verbose=True),
+    texts: dict[str, str] = {}
+    if len(points):
+        texts[POINTS] = points_text(points, crs, size)
+    if len(lines):
+        texts[LINES] = lines_text(lines, crs, size)
+    return {**texts, RESIDUALS: residuals_csv(result), SUMMARY: result.summary(verbose=True),
             **result.files, RECORD: result.to_json()}
 
 
@@ -263,7 +266,9 @@ def results_within(folder: Path) -> list[str]:
 
 
 def _no_result_error(folder: Path, path: Path) -> TermselError:
-    """Return the error for a folder without a result; of a block or a study it names some inside.
+    """Return the error for a folder without a result.
+
+    Where folders within it have results, as those of a block or a study do, it names some of them.
     """
     if not folder.exists():
         return TermselError("there is no result here: this folder does not exist", file=folder,
@@ -291,15 +296,15 @@ def _read_features(folder: Path, record: Record) -> FeatureSet:
     counts = data.counts
     normalise(data.crs)
     # By the record: an earlier result in the same folder may have left a file that this has not.
-    at_lines, at_points = (_path_of_file(folder, name) for name in (LINES, POINTS))
-    for path, count in ((at_lines, counts.lines), (at_points, counts.control + counts.check
-                                                   + counts.independent + counts.off)):
+    point_count = counts.control + counts.check + counts.independent + counts.off
+    lines_path = _path_of_file(folder, LINES)
+    points_path = _path_of_file(folder, POINTS)
+    for path, count in ((lines_path, counts.lines), (points_path, point_count)):
         if count and not path.exists():
             raise TermselError(f"the folder of this result lacks its file {path.name}",
                                file=folder, hint=AGAIN)
-    lines = LinesCsv().read(at_lines).lines if counts.lines else empty_lines()
-    points = PointsCsv().read(at_points).points if (
-        counts.control or counts.check or counts.independent or counts.off) else empty_points()
+    lines = LinesCsv().read(lines_path).lines if counts.lines else empty_lines()
+    points = PointsCsv().read(points_path).points if point_count else empty_points()
     features = FeatureSet(points, lines, crs=data.crs, image_size=data.image_size,
                           noise=data.noise, heights=data.heights or "",
                           fit_crs=record.scaling.fit_crs,

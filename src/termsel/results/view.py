@@ -115,17 +115,21 @@ class View:
 
     @cached_property
     def lines(self) -> list[Row]:
-        """Control lines as measured in the image: line, sample, line2, sample2 [px]."""
+        """Control lines as measured in the image: line, sample, line2, sample2 [px].
+
+        `role` is "control" of those in use, "rejected" of blunders, else "left out".
+        """
         lines = self.features.lines
         selected = set(self.record.selection.features)
         blunders = {outlier.id for outlier in self.record.outliers}
-        return [{"id": name, "role": "control" if name in selected else
-                 "rejected" if name in blunders else "left out",
-                 "blunder": name in blunders, "line": _shorten_number(l1),
-                 "sample": _shorten_number(s1),
-                 "line2": _shorten_number(l2), "sample2": _shorten_number(s2)}
-                for name, ((l1, s1), (l2, s2)) in zip(lines.ids, lines.image.tolist(),
-                                                      strict=True)]
+        rows = []
+        for name, ((l1, s1), (l2, s2)) in zip(lines.ids, lines.image.tolist(), strict=True):
+            role_unused = "rejected" if name in blunders else "left out"
+            role = "control" if name in selected else role_unused
+            rows.append({"id": name, "role": role, "blunder": name in blunders,
+                         "line": _shorten_number(l1), "sample": _shorten_number(s1),
+                         "line2": _shorten_number(l2), "sample2": _shorten_number(s2)})
+        return rows
 
     @cached_property
     def ground_box(self) -> tuple[float, float, float, float]:
@@ -186,9 +190,9 @@ class View:
 
     @cached_property
     def correlations(self) -> list[Row]:
-        """Correlations of coefficients in use: one, other, correlation, a row a pair.
+        """Correlations of coefficients in use, a row for each pair: one, other, correlation.
 
-        None where they are not of least squares.
+        Empty where the fit is none by least squares, so that there are no correlations.
         """
         matrix = self.fit.adjustment.correlations
         if matrix is None or not self.fit.estimator.least_squares:
@@ -205,25 +209,28 @@ class View:
 
     @cached_property
     def members(self) -> list[Row]:
-        """Residuals in the image by all members of the front: dls, dss [`unit`], one a member.
+        """Residuals of each drawn feature by every member of the front, as charts of it show them.
 
-        `uses` says by 1 or 0 which members use the feature for control. A feature that any member
-        puts nowhere is left out.
+        A row has a residual's own items, the feature's line and sample [px], and three lists with
+        an item for each member: dls and dss are residuals in `unit`, and `uses` is 1 where the
+        member uses the feature for control, else 0. A feature for which any member computes no
+        position is left out.
         """
         unit = self.unit
         rows = []
-        for i, r, (line, sample) in zip(self._which, self._drawn_residuals, self._image_positions,
-                                        strict=True):
-            of_members = [residuals[i] for residuals in self._by_member]
-            values = [line, sample]
-            for residual in of_members:
-                values += [residual.line, residual.sample]
-            if np.isfinite(values).all():
+        for i, r, (line, sample) in zip(self._drawn_indices, self._drawn_residuals,
+                                        self._image_positions, strict=True):
+            member_residuals = [residuals[i] for residuals in self._residuals_by_member]
+            coordinates = [line, sample]
+            for residual in member_residuals:
+                coordinates += [residual.line, residual.sample]
+            if np.isfinite(coordinates).all():
                 rows.append({**self._row_of(r), "line": _shorten_number(line),
                              "sample": _shorten_number(sample),
-                             "dls": [round(residual.line / unit) for residual in of_members],
-                             "dss": [round(residual.sample / unit) for residual in of_members],
-                             "uses": [int(residual.used) for residual in of_members]})
+                             "dls": [round(residual.line / unit) for residual in member_residuals],
+                             "dss": [round(residual.sample / unit)
+                                     for residual in member_residuals],
+                             "uses": [int(residual.used) for residual in member_residuals]})
         return rows
 
     @cached_property
@@ -233,7 +240,7 @@ class View:
         Whole numbers of it take half the space of numbers in px.
         """
         lengths: list[float] = []
-        for residuals in self._by_member:
+        for residuals in self._residuals_by_member:
             lengths += [residual.distance for residual in residuals]
         finite = [length for length in lengths if np.isfinite(length)]
         median = float(np.median(finite or [0.0]))
@@ -263,23 +270,24 @@ class View:
 
     @property
     def _step(self) -> int:
-        """Every how manieth residual is drawn."""
-        # The negative of the floor of the negative rounds upwards.
+        """Distance, in the order of the file, from one regularly drawn residual to the next."""
         if len(self.residuals) <= DRAWN:
             return 1
+        # -(-a // b) is a / b rounded upwards.
         return -(-len(self.residuals) // (DRAWN - LARGEST_RESIDUALS))
 
     @cached_property
-    def _which(self) -> list[int]:
-        """Which residuals are drawn."""
-        regular = range(0, len(self.residuals), self._step)
-        return sorted({*regular, *self._residuals_by_length[:LARGEST_RESIDUALS]})
+    def _drawn_indices(self) -> list[int]:
+        """Indices of the residuals that are drawn, ascending: regular ones and the largest."""
+        regular_indices = range(0, len(self.residuals), self._step)
+        return sorted({*regular_indices, *self._residuals_by_length[:LARGEST_RESIDUALS]})
 
     @cached_property
     def _drawn_residuals(self) -> Residuals:
-        """Residuals that are drawn."""
-        return self.residuals if self._step == 1 else Residuals(
-            (self.residuals[i] for i in self._which), self.residuals.crs)
+        """Residuals that are drawn, in the order of the file."""
+        if self._step == 1:
+            return self.residuals
+        return Residuals((self.residuals[i] for i in self._drawn_indices), self.residuals.crs)
 
     @cached_property
     def _image_positions(self) -> list[list[float]]:
@@ -288,9 +296,9 @@ class View:
         # is seen.
         measured = dict(zip(self.features.points.ids, self.features.points.image.tolist(),
                             strict=True))
-        return [measured[r.id] if r.kind == "point" else computed for r, computed in zip(
-            self._drawn_residuals, self.fit.project(self._drawn_residuals.ground).tolist(),
-            strict=True)]
+        computed_positions = self.fit.project(self._drawn_residuals.ground).tolist()
+        return [measured[r.id] if r.kind == "point" else computed
+                for r, computed in zip(self._drawn_residuals, computed_positions, strict=True)]
 
     @cached_property
     def _control_in_image(self) -> FloatArray:
@@ -300,24 +308,25 @@ class View:
         return original.control.take(original.used).image_vertices()
 
     @cached_property
-    def _by_member(self) -> list[Residuals]:
+    def _residuals_by_member(self) -> list[Residuals]:
+        """Residuals of all features by each member of the front, in its order."""
         roles = observations_by_role(self.features)
         return [residuals_of(fitted, roles) for fitted in self.fits_of_front()]
 
     def _row_of(self, r: Residual) -> Row:
         """Return id, kind, role, blunder and distance [px] of a residual, as charts need them."""
-        left_out = r.role in ("control", "off") and not r.used
-        return {"id": r.id, "kind": "point" if r.kind == "point" else "line",
-                "role": ("rejected" if r.blunder else "left out") if left_out else r.role,
-                "blunder": r.blunder,
-                "distance": _shorten_number(r.distance, 4)}
+        role = r.role
+        if role in ("control", "off") and not r.used:
+            role = "rejected" if r.blunder else "left out"
+        return {"id": r.id, "kind": "point" if r.kind == "point" else "line", "role": role,
+                "blunder": r.blunder, "distance": _shorten_number(r.distance, 4)}
 
 
 def _coordinate_box(points: FloatArray) -> tuple[float, float, float, float]:
-    """Return the least, then the greatest of both coordinates, shape (n, 2)."""
-    (a, b) = points.min(axis=0).tolist()
-    (c, d) = points.max(axis=0).tolist()
-    return a, b, c, d
+    """Return the least of both coordinates of points (n, 2), then the greatest of both."""
+    (least_first, least_second) = points.min(axis=0).tolist()
+    (greatest_first, greatest_second) = points.max(axis=0).tolist()
+    return least_first, least_second, greatest_first, greatest_second
 
 
 def _shorten_number(value: float, digits: int = 7) -> float:

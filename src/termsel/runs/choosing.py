@@ -224,10 +224,9 @@ def _held_out_accuracy(outcome: _Chosen, clean: Observations,
                        independent: Points) -> tuple[FloatArray | None, Predicted | None]:
     """Return the errors of a choice at held-out points (n, 2) [px], and the RMSE they predict.
 
-    Of points and lines under a fit to points alone, those of the points count: what lines were
-    predicted to be says nothing. The prediction is that for the independent points, which may lie
-    otherwise than the control, or without any for places like the control's. None where nothing was
-    held out.
+    Where the choice is fitted to points alone, errors of lines do not count: it predicts points.
+    The RMSE is predicted for the independent points, which may lie otherwise than the control, or
+    without any for places like the control's. Both are None where nothing was held out.
     """
     chosen = outcome.choice.chosen
     errors = outcome.errors
@@ -352,15 +351,14 @@ def _choose(clean: Observations, auto: Auto, watch: _Watch, seed: int) -> _Chose
             watch.tell("OWDIS")
             choice, errors = with_selected_lines(data, choice, auto, seed)
         lattice = clean.lattice
-        if lattice is not None:
-            # Points of a lattice are computed: their errors show of the model between its lines,
-            # which neighbours left out in turn show; chance errors they have none.
-            between = None if choice.method.from_one else auto.between_lines(
-                data, lattice, watch.method, choice)
-            if between is not None:
-                return _Chosen(choice, between[0], not is_enough,
-                               predict_rmse_between_lines(*between))
-        elif errors is None and is_enough and len(features) > 1:
+        if lattice is not None and not choice.method.from_one:
+            # Points of a lattice are computed and have no chance errors. What the model misses
+            # between the lines of the lattice shows when neighbouring lines are left out in turn.
+            errors_between_lines = auto.between_lines(data, lattice, watch.method, choice)
+            if errors_between_lines is not None:
+                return _Chosen(choice, errors_between_lines[0], exact=not is_enough,
+                               between=predict_rmse_between_lines(*errors_between_lines))
+        elif lattice is None and errors is None and is_enough and len(features) > 1:
             errors = auto.repeated(data, watch.method, choice)
             # A camera of few points may have one of them behind it, when it is left out: no error
             # of it is known, and the others alone would promise too much.

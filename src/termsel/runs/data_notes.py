@@ -77,6 +77,9 @@ _MODERN = re.compile(r"\(|ITRF|IGS|IGb|WGS 84|GTRF")
 """Names of realisations that are centimetres apart."""
 _LIKE, _ABOUT = 0.25, 15.0
 """Part of a shift, and metres, by which that of a datum may differ: its grid may not be there."""
+_AROUND = 0.01
+"""Half the side of the area in which a datum must be in use [deg]: about a kilometre, as PROJ is
+asked about areas and not about places."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,8 @@ class TwoGroups:
     is_compass: bool
 
     def sentence(self) -> str:
-        """Return it as a sentence."""
+        """Return in a sentence how many points lie off the others, how far and in which direction.
+        """
         if self.is_compass:
             axes = (("east", "west"), ("north", "south"))
         else:
@@ -119,9 +123,10 @@ class TwoGroups:
 
 
 def datum_of(groups: TwoGroups, crs: str, position: tuple[float, float]) -> str:
-    """Return the datum whose coordinates are so far from those of a CRS at longitude and latitude.
+    """Return the name of the datum whose coordinates are off those of a CRS as two groups are.
 
-    "" where PROJ knows none that is in use there, and without pyproj.
+    `position` is the longitude and latitude [deg] at which the datums are compared. "" where no
+    datum that PROJ knows to be in use there is as far off, and without pyproj.
     """
     try:
         from pyproj import Transformer
@@ -133,34 +138,35 @@ def datum_of(groups: TwoGroups, crs: str, position: tuple[float, float]) -> str:
     from pyproj.exceptions import ProjError
 
     lon, lat = position
-    area = AreaOfInterest(lon - 0.01, lat - 0.01, lon + 0.01, lat + 0.01)
+    area = AreaOfInterest(lon - _AROUND, lat - _AROUND, lon + _AROUND, lat + _AROUND)
     offset = np.array(groups.shift)
+    # Name of the best datum so far and its distance from the shift [m]; only nearer ones count.
     nearest = ("", max(_LIKE * float(np.linalg.norm(offset)), _ABOUT))
     for datum in query_crs_info("EPSG", PJType.GEOGRAPHIC_2D_CRS, area, contains=True):
         if _MODERN.search(datum.name):
             continue
         try:
             # The move of one place between the datums, to be compared with the shift of the groups.
-            turn = Transformer.from_crs(geodetic_of(crs), f"EPSG:{datum.code}", always_xy=True,
-                                        area_of_interest=area)
+            transformer = Transformer.from_crs(geodetic_of(crs), f"EPSG:{datum.code}",
+                                               always_xy=True, area_of_interest=area)
         except ProjError:
             continue
-        x, y, *_ = turn.transform(lon, lat, 0.0)
-        moved = offsets_in_metres(
-            "EPSG:4326", np.array([[lon, lat]]), np.array([[x - lon, y - lat]]))
-        if moved is not None and np.isfinite(moved).all():
-            distance = float(np.linalg.norm(moved[0] - offset))
+        datum_lon, datum_lat, *_ = transformer.transform(lon, lat, 0.0)
+        datum_shift = offsets_in_metres(
+            "EPSG:4326", np.array([[lon, lat]]), np.array([[datum_lon - lon, datum_lat - lat]]))
+        if datum_shift is not None and np.isfinite(datum_shift).all():
+            distance = float(np.linalg.norm(datum_shift[0] - offset))
             nearest = min(nearest, (datum.name, distance), key=lambda candidate: candidate[1])
     return nearest[0]
 
 
 def find_two_groups(features: FeatureSet) -> TwoGroups | None:
-    """Return the groups of points that lie as if by two datums, or None.
+    """Return the groups of points that lie as if in two datums; None where they do not.
 
     The affine image of all points, with a constant of its own for a second group, is fitted by
     turns with the division into both groups, as k-means does. The groups count where they leave far
-    less than one group, and lie far apart against their scatter. The shift on the ground is that of
-    the constant, taken back through the affine image.
+    smaller residuals than one group, and lie far apart against their scatter. The constant, taken
+    back through the affine image, is the shift on the ground.
     """
     points = features.points
     plan = plan_of(features.crs, points.ground) if len(points) >= LEAST else None
@@ -171,20 +177,22 @@ def find_two_groups(features: FeatureSet) -> TwoGroups | None:
     if np.isfinite(points.ground[:, 2]).all():
         design = np.column_stack([design, points.ground[:, 2] - points.ground[:, 2].mean()])
     _, joint_residuals = _fit_residuals(design, points.image)
-    second = _are_beyond_largest_gap(joint_residuals)
+    in_second = _are_beyond_largest_gap(joint_residuals)
     # Like k-means with two centres: fit with this split, then each point to the nearer group.
     for _ in range(_GROUPING_ROUNDS):
-        if not LEAST_OF_GROUP <= second.sum() <= len(plan) - LEAST_OF_GROUP:
+        if not LEAST_OF_GROUP <= in_second.sum() <= len(plan) - LEAST_OF_GROUP:
             return None
-        coefficients, residuals = _fit_residuals(np.column_stack([design, second]), points.image)
-        move = coefficients[-1]
-        from_first = residuals + np.outer(second, move)  # as if all were of the first group
-        nearer = np.linalg.norm(from_first - move, axis=1) < np.linalg.norm(from_first, axis=1)
-        if (nearer == second).all():
+        coefficients, residuals = _fit_residuals(np.column_stack([design, in_second]), points.image)
+        move = coefficients[-1]  # of the second group in the image [px]: the last column's
+        from_first = residuals + np.outer(in_second, move)  # as if all were of the first group
+        are_nearer_second = (np.linalg.norm(from_first - move, axis=1)
+                             < np.linalg.norm(from_first, axis=1))
+        if (are_nearer_second == in_second).all():
             break
-        second = nearer
+        in_second = are_nearer_second
     # Two groups must leave far less than one, and lie far apart within their scatter.
-    sigma = float(np.sqrt((residuals**2).sum() / (2 * (len(plan) - len(coefficients)))))
+    redundancy = 2 * (len(plan) - len(coefficients))
+    sigma = float(np.sqrt((residuals**2).sum() / redundancy))
     if (np.sqrt((residuals**2).sum()) > _REST * np.sqrt((joint_residuals**2).sum())
             or np.linalg.norm(move) < _APART * sigma):
         return None
@@ -195,13 +203,14 @@ def find_two_groups(features: FeatureSet) -> TwoGroups | None:
     shift = -np.linalg.solve(coefficients[1:3].T, move)
     if np.linalg.norm(shift) > _FARTHEST:
         return None
-    if second.sum() > len(plan) / 2:
-        second = ~second
+    # The first group is the larger one.
+    if in_second.sum() > len(plan) / 2:
+        in_second = ~in_second
         shift = -shift
     names = np.array(points.ids, dtype=object)
-    return TwoGroups(tuple(names[~second]), tuple(names[second]),
-                     (float(shift[0]), float(shift[1])), design.shape[1] > 3,
-                     has_compass_axes(features.crs, points.ground))
+    return TwoGroups(tuple(names[~in_second]), tuple(names[in_second]),
+                     (float(shift[0]), float(shift[1])), heights=design.shape[1] > 3,
+                     is_compass=has_compass_axes(features.crs, points.ground))
 
 
 def _fit_residuals(design: FloatArray, image: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -213,14 +222,15 @@ def _fit_residuals(design: FloatArray, image: FloatArray) -> tuple[FloatArray, F
 def _are_beyond_largest_gap(residuals: FloatArray) -> BoolArray:
     """Return which residuals (n, 2) are beyond the largest gap of their main direction, (n,).
 
-    The gap must leave LEAST_OF_GROUP residuals on either side.
+    Only gaps with LEAST_OF_GROUP residuals or more on either side count.
     """
-    projected = residuals @ np.linalg.svd(residuals, full_matrices=False)[2][0]
-    # Only gaps that leave enough points on either side count.
-    order = np.sort(projected)
-    gaps = np.diff(order)[LEAST_OF_GROUP - 1:len(order) - LEAST_OF_GROUP]
-    at = LEAST_OF_GROUP - 1 + int(np.argmax(gaps))
-    return np.asarray(projected > (order[at] + order[at + 1]) / 2)
+    # The first right singular vector is the direction in which residuals scatter most.
+    main_direction = np.linalg.svd(residuals, full_matrices=False)[2][0]
+    projected = residuals @ main_direction
+    ascending = np.sort(projected)
+    gaps = np.diff(ascending)[LEAST_OF_GROUP - 1:len(ascending) - LEAST_OF_GROUP]
+    below_gap = LEAST_OF_GROUP - 1 + int(np.argmax(gaps))
+    return np.asarray(projected > (ascending[below_gap] + ascending[below_gap + 1]) / 2)
 
 
 SOME = 5
@@ -248,10 +258,10 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
     """
     if blank:
         yield note_on_blank(blank, read)
-    if mixed := note_on_wrong_coordinates(read):
-        yield mixed
-    elif turned := note_on_turned(read):
-        yield f"{turned[0].upper()}{turned[1:]}"
+    if coordinate_doubt := note_on_wrong_coordinates(read):
+        yield coordinate_doubt
+    elif turned_note := note_on_turned(read):
+        yield f"{turned_note[0].upper()}{turned_note[1:]}"
     if has_longitude_jump(read):
         yield ("The longitudes jump by a full turn between points. They were made continuous: on "
                "one side they go on beyond 180 degrees.")
@@ -281,9 +291,12 @@ def notes_on_data(read: FeatureSet, observations: Observations, heights: bool,
             yield (f"All heights but that of {' and that of '.join(carrying)} lie on a plane. What "
                    "a height does cannot be distinguished from an error there, so the model is "
                    "plane.")
-        yield from (_note_on_flat(observations.joint, independent) if fitted is None
-                    else _note_on_flat(
-            FitData.of(fitted, False), observations.check.join_unchecked(independent)))
+        if fitted is None:
+            yield from _note_on_flat(observations.joint, independent)
+        else:
+            # A model that is fitted to control alone is used at check points, too.
+            not_fitted = observations.check.join_unchecked(independent)
+            yield from _note_on_flat(FitData.of(fitted, heights=False), not_fitted)
 
 
 def uncertain_corners(fitted: Fit, rmse: float) -> Iterator[str]:
@@ -383,30 +396,19 @@ def _note_on_flat(control: FitData, points: Points) -> Iterator[str]:
 
     That is where it lies on a plane, is too few, or has errors as large as the effect. Other points
     off that plane are then seen elsewhere than the model says, by as much as usual views lean: the
-    notes give both figures.
+    notes give both figures. `points` are those to which the model is not fitted.
     """
     vertices = control.features.ground_vertices()
     carrying = relief_carriers(control)
+    # Where all features carry the relief, none of them alone decides that heights are not used.
+    none_carries = len(carrying) == len(control)
     # Heights without those of the one or two features that make all the relief.
-    z = vertices[~np.isin(np.array(control.features.ids)[control.features.vertex_feature],
-                          carrying if len(carrying) < len(control) else ()), 2]
-    hidden = len(carrying) == len(control) and errors_hide_heights(control)
-    if len(carrying) < len(control):
-        pass
-    elif len(control) < FEWEST_FOR_HEIGHTS:
-        yield (f"The heights were not used: {len(control)} {control.features.word} cannot show "
-               "what a height does.")
-    elif (z == z[0]).all():
-        yield (f"All heights are {z[0]:g}, so they were not used. " + (
-            "Is the raster of heights the right one?" if control.features.heights else
-            "If they are not known, leave them blank or take them from a raster (--dem FILE)."))
-    elif hidden:
-        yield (f"The errors of the {control.features.word} are too large to show what a height "
-               "does, so the heights were not used.")
-    else:
-        yield _question_on_unit(control.features, z) or (
-            f"The heights of the {control.features.word} differ too little from a plane to "
-            "show what a height does, so they were not used.")
+    vertex_ids = np.array(control.features.ids)[control.features.vertex_feature]
+    z = vertices[~np.isin(vertex_ids, () if none_carries else carrying), 2]
+    hidden = none_carries and errors_hide_heights(control)
+    # Of one or two features that make all the relief there is a note already.
+    if none_carries:
+        yield _why_heights_unused(control, z, hidden)
     unit = height_unit(control.features.crs)
     above, does = distance_off_plane(control, vertices[:1] + np.array([0.0, 0.0, HIGH / unit]))
     # How far an error of height moves the image, by the obliqueness of usual views.
@@ -433,8 +435,34 @@ def _note_on_flat(control: FitData, points: Points) -> Iterator[str]:
                "usually are.")
 
 
+def _why_heights_unused(control: FitData, z: FloatArray, hidden: bool) -> str:
+    """Return the sentence on why the heights z (n,) of control were not used.
+
+    `hidden` says whether the errors of the control are as large as the effect of its heights.
+    """
+    features = control.features
+    if len(control) < FEWEST_FOR_HEIGHTS:
+        return (f"The heights were not used: {len(control)} {features.word} cannot show "
+                "what a height does.")
+    if (z == z[0]).all():
+        if features.heights:
+            remedy = "Is the raster of heights the right one?"
+        else:
+            remedy = ("If they are not known, leave them blank or take them from a raster (--dem "
+                      "FILE).")
+        return f"All heights are {z[0]:g}, so they were not used. {remedy}"
+    if hidden:
+        return (f"The errors of the {features.word} are too large to show what a height "
+                "does, so the heights were not used.")
+    return _question_on_unit(features, z) or (
+        f"The heights of the {features.word} differ too little from a plane to "
+        "show what a height does, so they were not used.")
+
+
 def _question_on_unit(features: FeatureSet, z: FloatArray) -> str:
-    """Return a note that asks whether heights are kilometres, where they hardly differ; else "".
+    """Return a note that asks whether the heights z (n,) are kilometres, or "".
+
+    It is asked where the heights hardly differ over an area that is wide.
     """
     plan = plan_of(features.crs, features.ground_vertices())
     spread = float(np.ptp(z)) * height_unit(features.crs)

@@ -97,7 +97,10 @@ def doubt_of_rpc(observations: Observations) -> str:
 
 
 def rpc_without_record(rpc: Rpc) -> str:
-    """Return what follows from a file that lost which control its RPC was fitted to, or ""."""
+    """Return the doubt of an RPC whose file lost the list of its control, or "".
+
+    Such a file still says that termsel fitted the RPC, to how many points and no longer to which.
+    """
     if not rpc.control_count or rpc.control_digests:
         return ""
     return (f"{_WITHOUT_RECORD} to {count_in_words(rpc.control_count, 'control point')} that "
@@ -130,19 +133,22 @@ def doubt_of_fitted_rpc(observations: Observations) -> str:
 
 
 def _is_taken_away(columns: FloatArray, errors: FloatArray) -> bool:
-    """Return whether errors have less of a correction with these columns than chance gives them.
+    """Return whether a correction was taken away from errors (n, 2) before, by least squares.
 
-    Errors of an RPC that does not know the points have some shift and drift, if only by chance.
-    Those that least squares leave have none: the sum of squares that a correction takes away is
-    then too small, by the lower tail of the F distribution.
+    `columns` (n, k) are those of the correction, such as a shift. Errors of an RPC that does not
+    know the points have some shift and drift, if only by chance. Those that least squares leave
+    have none: the sum of squares that a correction takes away is then too small, by the lower tail
+    of the F distribution.
     """
     from scipy.special import fdtr  # other runs need not import it
 
     corrected = errors - columns @ np.linalg.lstsq(columns, errors, rcond=None)[0]
-    remaining = float((corrected**2).sum())
-    n_terms = 2 * columns.shape[1]
-    freedom = errors.size - n_terms
-    if remaining == 0.0:  # all of the errors is a correction
+    remaining_squares = float((corrected**2).sum())
+    if remaining_squares == 0.0:  # all of the errors is a correction
         return False
-    ratio = (float((errors**2).sum()) - remaining) / n_terms / (remaining / freedom)
-    return bool(fdtr(n_terms, freedom, ratio) < _CHANCE)
+    n_coefficients = 2 * columns.shape[1]
+    freedom = errors.size - n_coefficients
+    # F = mean square that the correction takes away / mean square that remains.
+    removed_squares = float((errors**2).sum()) - remaining_squares
+    f_ratio = removed_squares / n_coefficients / (remaining_squares / freedom)
+    return bool(fdtr(n_coefficients, freedom, f_ratio) < _CHANCE)

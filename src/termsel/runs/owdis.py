@@ -32,50 +32,69 @@ def with_selected_lines(control: FitData, choice: Choice, auto: Auto,
                         seed: int) -> tuple[Choice, FloatArray | None]:
     """Return the choice from points and the lines that OWDIS selects, if it is clearly better.
 
-    The control has points and lines, the choice is that of `choose_features`; how OWDIS compares
-    with it is added to its reason. With OWDIS come the errors of the points under selections made
-    without them [px], (n_points, 2), else None. The seed is that of the search.
+    Parameters
+    ----------
+    control : FitData
+        Points and lines.
+    choice : Choice
+        The choice of `choose_features`, which is returned where OWDIS is not clearly better, its
+        reason then saying how OWDIS compares with it.
+    auto : Auto
+    seed : int
+        Of the search.
+
+    Returns
+    -------
+    choice : Choice
+    errors : ndarray, shape (n_points, 2), or None
+        Errors of the points under selections of lines made without them [px], where the choice is
+        with the lines of OWDIS; else None.
     """
     lines = control.features.lines
-    count = len(control.features.points)
-    if count < FOLDS_WITH_LINES or not len(lines):
+    n_points = len(control.features.points)
+    if n_points < FOLDS_WITH_LINES or not len(lines):
         return choice, None
-    # Only points are predicted by others alike, with the selected lines or with all.
-    squares_alone = choice.chosen.held_out().squares[:count]
-    selected = _select_features(control, seed)
-    with_lines = None if selected is None else auto.choose(selected)
-    if selected is None or with_lines is None:
+    # Both choices are compared by the points alone, as they do not have the same lines.
+    squares_given = choice.chosen.held_out().squares[:n_points]
+    selected_control = _select_features(control, seed)
+    selected_choice = None if selected_control is None else auto.choose(selected_control)
+    if selected_control is None or selected_choice is None:
         return choice, None
-    gain = gain_of(with_lines.chosen.held_out().squares[:count], squares_alone)
+    gain = gain_of(selected_choice.chosen.held_out().squares[:n_points], squares_given)
     comparison = (
-        f"OWDIS selects {len(selected.features.lines)} of {len(lines)} lines. With these the "
-        f"points are predicted {'better' if gain > 0 else 'worse'} by {abs(gain):.2g} standard "
+        f"OWDIS selects {len(selected_control.features.lines)} of {len(lines)} lines. With these "
+        f"the points are predicted {'better' if gain > 0 else 'worse'} by {abs(gain):.2g} standard "
         "errors")
     if gain <= CLEAR_MARGIN:
         return replace(choice, reason=f"{choice.reason} {comparison}; it must be better by more "
                                       f"than {CLEAR_MARGIN:g}."), None
+    # The points judged this selection: only a selection without them shows an honest gain.
     errors = _held_out_errors(control, auto, seed)
     if errors is None:
         return choice, None
     squares = (errors**2).sum(axis=1)
-    honest = gain_of(squares, squares_alone)
-    comparison += (f", and {'better' if honest > 0 else 'worse'} by {abs(honest):.2g} where it "
-                   "selects without them")
-    if honest <= CLEAR_MARGIN or squares.sum() >= squares_alone.sum():
+    honest_gain = gain_of(squares, squares_given)
+    comparison += (f", and {'better' if honest_gain > 0 else 'worse'} by {abs(honest_gain):.2g} "
+                   "where it selects without them")
+    if honest_gain <= CLEAR_MARGIN or squares.sum() >= squares_given.sum():
         return replace(choice, reason=f"{choice.reason} {comparison}; both must be more than "
                                       f"{CLEAR_MARGIN:g}, and the RMSE smaller."), None
-    reason = f"{with_lines.reason} {comparison}, so these lines are used."
-    return replace(with_lines, reason=reason), errors
+    reason = f"{selected_choice.reason} {comparison}, so these lines are used."
+    return replace(selected_choice, reason=reason), errors
 
 
 def _select_features(control: FitData, seed: int) -> FitData | None:
-    """Return the points and the lines that OWDIS selects by them; None where it cannot."""
+    """Return the points of `control` and the lines with which OWDIS predicts these points best.
+
+    None where OWDIS cannot select: there are too few lines, all are parallel, or no selection meets
+    its constraints. Raises KeyboardInterrupt where its search was interrupted.
+    """
     features = control.features
     points = features.points
-    judging = Points(points.ids, points.image, points.ground, points.sigma,
-                     ("check",) * len(points))
+    judging_points = Points(points.ids, points.image, points.ground, points.sigma,
+                            ("check",) * len(points))
     try:
-        task = prepare("owdis-lines", features=features.with_(points=judging),
+        task = prepare("owdis-lines", features=features.with_(points=judging_points),
                        model="poly3d" if control.heights else "poly2d", source="control and check")
     except TermselError:  # too few lines, or all parallel
         return None
@@ -86,15 +105,16 @@ def _select_features(control: FitData, seed: int) -> FitData | None:
         raise KeyboardInterrupt
     if search.violation:
         return None
-    lines = set(task.problem.decode(search.genes).features)
-    return control.take(np.array([True] * len(points)
-                                 + [name in lines for name in features.lines.features]))
+    selected_lines = set(task.problem.decode(search.genes).features)
+    are_selected = [name in selected_lines for name in features.lines.features]
+    return control.take(np.array([True] * len(points) + are_selected))
 
 
 def _held_out_errors(control: FitData, auto: Auto, seed: int) -> FloatArray | None:
-    """Return the errors of points by selections without them [px], (n, 2).
+    """Return the errors of the points [px], (n_points, 2), under choices made without them.
 
-    None if some fold leaves no choice.
+    For each of FOLDS_WITH_LINES folds of points, OWDIS selects lines and a model is chosen by the
+    other points. None if there is no choice without some fold.
     """
     points = control.features.points
     errors = np.empty((len(points), 2))
@@ -106,5 +126,7 @@ def _held_out_errors(control: FitData, auto: Auto, seed: int) -> FloatArray | No
         choice = None if selected is None else auto.choose(selected, with_contained=False)
         if choice is None:
             return None
-        errors[is_out[:len(points)]] = choice.chosen.errors(points.take(is_out[:len(points)]))
+        # Features are points, then lines; lines are in no fold.
+        are_points_out = is_out[:len(points)]
+        errors[are_points_out] = choice.chosen.errors(points.take(are_points_out))
     return errors

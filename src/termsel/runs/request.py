@@ -467,30 +467,31 @@ def _named_parts(recipe: Recipe, model: Any, solver: Any, criterion: Any,
 
 def _usual_options(recipe: Recipe, components: Mapping[str, Any], model: Any,
                    features: FeatureSet | None) -> dict[str, dict[str, Any]]:
-    """Return options of the parts that hold unless others are given, by part.
+    """Return the options of model and solvers that hold unless others are given, by part.
 
-    Those of the model are the recipe's, with the RPC of the features; those of solvers as the
-    recipe has them.
+    The model of the recipe has the recipe's options, and every model that refines an RPC has the
+    RPC of the features. Solvers have the options that the recipe states for them. `model` is as
+    the user gave it, None where the recipe chooses it; `components` are the parts in use. Objects,
+    which have their options already, are left out.
     """
-    usual: dict[str, dict[str, Any]] = {}
-    model_part = components["model"]
-    # A model that refines an RPC takes that of the features.
-    takes_rpc = any(option.name == "rpc" for option in model_part.declared_options)
-    rpc = {}
+    usual_options: dict[str, dict[str, Any]] = {}
+    model_component = components["model"]
+    takes_rpc = any(option.name == "rpc" for option in model_component.declared_options)
+    rpc_option = {}
     if features is not None and features.rpc is not None and takes_rpc:
-        rpc = {"rpc": json.encode(features.rpc.numbers()).decode()}
+        rpc_option = {"rpc": json.encode(features.rpc.numbers()).decode()}
     if model in (None, recipe.model):
         # The RPC of a recipe is that of its data set, and of no other points.
-        of_recipe = {name: option for name, option in recipe.model_options.items()
-                     if features is None or name != "rpc"}
-        usual["model"] = {**of_recipe, **rpc}
-    elif isinstance(model_part, type):
-        usual["model"] = rpc
+        recipe_options = {name: value for name, value in recipe.model_options.items()
+                          if features is None or name != "rpc"}
+        usual_options["model"] = {**recipe_options, **rpc_option}
+    elif isinstance(model_component, type):
+        usual_options["model"] = rpc_option
     for role in ("solver", "then"):
         component = components.get(role)
         if isinstance(component, type) and issubclass(component, Solver):
-            usual[role] = dict(recipe.solver_options.get(component.name, {}))
-    return usual
+            usual_options[role] = dict(recipe.solver_options.get(component.name, {}))
+    return usual_options
 
 
 def split_of(of_data: Mapping[str, Any]) -> Split | None:

@@ -188,13 +188,13 @@ def plan_cells(spec: Spec, folder: Path, tables: frozenset[Path] = frozenset()) 
 def works_of(cells: list[Cell]) -> tuple[list[Cell], dict[str, FeatureSet]]:
     """Return the cells that can run, without labels and features, and the features by their key.
 
-    Features travel once to each worker, not with every cell.
+    Cells go to other processes, and features travel once to each of these, not with every cell.
     """
-    # Cells go to other processes: features once each, not with every cell.
     works = [replace(cell, labels={}, data=replace(cell.data, features=None))
              for cell in cells if cell.data.features is not None]
-    return works, {cell.data.key: cell.data.features for cell in cells
-                   if cell.data.features is not None}
+    features_by_key = {cell.data.key: cell.data.features for cell in cells
+                       if cell.data.features is not None}
+    return works, features_by_key
 
 
 class Estimate(NamedTuple):
@@ -231,24 +231,27 @@ def estimate(study: Path | str | Mapping[str, Any] | None = None,
             yield Estimate(kind, len(cells), None, _reasons_not_to_run(cells))
             continue
         sizes = [len(features[cell.data.key]) for cell in works]
-        sample = _cells_of_all_sizes(works, sizes)
-        sample = [_probe(cell) for cell in sample]
+        sample = [_probe(cell) for cell in _cells_of_all_sizes(works, sizes)]
         records = [do(cell, features[cell.data.key]).record for cell in sample]
         loading = 0.0
         if cold or records[0].figures.get("seconds", LONG_CELL_SECONDS) < LONG_CELL_SECONDS:
             # The first run of a kind also loads or compiles what it needs.
-            first = records[0].figures.get("seconds", 0.0)
+            first_seconds = records[0].figures.get("seconds", 0.0)
             records[0] = do(sample[0], features[sample[0].data.key]).record
             # A batch compiles nothing that is compiled here, but loads it again.
-            loading = 0.0 if cold else max(first - records[0].figures.get("seconds", first), 0.0)
-        seconds = {len(features[cell.data.key]): record.figures["seconds"]
-                   for cell, record in zip(sample, records, strict=True)
-                   if "seconds" in record.figures}
+            if not cold:
+                further_seconds = records[0].figures.get("seconds", first_seconds)
+                loading = max(first_seconds - further_seconds, 0.0)
+        seconds_by_size: dict[int, float] = {}
         for cell, record in zip(sample, records, strict=True):
+            size = len(features[cell.data.key])
+            if "seconds" in record.figures:
+                seconds_by_size[size] = record.figures["seconds"]
             if record.reason == OUT_OF_TIME.format(PROBE_SECONDS):
-                seconds[len(features[cell.data.key])] = PROBE_SECONDS
-        yield Estimate(kind, len(cells), _mean_time(sizes, seconds),
-                       next((record.reason for record in records if record.reason), ""), loading)
+                seconds_by_size[size] = PROBE_SECONDS
+        reasons = [record.reason for record in records if record.reason]
+        yield Estimate(kind, len(cells), _mean_time(sizes, seconds_by_size),
+                       reasons[0] if reasons else "", loading)
 
 
 def _probe(cell: Cell) -> Cell:
@@ -267,23 +270,26 @@ def _reasons_not_to_run(cells: list[Cell]) -> str:
 
 
 def _cells_of_all_sizes(cells: list[Cell], sizes: list[int]) -> list[Cell]:
-    """Return up to three cells of one kind: of the fewest features, middling and of the most."""
+    """Return up to three cells of one kind: with the fewest features, middling, with the most.
+
+    `sizes` are the numbers of features of the cells; no two cells returned have the same.
+    """
     by_size = sorted(range(len(cells)), key=sizes.__getitem__)
-    places = (0, len(cells) // 2, len(cells) - 1)
-    # One of each number of features.
-    chosen = {sizes[by_size[place]]: cells[by_size[place]] for place in places}
-    return list(chosen.values())
+    ranks = (0, len(cells) // 2, len(cells) - 1)
+    cell_of_size = {sizes[by_size[rank]]: cells[by_size[rank]] for rank in ranks}
+    return list(cell_of_size.values())
 
 
 def _mean_time(sizes: list[int], seconds: Mapping[int, float]) -> float | None:
-    """Return the mean time [s] of cells with these numbers of features, by those timed.
+    """Return the mean time [s] of cells that have these numbers of features.
 
-    None if none was timed.
+    `seconds` has the times of the cells that were run, by their number of features; between these
+    the time is linear in the logarithm of the number. None if no cell was timed.
     """
     if not seconds:
         return None
-    timed = sorted(seconds)
-    times = np.interp(np.log(sizes), np.log(timed), [seconds[size] for size in timed])
+    timed_sizes = sorted(seconds)
+    times = np.interp(np.log(sizes), np.log(timed_sizes), [seconds[size] for size in timed_sizes])
     return float(times.mean())
 
 

@@ -182,7 +182,10 @@ def _is_older_than_result(planned: ImageMap) -> bool:
 
 
 def _with_earlier_map(item: ImageMap) -> ImageMap:
-    """Return an image, and say so where it has no map now and one of an earlier call is there."""
+    """Return an image of which no map was made, saying so where an earlier map of it is there.
+
+    An image in any other state is returned as it is.
+    """
     if item.state not in (LEFT_OUT, FAILED) or not is_there(item.output):
         return item
     return replace(item, why=f"{item.why}; an earlier map is still there: {item.output}")
@@ -246,25 +249,27 @@ def next_command(study: Study, folder: Path) -> str:
     names = folders_of(study.cells)
     usable = [row for row in rows if row["verdict"] in USABLE]
     if usable:
-        first = usable[0]
-        place = Path(str(first["data"]).partition("#")[0].partition(" + ")[0]).parent
-        has_picture = (place.is_dir()
-                       and len(_pictures_of(str(first["data"]), _pictures_in(place))) == 1)
+        first_usable = usable[0]
+        # What a row calls its data begins with the file of points: FILE, FILE#PART, FILE + FILE.
+        points_file = Path(str(first_usable["data"]).partition("#")[0].partition(" + ")[0])
+        pictures_folder = points_file.parent
+        has_picture = (pictures_folder.is_dir() and len(_pictures_of(
+            str(first_usable["data"]), _pictures_in(pictures_folder))) == 1)
         words = ["termsel", "rectify", quote(str(folder)),
-                 quote(str(place)) if has_picture else "IMAGES", "--output",
+                 quote(str(pictures_folder)) if has_picture else "IMAGES", "--output",
                  quote(str(folder.with_name(f"{folder.name}-maps")))]
         dem = dem_of_batch(folder)
-        if read_result(folder / IMAGES / names[first["cell"]]).fit.model.uses_height:
+        if read_result(folder / IMAGES / names[first_usable["cell"]]).fit.model.uses_height:
             words += ["--dem", quote(dem or "DEM")]
         command = " ".join(words)
         if has_picture and (dem or "DEM" not in words):
             return f"Next: {command}   (maps of the usable images)"
         # What is not known cannot be typed: the page of the worst can, until it is.
-        page = quote(str(folder / IMAGES / names[rows[0]["cell"]]))
-        return f"Next: termsel report {page}   (the least certain; maps: {command})"
+        worst_page = quote(str(folder / IMAGES / names[rows[0]["cell"]]))
+        return f"Next: termsel report {worst_page}   (the least certain; maps: {command})"
     # Rows begin with the worst.
-    worst = next((row for row in rows if row["verdict"] in (UNFIT, DOUBTFUL)), None)
-    if worst is None:
+    doubtful_rows = [row for row in rows if row["verdict"] in (UNFIT, DOUBTFUL)]
+    if not doubtful_rows:
         return ""
-    inner = quote(str(folder / IMAGES / names[worst["cell"]]))
-    return f"Next: termsel plan {inner}   (best positions for further points)"
+    worst_result = quote(str(folder / IMAGES / names[doubtful_rows[0]["cell"]]))
+    return f"Next: termsel plan {worst_result}   (best positions for further points)"

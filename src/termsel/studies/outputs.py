@@ -117,7 +117,7 @@ _SCREEN_WIDTH = 88
 
 
 def screen(study: Study) -> str:
-    """Return what a terminal shows of a batch of images: the worst of them, and how many more.
+    """Return what a terminal shows of a batch of images: the worst ones, and how many more.
 
     Parameters
     ----------
@@ -135,27 +135,29 @@ def screen(study: Study) -> str:
     if any(row["verdict"] == PLAUSIBLE for row in rows):
         caption = f"{caption}; --accept 5m judges by a limit"
     reasons = image_reasons(rows, _MOST_ALIKE)
-    # Rows and reasons share the screen: few images leave room for more reasons.
-    room = _MOST_REASONS + _MOST_ROWS - len(shown_rows)
     remedy = [SWAPPED_IN_SHORT] if any("swapped" in reason for reason in reasons) else []
-    lines = [*(shorten(_first_sentence(reason), _SCREEN_WIDTH, placeholder=" ...")
-               for reason in reasons[:room - len(remedy)]), *remedy]
+    # Rows and reasons share the screen: few images leave room for more reasons.
+    room = _MOST_REASONS + _MOST_ROWS - len(shown_rows) - len(remedy)
+    lines = [shorten(_first_sentence(reason), _SCREEN_WIDTH, placeholder=" ...")
+             for reason in reasons[:room]]
+    lines += remedy
     table = image_table(shown_rows)
-    named = [(*cells, _few_of(row["blunders"] or ()))
-             for (*cells, _), row in zip(table.rows, shown_rows, strict=True)]
-    table = replace(table, caption=caption, rows=named)
-    hidden = [count_in_words(number, noun) for number, noun in (
-        (len(rows) - len(shown_rows), "more image"),
-        (len(reasons) - room + len(remedy), "more reason"),
-        (len(study.remarks) + len(usual_notes_in_words(rows)), "note")) if number > 0]
+    # The last column has the blunders: of many only the first.
+    short_rows = [(*cells, _few_of(row["blunders"] or ()))
+                  for (*cells, _), row in zip(table.rows, shown_rows, strict=True)]
+    table = replace(table, caption=caption, rows=short_rows)
+    hidden_counts = ((len(rows) - len(shown_rows), "more image"),
+                     (len(reasons) - room, "more reason"),
+                     (len(study.remarks) + len(usual_notes_in_words(rows)), "note"))
+    hidden = [count_in_words(number, noun) for number, noun in hidden_counts if number > 0]
     if hidden:
-        lines.append(f"{' and '.join(hidden) if len(hidden) < 3 else ', '.join(hidden)}: "
-                     f"--verbose, or {SUMMARY}")
+        listed = " and ".join(hidden) if len(hidden) < 3 else ", ".join(hidden)
+        lines.append(f"{listed}: --verbose, or {SUMMARY}")
     return text_of_blocks([table]) + make_printable("".join(f"{line}\n" for line in lines))
 
 
 def _few_of(ids: Sequence[str]) -> str:
-    """Return ids, of many the first and how many more there are."""
+    """Return ids in words; of more than _MOST_IDS only the first, and how many more there are."""
     if len(ids) <= _MOST_IDS:
         return ", ".join(ids)
     return f"{', '.join(ids[:_MOST_IDS - 1])} and {len(ids) - _MOST_IDS + 1} more"
@@ -174,8 +176,8 @@ SWAPPED_IN_SHORT = ("Swapped: exchange the names of the two columns in that file
 def _image_text(study: Study) -> str:
     """Return remarks, the table of images, and the reasons of verdicts, as text."""
     title = [study.spec.title] if study.spec.title else []
-    meaning = (MEANING_OF_PLAUSIBLE,) if any(
-        row["verdict"] == PLAUSIBLE for row in study.rows) else ()
+    has_plausible = any(row["verdict"] == PLAUSIBLE for row in study.rows)
+    meaning = (MEANING_OF_PLAUSIBLE,) if has_plausible else ()
     reasons = image_reasons(study.rows)
     remedy = (REMEDY_FOR_SWAPPED,) if any("swapped" in reason for reason in reasons) else ()
     blocks: tuple[Block, ...] = (*title, *study.remarks, *usual_notes_in_words(study.rows),

@@ -509,7 +509,11 @@ def _names_next_to(path: Path) -> Iterator[str]:
 
 
 def _possible_raster_names(root: ElementTree.Element, folder: str) -> Iterator[str]:
-    """Yield every text and attribute that can be the name of a raster."""
+    """Yield every text and attribute of a virtual raster that can be the name of a raster.
+
+    `folder` is that of the virtual raster, from which names may be relative. Metadata are free text
+    that may look like a name, so that of them only items with the key of a file count.
+    """
     waiting = [root]
     while waiting:
         element = waiting.pop()
@@ -529,9 +533,9 @@ def _possible_raster_names(root: ElementTree.Element, folder: str) -> Iterator[s
 
 
 def _may_be_name(text: str, folder: str) -> bool:
-    """Return whether a text is the name of something that GDAL could open, or such a thing itself.
+    """Return whether GDAL could open a text as the name of a file, an address, or a raster itself.
 
-    Texts of XML and JSON are: GDAL opens a virtual raster that is given instead of its name.
+    Texts of XML and JSON may be rasters: GDAL opens a virtual one that is given for its name.
     """
     # However long: neither such a text nor an address on a server has a limit.
     start = text.lstrip()

@@ -153,10 +153,14 @@ def _cells_of_data(spec: Spec, kinds: _Kinds, problem: PartSpec | None, name: st
     problem_spec: PartSpec | None = problem or (PartSpec(name, name) if name else None)
     for strategy in spec.strategies:
         # Auto, or a method in its place; else each model with each criterion and each solver.
-        of_search = product(spec.models or (None,), spec.criteria or (None,),
-                            spec.solvers or (None,), (None,))
-        alone = [(None, None, None, method) for method in spec.methods or (None,)]
-        for model, criterion, solver, method in alone if strategy == "auto" else of_search:
+        combinations: Iterable[tuple[PartSpec | None, PartSpec | None, PartSpec | None,
+                                     PartSpec | None]]
+        if strategy == "auto":
+            combinations = [(None, None, None, method) for method in spec.methods or (None,)]
+        else:
+            combinations = product(spec.models or (None,), spec.criteria or (None,),
+                                   spec.solvers or (None,), (None,))
+        for model, criterion, solver, method in combinations:
             specs = {"problem": problem_spec, "model": model, "criterion": criterion,
                      "solver": solver}
             if method is not None:
@@ -177,11 +181,13 @@ def _cells_of_data(spec: Spec, kinds: _Kinds, problem: PartSpec | None, name: st
 
 
 def _draws_roles(options: Mapping[str, Any], data: Data) -> bool:
-    """Return whether a split assigns any roles; without that all splits are one instance."""
+    """Return whether a split assigns any roles; if it does not, all splits are the same run."""
     # Keys may have the name of a part in front, "data.roles".
-    how = next((value for key, value in options.items()
-                if key.rpartition(".")[2] == "roles"), "file")
-    return how != "file" or (data.features is not None and "" in data.features.points.roles)
+    roles_options = [value for key, value in options.items() if key.rpartition(".")[2] == "roles"]
+    if roles_options and roles_options[0] != "file":
+        return True
+    # Of the roles in a file only blank ones are assigned.
+    return data.features is not None and "" in data.features.points.roles
 
 
 @dataclass(frozen=True)

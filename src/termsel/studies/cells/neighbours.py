@@ -71,7 +71,10 @@ def location_figures(features: FeatureSet) -> dict[str, Any]:
 
 
 def batch_of(settings: Mapping[str, Mapping[str, Any]]) -> Batch:
-    """Return the sentences and doubts that images raise about each other, by their settings."""
+    """Return the sentences and doubts that images of a batch raise about each other.
+
+    `settings` are the figures of `location_figures` of each image, by its name.
+    """
     sentences: list[str] = []
     doubts: dict[str, list[str]] = {}
     for sentence, images in (*_far_image_sentences(settings), *_note_on_mirrored(settings)):
@@ -90,14 +93,14 @@ def _far_image_sentences(
     other group gets a sentence with the likely reason, and each of its images the doubt. Without a
     clear majority nothing is said.
     """
-    placed = {name: setting for name, setting in settings.items() if setting.get("place")}
+    placed_images = {name: setting for name, setting in settings.items() if setting.get("place")}
     # Of two images nobody can say which one is elsewhere.
-    if len(placed) < 3:
+    if len(placed_images) < 3:
         return []
-    names = list(placed)
+    names = list(placed_images)
     # Images at one place are looked at once: batches may have very many.
-    positions, place_of, count = np.unique(
-        np.round([placed[name]["place"] for name in names], DIGITS), axis=0,
+    positions, place_of_image, images_at_place = np.unique(
+        np.round([placed_images[name]["place"] for name in names], DIGITS), axis=0,
         return_inverse=True, return_counts=True)
     if len(positions) > PLACES:
         return []
@@ -105,32 +108,38 @@ def _far_image_sentences(
     distances = _angles_between(positions, positions)
     reach = _reach_of_group(distances)
     groups = _linked_groups(distances <= reach)
-    # The group with most images, if it has most of the batch.
-    usual = max(groups, key=lambda group: count[group].sum())
-    number = int(count[usual].sum())
+    largest_group = max(groups, key=lambda group: images_at_place[group].sum())
+    largest_count = int(images_at_place[largest_group].sum())
     # Without a clear majority there is no place that the others should be at.
-    if number < 2 or number < MAJORITY_SHARE * len(names):
+    if largest_count < 2 or largest_count < MAJORITY_SHARE * len(names):
         return []
-    middle = position_in_words(_middle_of_places(positions[usual]))
+    usual_place = position_in_words(_middle_of_places(positions[largest_group]))
     sentences = []
     for group in groups:
-        if group is usual:
+        if group is largest_group:
             continue
-        members = np.flatnonzero(np.isin(place_of.ravel(), group)).tolist()
+        members = np.flatnonzero(np.isin(place_of_image.ravel(), group)).tolist()
         # One question where all images of the group have the same likely cause.
-        guesses = [_guess(placed[names[i]], positions[usual], reach) for i in members]
+        guesses = [_question_on_fault(placed_images[names[i]], positions[largest_group], reach)
+                   for i in members]
         question = guesses[0] if len(set(guesses)) == 1 else ELSEWHERE
-        doubts = {names[i]: f"Near {position_in_words(placed[names[i]]['place'])}, while {number} "
-                            f"other images of the batch are near {middle}: {guess}"
-                  for i, guess in zip(members, guesses, strict=True)}
-        sentences.append((f"{number} images are near {middle}, {len(members)} near "
-                          f"{position_in_words(_middle_of_places(positions[group]))} ({question})",
-                          doubts))
+        doubts = {}
+        for i, guess in zip(members, guesses, strict=True):
+            own_place = position_in_words(placed_images[names[i]]["place"])
+            doubts[names[i]] = (f"Near {own_place}, while {largest_count} other images of the "
+                                f"batch are near {usual_place}: {guess}")
+        group_place = position_in_words(_middle_of_places(positions[group]))
+        sentences.append((f"{largest_count} images are near {usual_place}, {len(members)} near "
+                          f"{group_place} ({question})", doubts))
     return sentences
 
 
-def _guess(setting: Mapping[str, Any], group: FloatArray, reach: float) -> str:
-    """Return a question on the likely fault in the coordinates of an image far from a group."""
+def _question_on_fault(setting: Mapping[str, Any], group: FloatArray, reach: float) -> str:
+    """Return a question on the likely fault in the coordinates of an image far from the others.
+
+    `group` (n, 2) has longitude and latitude [deg] of the places of the others, and `reach` [deg]
+    is the distance up to which a place belongs to them.
+    """
     lon, lat = setting["place"]
     exchanged = setting.get("exchanged")
     if exchanged and _angles_between(np.array([exchanged]), group).min() <= reach:
@@ -145,26 +154,28 @@ def _guess(setting: Mapping[str, Any], group: FloatArray, reach: float) -> str:
 def _note_on_mirrored(
     settings: Mapping[str, Mapping[str, Any]],
 ) -> list[tuple[str, dict[str, str]]]:
-    """Return a sentence on images that are mirrored where most are not, or the reverse.
+    """Return a sentence on the few images that are mirrored where most are not, or the reverse.
 
-    With it comes the doubt about each of them. Where no clear majority is one or the other the
-    sentence is on those that are mirrored; [] where all are alike.
+    With it comes the doubt about each of these images, by name. Where there is no clear majority,
+    the sentence is on those that are mirrored. The list has this one pair, and none where all
+    images are alike.
     """
     is_mirrored_image = {name: bool(setting["mirrored"]) for name, setting in settings.items()
                          if setting.get("mirrored") is not None}
-    # What more than half of the images are.
-    usual = sum(is_mirrored_image.values()) * 2 > len(is_mirrored_image)
-    odd = [name for name, mirrored in is_mirrored_image.items() if mirrored != usual]
+    are_most_mirrored = sum(is_mirrored_image.values()) * 2 > len(is_mirrored_image)
+    odd = [name for name, mirrored in is_mirrored_image.items() if mirrored != are_most_mirrored]
     usual_count = len(is_mirrored_image) - len(odd)
     if not odd:
         return []
     if usual_count < 2 or usual_count < MAJORITY_SHARE * len(is_mirrored_image):
         return [_sentence_on_some_mirrored(is_mirrored_image)]
-    verb = "is a mirror image" if len(odd) == 1 else "are mirror images"
-    negated = verb.replace("is a", "is no").replace("are ", "are no ")
-    statement = f"{count_in_words(len(odd), 'image')} {negated if usual else verb} of the ground"
+    if are_most_mirrored:
+        verb = "is no mirror image" if len(odd) == 1 else "are no mirror images"
+    else:
+        verb = "is a mirror image" if len(odd) == 1 else "are mirror images"
+    statement = f"{count_in_words(len(odd), 'image')} {verb} of the ground"
     question = "are x and y exchanged there, or line and sample?"
-    doubt = (f"{'No m' if usual else 'M'}irror image of the ground, unlike "
+    doubt = (f"{'No m' if are_most_mirrored else 'M'}irror image of the ground, unlike "
              f"{count_in_words(usual_count, 'other')} of the batch: are x and y exchanged, or "
              "line and sample?")
     return [(f"{statement}, unlike the other {usual_count} ({question})",
@@ -193,13 +204,13 @@ def _angles_between(first_positions: FloatArray, second_positions: FloatArray) -
 
 
 def _unit_directions(positions: FloatArray) -> FloatArray:
-    """Return unit vectors, shape (n, 3)."""
+    """Return unit vectors (n, 3) to places (n, 2) that are longitude and latitude [deg]."""
     lon, lat = np.radians(positions).T
     return np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
 
 
 def _middle_of_places(positions: FloatArray) -> Place:
-    """Return the middle of places: the direction of the sum of theirs."""
+    """Return the middle of places (n, 2) [deg], where the sum of their unit vectors points."""
     x, y, z = _unit_directions(positions).sum(axis=0)
     # The z component shows the latitude, the horizontal ones the longitude.
     return float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arctan2(z, np.hypot(x, y))))
@@ -215,7 +226,10 @@ def _reach_of_group(distances: FloatArray) -> float:
 
 
 def _linked_groups(linked: BoolArray) -> list[IntArray]:
-    """Return the groups of places that are linked (n, n), through others, too."""
+    """Return the groups of places that are linked directly or through other places.
+
+    `linked` (n, n) says which are linked directly; a group is an array of indices of places.
+    """
     groups = []
     free = np.ones(len(linked), dtype=bool)
     while free.any():

@@ -64,28 +64,38 @@ def columns_of(strategies: Sequence[str], measures: Sequence[str] = ()) -> tuple
 def rows_of(cells: Mapping[str, Mapping[str, Any]], records: Mapping[str, CellRecord],
             strategies: Sequence[str], measures: Sequence[str] = (),
             accept: Accept | None = None) -> list[Row]:
-    """Return one row a cell, waiting without a record, in order; of auto alone worst first.
+    """Return the rows of a study's table, one for each cell, in the order of the cells.
 
-    Images have verdicts, by the largest RMSE that is accepted where one is.
+    Where "auto" is the only strategy, the rows are images and the worst comes first. Images have
+    verdicts, which depend on `accept` where the user gives the largest RMSE that is accepted. All
+    rows have the same columns, with None for what a row has not; a cell without a record is
+    waiting.
     """
-    # One set of columns for all rows; what a row has not is None.
     columns = columns_of(strategies, measures)
     doubts = batch_of_records(cells, records).doubts
     rows = []
     for key, labels in cells.items():
         record = records.get(key)
-        values = {**labels, "cell": key, "state": WAITING, "reason": ""} if record is None else {
-            **labels, **record.figures, **record.figures.get("measures", {}), "cell": key,
-            "state": record.state, "reason": record.reason,
-            "place": position_in_words(position)
-            if (position := record.figures.get("place")) else "",
-            "doubt": " ".join([*_as_sentence(record.figures.get("doubt")),
-                               *doubts.get(str(labels["data"]), ())])}
-        rows.append({name: values.get(name) for name in columns})
+        if record is None:
+            row = {**labels, "cell": key, "state": WAITING, "reason": ""}
+        else:
+            row = _row_of_record(key, labels, record, doubts.get(str(labels["data"]), ()))
+        rows.append({name: row.get(name) for name in columns})
     if "verdict" in columns:
         for row, (verdict, why) in zip(rows, verdicts_of(rows, accept), strict=True):
             row |= {"verdict": verdict, "why": why}
     return sorted(rows, key=_sort_key_of_badness) if tuple(strategies) == ("auto",) else rows
+
+
+def _row_of_record(key: str, labels: Mapping[str, Any], record: CellRecord,
+                   doubts: Iterable[str]) -> Row:
+    """Return the row of a finished cell; `doubts` are those that other images raise about it."""
+    figures = record.figures
+    position = figures.get("place")
+    return {**labels, **figures, **figures.get("measures", {}), "cell": key,
+            "state": record.state, "reason": record.reason,
+            "place": position_in_words(position) if position else "",
+            "doubt": " ".join([*_as_sentence(figures.get("doubt")), *doubts])}
 
 
 def batch_of_records(cells: Mapping[str, Mapping[str, Any]],

@@ -85,20 +85,23 @@ def verdicts_of(rows: Sequence[Mapping[str, Any]], accept: Accept | None) -> lis
 
 
 def _median_rmse(rows: Sequence[Mapping[str, Any]]) -> float:
-    """Return the median RMSE of the images [px]; infinite of a few."""
-    # The upper end of the interval, which is what an image may be as bad as.
-    sizes = [interval[1] for row in rows if (interval := _rmse_interval(row, "px")) is not None]
-    return float(np.median(sizes)) if len(sizes) >= FEW_IMAGES else math.inf
+    """Return the median RMSE of the images [px]; infinite where fewer than FEW_IMAGES have one."""
+    rmses = []
+    for row in rows:
+        interval = _rmse_interval(row, "px")
+        if interval is not None:
+            rmses.append(interval[1])
+    return float(np.median(rmses)) if len(rmses) >= FEW_IMAGES else math.inf
 
 
 def _verdict_on_image(
         row: Mapping[str, Any], accept: Accept | None, usual: float) -> tuple[str, str]:
-    """Return whether the model of an image is fit for use, and why.
+    """Return the verdict on an image of a batch, and its reason.
 
-    `row` is that of the image in the table, `accept` the RMSE that the user asks for, and `usual`
-    the median over the batch. An interval of the RMSE that spans the accepted size leaves the image
-    in doubt; without one asked for, anything that contradicts its figures does. Other rows than
-    those of auto have no verdict, ("", "").
+    `row` is the image's row in the table, `accept` is the RMSE that the user asks for, and `usual`
+    is the median RMSE of the batch [px]. An image is doubtful where the interval of its RMSE spans
+    the accepted size and, without one, where anything contradicts its figures. Only images that
+    auto has finished have a verdict; of other rows both texts are "".
     """
     if row["strategy"] != "auto" or row["state"] == "waiting":
         return "", ""
@@ -128,12 +131,14 @@ def _verdict_on_image(
         return UNFIT, f"{figure}, and {asked} is asked for"
     if high > accept.size:
         return DOUBTFUL, "; ".join([f"{figure}, so {asked} is not certain", *against])
-    return (DOUBTFUL, "; ".join(against)) if against else (
-        FIT, f"{figure} meets {asked}{_how_verified(row)}")
+    if against:
+        return DOUBTFUL, "; ".join(against)
+    return FIT, f"{figure} meets {asked}{_how_verified(row)}"
 
 
 def _too_uncertain_clause(row: Mapping[str, Any]) -> list[str]:
-    """Return that the RMSE of an image is known only to a factor, where its interval is so wide."""
+    """Return a clause on an RMSE whose interval is wider than the factor WIDE, in a list, or [].
+    """
     interval = _rmse_interval(row, "px")
     if interval is None or interval[2] <= WIDE * interval[0]:
         return []
@@ -162,14 +167,17 @@ def _how_verified(row: Mapping[str, Any]) -> str:
 
 
 def _rmse_interval(row: Mapping[str, Any], unit: str) -> tuple[float, float, float] | None:
-    """Return the RMSE of an image between the ends of its interval, the surer one; None if not
-    known.
+    """Return the RMSE of an image between the ends of its 90 % interval: low, RMSE, high.
+
+    It is the RMSE that independent points show, where there are many or none is predicted, else the
+    predicted one. `unit` is "px" or "m". None where there is no RMSE, or no pixel size for metres.
     """
-    n = row["n_independent"] or 0
+    n_independent = row["n_independent"] or 0
     measured = row["independent"]
     predicted = row["predicted"]
-    if measured is not None and (n >= MANY_INDEPENDENT or predicted is None):
-        low, high = rmse_interval(measured, 2.0 * n)
+    if measured is not None and (n_independent >= MANY_INDEPENDENT or predicted is None):
+        # Each point has two coordinates.
+        low, high = rmse_interval(measured, 2.0 * n_independent)
         interval = low, measured, high
     elif predicted is not None and row["predicted_high"] is not None:
         interval = row["predicted_low"], predicted, row["predicted_high"]
@@ -177,8 +185,11 @@ def _rmse_interval(row: Mapping[str, Any], unit: str) -> tuple[float, float, flo
         return None
     if unit == "px":
         return interval
-    size = row["pixel"]
-    return None if size is None else (size * interval[0], size * interval[1], size * interval[2])
+    metres_per_pixel = row["pixel"]
+    if metres_per_pixel is None:
+        return None
+    low, rmse, high = interval
+    return metres_per_pixel * low, metres_per_pixel * rmse, metres_per_pixel * high
 
 
 def _clauses_on_limits(notes: Sequence[str]) -> list[str]:

@@ -67,7 +67,10 @@ class _OutOfTime(TermselError):
 
 
 def failed_outcome(key: str, reason: str, features: FeatureSet | None = None) -> Outcome:
-    """Return the outcome of a cell that has no result; of features it says where they are."""
+    """Return the outcome of a cell that has no result.
+
+    Its figures say where the features are, so that the other images of a batch can be compared.
+    """
     figures = {} if features is None else location_figures(features)
     return Outcome(CellRecord(key, FAILED, reason, figures, [], []))
 
@@ -87,12 +90,13 @@ def do(cell: Cell, features: FeatureSet) -> Outcome:
 
 
 def _outcome_of_cell(cell: Cell, features: FeatureSet) -> Outcome:
-    """Return the outcome of a cell, or why there is none."""
+    """Return the outcome of a cell; of a run that fails, the outcome has the reason."""
     trace = _Trace(cell.call.get("timeout"))
     try:
-        state, figures, front, files = (_figures_of_auto if cell.call["strategy"] == "auto"
-                                        else _search_as_asked)(
-            cell, features, trace)
+        if cell.call["strategy"] == "auto":
+            state, figures, front, files = _figures_of_auto(cell, features, trace)
+        else:
+            state, figures, front, files = _search_as_asked(cell, features, trace)
     except TermselError as error:
         return failed_outcome(cell.key, str(error), features)
     figures |= location_figures(features)
@@ -201,13 +205,17 @@ def _search_as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
 
 
 def _member_objectives(task: Task, genes: BoolArray) -> list[float]:
-    """Return the objectives of a member of a front; the second is its size where none is named."""
+    """Return the objectives of a member of a front, given its genes.
+
+    Of a problem with a single objective the second one is the number of features or terms that the
+    member selects, as the recipe says.
+    """
     objectives: list[float] = task.problem.evaluate(genes[None]).objectives[0].tolist()
     if len(objectives) > 1:
         return objectives
     selection = task.problem.decode(genes)
-    return [*objectives, float(len(selection.features if task.recipe.second == "n_features"
-                                   else selection.terms))]
+    counts_features = task.recipe.second == "n_features"
+    return [*objectives, float(len(selection.features if counts_features else selection.terms))]
 
 
 def _rmse_by_role(by_role: Mapping[str, Rmse | None]) -> dict[str, float | int | None]:
@@ -248,7 +256,11 @@ def _proven_optimum(cell: Cell, task: Task, search: SearchResult) -> float | Non
 
 def _figures_of_auto(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
         State, dict[str, Any], list[list[float]], dict[str, bytes]]:
-    """Return state and figures of a choice by the strategy auto, and the files of its result."""
+    """Return state, figures, front and files of a cell that auto or a method runs; no front.
+
+    The files are those of its result folder by name, with the exports that the study asks for.
+    Raises KeyboardInterrupt for an interrupted run, which is no result of a study.
+    """
     with private_folder() as folder:
         result_folder = folder / "result"
         method = cell.things.get("method", cell.call.get("method"))

@@ -107,11 +107,12 @@ def _say_heights(data_sets: Sequence[Data]) -> None:
     for statement in statements:
         if match := _HEIGHTS.fullmatch(statement):
             counts.setdefault(match[3], []).append((int(match[1]), int(match[2])))
-    for raster, of_files in counts.items():
-        unknown = sum(count for count, _ in of_files)
-        if unknown:
-            log.info("Heights: %d of %d %s%s.", unknown, sum(total for _, total in of_files),
-                     raster, f", in {len(of_files)} files" if len(of_files) > 1 else "")
+    for raster, file_counts in counts.items():
+        n_taken = sum(taken for taken, _ in file_counts)
+        n_features = sum(total for _, total in file_counts)
+        if n_taken:
+            where = f", in {len(file_counts)} files" if len(file_counts) > 1 else ""
+            log.info("Heights: %d of %d %s%s.", n_taken, n_features, raster, where)
 
 
 _HEIGHTS = re.compile(r"(\d+) of (\d+) (heights from .*)")
@@ -119,10 +120,10 @@ _HEIGHTS = re.compile(r"(\d+) of (\d+) (heights from .*)")
 
 
 def files_of(spec: Spec, folder: Path) -> list[Path]:
-    """Return every file that a study names, as it would be read: of patterns all that match.
+    """Return every file that a study names, each once, without reading any.
 
-    So are texts of options that are names of files. Nothing is read. Raises TermselError as
-    `data_of`, where no file matches.
+    These are all files that match its patterns of data, and the files that its options name.
+    Raises TermselError where no file matches a pattern.
     """
     named: list[Path] = []
     for source in spec.data:
@@ -187,11 +188,10 @@ def _matching_files(spec: Spec, source: Source, kind: str, patterns: tuple[str, 
     """
     files: list[str] = []
     for pattern in patterns:
-        # A name without a wildcard is a file that must be there.
-        # A plain name must exist; a pattern must match anything.
-        wild = any(sign in pattern for sign in _WILD)
-        names = _glob_files(pattern, folder) if wild else [pattern]
-        if not names or (not wild and not os.path.exists(folder / pattern)):
+        # A plain name must exist; a pattern must match something.
+        has_wildcard = any(sign in pattern for sign in _WILD)
+        names = _glob_files(pattern, folder) if has_wildcard else [pattern]
+        if not names or (not has_wildcard and not os.path.exists(folder / pattern)):
             raise spec.places.error((*source.path, kind), f"no file matches {pattern!r} in "
                                     f"{folder.resolve()}", _how_to_name(pattern, kind, folder))
         files += [Path(name).as_posix() for name in names]
@@ -232,11 +232,11 @@ def _glob_files(pattern: str, folder: Path) -> list[str]:
 
 def _group_files(spec: Spec, source: Source,
                  matched: Mapping[str, list[str]]) -> Iterator[dict[str, str]]:
-    """Yield the files of each image: those of one name, where there are several of a kind.
+    """Yield the files of each image by their kind, such as points and lines.
 
-    `matched` has the files of each kind, points and lines. Files of two kinds belong together by
-    their names without the suffix; one file of each kind needs no such name. Raises TermselError
-    where they do not pair.
+    `matched` has all files of each kind. Of a single kind every file is an image. Files of two
+    kinds belong to one image by their names without the suffix, unless there is only one of each.
+    Raises TermselError where they do not pair.
     """
     kinds = list(matched)
     if all(len(names) == 1 for names in matched.values()):
@@ -246,25 +246,27 @@ def _group_files(spec: Spec, source: Source,
     by_stem = {}
     for kind, names in matched.items():
         by_stem[kind] = {Path(name).stem: name for name in names}
-    first = by_stem[kinds[0]]
-    for kind in kinds:
-        if len(kinds) > 1 and (len(by_stem[kind]) < len(matched[kind])
-                               or set(by_stem[kind]) != set(first)):
-            raise spec.places.error(
-                (*source.path, kind), f"the files of {kind} do not pair with those of {kinds[0]}",
-                "Several files of two kinds are paired by their names without the suffix.")
-    # Of a single kind every file is an image of its own.
     if len(kinds) == 1:
         yield from ({kinds[0]: name} for name in matched[kinds[0]])
         return
-    for stem in first:
+    stems = by_stem[kinds[0]]
+    for kind in kinds:
+        are_unique = len(by_stem[kind]) == len(matched[kind])
+        if not are_unique or set(by_stem[kind]) != set(stems):
+            raise spec.places.error(
+                (*source.path, kind), f"the files of {kind} do not pair with those of {kinds[0]}",
+                "Several files of two kinds are paired by their names without the suffix.")
+    for stem in stems:
         yield {kind: by_stem[kind][stem] for kind in kinds}
 
 
 def _options_by_part(
     source: Source, files: Mapping[str, str], folder: Path
 ) -> dict[str, dict[str, Any]]:
-    """Return the options of each part of a file that has several; {"": {}} of another file."""
+    """Return the options with which each part of a file is read, by the part's name.
+
+    {"": {}}, a single part without a name or options, where the file has no parts.
+    """
     undivided: dict[str, dict[str, Any]] = {"": {}}
     if set(files) != {"points"}:
         return undivided
