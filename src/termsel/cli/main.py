@@ -74,7 +74,10 @@ class Commands(click.Group):
     def get_command(
         self, ctx: click.Context, cmd_name: str
     ) -> click.Command | None:
-        """Return a command, None without one; that of a broken plugin shows why it is broken."""
+        """Return the command of a name, None if there is none.
+
+        Where the plugin that has it is broken, a command is returned that shows why.
+        """
         if cmd_name in COMMANDS:
             # Imported by name, so that one command does not load what others need.
             module, _, attribute = COMMANDS[cmd_name][0].partition(":")

@@ -86,10 +86,11 @@ def new_plugin(name: str, kind: str, parent: Path) -> None:
 
 
 def package_files(name: str, *kinds: str) -> dict[str, str]:
-    """Return the texts of the files of a new package, by their path in it.
+    """Return the texts of the files of a new package, by their path in the package.
 
-    Of several kinds each has a module and a name of its own, such as demo-model. Raises
-    TermselError for a kind that is blank, unknown or named twice, and for a name that is not free.
+    Where there are several kinds, each has a module and a name of its own, such as demo-model.
+    Raises TermselError for a kind that is blank, unknown or named twice, and for a name that is not
+    free.
     """
     for kind in kinds:
         if not kind:

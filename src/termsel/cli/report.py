@@ -57,7 +57,7 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
 
 
 def _is_study(folder: Path) -> bool:
-    """Return whether a folder is that of a study; raises TermselError if of no result either."""
+    """Return whether a folder has a study, and not a result; raises TermselError for neither."""
     from termsel.core.files.names import is_there
     from termsel.io.result_folder import files_of_result, results_within
     from termsel.studies.cells.folder import PLAN

@@ -55,7 +55,12 @@ def exterior_orientation(rotation: FloatArray, centre: FloatArray,
     # image, samples run the other way.
     sample = sample if np.linalg.det(rotation) < 0.0 else -sample
     omega, phi, kappa = angles_of(np.stack([sample, -line, -view])).tolist()
-    unit = "deg" if crs and is_geographic(crs) else _unit_of(metres_per_unit(crs) if crs else None)
+    if crs and is_geographic(crs):
+        unit = "deg"
+    elif crs:
+        unit = _unit_of(metres_per_unit(crs))
+    else:
+        unit = _unit_of(None)
     return (SensorFigure("projection centre x", x, unit),
             SensorFigure("projection centre y", y, unit),
             SensorFigure("projection centre z", z, _unit_of(height_unit(crs))),
@@ -68,8 +73,9 @@ def _unit_of(metres: float | None) -> str:
     if metres is None:
         return "m"
     unit = unit_of_size(metres)
-    # Old chains and links have no name here.
-    return f"{metres:g} m" if unit is None else "m" if unit == METRE else unit
+    if unit is None:  # old chains and links have no name here
+        return f"{metres:g} m"
+    return "m" if unit == METRE else unit
 
 
 def camera_figures(orientation: tuple[SensorFigure, ...], focal: float,

@@ -41,7 +41,8 @@ _GRID_NODES_ACROSS = 15  # places along either side of the image at which files 
 def places_of(fitted: Fit, heights: tuple[float, float] | None = None) -> FloatArray:
     """Return ground places (n, 3) over the image, at three heights, where the model holds.
 
-    By default at the lowest, middle and highest control.
+    `heights` are the lowest and highest of the three, by default those of the control; a model
+    without heights is asked at one alone.
     """
     middle, half = fitted.ground_box()
     # Least, middle and greatest height of the ground, since the file may ignore heights.

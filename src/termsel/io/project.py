@@ -204,12 +204,14 @@ def _projection_warnings(missed: Sequence[str], hidden: Sequence[str], off_image
     if not encloses:
         yield "the control encloses no area, so `outside` cannot be computed"
     if hidden:
-        verb = "shows" if len(hidden) == 1 else "show"
-        lie = "lies" if len(hidden) == 1 else "lie"
-        yield f"{count_in_words(len(hidden), 'point')} " + (
-            f"{verb} no ground, as above the horizon" if inverse else
-            f"{lie} behind the camera or beyond the horizon, and no image shows "
-            f"{'it' if len(hidden) == 1 else 'them'}") + f": {first_names_in_words(hidden)}"
+        show, lie, them = (("shows", "lies", "it") if len(hidden) == 1 else
+                           ("show", "lie", "them"))
+        if inverse:
+            reason = f"{show} no ground, as above the horizon"
+        else:
+            reason = f"{lie} behind the camera or beyond the horizon, and no image shows {them}"
+        yield (f"{count_in_words(len(hidden), 'point')} {reason}: "
+               f"{first_names_in_words(hidden)}")
     if missed:
         yield (f"no position was found for {count_in_words(len(missed), 'point')}: "
                f"{first_names_in_words(missed)}")

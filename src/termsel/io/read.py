@@ -674,11 +674,11 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
                        options: Mapping[str, Any], either: bool,
                        origin: Origin | None, swapped: str | None,
                        z_unit: str | None) -> FeatureSet:
-    """Return the features of all files in one CRS, checked; arguments as of `read_features`.
+    """Return the features of all files in one CRS, checked, for the arguments of `read_features`.
 
-    In this order, as each step needs the one before: the reader of each file, its features with
-    axes exchanged and counted from the upper left, their kinds, the CRS in which all agree, units
-    of columns, and positions that the CRS can have. Every error names the file.
+    These steps follow each other, as each needs the one before: the reader of each file, its
+    features with axes exchanged and counted from the upper left, their kinds, the CRS in which all
+    files agree, units of columns, and positions that the CRS can have. Every error names the file.
 
     Raises TermselError without any file, for more formats than files, and where one of these steps
     fails.
@@ -693,38 +693,20 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
         raise TermselError(f"there are {len(formats)} --format for "
                            f"{count_in_words(len(paths), 'file')}",
                            hint="Give --format once per file, that of the points first.")
-    # Without a format for a file, None lets its content show.
-    reader_of = {path: find_reader(path, readers, name, options)
-                 for path, name in zip_longest(paths, formats)}
+    # A file for which no format is given has None, and is recognised by its content.
+    reader_of = {path: find_reader(path, readers, format_name, options)
+                 for path, format_name in zip_longest(paths, formats)}
     _refuse_idle(options, reader_of)
-    sets: dict[Path, FeatureSet] = {}
-    for path, reader in reader_of.items():
-        try:
-            features = reader.read(path)
-            sets[path] = features if swapped is None else exchange_back(features, swapped)
-        except TermselError as error:
-            if formats and error.code == "column-missing":
-                error.hint = f"{error.hint} Without --format the content tells the format."
-            raise
-    # Counted from the centre of the upper-left pixel from here on.
-    for path, reader in reader_of.items():
-        if origin is None:
-            break
-        try:
-            sets[path] = origin(sets[path], states_own=reader.states_origin,
-                                default=reader.default_origin)
-        except TermselError as error:
-            raise error_in_file(error, path) from error
+    sets = _read_each_file(reader_of, origin, swapped, is_format_named=bool(formats))
     for path, features in sets.items():
         _say_misspelt(path, features)
         if reader_of[path].areas or path == areas:
             _check_areas(path, reader_of[path], path == areas and path not in (points, lines))
             continue
         counts = {"points": len(features.points), "lines": len(features.lines)}
-        if either and any(counts.values()):
-            # A file that may hold either kind is judged by what it holds.
-            continue
-        _require_given_kinds(path, counts, {"points": path == points, "lines": path == lines})
+        # A file that may hold either kind is judged by what it holds.
+        if not (either and any(counts.values())):
+            _require_given_kinds(path, counts, {"points": path == points, "lines": path == lines})
     # What describes the image and the columns is taken from the first file that states it.
     image_sizes = [features.image_size for features in sets.values() if features.image_size]
     image_origins = [features.image_origin for features in sets.values() if features.image_origin]
@@ -753,6 +735,34 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
         raise reader_of[path].placed(error, path) from error
     _say_doubts(measured)
     return measured
+
+
+def _read_each_file(reader_of: Mapping[Path, Reader], origin: Origin | None, swapped: str | None,
+                    *, is_format_named: bool) -> dict[Path, FeatureSet]:
+    """Return the features of each file, in image coordinates from the centre of the first pixel.
+
+    Coordinates that are `swapped` are exchanged back, and `origin` turns image coordinates that
+    count from elsewhere. All files are read before any is turned. Errors name the file; where the
+    user named a format, the hint on a missing column says that this may be wrong.
+    """
+    sets: dict[Path, FeatureSet] = {}
+    for path, reader in reader_of.items():
+        try:
+            features = reader.read(path)
+            sets[path] = features if swapped is None else exchange_back(features, swapped)
+        except TermselError as error:
+            if is_format_named and error.code == "column-missing":
+                error.hint = f"{error.hint} Without --format the content tells the format."
+            raise
+    if origin is None:
+        return sets
+    for path, reader in reader_of.items():
+        try:
+            sets[path] = origin(sets[path], states_own=reader.states_origin,
+                                default=reader.default_origin)
+        except TermselError as error:
+            raise error_in_file(error, path) from error
+    return sets
 
 
 def _say_doubts(features: FeatureSet) -> None:

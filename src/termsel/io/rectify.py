@@ -198,9 +198,10 @@ def rectify(
 
 def _write_source(result: Result, picture: Picture, vrt: Path, surface: Dem | float, grid: MapGrid,
                   ) -> tuple[Path, dict[str, Any] | None]:
-    """Write the virtual raster that is warped; return it and the options of GDAL's warper.
+    """Write the virtual raster that is warped, and return its path and the options of the warper.
 
-    None for these where no RPC comes near the model.
+    The raster has an RPC where one is near enough to the model, and the options then say what
+    heights go with it. Else there are no options, None: positions come from a grid of the map.
     """
     # By an RPC the warper would put the sky, mirrored, on places behind the camera.
     level = float(result.fit.ground_box()[0][2]) if isinstance(surface, Dem) else surface
@@ -230,9 +231,9 @@ def _write_source(result: Result, picture: Picture, vrt: Path, surface: Dem | fl
 
 
 def _shift_over_wgs84(result: Result, grid: MapGrid) -> float:
-    """Return how far a map by an RPC is off for the way over WGS84 at most [px of the map].
+    """Return how far a map by an RPC is off at most, as RPCs take positions in WGS84 [px of map].
 
-    The same datums, and those with no better operation between them, are 0 off.
+    It is 0 where control and map have one datum, or PROJ knows no better operation between theirs.
     """
     control_crs = result.features.crs
     if horizontal_crs(control_crs) == grid.crs:

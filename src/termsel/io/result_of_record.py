@@ -111,25 +111,26 @@ def _fit_of_selection(record: Record, model: SensorModel, observations: Observat
 
 def _merge_listed_points(features: FeatureSet, points: set[str],
                          ids: tuple[str, ...]) -> FeatureSet:
-    """Return some points with twins as one, and the lines among some ids.
+    """Return the features that a fit used: `points`, with twins merged, and the lines among `ids`.
 
-    Raises TermselError where these are others than the ids say.
+    `ids` are the features of the fit as the record lists them. Raises TermselError where a merged
+    point is not among them.
     """
     lines = features.lines
-    chosen_features = with_merged_twins(features.with_(
+    fit_features = with_merged_twins(features.with_(
         points=features.points.take([name in points for name in features.points.ids]),
         lines=lines.take([name in ids for name in lines.ids])))
-    if not set(chosen_features.ids) <= set(ids):
+    if not set(fit_features.ids) <= set(ids):
         raise TermselError("this result is damaged at fit.features: they are not those of the "
                            "roles", hint=AGAIN)
-    return chosen_features
+    return fit_features
 
 
 def _final_fit(record: Record, model: SensorModel, observations: Observations) -> Fit | None:
-    """Return the final fit: to all points with a role but independent outliers; None without.
+    """Return the final fit that a record has; None for a record without one.
 
-    Its points are all that had a role, independent ones included but for outliers, as control.
-    Coefficients and figures are those of the record: nothing is fitted again.
+    Its control are all points that had a role, but for independent ones that are outliers.
+    Coefficients and figures are taken from the record: nothing is fitted again.
     """
     final = record.final_fit
     if final is None:

@@ -100,8 +100,13 @@ def are_computed(record: Record) -> bool:
 def agreement_of_computed(record: Record) -> str:
     """Return that a model meets points that were computed, and that this is no accuracy."""
     expected = expected_rmse(record)
-    size = record.accuracy.image.total if record.accuracy else expected.rmse if expected else 0.0
-    agreement = f"within {rounded_size_text(size)} px" if size >= _ROUNDING_PX else "to rounding"
+    if record.accuracy:
+        rmse = record.accuracy.image.total
+    elif expected:
+        rmse = expected.rmse
+    else:
+        rmse = 0.0
+    agreement = f"within {rounded_size_text(rmse)} px" if rmse >= _ROUNDING_PX else "to rounding"
     return (f"the model predicts held-out points {agreement}, closer than anyone "
             "measures. They were computed, or one column is a copy of another: the accuracy "
             "cannot be estimated")

@@ -112,7 +112,8 @@ def _choice_table(record: Record, strategy: Strategy, view: View | None) -> Iter
 def _sentences_on_search(record: Record) -> Iterator[Block]:
     """Yield sentences on the size of the selection, its parameters, and the search for it.
 
-    Those on stability, parameters, a limit of terms and a local refinement only if there are any.
+    Stability, parameters, a limit of terms and a local refinement have a sentence only where the
+    record has them.
     """
     selection = record.selection
     offered = record.offered

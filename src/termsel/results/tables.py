@@ -18,17 +18,17 @@ STEP = 9
 
 
 def convergence_table(view: View) -> TableBlock:
-    """Return a table of the search: a row a generation, of long searches of some of them.
+    """Return a table of the search with a row for each generation, evenly spaced ones of many.
 
-    A solver with empires has a column on those that are left.
+    For a solver with empires a column counts the empires that are left.
     """
     history = evenly_spaced(view.record.history, MAX_GENERATION_ROWS)
     has_empires = any(generation.empires for generation in history)
     rows = []
     for generation in history:
-        values = ["-" if value is None else f"{value:.4g}"
-                  for value in (generation.best, generation.median)]
-        row = [str(generation.evaluations), *values, f"{1 - generation.feasible:.0%}"]
+        best_and_median = ["-" if figure is None else f"{figure:.4g}"
+                           for figure in (generation.best, generation.median)]
+        row = [str(generation.evaluations), *best_and_median, f"{1 - generation.feasible:.0%}"]
         if has_empires:
             row.append(str(sum(map(bool, generation.empires))))
         rows.append(tuple(row))

@@ -197,15 +197,15 @@ def verdict_table(record: Record) -> Iterator[Block]:
     """
     outliers = record.outliers
     if outliers:
-        yield TableBlock(
-            "Outliers and their prediction errors", (
-                "feature", "kind", "role", "error [px]", "outlier test", "use"), [
-                (outlier.id, outlier.kind, ROLE_WORDS[outlier.role],
-                 rounded_size_text(outlier.error),
-                 CERTAINTY[outlier.certainty],
-                 "rejected" if outlier.excluded else
-                 "in the figures" if outlier.role == "independent" else "in use")
-                for outlier in outliers])
+        rows = []
+        for outlier in outliers:
+            # Independent points are in no fit, but their errors are in its figures.
+            use = "in the figures" if outlier.role == "independent" else "in use"
+            rows.append((outlier.id, outlier.kind, ROLE_WORDS[outlier.role],
+                         rounded_size_text(outlier.error), CERTAINTY[outlier.certainty],
+                         "rejected" if outlier.excluded else use))
+        yield TableBlock("Outliers and their prediction errors", (
+            "feature", "kind", "role", "error [px]", "outlier test", "use"), rows)
         off = off_option(record)
         if may_be_shifted(record):
             yield (f"{outlier_share_in_words(record)} contradict the others, more than slips do. "

@@ -537,10 +537,10 @@ def _notes_on_choice(model: SensorModel, observations: Observations, errors: Flo
     elif errors is None and is_named:
         notes.append(f"Without one of the {features.word} the model is not determined, so no "
                      "accuracy is predicted.")
+    elif errors is None and len(features) == 1:
+        notes.append("One point cannot be predicted by others, so no accuracy is predicted.")
     elif errors is None:
-        notes.append("One point cannot be predicted by others, so no accuracy is predicted."
-                     if len(features) == 1 else
-                     f"The {features.word} are too few to repeat the choice without some of them, "
+        notes.append(f"The {features.word} are too few to repeat the choice without some of them, "
                      "so it predicts no accuracy.")
     if not plane and observations.heights and not model.uses_height:
         notes.append(f"Heights are known and were used. --model {model.name} keeps to a plane "

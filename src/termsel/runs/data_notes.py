@@ -77,7 +77,7 @@ _MODERN = re.compile(r"\(|ITRF|IGS|IGb|WGS 84|GTRF")
 """Names of realisations that are centimetres apart."""
 _LIKE, _ABOUT = 0.25, 15.0
 """Part of a shift, and metres, by which that of a datum may differ: its grid may not be there."""
-_AROUND = 0.01
+_HALF_SIDE = 0.01
 """Half the side of the area in which a datum must be in use [deg]: about a kilometre, as PROJ is
 asked about areas and not about places."""
 
@@ -138,7 +138,7 @@ def datum_of(groups: TwoGroups, crs: str, position: tuple[float, float]) -> str:
     from pyproj.exceptions import ProjError
 
     lon, lat = position
-    area = AreaOfInterest(lon - _AROUND, lat - _AROUND, lon + _AROUND, lat + _AROUND)
+    area = AreaOfInterest(lon - _HALF_SIDE, lat - _HALF_SIDE, lon + _HALF_SIDE, lat + _HALF_SIDE)
     offset = np.array(groups.shift)
     # Name of the best datum so far and its distance from the shift [m]; only nearer ones count.
     nearest = ("", max(_LIKE * float(np.linalg.norm(offset)), _ABOUT))

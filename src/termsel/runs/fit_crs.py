@@ -138,7 +138,8 @@ def _control_on_globe(control: FeatureSet) -> FloatArray:
 
 
 def note_on_pole(features: FeatureSet, control: FeatureSet) -> str:
-    """Return that control lies around a pole, and how it is fitted better; "" elsewhere."""
+    """Return a note on control around a pole, with the option that fits it better; "" elsewhere.
+    """
     crs = normalise(features.crs)
     if features.fit_crs or not is_in_degrees(features.crs) or kind_of(crs) != "geographic":
         return ""

@@ -151,11 +151,18 @@ def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
 
 
 def best_conventional(method: Method, baselines: tuple[Baseline, ...]) -> str:
-    """Return the name of the conventional model that cross-validation prefers; "" for none."""
-    rivals = {row.name: row.predicted for row in baselines if row.predicted is not None
-              and (candidate := registry().known("methods", row.name))
-              and candidate.is_plain and candidate is not method}
-    return min(rivals, key=lambda name: rivals[name], default="")
+    """Return the name of the conventional model that cross-validation prefers; "" for none.
+
+    The method that was chosen is no rival of its own.
+    """
+    rmse_of_rival = {}
+    for row in baselines:
+        if row.predicted is None:
+            continue
+        candidate = registry().known("methods", row.name)
+        if candidate and candidate.is_plain and candidate is not method:
+            rmse_of_rival[row.name] = row.predicted
+    return min(rmse_of_rival, key=lambda name: rmse_of_rival[name], default="")
 
 
 def _conventional_in_hindsight(rmse: float, named: Baseline,
@@ -171,17 +178,21 @@ def _conventional_in_hindsight(rmse: float, named: Baseline,
 
 
 def name_conventional(genome: Genome, observations: Observations) -> str:
-    """Return the features and terms of a fit that selects none, such as "all lines"."""
-    # What could be selected says what the conventional fit leaves in.
-    lines = len(observations.control.lines)
-    points = len(observations.control.points)
-    features = ("all points and lines" if lines and points else
-                "all lines" if lines else "all control points")
+    """Return what a conventional fit uses, which selects nothing, such as "all lines".
+
+    The features or terms are named that the search could select, as its genome says.
+    """
+    has_lines = len(observations.control.lines) > 0
+    has_points = len(observations.control.points) > 0
+    if has_lines and has_points:
+        features = "all points and lines"
+    else:
+        features = "all lines" if has_lines else "all control points"
     segments = [segment.name for segment in genome.segments]
-    terms = any(name.startswith("terms") for name in segments)
+    selects_terms = any(name.startswith("terms") for name in segments)
     if "features" not in segments:
         return "all terms"
-    return f"{features} with all terms" if terms else features
+    return f"{features} with all terms" if selects_terms else features
 
 
 def _independent_rmse(baseline: Baseline) -> float:
@@ -191,7 +202,7 @@ def _independent_rmse(baseline: Baseline) -> float:
 
 
 def _error_ratio(error: float, reference: float) -> float:
-    """Return how many times one error is the other; below `_ROUNDING_PX` all are alike."""
+    """Return an error [px] by a reference [px]; errors below `_ROUNDING_PX` count as that."""
     return max(error, _ROUNDING_PX) / max(reference, _ROUNDING_PX)
 
 

@@ -102,31 +102,33 @@ def with_options(role: str, component: type[Configurable] | Configurable,
 def second_solver(recipe: Recipe, settings: Mapping[str, Any]) -> Any:
     """Return the solver of the second step, as asked for or the problem's; None without one.
 
-    Given are the options of all parts. Refuses a solver, or options of one, where there is no
-    second step, or no solver of its own.
+    `settings` are the options of all parts as the user gave them. Raises TermselError for a second
+    solver, or options of one, where there is no second step, or none with a solver of its own.
     """
-    options = {option.name: option.default
-               for option in (*recipe.options, *undeclared_options(recipe))}
-    of_second_solver = [key for key in settings if key.startswith("then.")]
+    defaults = {option.name: option.default
+                for option in (*recipe.options, *undeclared_options(recipe))}
+    second_solver_keys = [key for key in settings if key.startswith("then.")]
     stated = next((settings[key] for key in ("then", "problem.then") if key in settings), None)
-    if "then" not in options:
-        if stated is not None or of_second_solver:
+    if "then" not in defaults:
+        if stated is not None or second_solver_keys:
             raise TermselError(
                 f"problem {recipe.name!r} has no steps, so no second step has a solver (--then)",
                 hint="Leave it out, or choose a problem of terms and features, such as "
                      "owdis-lines-terms.")
         return None
-    # Either plain, or with the part it is of: steps, problem.steps.
+    # A key is plain, or has the name of its part in front: steps, problem.steps.
     steps = next((settings[key] for key in ("steps", "problem.steps") if key in settings),
-                 options.get("steps"))
-    if steps == "joint" and (stated is not None or of_second_solver):
-        raise TermselError(
-            f"{of_second_solver[0] if stated is None else '--then'} is for the solver of the "
-            "second of two steps, and steps=joint has one",
-            hint="Add --set steps=features-first or steps=terms-first.")
-    solver = None if steps == "joint" else options["then"] if stated is None else stated
-    if of_second_solver and solver is None:
-        raise TermselError(f"{of_second_solver[0]} is for the solver of the second step, and "
+                 defaults.get("steps"))
+    if steps == "joint":
+        if stated is not None or second_solver_keys:
+            raise TermselError(
+                f"{second_solver_keys[0] if stated is None else '--then'} is for the solver of the "
+                "second of two steps, and steps=joint has one",
+                hint="Add --set steps=features-first or steps=terms-first.")
+        return None
+    solver = defaults["then"] if stated is None else stated
+    if second_solver_keys and solver is None:
+        raise TermselError(f"{second_solver_keys[0]} is for the solver of the second step, and "
                            "--then names none",
                            hint="Add --then NAME, such as --then pso.")
     return solver

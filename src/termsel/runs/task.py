@@ -535,25 +535,31 @@ def part_of_rpc(control: FeatureSet) -> ImagePart | None:
 
 
 def _refuse_feet(rpc: Rpc, positions: FloatArray, image: FloatArray) -> None:
-    """Refuse heights that the RPC holds as feet alone, and sees the points by much better.
+    """Raise TermselError for heights that are feet, as the RPC shows.
 
-    As metres they move the points, and another part of the image would seem to explain that.
+    `positions` (n, 3) are longitude, latitude and height, and `image` (n, 2) the points as
+    measured. The heights must be outside the range of the RPC as metres, inside it as feet, and the
+    RPC must see the points much nearer to where they were measured then. As metres they move the
+    points, and another part of the image would seem to explain that.
     """
-    outside = rpc.heights_outside(positions[:, 2])
-    in_metres = positions * [1.0, 1.0, UNITS[FOOT]]
-    # Plausible as metres, or implausible as feet: then there is nothing to refuse.
-    if not outside or abs(np.median(in_metres[:, 2]) - rpc.ground_offset[2]) > rpc.ground_scale[2]:
+    height_doubt = rpc.heights_outside(positions[:, 2])
+    if not height_doubt:
+        return
+    from_feet = positions * [1.0, 1.0, UNITS[FOOT]]
+    if abs(np.median(from_feet[:, 2]) - rpc.ground_offset[2]) > rpc.ground_scale[2]:
         return
     with np.errstate(all="ignore"):
         distances = [np.linalg.norm(rpc.project(ground) - image, axis=1)
-                     for ground in (positions, in_metres)]
-        as_read, converted = (float(np.nanmedian(lengths)) for lengths in distances)
+                     for ground in (positions, from_feet)]
+        distance_as_metres, distance_as_feet = (float(np.nanmedian(lengths))
+                                                for lengths in distances)
     # Feet must explain at least half of the distance, or something else is wrong.
-    if converted < as_read * _NEARER:
+    if distance_as_feet < distance_as_metres * _NEARER:
         raise TermselError(
-            f"{outside}. As feet they are inside, and the RPC "
-            f"sees the points {converted:,.0f} px from where they were measured, in place of "
-            f"{as_read:,.0f} px", hint="State the unit of z: --set z_unit=ft (or us-ft).")
+            f"{height_doubt}. As feet they are inside, and the RPC sees the points "
+            f"{distance_as_feet:,.0f} px from where they were measured, in place of "
+            f"{distance_as_metres:,.0f} px",
+            hint="State the unit of z: --set z_unit=ft (or us-ft).")
 
 
 def with_part(request: Request, image_part: ImagePart) -> Request:

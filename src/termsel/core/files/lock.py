@@ -68,20 +68,25 @@ def _hold_lock(folder: Path, hint: str) -> Iterator[FileIO]:
 
 
 def turn(path: Path, seconds: float) -> FileIO | None:
-    """Return a lock for work done only once, after any other process that holds it.
+    """Return a lock on a file, for work that one process does at a time, once nobody else holds it.
 
-    None after so many seconds, or where nothing can be locked: nobody must depend on it.
+    None where it is not free after so many seconds, or the system locks nothing: callers must not
+    depend on having it. `end_turn` gives it back.
     """
-    until = time.monotonic() + seconds
+    deadline = time.monotonic() + seconds
     with suppress(OSError), ExitStack() as files:
         file = files.enter_context(open(path, "a+b", buffering=0))
-        while time.monotonic() < until:
+        while time.monotonic() < deadline:
             # Polled, as no system lets a process wait for a lock and for a time at once.
             if _try_lock(file):
                 files.pop_all()  # it is closed by `end_turn`
                 return file
-            time.sleep(0.05)
+            time.sleep(_POLL_SECONDS)
     return None
+
+
+_POLL_SECONDS = 0.05
+"""Seconds between two attempts at a lock: short to who waits, and hardly any work."""
 
 
 def end_turn(file: FileIO) -> None:

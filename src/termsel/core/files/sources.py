@@ -400,7 +400,7 @@ class _Chain:
         return 1
 
     def _require_members_near(self, name: str, archive: Path, member: str, depth: int) -> None:
-        """Require the files of an archive that GDAL would open next to one in it, as on the disk.
+        """Require every file that GDAL would open beside a file of an archive.
 
         `name` is how GDAL calls the file, `archive` the archive on the disk, and `member` the file
         in it, "" for its only one. GDAL opens overviews, masks and auxiliary XML beside a raster

@@ -12,7 +12,8 @@ def difference_from_shape(value: Any, shape: tuple[int, ...], *, finite: bool = 
                           verb: str = "returned") -> str | None:
     """Return how a value differs from an array of numbers of a shape; None if it does not.
 
-    In the shape -1 stands for any length. The message begins with `verb`, such as "returned".
+    A length of -1 in the shape stands for any. `finite` says whether the numbers must be finite,
+    and `verb`, such as "returned", begins the message.
     """
     sizes_fit = isinstance(value, np.ndarray) and len(value.shape) == len(shape) and all(
         expected_size in (-1, size)

@@ -683,11 +683,14 @@ def kind_of(crs: str) -> str:
         return "projected"
     parsed = None if crs == LOCAL else _with_pyproj(crs)
     if parsed is not None:
-        return ("geographic" if parsed.is_geographic else
-                "projected" if parsed.is_projected else
-                "geocentric" if parsed.is_geocentric else "")
-    return {"GEOG": "geographic", "PROJ": "projected", "GEOC": "geocentric"}.get(
-        crs.upper()[:4], "")
+        if parsed.is_geographic:
+            return "geographic"
+        if parsed.is_projected:
+            return "projected"
+        return "geocentric" if parsed.is_geocentric else ""
+    # Without pyproj WKT shows the kind: it begins with GEOGCS, PROJCRS and the like.
+    kind_by_beginning = {"GEOG": "geographic", "PROJ": "projected", "GEOC": "geocentric"}
+    return kind_by_beginning.get(crs.upper()[:4], "")
 
 
 @lru_cache  # said once for each CRS

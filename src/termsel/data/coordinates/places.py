@@ -159,15 +159,19 @@ class Lattice:
         return Lattice(self.line[rows], self.column[rows])
 
     def sentence(self, *, known: bool = False) -> str:
-        """Return a sentence on the lattice, and what would be better if its geometry is not known.
+        """Return a sentence on the lattice.
+
+        Unless the geometry that its points were computed by is `known`, the text also says what the
+        accuracy means and what would be better.
         """
         description = (f"The {len(self.line)} points are a lattice of {self.lines} lines and "
                        f"{self.columns} columns of the image: computed, not measured.")
-        return description if known else (
-            f"{description} The accuracy is that of interpolation between them, found without "
-            "whole lines and columns, and not that of the product. The geometry that they were "
-            "computed by, as in the annotation of a radar image or an RPC, would be exact between "
-            "them, too: give it if you have it.")
+        if known:
+            return description
+        return (f"{description} The accuracy is that of interpolation between them, found without "
+                "whole lines and columns, and not that of the product. The geometry that they were "
+                "computed by, as in the annotation of a radar image or an RPC, would be exact "
+                "between them, too: give it if you have it.")
 
 
 def lattice_of(features: FeatureSet) -> Lattice | None:

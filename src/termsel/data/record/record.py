@@ -82,7 +82,9 @@ class Counts(RecordPart, frozen=True):
     @property
     def word(self) -> str:
         """The word for the control: points, lines, or features if it is both."""
-        return "points" if not self.lines else "features" if self.control else "lines"
+        if not self.lines:
+            return "points"
+        return "features" if self.control else "lines"
 
 
 class IdsByRole(RecordPart, frozen=True):

@@ -341,8 +341,9 @@ def read_numbers(cells: Sequence[str], sign: str, *, may_be_blank: bool, angle: 
     joined = "".join(cells)
     if "_" not in joined and (sign == POINT or POINT not in joined):
         blank = np.array([may_be_blank and (not cell or cell.isspace()) for cell in cells])
-        texts = ["nan" if is_blank else cell.replace(COMMA, POINT) if sign == COMMA else cell
-                 for cell, is_blank in zip(cells, blank, strict=True)]
+        with_points = [cell.replace(COMMA, POINT) for cell in cells] if sign == COMMA else cells
+        texts = ["nan" if is_blank else cell
+                 for cell, is_blank in zip(with_points, blank, strict=True)]
         with suppress(ValueError):
             values = np.fromiter(map(float, texts), np.float64, len(cells))
             if np.isfinite(values[~blank]).all():

@@ -465,12 +465,14 @@ class Tabular(Glance, Framed):
 
     def _with_rows_of(self, further: Self) -> dict[str, Any]:
         """Return the fields of the rows of both."""
-        sigmas = [table.sigma for table in (self, further) if table.sigma is not None]
-        # Features without a standard deviation have this weight in an adjustment.
-        sigma = np.concatenate([
-            np.full((len(table), *sigmas[0].shape[1:]), np.median(sigmas[0]))
-            if table.sigma is None else table.sigma
-            for table in (self, further)]) if sigmas else None
+        known_sigmas = [table.sigma for table in (self, further) if table.sigma is not None]
+        sigma = None
+        if known_sigmas:
+            # Features without a standard deviation have this weight in an adjustment.
+            usual_sigma = np.median(known_sigmas[0])
+            sigma = np.concatenate([
+                np.full((len(table), *known_sigmas[0].shape[1:]), usual_sigma)
+                if table.sigma is None else table.sigma for table in (self, further)])
         texts = {name: getattr(self, name) + getattr(further, name)
                  for name in _given_fields(type(self))  # type: ignore[arg-type]
                  if isinstance(getattr(self, name), tuple)}  # ids and roles

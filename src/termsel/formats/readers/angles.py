@@ -17,7 +17,7 @@ log = logging.getLogger(__name__)
 _PART_OF_ANGLE = re.compile(
     r"(.*?)[\s_.(\[-]*(?:(d|deg|degrees?|grad|°)|(m|min|mins|minutes?|minuten|'|′)"
     r"|(s|sec|secs|seconds?|sek|sekunden|\"|″))[\s)\]]*", re.IGNORECASE)
-_DEGREES, _MINUTES, _SECONDS = 2, 3, 4
+_DEGREE_GROUP, _MINUTE_GROUP, _SECOND_GROUP = 2, 3, 4
 """Groups of the pattern that hold the unit; the first group holds the name of the angle."""
 
 _WHOLE = re.compile(r"([+-]?\d{1,3})(?:[.,]0*)?")
@@ -43,7 +43,7 @@ def joined_angles(header: Sequence[str], rows: list[list[str]],
     joined_in_words = []
     matches = [_PART_OF_ANGLE.fullmatch(name.strip()) for name in header]
     # Without minutes or seconds there is nothing to join.
-    if not any(match and (match[_MINUTES] or match[_SECONDS]) for match in matches):
+    if not any(match and (match[_MINUTE_GROUP] or match[_SECOND_GROUP]) for match in matches):
         return names, rows, []
     for axis in "xy":
         degrees = next((i for i in range(len(header)) if _is_degrees(header, i, axis)
@@ -51,15 +51,15 @@ def joined_angles(header: Sequence[str], rows: list[list[str]],
         if degrees is None:
             continue
         match = matches[degrees]
-        angle_name = match[1] if match and match[_DEGREES] else header[degrees].strip()
+        angle_name = match[1] if match and match[_DEGREE_GROUP] else header[degrees].strip()
         sixtieths = []  # columns of minutes, then of seconds
-        for group, column in product((_MINUTES, _SECONDS), range(len(header))):
+        for group, column in product((_MINUTE_GROUP, _SECOND_GROUP), range(len(header))):
             match = matches[column]
             if match is None or not match[group] or not _are_all(_SIXTIETHS, rows, column):
                 continue
             # Either the name says of which angle they are, or they stand right after the degrees.
             if match[1].casefold() == angle_name.casefold() or (
-                    not match[1] and column == degrees + group - _DEGREES):
+                    not match[1] and column == degrees + group - _DEGREE_GROUP):
                 sixtieths.append(column)
         if not sixtieths:
             continue
@@ -88,7 +88,7 @@ def _angle_text(row: Sequence[str], degrees: int, sixtieths: Sequence[int]) -> s
 def _is_degrees(header: Sequence[str], column: int, axis: str) -> bool:
     """Return whether a column may hold the degrees of an axis, by its name without the unit."""
     match = _PART_OF_ANGLE.fullmatch(header[column].strip())
-    angle_name = match[1] if match and match[_DEGREES] else header[column].strip()
+    angle_name = match[1] if match and match[_DEGREE_GROUP] else header[column].strip()
     # x and y, n and e stand for plane coordinates, too.
     return len(angle_name) > 1 and bool(columns_by_meaning([angle_name], POINTS)[axis])
 

@@ -208,10 +208,10 @@ def _first_lines(text: str) -> Iterator[str]:
 
 
 def _with_header(text: str, aliases: Aliases, stated: Mapping[str, str]) -> str:
-    """Return a text whose header is a comment, as NumPy writes it, with the header as a plain line.
+    """Return the text of a table with its header as a plain line, where it was a comment.
 
-    Such a header stands right above the first row, and has as many cells: other comments explain
-    formats. Any other text comes back as it is.
+    NumPy writes such a header. It stands right above the first row and has as many cells: other
+    comments explain formats. Any other text comes back as it is.
     """
     lines = text[:_HEADER_WITHIN].splitlines(keepends=True)
     first_row = next((i for i, line in enumerate(lines) if line.strip() and line[0] != "#"), 0)
@@ -376,10 +376,10 @@ def _choose_sheet(path: Path, aliases: Aliases, stated: Mapping[str, str],
 
 def _visible_sheets(path: Path, layer: str | None,
                     ) -> tuple[list[str], dict[str, tuple[list[list[str]], list[int]]]]:
-    """Return the names of the visible sheets; and by name the rows of the layer, or of all of them.
+    """Return the names of the visible sheets, and the rows of sheets with their numbers, by name.
 
-    With the rows of a sheet come their numbers in it. A sheet of a kilobyte can say that it has 17
-    billion cells: see `termsel.core.files.apart`.
+    The rows are of the sheet that `layer` names, even a hidden one, or of all visible sheets. A
+    sheet of a kilobyte can say that it has 17 billion cells: see `termsel.core.files.apart`.
 
     Raises TermselError for a spreadsheet that cannot be read.
     """
@@ -390,9 +390,12 @@ def _visible_sheets(path: Path, layer: str | None,
             # Hidden sheets are often old versions, and are read only by name.
             names = [sheet.name for sheet in book.sheets_metadata
                      if sheet.visible == SheetVisibleEnum.Visible or sheet.name == layer]
-            return names, {
-                name: _nonempty_rows(book.get_sheet_by_name(name).to_python(skip_empty_area=False))
-                for name in names if layer in (None, name)}
+            rows_by_name = {}
+            for name in names:
+                if layer in (None, name):
+                    rows = book.get_sheet_by_name(name).to_python(skip_empty_area=False)
+                    rows_by_name[name] = _nonempty_rows(rows)
+            return names, rows_by_name
     except (CalamineError, OSError, ValueError) as error:
         reason = "it is damaged, or no spreadsheet" if "zip" in str(error).lower() else error
         raise TermselError(f"this spreadsheet cannot be read: {reason}", file=path,
@@ -442,10 +445,11 @@ def counts_columns(row: Sequence[str]) -> bool:
 
 
 def without_header(cells: Cells, stated: Mapping[str, str]) -> Cells:
-    """Return a table without a header with the numbers of its columns as one; others as they are.
+    """Return a table that has no header with the numbers of its columns as a header.
 
     A table has no header where columns are declared by number, and the first row holds numbers in
     these. Rows above that, whose cells are too few or count the columns, are left out as a title.
+    Any other table is returned as it is.
     """
     largest = max((int(name) for name in stated.values() if name.isdecimal()), default=0)
     n_titles = next((i for i, row in enumerate(cells.rows[:_SEARCHED])

@@ -282,8 +282,11 @@ def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],
 
 
 def _number_or_text(value: Any) -> Any:
-    """Return a cell as a number or text; whole numbers, as many ids are, without a point."""
-    if isinstance(value, float | np.floating):
-        number = float(value)
-        return None if np.isnan(number) else int(number) if number.is_integer() else number
-    return value
+    """Return a cell as a number or text: None for NaN, and whole numbers, as many ids are, as int.
+    """
+    if not isinstance(value, float | np.floating):
+        return value
+    number = float(value)
+    if np.isnan(number):
+        return None
+    return int(number) if number.is_integer() else number

@@ -173,7 +173,7 @@ class GeolocationVrt(GridWriter):
         self.write_picture(result, path, picture_for(result, self.options["image"]))
 
     def write_picture(self, result: Result, path: Path, picture: Picture) -> None:
-        """Write the VRT of a picture, whose bands need not be those of the image.
+        """Write the VRT of a picture, which is an image, or has other bands or a part of it.
 
         The ground positions of a grid over the image are written as a geolocation array beside the
         VRT, which GDAL warps the picture by. The bands of `picture`, an image or a tile of one, are

@@ -373,8 +373,13 @@ def _axis_titles(view: View) -> tuple[str, str]:
     unit = view.units_per_metre
     if is_geographic(crs):
         return f"longitude [°], {short_crs_name(crs)}", "latitude [°]"
-    of = " [unit not known]" if unit is None else " [m]" if unit == 1 else f" [{1 / unit:.4g} m]"
-    return f"x{of}, {short_crs_name(crs)}", f"y{of}"
+    if unit is None:
+        unit_text = "unit not known"
+    elif unit == 1:
+        unit_text = "m"
+    else:
+        unit_text = f"{1 / unit:.4g} m"
+    return f"x [{unit_text}], {short_crs_name(crs)}", f"y [{unit_text}]"
 
 
 def _with_field(channel: Any, field: str) -> Any:

@@ -76,8 +76,11 @@ def term_rows(view: View) -> list[Row]:
 
 
 def frequency_bars(view: View) -> Any:
-    """Return in which share of many selections each term is: repeated ones, or those of a front."""
-    # Rows of both kinds have shares; which they are of is said by the axis.
+    """Return a chart of the share of selections that each term is in.
+
+    The selections are the repeated ones of a test of stability, else the members of the front; the
+    axis says which.
+    """
     alt = require_altair()
     rows = frequency_rows(view)
     kinds = ["in this result", "not in this result"]
@@ -86,11 +89,11 @@ def frequency_bars(view: View) -> Any:
                 axis=alt.Axis(ticks=False, domain=False, labelLimit=170)))
     stability = view.record.stability
     if stability:
-        of = f"{stability.repeats} selections"
+        selections = f"{stability.repeats} selections"
     else:
-        of = f"{len(view.record.front)} members of the front"
+        selections = f"{len(view.record.front)} members of the front"
     layers = [base.mark_bar(height={"band": 0.72}).encode(
-        x=alt.X("share:Q", title=f"share of the {of}", axis=alt.Axis(format="%"),
+        x=alt.X("share:Q", title=f"share of the {selections}", axis=alt.Axis(format="%"),
                 scale=alt.Scale(domain=[0, 1])),
         color=alt.Color("state:N", scale=alt.Scale(domain=kinds, range=[CONTROL, UNUSED])),
         tooltip=[alt.Tooltip("term:N"), alt.Tooltip("share:Q", format=".0%"),

@@ -77,8 +77,10 @@ def enumerable_parts(inputs: ProblemData, equations: Equations, genome: Genome,
         system = _order_columns(axis_system, order, genome, axis_genes[order])
         cost = partial(criterion.subset_cost, system=system)
         if criterion.is_rmse:
-            n_errors = (sum(map(len, folds)) if score == "kfold" else
-                        len(inputs.check) if score == "check" else len(system.design))
+            if score == "kfold":
+                n_errors = sum(map(len, folds))
+            else:
+                n_errors = len(inputs.check) if score == "check" else len(system.design)
             # An RMSE of all parts up to ROUNDING is a sum of squares of each up to its share.
             rounding = n_errors * ROUNDING**2 / len(axis_systems)
             cost = partial(_cost_by_size, cost=cost, rounding=rounding,

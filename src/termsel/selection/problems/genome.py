@@ -238,7 +238,8 @@ def _segment_slices(sizes: Iterable[tuple[str, int]]) -> dict[str, slice]:
 
 def _common_dtype(segments: Iterable[AnySegment]) -> np.dtype[Any]:
     """Return the dtype that holds all segments: bool, whole or real numbers."""
-    # The widest of them holds all: bits, whole numbers, real numbers.
-    kinds = {s.dtype for s in segments}
-    return np.dtype(np.float64 if np.float64 in kinds else
-                    np.intp if np.intp in kinds else np.bool_)
+    dtypes = {segment.dtype for segment in segments}
+    # From the widest, which holds the others, to the narrowest.
+    if np.float64 in dtypes:
+        return np.dtype(np.float64)
+    return np.dtype(np.intp if np.intp in dtypes else np.bool_)

@@ -77,8 +77,11 @@ def first_closed_by_parts(top: FloatArray, extra: FloatArray, first: int, n: int
             total = 0.0
             for k in range(top.shape[1]):
                 total += top[n - i, k] * top[n - j, k]
-            # Fact 2 halves the target: 1/2 in products with it, 1/4 in its own.
-            gram[i, j] = 4.0 / squared_r * total * (1.0 if j > 0 else 0.5 if i > 0 else 0.25)
+            # Fact 2 halves the target, vector 0: 1/2 in products with it, 1/4 in its own.
+            factor = 1.0
+            if j == 0:
+                factor = 0.5 if i > 0 else 0.25
+            gram[i, j] = 4.0 / squared_r * total * factor
     closed = 0  # last columns of which no subset scores that little
     for _ in range(_DUAL_STEPS):
         tau = upper[c]

@@ -213,13 +213,19 @@ class FeatureProof:
 
 def generation_of(problem: Problem, proof: Proof | FeatureProof, index: int, space: str,
                   placeholder: Genes) -> Generation:
-    """Return the best of every size once all is proven, the best of all until then.
+    """Return a generation with the best selections that a proof knows so far.
 
-    The details have the share that is decided and the certificate, of a space in words. As long as
-    nothing is known to be feasible, the genes are those given for this, shape (1, size).
+    These are the best ones of every size once all is proven, the best of all until then, and
+    `placeholder` (1, size) as long as no feasible selection is known. The details have the share
+    that is decided and the certificate, which calls the space of selections by `space`.
     """
     front = proof.front()
-    genes = np.array(front if proof.complete else front[-1:]) if front else placeholder
+    if not front:
+        genes = placeholder
+    elif proof.complete:
+        genes = np.array(front)
+    else:
+        genes = np.array(front[-1:])
     evaluation = problem.evaluate(genes)
     best = float(evaluation.objectives[-1, 0])
     feasible = bool(front) and evaluation.violation[-1] == 0
