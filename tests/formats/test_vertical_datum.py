@@ -28,7 +28,7 @@ from tests.geoid_grid import EGM96, write_geoid
 
 rasterio = pytest.importorskip("rasterio")
 pyproj = pytest.importorskip("pyproj")
-from rasterio.transform import from_origin  # noqa: E402
+from rasterio.transform import Affine, from_origin  # noqa: E402
 
 needs_rpc = pytest.mark.skipif(find_spec("termsel_rpc") is None, reason="corrects the RPC")
 pytestmark = pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
@@ -58,12 +58,13 @@ def relief(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def dem(path: Path, *, crs: str = "EPSG:4326", above: float = 0.0, unit: float = 1.0,
-        units: str = "", offset: float = 0.0, turn: float = 0.0, **tags: str) -> Path:
+        units: str = "", offset: float = 0.0, turn: float = 0.0,
+        transform: Affine = from_origin(WEST, NORTH, STEP, STEP), **tags: str) -> Path:
     """Write heights of the relief, so much above it, in a unit, less an offset that is stated."""
     row, column = np.mgrid[:100, :100] + 0.5
-    values = (relief(WEST + STEP * column, NORTH - STEP * row) + above) / unit
+    values = (relief(*(transform @ (column, row))) + above) / unit
     with rasterio.open(path, "w", driver="GTiff", width=100, height=100, count=1, dtype="float64",
-                       crs=crs, transform=from_origin(WEST + turn, NORTH, STEP, STEP)) as raster:
+                       crs=crs, transform=Affine.translation(turn, 0.0) @ transform) as raster:
         raster.write(values - offset, 1)
         raster.offsets = (offset,)
         raster.update_tags(**tags)
@@ -284,6 +285,10 @@ def test_maps_are_the_same_whatever_the_dem_refers_to(tmp_path: Path, image: Pat
             "geoid": dem(tmp_path / "geoid.tif", crs="EPSG:4326+5773", above=-GEOID),
             "feet": dem(tmp_path / "feet.tif", unit=0.3048, units="ft"),
             "offset": dem(tmp_path / "offset.tif", offset=300.0),
+            "south up": dem(tmp_path / "south_up.tif", unit=0.3048, units="ft",
+                            transform=Affine(STEP, 0.0, WEST, 0.0, STEP, NORTH - 100 * STEP)),
+            "turned": dem(tmp_path / "turned_round.tif", offset=300.0,
+                          transform=Affine(0.0, STEP, WEST, -STEP, 0.0, NORTH)),
             "0 to 360": dem(tmp_path / "turned.tif", turn=360.0)}
     maps = {}
     for name, path in dems.items():

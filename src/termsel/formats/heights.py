@@ -389,17 +389,19 @@ def write_ellipsoidal(surface: Dem, path: Path, bounds: tuple[float, float, floa
     import rasterio
     from rasterio.errors import WindowError
     from rasterio.warp import transform_bounds
-    from rasterio.windows import Window, from_bounds
+    from rasterio.windows import Window
 
     raster = surface.raster
     full_window = Window(0, 0, raster.width, raster.height)
     # Along the edges as well as at the corners, as they are curves in the other CRS.
-    inside = from_bounds(*transform_bounds(crs, raster.crs, *bounds, densify_pts=21),
-                         transform=raster.transform)
-    first = np.floor([inside.row_off, inside.col_off]).astype(int) - _AROUND
-    last = np.ceil([inside.row_off + inside.height, inside.col_off + inside.width]).astype(int)
+    left, bottom, right, top = transform_bounds(crs, raster.crs, *bounds, densify_pts=21)
+    # The raster may be turned, or its first line be the one farthest south.
+    corners = pixel_positions(raster, np.array([left, right, right, left]),
+                              np.array([top, top, bottom, bottom])) + 0.5
+    first = np.floor(corners.min(axis=0)).astype(int) - _AROUND
+    last = np.ceil(corners.max(axis=0)).astype(int) + _AROUND
     try:
-        rows, columns = (slice(max(low, 0), max(high + _AROUND, 1))
+        rows, columns = (slice(max(low, 0), max(high, 1))
                          for low, high in zip(first, last, strict=True))
         window = Window.from_slices(rows, columns).intersection(full_window)
     except WindowError:  # none of the map has heights
