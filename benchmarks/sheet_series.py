@@ -39,6 +39,9 @@ FloatArray = NDArray[np.float64]
 
 MAPS = DATA / "real" / "slv_maps"
 SHEETS, WITH_MANY, MANY, TRUTH = 12, (1, 5, 6, 10), 20, 200
+FURTHER = range(100, 160)
+"""Series whose intervals are counted, without the slower fits of sheets alone."""
+
 EXTENT = 15_000.0
 """Half extent of a sheet [m]."""
 
@@ -100,6 +103,14 @@ def figures_of_sheet(few: int, series: int, number: int) -> dict[str, float]:
     """Return the RMSE [px] of a sheet of few points, alone and in its series."""
     sheets, shared = simulated_series(few, series)
     return figures(sheets[number], with_series_columns(sheets[number][0], shared))
+
+
+@one_blas_thread
+def figures_of_series(few: int, series: int) -> list[dict[str, float]]:
+    """Return the figures of each sheet of few points by its series alone."""
+    sheets, shared = simulated_series(few, series)
+    return [of_series(with_series_columns(features, shared), ground, image)
+            for number, (features, ground, image) in enumerate(sheets) if number not in WITH_MANY]
 
 
 @lru_cache(maxsize=1)
@@ -293,6 +304,17 @@ def series_row(name: str, cases: Sequence[dict[str, float]]) -> str:
             f"{100 * np.mean(ratios < 1 / 1.05):.0f} | {of_true:.2f} | {100 * holds:.0f} |")
 
 
+def interval_row(few: int, series: Sequence[Sequence[dict[str, float]]]) -> str:
+    """Return a row of the table of intervals; sheets of a series count as one, being alike."""
+    cases = [case for sheets in series for case in sheets]
+    of_true = np.exp(np.mean([np.log(case["predicted"] / case["series"]) for case in cases]))
+    shares = [np.mean([case["low"] <= case["series"] <= case["high"] for case in sheets])
+              for sheets in series]
+    error = np.std(shares, ddof=1) / np.sqrt(len(shares))
+    return (f"| {few} points | {len(series)} | {len(cases)} | {of_true:.2f} | "
+            f"{100 * np.mean(shares):.0f} | {100 * error:.1f} |")
+
+
 def like_row(name: str, cases: Sequence[dict[str, float]]) -> str:
     """Return a row of the table of real maps with maps like them."""
     alone, series, auto = (np.array([case[key] for case in cases])
@@ -352,6 +374,14 @@ true one (geometric mean), and how often its interval of 90 % holds [%].
 | sheets | fits | alone | series | ratio | worse | better | predicted | holds |
 |---|---:|---:|---:|---:|---:|---:|---:|---:|
 {series}
+
+Sheets of one series share what is known of their noise, so that few series say little of the
+interval. These are of further series, by the method `series-sheet`; the last column is the standard
+error of how often it holds [%], by series.
+
+| sheets | series | fits | predicted | holds | error |
+|---|---:|---:|---:|---:|---:|
+{intervals}
 
 ### Maps of like scale, nearby
 
@@ -420,6 +450,9 @@ def tables(options: argparse.Namespace) -> dict[str, str]:
                 for number in range(SHEETS) if number not in WITH_MANY]
         rows.append(series_row(f"simulated, {few} points",
                                computed(figures_of_sheet, jobs, "sheets")))
+    intervals = [interval_row(few, computed(
+        figures_of_series, [(few, series) for series in FURTHER], "intervals"))
+        for few in options.few]
     large = [number for number, features in enumerate(real_maps())
              if len(features.points) >= max(options.few) + 4]
     for few in options.few if large else ():
@@ -440,7 +473,8 @@ def tables(options: argparse.Namespace) -> dict[str, str]:
         {"drawn": "simulated", "real": "real"}[kind],
         computed(figures_of_projection, [(kind, number) for number in numbers], "projections"))
         for kind, numbers in kinds.items() if numbers]
-    return {"series": "\n".join(rows), "like": "\n".join(like), "single": "\n".join(single),
+    return {"series": "\n".join(rows), "intervals": "\n".join(intervals),
+            "like": "\n".join(like), "single": "\n".join(single),
             "projections": "\n".join(projections)}
 
 
