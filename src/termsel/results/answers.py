@@ -353,8 +353,8 @@ def _table_of_fits(record: Record) -> TableBlock:
         # Control first: a fit to it, then what took no part.
         figures = [_rmse_as_cell(rmse.control)]
         for of_role in (rmse.check, rmse.independent):
-            figures += [_rmse_as_cell(of_role), "{:.3f} to {:.3f}".format(*of_role.interval)
-                        if of_role.interval else "-"]
+            interval = map(rounded_size_text, of_role.interval) if of_role.interval else "-"
+            figures += [_rmse_as_cell(of_role), " to ".join(interval)]
         has_mark = fitted_to_check and record.data.counts.check > 0
         rows.append((name + " *" * has_mark, str(n_terms), *figures))
         keys.append(name)
@@ -380,7 +380,7 @@ def _rmse_as_cell(rmse: RoleRmse) -> str:
         return "-"
     if total < EXACT_BELOW:  # what is left of points that a fit goes through
         return "exact"
-    return f"{total:.3f}" if 0.01 <= total < 1e5 else f"{total:.2e}"
+    return rounded_size_text(total) if total < 1e5 else f"{total:.2e}"
 
 
 def _answer_on_bad_points(record: Record, view: View | None) -> Iterator[Block]:

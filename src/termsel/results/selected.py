@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import cast
 
-from termsel.core.errors import amount_in_words, count_in_words, percent_text
+from termsel.core.errors import amount_in_words, count_in_words, percent_text, rounded_size_text
 from termsel.data.record.figures import SIGNIFICANT, AdjustmentFigures, RoleRmse, SensorFigure
 from termsel.data.record.record import Record
 from termsel.data.record.search import Certificate, Member, SizeRow, Strategy
@@ -105,7 +105,7 @@ def _choice_table(record: Record, strategy: Strategy, view: View | None) -> Iter
     yield Detail(TableBlock(
         "Models", ("model", "terms", "effective", "leave-one-out RMSE [px]"), [
             (label_of(row.name), str(row.n_terms), f"{row.effective:.1f}",
-             "-" if row.predicted is None else f"{row.predicted:.3f}") for row in models],
+             "-" if row.predicted is None else rounded_size_text(row.predicted)) for row in models],
         marked=names.index(strategy.chosen) if strategy.chosen in names else None))
 
 
@@ -274,8 +274,8 @@ def _table_by_size(members: Sequence[Member | SizeRow], by_size: Sequence[SizeRo
 
 
 def _px_text(rmse: RoleRmse) -> str:
-    """Return an RMSE [px] with three decimals; "-" where it is not known."""
-    return "-" if rmse.total is None else f"{rmse.total:.3f}"
+    """Return an RMSE [px] as on every screen; "-" where it is not known."""
+    return "-" if rmse.total is None else rounded_size_text(rmse.total)
 
 
 def _sentences_on_coefficients(record: Record) -> Iterator[Block]:
