@@ -27,7 +27,12 @@ from termsel.data.record.figures import (
     Outlier,
 )
 from termsel.data.record.record import Record, WhatWasRead
-from termsel.data.record.search import ALL_TERMS_IN_USE, NAMED_BY_USER, RPC_UNUSED
+from termsel.data.record.search import (
+    ALL_TERMS_IN_USE,
+    FITTED_IN,
+    NAMED_BY_USER,
+    RPC_UNUSED,
+)
 from termsel.results.accuracy import (
     accuracy_lines,
     are_places_wrong,
@@ -286,7 +291,7 @@ def _model_lines(record: Record) -> str:
         else:
             how = ""
         rpc = f". {strategy.rpc}" if strategy.rpc and not _why_rpc_unused(record) else ""
-        return f"{title}{how}{rpc}"
+        return f"{title}{how}{_fit_crs_in_words(record)}{rpc}"
     selection = record.selection
     offered = record.offered
     # What the search could select, though it did not, was on offer; what was rejected before, not.
@@ -299,6 +304,12 @@ def _model_lines(record: Record) -> str:
         return f"{text}; stable over {record.stability.repeats} selections"
     everything = (selection.n_terms, selection.n_features) == (offered.n_terms, offered.n_features)
     return text if everything else f"{text}, selected by {_solver_text(record)}"
+
+
+def _fit_crs_in_words(record: Record) -> str:
+    """Return the CRS that the model is fitted in; "" where it is that of the data."""
+    data = record.data
+    return "" if data.fit_crs == data.crs else f", fitted in {short_crs_name(data.fit_crs)}"
 
 
 def _solver_text(record: Record) -> str:
@@ -646,7 +657,8 @@ def _first_sentence_of(note: str) -> str:
 
 def _is_shown(note: str) -> bool:
     """Return whether the lines above the warnings already say a note."""
-    return note.startswith(("The vendor's RPC", "The search removed", "With ", "Left out for"))
+    return note.startswith((FITTED_IN, "The vendor's RPC", "The search removed", "With ",
+                            "Left out for"))
 
 
 def _urgent_warnings(record: Record) -> Iterator[str]:

@@ -133,13 +133,14 @@ class _Chosen:
 
 
 def choose_for(request: Request, observations: Observations, auto: Auto, seed: int,
-               observers: Iterable[Observer] = ()) -> Finding:
+               observers: Iterable[Observer] = (), note_on_projection: str = "") -> Finding:
     """Return the choice among methods, and the fits that it is compared with.
 
     The model and the solver of the request take no part. The seed is that of the search by OWDIS,
     where there are points and lines. Observers are called with `Progress` after each method.
     When interrupted with Ctrl-C there is a result if any method was tried. Refuses control and
-    check points that together determine no method.
+    check points that together determine no method. The note says in which projection, if any, the
+    methods are fitted.
     """
     start = time.perf_counter()
     watch = _Watch(observers, len(auto.offered(observations.pool)),
@@ -179,7 +180,8 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
         rpc_notes = _notes_on_rpc(request, data, auto, choice.chosen)
     strategy = _strategy_record(choice, errors, predicted, data, clean, rpc_notes[0])
     notes = _Assessed(request, observations, clean, auto, outcome, verdict=verdict, fitted=fitted,
-                      errors=errors, predicted=predicted, rpc_notes=rpc_notes).notes(
+                      errors=errors, predicted=predicted, rpc_notes=rpc_notes,
+                      note_on_projection=note_on_projection).notes(
         INTERRUPTED.format(min(watch.count, watch.methods), watch.methods)
         if outcome.interrupted else "", contradicting.notes, note_on_terms)
 
@@ -246,7 +248,8 @@ class _Assessed:
 
     `clean` are the observations without blunders, `fitted` is the fit to control alone, `errors`
     (n, 2) are those held out and `predicted` is the RMSE that they predict; `rpc_notes` say why the
-    RPC is not used, and how it was corrected.
+    RPC is not used, and how it was corrected; `note_on_projection` in which projection the methods
+    are fitted.
     """
 
     request: Request
@@ -259,13 +262,13 @@ class _Assessed:
     errors: FloatArray | None
     predicted: Predicted | None
     rpc_notes: tuple[str, str]
+    note_on_projection: str
 
     def notes(self, interrupted: str, on_independent: Iterable[str],
               on_terms: str = "") -> tuple[str, ...]:
         """Return the notes in the order in which a reader acts on them.
 
-        The RPC and other geometry that is stated come first, then the terms of a named model, the
-        data, the figures, the features that were left out, and the independent points.
+            *filter(None, [doubt, on_terms, self.note_on_projection]),
         """
         clean = self.clean
         fitted = self.fitted
@@ -282,7 +285,7 @@ class _Assessed:
             uncertain_places = [*uncertain_between_points(chosen, self.predicted),
                                 *uncertain_corners(fitted, self.predicted.rmse)]
         return (
-            *filter(None, [doubt, on_terms]),
+            *filter(None, [doubt, on_terms, self.note_on_projection]),
             *_notes_on_stated_geometry(clean.pool, self.auto, chosen),
             *notes_on_dem(self.request.features, fitted),
             *filter(None, (rpc_unused, rpc_correction)),

@@ -351,4 +351,4 @@ def assess(method: Method, task: Task, *, seed: int = 1, observers: Iterable[Obs
     # One method is a choice among one: held out, compared and reported alike.
     auto = method if isinstance(method, Auto) else Auto(methods=(method,), memory=memory)
     return result_of(task.request, choose_for(
-        task.request, task.observations, auto, seed, observers))
+        task.request, task.observations, auto, seed, observers, task.note_on_projection))

@@ -32,6 +32,7 @@ from termsel.models.image_part import ImagePart, recognise_part
 from termsel.plugins.registry import registry
 from termsel.runs.exported_rpc import refuse_makers, rpc_of_model
 from termsel.runs.fit_crs import with_fit_crs, with_polar
+from termsel.runs.map_projection import with_map_projection
 from termsel.runs.request import (
     EQUAL_SHARES,
     FILE,
@@ -206,6 +207,8 @@ class Task(Glance):
         The features, each in its role.
     narrowed : Problem, optional
         The problem, where it is another than the request's recipe builds: with genes held.
+    note_on_projection : str
+        In which projection methods are fitted, where nobody asked for it; else "".
 
     Examples
     --------
@@ -218,6 +221,7 @@ class Task(Glance):
     request: Request
     observations: Observations
     narrowed: Problem | None = None
+    note_on_projection: str = ""
 
     @property
     def recipe(self) -> Recipe:
@@ -630,7 +634,10 @@ def task_of_method(request: Request, auto: Auto) -> Task:
     if image_part is not None:
         request = with_part(request, image_part)
         observations = observe(request, fewest)
-    return Task(request, with_polar(observations))
+    if request.options["data"]["fit_crs"] is not None:
+        return Task(request, observations)
+    observations, note = with_map_projection(with_polar(observations), auto)
+    return Task(request, observations, note_on_projection=note)
 
 
 def require_alone(method: object, words: list[str]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from math import ceil
+from typing import Any
 
 import numpy as np
 
@@ -236,6 +237,43 @@ def _polar_stereographic(crs: str, latitude: int) -> str:
     return str(ProjectedCRS(
         PolarStereographicAConversion(latitude, 0.0), name=f"Polar stereographic at {latitude}",
         geodetic_crs=CRS(geodetic_of(crs)).to_2d()).to_wkt())
+
+
+@lru_cache  # a projection is asked for with each set of points of a place
+def azimuthal_crs(crs: str, lon: int, lat: int) -> str:
+    """Return Lambert's azimuthal equal-area projection about a place [deg] as WKT.
+
+    Its datum is that of `crs`, so that no shift between datums comes in.
+    """
+    from pyproj.crs.coordinate_operation import LambertAzimuthalEqualAreaConversion
+
+    return _projection_on_datum_of(crs, LambertAzimuthalEqualAreaConversion(lat, lon),
+                                   f"Lambert azimuthal about {_in_words(lat, 'NS')}, "
+                                   f"{_in_words(lon, 'EW')}")
+
+
+@lru_cache  # a projection is asked for with each set of points of a place
+def mercator_crs(crs: str, lon: int) -> str:
+    """Return Mercator's projection with a central meridian [deg], on the datum of `crs`, as WKT."""
+    from pyproj.crs.coordinate_operation import MercatorAConversion
+
+    return _projection_on_datum_of(
+        crs, MercatorAConversion(longitude_natural_origin=lon),
+        f"Mercator about {_in_words(lon, 'EW')}")
+
+
+def _in_words(degrees: int, letters: str) -> str:
+    """Return whole degrees as 31 N or 102 W; the letters are for those above and below zero."""
+    return f"{abs(degrees)} {letters[degrees < 0]}"
+
+
+def _projection_on_datum_of(crs: str, conversion: Any, name: str) -> str:
+    """Return a projection on the datum of a CRS as WKT; the conversion is one of pyproj."""
+    from pyproj import CRS
+    from pyproj.crs import ProjectedCRS
+
+    return str(ProjectedCRS(conversion, name=name,
+                            geodetic_crs=CRS(crs).to_2d().geodetic_crs).to_wkt())
 
 
 def is_polar(positions: FloatArray) -> bool:

@@ -114,6 +114,9 @@ NAMED_BY_USER = "You named this method."
 ALL_TERMS_IN_USE = "All of its terms are in use."
 """How that reason ends where a model consists of terms, and nothing selects or shrinks them."""
 
+FITTED_IN = "The model is fitted in "
+"""How a note on the projection of the fit begins, where nobody asked for it."""
+
 RPC_UNUSED = "The RPC is not used"
 """How a strategy's sentence on an RPC begins that is given and not used."""
 
