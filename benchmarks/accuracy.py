@@ -349,7 +349,8 @@ the number of points, which nobody knows beforehand.
 ## Against the papers' GA
 
 `rfm-terms` with `--solver ga` on check RMSE (`poly-terms` where there are no heights). Half of the
-points are check points. {GA_SPLITS} of the splits at {', '.join(map(str, GA_COUNTS))} points each.
+points are selection points. {GA_SPLITS} of the splits at {', '.join(map(str, GA_COUNTS))} points
+each.
 
 {ga}
 

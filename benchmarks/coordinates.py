@@ -22,10 +22,11 @@ from termsel.fitting.least_squares import fit
 from termsel.models.base import SensorModel
 from termsel.models.polynomial import Affine, Polynomial3D
 from termsel.models.projective import DLT3D
-from termsel.runs.fit_crs import SYSTEMS, fit_crs_of
+from termsel.runs.fit_crs import fit_crs_of
 from termsel.simulate import simulate_scene
 from termsel.simulate.catalogue import SCENES
 
+SYSTEMS = ("geodetic", "projected", "geocentric")
 COUNTS = (6, 8, 12, 16, 24, 40)
 MODELS: dict[str, SensorModel] = {
     "affine": Affine(), "DLT": DLT3D(), "quadratic": Polynomial3D(degree=2)}
