@@ -461,6 +461,41 @@ def test_a_digit_that_is_wrong_is_out_of_place_on_a_map_with_errors_of_drawing()
     assert np.flatnonzero(misplaced_points(points)[0]).tolist() == [5]
 
 
+def distorted_map(seed: int, *, size: float, length: float = 0.8) -> FeatureSet:
+    """Return 16 points of a map that is deformed smoothly by so many px, with noise of 4 px."""
+    rng = np.random.default_rng(seed)
+    plan = rng.uniform(0.0, 1.0, (16, 2))
+    distances = np.linalg.norm(plan[:, None] - plan, axis=2) / length
+    covariance = (1.0 + np.sqrt(3.0) * distances) * np.exp(-np.sqrt(3.0) * distances)
+    factor = np.linalg.cholesky(covariance + 1e-9 * np.eye(16))
+    deformation = size * factor @ rng.standard_normal((16, 2))
+    noise = 4.0 * rng.standard_normal((16, 2))
+    ground = np.column_stack([2000.0 * plan, np.full(16, np.nan)])
+    points = Points(tuple(f"P{i:02}" for i in range(16)),
+                    5000.0 * plan[:, ::-1] * [-1.0, 1.0] + deformation + noise, ground)
+    return FeatureSet(points, crs="EPSG:32632")
+
+
+@pytest.mark.parametrize(("seed", "length"), [(18, 0.8), (43, 0.5), (53, 0.5)])
+def test_a_point_that_alone_shows_a_deformation_stays_in_use_and_is_named(
+        seed: int, length: float) -> None:
+    suspects = find_blunders(FitData.of(distorted_map(seed, size=60.0, length=length)))
+    assert suspects is not None
+    assert not suspects.blunders.any()
+    assert suspects.undecided.any()
+
+
+def test_blunders_at_the_edge_of_a_map_without_deformation_are_still_found() -> None:
+    found = []
+    for seed in range(8):
+        features = distorted_map(seed, size=0.0)
+        corner = int(features.points.ground[:, :2].sum(axis=1).argmax())
+        suspects = find_blunders(FitData.of(moved(features, {corner: (60.0, -60.0)})))
+        assert suspects is not None
+        found.append(np.flatnonzero(suspects.blunders).tolist() == [corner])
+    assert sum(found) >= 7
+
+
 def test_limits_of_detection_do_not_depend_on_a_point_out_of_place() -> None:
     features = scene(74)
     points = features.points

@@ -36,7 +36,14 @@ import numpy as np
 from termsel.adjustment.bayesian.field import GaussianProcess
 from termsel.adjustment.bayesian.held_out import chance_of
 from termsel.auto.auto import Auto
-from termsel.auto.contradictions import FALSE_ALARM, MIN_STRAIN, Division, Test, polynomial_of
+from termsel.auto.contradictions import (
+    DOUBTFUL_STRAIN,
+    FALSE_ALARM,
+    MIN_STRAIN,
+    Division,
+    Test,
+    polynomial_of,
+)
 from termsel.auto.likeliest_majority import likeliest_majority
 from termsel.auto.majority import (
     ADDED_PART,
@@ -213,6 +220,7 @@ def _verdict_on(control: FitData, auto: Auto) -> _Verdict | None:
         predictable = everything
     if not test.by_field:
         used = _with_predicted_by_models(control, auto, used, predictable)
+    suspected = ~used
     retained = _without_likely_blunders(control, used, max_share)
     if (retained != used).any():
         test = Division(control, retained).test() or test
@@ -225,10 +233,15 @@ def _verdict_on(control: FitData, auto: Auto) -> _Verdict | None:
     by_projection = None if by_majority else _judge_by_projection(control, auto, retained)
     if by_projection is not None:
         retained, test = by_projection
+    doubtful = (np.zeros_like(retained) if by_majority or by_projection
+                else _points_of_a_deformation(control, retained, suspected, test))
+    if doubtful.any():
+        retained = retained | doubtful
+        test = Division(control, retained).test() or test
     far = test.beyond_chance(len(control))
     decided = test.beyond_form()
     # Beyond chance, but where the prediction is too weak to accuse it.
-    undecided = retained & far & ~decided
+    undecided = (retained & far & ~decided) | doubtful
     # Who is suspected by a polynomial may be right by the geometry of the sensor.
     cleared = predictable & _points_a_model_explains(control, auto, ~retained | undecided)
     blunders = ~retained & ~cleared
@@ -612,6 +625,39 @@ def _points_on_a_bend(control: FitData, used: BoolArray) -> BoolArray:
         if point is not None:
             bent[point] = True
     return bent
+
+
+def _points_of_a_deformation(control: FitData, used: BoolArray, suspected: BoolArray,
+                             test: Test) -> BoolArray:
+    """Return which suspected points out of use, (n,), a deformation of the image may explain.
+
+    Nothing contradicts a point that lies alone but the form of the model: at the corner of a map
+    that is distorted, a right point looks like a blunder. Neighbours that deviate alike show a
+    deformation to each other. A field follows a deformation, so that the noise of the others
+    remains; with a blunder in use it would grow, and hide further ones.
+    """
+    doubtful = np.zeros(len(control), dtype=bool)
+    is_open = suspected & ~used & (test.strain < DOUBTFUL_STRAIN)
+    if len(control.features.lines):
+        return doubtful
+
+    def may_return(point: int) -> bool:
+        extended = used | doubtful
+        if not Division(control, extended).may_show_deformation(point):
+            return False
+        extended[point] = True
+        test_with_point = Division(control, extended).test()
+        return test_with_point is not None and test_with_point.noise <= NOISE_JUMP * test.noise
+
+    # A point that returns may help its neighbours.
+    while is_open.any():
+        likeliest = np.argsort(np.where(is_open, test.strain, np.inf), kind="stable")
+        point = next(filter(may_return, likeliest[:int(is_open.sum())].tolist()), None)
+        if point is None:
+            break
+        doubtful[point] = True
+        is_open[point] = False
+    return doubtful
 
 
 def _judge_by_field(control: FitData, used: BoolArray, test: Test,

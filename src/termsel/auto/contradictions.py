@@ -61,6 +61,13 @@ MAX_COMPARED_POINTS = 1000
 BEND_DEGREE = 5
 """Degree in X and Y of a polynomial that follows strong bends, as of a map of half the Earth."""
 
+DOUBTFUL_STRAIN = 8.0
+"""Standard deviations up to which an error may be a deformation that only its own point shows."""
+
+LOG_ODDS_OF_BLUNDER = float(np.log(19.0))
+"""Odds from which on such a point is a blunder: 95 %. To leave out a right one, which alone shows
+what the image does at its place, costs more than to keep a wrong one, which is named."""
+
 UNUSED_WEIGHT = 1e-3
 """Weight at which a point has no influence and is predicted all the same."""
 
@@ -255,6 +262,21 @@ class Division:
         if not log_odds.max() > self.log_odds_of_right_points:
             return None
         return int(np.flatnonzero(self.used)[doubtful[log_odds.argmax()]])
+
+    def may_show_deformation(self, point: int) -> bool:
+        """Return whether a point out of use may be right, by a deformation that it alone shows.
+
+        That is where the points with it support a random field, and it is not clearly a blunder
+        under all polynomials and fields.
+        """
+        used = self.used.copy()
+        used[point] = True
+        with_point = Division(self.all_features, used)
+        process = with_point._gaussian_process
+        if process is None or process.probability <= FIELD_CALLED_FOR:
+            return False
+        odds = process.blunder_odds(np.flatnonzero(np.flatnonzero(used) == point))
+        return bool(odds[0] - with_point.log_odds_of_right_points < LOG_ODDS_OF_BLUNDER)
 
     @property
     def log_odds_of_right_points(self) -> float:
