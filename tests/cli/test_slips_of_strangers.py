@@ -135,6 +135,15 @@ def test_no_cross_validation_is_claimed_where_there_is_none(files: Path, tmp_pat
     assert "in cross-validation" not in call("run", three).stdout
 
 
+def test_an_image_before_the_folder_of_its_result(files: Path, tmp_path: Path, result: Path,
+                                                  call: Call) -> None:
+    image, output = files / "scene.tif", tmp_path / "map.tif"
+    done = call("rectify", image, result, "-o", output, "--height", 1800)
+    assert done.exit_code == 2
+    assert f"termsel rectify {result} {image} --output {output}" in done.stderr
+    assert not output.exists()
+
+
 def test_a_folder_of_a_result_in_place_of_a_raster(result: Path, call: Call) -> None:
     pytest.importorskip("termsel_formats")
     done = call("check", result)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import click
@@ -70,8 +71,14 @@ def rectify(context: click.Context, folder: Path, image: Path, output: Path, dem
     from termsel.data.cog import require_tiff_name
     from termsel.io.rectify import rectify as warp
     from termsel.io.replacing import require_replaceable
-    from termsel.io.result_folder import read_result
+    from termsel.io.result_folder import RECORD, read_result
     from termsel.studies.maps import is_batch
+
+    if folder.is_file() and (image / RECORD).is_file():
+        raise TermselError("the folder of the result comes before the image", file=folder,
+                           hint=f"termsel rectify {shlex.quote(str(image))} "
+                                f"{shlex.quote(str(folder))} --output {shlex.quote(str(output))}, "
+                                "with the other options.")
 
     if is_batch(folder):
         if sigma is not None:
