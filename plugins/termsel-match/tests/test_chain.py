@@ -26,6 +26,7 @@ from termsel_match.commands import NOT_GOOD_ENOUGH, auto_georeference
 from termsel_match.judgement.criteria import Agreement
 from termsel_match.judgement.picture import arrow_ends, scale_of
 from termsel_match.judgement.selection import AGREEING, select_points, with_lines
+from termsel_match.judgement.structures import heights_above_plane
 
 CHECKS = (*checks(Agreement()), *checks(
     auto_georeference, words=["none.tif", "--reference", "none.tif", "-o", "none.tif"]))
@@ -60,6 +61,27 @@ def test_half_of_the_candidates_may_be_wrong(place: Any) -> None:
         errors.append(np.sqrt((away**2).sum(axis=1).mean()))
         assert found.share == pytest.approx(1 - wrong, abs=0.2)
     assert errors[1] < max(1.2 * errors[0], 0.15)
+
+
+@pytest.mark.parametrize(("slope", "hill", "model"), [
+    (0.0, 0.0, "poly2d"), (0.02, 0.0, "poly2d"), (0.0, 0.5, "affine")])
+def test_level_ground_needs_no_heights(place: Any, slope: float, hill: float, model: str) -> None:
+    """Without relief no candidates determine the terms of heights of an affine model."""
+    features = candidates(place, 0.2)
+    ground = features.points.ground.copy()
+    x, y = (ground[:, :2] - ground[:, :2].mean(axis=0)).T
+    ground[:, 2] = 200.0 + slope * x + hill * np.sin(x / 40)
+    image = np.column_stack([-y, x]) + 0.3 * ground[:, 2:] + 300
+    image += np.random.default_rng(2).normal(0, 0.1, image.shape)
+    wrong = np.arange(len(image)) % 6 == 0
+    image[wrong] += 50.0
+    level = features.with_(points=replace(features.points, ground=ground, image=image))
+    found = select_points(level, "affine", {})
+    assert found.correction.model == model
+    np.testing.assert_array_equal(found.agrees, ~wrong)
+    # A hill that no candidate shows is above the plane through them.
+    above = heights_above_plane(ground, ground + np.array([0, 0, 30]))
+    np.testing.assert_allclose(above, 30.0, atol=1.2)
 
 
 def test_wrong_candidates_alone_are_no_success(place: Any) -> None:

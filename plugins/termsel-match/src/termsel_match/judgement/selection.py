@@ -16,6 +16,7 @@ from termsel_match.images.rasters import FloatArray, Mask
 from termsel_match.images.starts import transform_plane
 from termsel_match.judgement.structures import (
     ModelCorrection,
+    model_by_relief,
     plainest_supported_correction,
     supported_corrections,
 )
@@ -120,7 +121,8 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     steady-state GA selects m of the others so that the model agrees with as many as possible
     (problem `rpc-gcps`, criterion `agreement`). The model is then fitted to all of them that agree,
     until they stay the same. Of an RPC, the correction is the plainest that held-out candidates
-    support: a shift, a drift, affine, or smooth along the lines.
+    support: a shift, a drift, affine, or smooth along the lines. An affine model has no heights
+    where those of all candidates are on one plane.
 
     Parameters
     ----------
@@ -153,7 +155,8 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     def fitted(correction: ModelCorrection, used: Mask) -> Fit:
         return correction.fit(FeatureSet(points.take(used), crs=features.crs))
 
-    correction = ModelCorrection(model, options)
+    correction = model_by_relief(model, options, features)
+    model, options = correction.model, correction.options
     n_terms = len(fitted(correction, ~independent).terms)
     _require_control(roles, n_terms)
     # The search finds a few candidates that determine a model with which many agree.

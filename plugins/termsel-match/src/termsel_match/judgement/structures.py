@@ -19,6 +19,8 @@ _CAP = 4.0
 # Candidates for each interval.
 _PER_INTERVAL = 3
 _INTERVALS = (2, 4, 8, 16, 32)
+# Heights that differ less from a plane [of their unit] determine no term of a model.
+_LEVEL = 0.01
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,28 @@ class ModelCorrection:
         """Name of the model, with the number of intervals if it has some."""
         return self.model + (f" with {self.options['intervals']} intervals along the lines"
                              if "intervals" in self.options else "")
+
+
+def heights_above_plane(ground: FloatArray, places: FloatArray) -> FloatArray:
+    """Return how far places (m, 3) are above the plane nearest to ground positions (n, 3), (m,)."""
+    middle = ground.mean(axis=0)
+    size = np.maximum(np.ptp(ground, axis=0), np.finfo(np.float64).tiny)
+    known, asked = ((positions - middle) / [*size[:2], 1.0] for positions in (ground, places))
+    # z = a + b x + c y
+    slopes = np.linalg.lstsq(np.insert(known[:, :2], 0, 1.0, axis=1), known[:, 2])[0]
+    return np.asarray(asked[:, 2] - np.insert(asked[:, :2], 0, 1.0, axis=1) @ slopes)
+
+
+def model_by_relief(
+        model: str, options: Mapping[str, Any], features: FeatureSet) -> ModelCorrection:
+    """Return a model, or where it is affine and the ground a plane, the affine one without heights.
+
+    On a plane, heights say the same as x and y, and the terms of both are not determined.
+    """
+    ground = features.ground_vertices()
+    if model == "affine" and np.ptp(heights_above_plane(ground, ground)) < _LEVEL:
+        return ModelCorrection("poly2d", {**options, "degree": 1})
+    return ModelCorrection(model, options)
 
 
 def supported_corrections(model: str, options: Mapping[str, Any],

@@ -8,6 +8,7 @@ import numpy as np
 import shapely
 
 from termsel import Points
+from termsel.toolkit.coordinates import height_unit
 from termsel_match.images.rasters import FloatArray, Mask, spread_pixels
 from termsel_match.images.starts import Heights, transform_plane
 from termsel_match.judgement.along import Along, drift_along, steady_model
@@ -21,6 +22,7 @@ from termsel_match.judgement.evidence import (
 )
 from termsel_match.judgement.repeats import ALIKE
 from termsel_match.judgement.selection import AGREEING, AGREEING_PX, NEAR_PX, SelectedCandidates
+from termsel_match.judgement.structures import heights_above_plane
 from termsel_match.lines.rounds import Matched, rms_distance
 from termsel_match.points.candidates import Candidates
 
@@ -115,6 +117,11 @@ def evidence_of(candidates: Candidates, selected: SelectedCandidates, heights: H
     ground = ground[np.isfinite(ground).all(axis=1)]
     sigma = selected.sigma(ground) if len(ground) else np.array([np.inf])
     agree = points.take(selected.agrees)
+    pixel = _pixel_size(agree, candidates.crs)
+    if len(ground) and not fit.model.uses_height:
+        # A view from 45 degrees displaces what is above the level of the candidates by as much.
+        above = heights_above_plane(agree.ground, ground) * height_unit(candidates.crs) / pixel
+        sigma = np.hypot(sigma, above)
     start = candidates.rough
     correction = None
     if start is not None:
@@ -125,7 +132,7 @@ def evidence_of(candidates: Candidates, selected: SelectedCandidates, heights: H
         structure=residual_structure(points.image[near], residuals[near], 2 * selected.limit, size,
                                      np.random.default_rng([seed, 2])),
         other_place=find_other_place(points.image[far], residuals[far], AGREEING_PX, size),
-        correction=correction, pixel=_pixel_size(agree, candidates.crs),
+        correction=correction, pixel=pixel,
         along_lines=drift_along(selected, agree, size[0]), repetition=repetition)
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import termsel
 from termsel import FeatureSet, Fit, Lines, Result, TermselError
 from termsel_match.images.starts import Start, start_of, transform_plane
+from termsel_match.judgement.structures import model_by_relief
 from termsel_match.lines.candidates import LineCandidates, match_lines, without_start
 from termsel_match.lines.certainty import (
     Decisive,
@@ -160,7 +161,8 @@ def iterate_lines(
                                  progress=progress)
         features = FeatureSet(lines=candidates.lines, crs=candidates.crs,
                               image_size=candidates.image_size)
-
+        by_relief = model_by_relief(model, options, features)
+        model, options = by_relief.model, by_relief.options
         half_at = _HALF_AT[bool(rounds)]
         selected = candidates.lines.take(np.isin(candidates.lines.ids, features_by_search(
             "matched-lines", features, model, {**options, "half_at": half_at}, seed=seed)))
