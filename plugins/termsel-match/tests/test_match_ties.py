@@ -135,3 +135,22 @@ def test_standard_deviations_are_those_of_matches_that_agree() -> None:
     few = slice(0, 8)
     assert (calibrate_deviations(places[few], moved[few], sigma[few]) == 0.2).all()
     assert smooth_part(places, rng.uniform(-300, 300, (300, 2))) is None
+
+
+@pytest.mark.slow
+def test_an_image_without_any_tie_is_named(views: tuple[Path, dict[str, View]],
+                                           tmp_path: Path, says: Any) -> None:
+    folder, _ = views
+    with rasterio.open(folder / "C.tif") as raster:
+        pixels, profile = raster.read(), raster.profile
+    # Nothing that a keypoint could be found by.
+    with rasterio.open(tmp_path / "blank.tif", "w", **profile) as raster:
+        raster.write(np.full_like(pixels, pixels.mean()))
+    (tmp_path / "blank.RPB").write_bytes((folder / "C.RPB").read_bytes())
+    code, text = says("match-ties", folder / "A.tif", tmp_path / "blank.tif", folder / "B.tif",
+                      "--dem", folder / "dem.tif", "--count", 60, "-o", tmp_path / "ties.csv",
+                      "--quiet")
+    assert code == 0, text
+    assert "Warning: image blank has no tie with any other" in text
+    assert "--matcher structure" in text
+    assert text.count("has no tie") == 1

@@ -189,6 +189,13 @@ def match_ties(
             hint = "There was no time. Give more --seconds."
         raise TermselError("no ties were found between any two of the images", file=paths[0],
                            hint=hint)
+    tied = {row[1] for row in rows}
+    for name in names:
+        if name not in tied:
+            log.warning("Warning: image %s has no tie with any other. Does it show the same "
+                        "ground? Try --matcher structure, which other light and other sensors do "
+                        "not disturb, or a larger --search, or leave the image out of the block.",
+                        name)
     return MatchedTies(tuple(rows), tuple(pairs))
 
 
