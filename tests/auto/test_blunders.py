@@ -155,7 +155,8 @@ def test_a_point_that_says_it_is_inexact_is_no_blunder() -> None:
 def test_rounding_errors_are_no_blunders() -> None:
     rng = np.random.default_rng(0)
     ground = rng.uniform(0, [1000, 1000, 100], (40, 3))
-    image = ground[:, 1::-1] * 2 + ground[:, 2:] * [0.1, -0.2] + ground[:, :1] ** 2 * [1e-4, 0]
+    bend = ground[:, :1] ** 2 * [1e-4, 0]
+    image = ground[:, 1::-1] * [-2, 2] + ground[:, 2:] * [0.1, -0.2] + bend
     exact = FeatureSet(Points(tuple(map(str, range(40))), image, ground), empty_lines(), "local")
     found = termsel.run("rfm-terms", options={"fractions": "1:1:0"}, features=exact)
     assert found.strategy is not None
