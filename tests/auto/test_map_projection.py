@@ -156,6 +156,10 @@ def test_the_screen_names_the_projection(tmp_path: Path) -> None:
     assert "fitted in Lambert azimuthal about 46 N, 10 E" in words
     # What is done as well as possible is no reason for caution.
     assert "Caution" not in words
+    # The summary names it too, and does not print its WKT.
+    summary = (tmp_path / "result" / "summary.txt").read_text()
+    assert "Fitted in Lambert azimuthal about 46 N, 10 E;" in summary
+    assert "PROJCRS" not in summary
     # And it is read back as it was.
     result = termsel.read_result(tmp_path / "result")
     assert projection_of(result) == "Lambert azimuthal"

@@ -311,6 +311,15 @@ def test_two_maps_of_one_image_stay_apart(tmp_path: Path) -> None:
     same(termsel.read(tmp_path / "a.sh", image_name="second.vrt"), "EPSG:32633")
 
 
+def test_commands_with_one_output_stay_apart_too(tmp_path: Path) -> None:
+    command = f"gdal_translate -of vrt -a_srs EPSG:32633 {gdal('-gcp {} {} {} {} {}')} a.jpg a.vrt"
+    (tmp_path / "a.sh").write_text(f"{command}\n" * 4)
+    names = list(GdalOptions().parts(tmp_path / "a.sh"))
+    assert len(names) == 4
+    for name in names:
+        same(termsel.read(tmp_path / "a.sh", image_name=name), "EPSG:32633")
+
+
 def test_exports_of_allmaps(tmp_path: Path) -> None:
     """The forms of printGcps of its package io: numbers alone, links, and .points."""
     rows = [(sample + 0.5, line + 0.5, x, y) for (line, sample), (x, y, _)

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 from termsel.auto.auto import MAX_EXACT_POINTS
 from termsel.core.errors import count_in_words, first_names_in_words, rounded_size_text
+from termsel.data.coordinates.crs import short_crs_name
 from termsel.data.record.figures import (
     Accuracy,
     InImage,
@@ -113,8 +114,8 @@ def _detail_on_fit_crs(record: Record) -> Iterator[Block]:
     """Yield a detail on the CRS of the fit, if it is another than that of the data."""
     data = record.data
     if data.fit_crs != data.crs:
-        yield Detail(f"Fitted in {data.fit_crs}; coordinates are given in {data.crs}, heights "
-                     f"{data.heights}")
+        yield Detail(f"Fitted in {short_crs_name(data.fit_crs)}; coordinates are given in "
+                     f"{short_crs_name(data.crs)}, heights {data.heights}")
 
 
 def _answer_on_accuracy(record: Record) -> Iterator[Block]:

@@ -106,6 +106,8 @@ def _join_commands(path: Path) -> str:
 def _commands_by_image(path: Path) -> dict[str, str]:
     """Return the text of each command with GCPs, by the image that it names, "" for none.
 
+    Where commands before it name the same image, it goes by its output, or by a number.
+
     A script has a command a line, but for lines that end with a backslash or, on Windows, with ^;
     an option file has no command, and an option a line.
     """
@@ -122,7 +124,8 @@ def _commands_by_image(path: Path) -> dict[str, str]:
         image = files[0] if files else ""
         # Each command has the points of a map of its own; an image may have several.
         if image in commands and re.search(r"\bgdal", line):
-            image = files[1] if len(files) > 1 else f"{image} {len(commands) + 1}"
+            unused = [name for name in files[1:] if name not in commands]
+            image = unused[0] if unused else f"{image} {len(commands) + 1}"
         commands[image] = f"{commands.get(image, '')} {line}"
     if not commands:
         raise TermselError("this file has no option -gcp with its numbers", file=path,
