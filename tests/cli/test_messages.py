@@ -310,8 +310,8 @@ def test_a_folder_with_results_inside_names_them(tmp_path: Path) -> None:
     assert f"one of these within it: {folders}" in refused("report", str(tmp_path))
 
 
-OF_OTHER_PROGRAMS = {"--file", "--formats"}
-"""Options of pyproj sync and gdalinfo, which messages name with their command."""
+OF_OTHER_PROGRAMS = {"--config", "--file", "--formats"}
+"""Options of GDAL's programs and of pyproj sync, which messages name with their command."""
 
 
 def texts_of(call: ast.Call) -> Iterator[str]:

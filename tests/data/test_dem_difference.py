@@ -73,7 +73,10 @@ def test_feet_are_told_from_a_geoid(foot: float) -> None:
     found = dem_difference(control / foot, control + RNG.normal(0.0, 1.0, 8))
     assert found is not None
     assert found.contradicts
-    assert found.sentence().endswith("--set z_unit=ft says so of the points")
+    if foot < 1.0:
+        assert found.sentence().endswith("are the points in feet? Run again with --set z_unit=ft")
+    else:
+        assert "is the DEM in feet? gdal_translate " in found.sentence()
 
 
 def test_kilometres_are_told_whichever_side_they_are() -> None:

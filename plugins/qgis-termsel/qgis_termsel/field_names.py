@@ -16,14 +16,16 @@ KNOWN = {
           "номерточки назва σημειο 点番号 점 점번호 fid",
     "role": "role use",
     "line": "line row ypx lin lines rows ypix ypixel pixely py imgy imagey yimg yimage lineno "
+          "imy imrow imgrow imagerow "
           "zeile bildzeile bildy ligne rangee fila linea riga linha wiersz rij regel 行 行号 行数 "
           "行坐标 pxy riadok radek sor satir rivi rad rekke række rand redak vrstica "
           "строка ряд рядок γραμμη 행 sourcey",
     "sample": "sample col column xpx pixel samples samp cols columns xpix xpixel pixelx pix px "
+          "imx imcol imgcol imagecol "
           "imgx imagex ximg ximage spalte bildspalte bildx colonne columna muestra colonna "
           "campione coluna kolumna kolom 列 列号 列数 列坐标 pxx sloupec stlpec oszlop sutun "
           "sarake kolumn kolonne coloana stupac stolpec столбец колонка стовпець στηλη 열 sourcex",
-    "z": "z h height elev elevation alt altitude hohe hoehe hoheunn hoheunhn hauteur altura "
+    "z": "z h height elev elevation alt altitude geoz hohe hoehe hoheunn hoheunhn hauteur altura "
           "altitud altitudine altezza cota quota elevazione elevacion elevacao wysokosc "
           "hoogte pointz ellipsoidalheight ellheight 高程 高度 高 大地高 海拔 vyska magassag "
           "yukseklik korkeus hojd høyde højde visina высота висота υψομετρο 標高 고도 표고"}

@@ -137,7 +137,7 @@ def test_a_sensor_that_is_right_hides_no_other(
 
     monkeypatch.setattr(joint, "_adjust_as_stated", lambda block, *_: SimpleNamespace(
         block=block, adjusted=block))
-    monkeypatch.setattr(joint, "_with_note_on_dem", lambda result: result)
+    monkeypatch.setattr(joint, "_with_notes_on_dem", lambda result: result)
     monkeypatch.setattr(joint, "_without_worse", lambda result, *_: result)
     monkeypatch.setattr(joint, "agrees_better", lambda *given: sensors[given[-1]] != "aster")
     monkeypatch.setattr(contradictions, "contradictions_of", contradicted)
@@ -182,7 +182,7 @@ def test_a_sensor_that_bends_the_ground_or_control_is_not_taken(
             state=SimpleNamespace(cameras=())))
 
     monkeypatch.setattr(joint, "_adjust_as_stated", rough)
-    monkeypatch.setattr(joint, "_with_note_on_dem", lambda result: result)
+    monkeypatch.setattr(joint, "_with_notes_on_dem", lambda result: result)
     found = adjust(block).block
     assert len(tried) == 2
     if not said:
@@ -208,7 +208,7 @@ def test_a_block_without_a_sensor_is_adjusted_once(
             roughness=300.0 if stated else 100.0, converged=True, score={}, stated=stated))
 
     monkeypatch.setattr(joint, "_adjust_as_stated", flat)
-    monkeypatch.setattr(joint, "_with_note_on_dem", lambda result: result)
+    monkeypatch.setattr(joint, "_with_notes_on_dem", lambda result: result)
     monkeypatch.setattr(joint, "agrees_better", lambda *_: False)
     monkeypatch.setattr(contradictions, "contradictions_of", lambda adjusted: {
         0: Contradiction(1e-9, 9.0, ())} if adjusted.stated else {})

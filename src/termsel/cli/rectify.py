@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from pathlib import Path
 
@@ -74,7 +75,8 @@ def rectify(context: click.Context, folder: Path, image: Path, output: Path, dem
     from termsel.io.result_folder import RECORD, read_result
     from termsel.studies.maps import is_batch
 
-    if folder.is_file() and (image / RECORD).is_file():
+    # os.path instead of pathlib, whose is_file raises for names that the system refuses.
+    if os.path.isfile(folder) and os.path.isfile(image / RECORD):
         raise TermselError("the folder of the result comes before the image", file=folder,
                            hint=f"termsel rectify {shlex.quote(str(image))} "
                                 f"{shlex.quote(str(folder))} --output {shlex.quote(str(output))}, "

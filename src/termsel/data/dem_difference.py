@@ -153,8 +153,9 @@ def dem_difference(control: FloatArray, dem: FloatArray, name: str = "") -> DemD
     # s^2 of the module's text: with few heights what is usual counts more than what they show.
     variance = (n * scatter**2 + PRIOR_COUNT * USUAL_SIGMA**2) / (n + PRIOR_COUNT)
     sigma = float(np.sqrt(_EFFICIENCY**2 * variance / n + ROUGHLY**2))
-    in_feet, in_kilometres = (_is_in_unit(unit, control, dem, scatter)
-                              for unit in (UNITS[FOOT], _KILOMETRE))
+    in_kilometres = _is_in_unit(_KILOMETRE, control, dem, scatter)
+    # Beside heights in kilometres, which are nearly 0 m, feet make all others smaller too.
+    in_feet = not in_kilometres and _is_in_unit(UNITS[FOOT], control, dem, scatter)
     return DemDifference(median, sigma, n, in_feet, in_kilometres, name)
 
 

@@ -92,6 +92,7 @@ RUSSIAN = ("широта", "долгота", "строка", "столбец", "
 CENTRAL_EUROPEAN = ("wysokość", "długość", "szerokość", "północ")
 """Names, as they are written in Poland, that only one encoding of a text gives."""
 
+
 def fold_name(name: str) -> str:
     """Return a name without accents, signs and capitals."""
     # The stroke of ł and the i without a dot are no accents to Unicode.
