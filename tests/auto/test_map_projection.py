@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -90,6 +91,25 @@ def test_of_three_and_four_points_a_map_is_taken_to_be_true_to_scale(count: int)
     kept = termsel.run(features=features, options={"fit_crs": "EPSG:4326"})
     assert projection_of(result) == "Lambert azimuthal"
     assert rms_error(result, others) < 0.7 * rms_error(kept, others)
+
+
+@pytest.mark.parametrize("count", [4, 9])
+def test_a_projection_that_cannot_be_made_is_no_reason_to_fail(
+        count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    features, _ = drawn_map(CONIC, count)
+    # Heights above a geoid whose grid PROJ need not have; where it has, a projection is taken.
+    above_geoid = termsel.run(features=termsel.FeatureSet(
+        points=features.points, crs="EPSG:4326+5773"))
+    assert projection_of(above_geoid) or any(
+        note.startswith("No projection was tried") for note in above_geoid.notes)
+    # A map of another place, as projections are remembered.
+    elsewhere, _ = drawn_map(CONIC.replace("lon_0=10", "lon_0=33"), count, lon=33.0)
+    monkeypatch.setitem(sys.modules, "pyproj", None)
+    monkeypatch.setitem(sys.modules, "pyproj.crs", None)
+    result = termsel.run(features=elsewhere)
+    assert projection_of(result) == ""
+    [note] = [note for note in result.notes if note.startswith("No projection was tried")]
+    assert "pip install" in note
 
 
 def test_across_180_degrees() -> None:

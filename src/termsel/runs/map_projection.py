@@ -14,6 +14,7 @@ from termsel.data.coordinates.crs import (
     longitudes_and_latitudes_of,
     normalise,
     short_crs_name,
+    transformation_between,
 )
 from termsel.data.coordinates.longitudes import unwrap_longitudes
 from termsel.data.coordinates.metres import (
@@ -74,25 +75,34 @@ def with_map_projection(observations: Observations, auto: Auto) -> tuple[Observa
         return as_given
     plan = _plan(features)
     bend = _bend(plan, features.points.image, angles_of)
+    choice = None
+    if len(features.points) < FEW:
+        least_bend = PERCEPTIBLE
+    else:
+        choice = auto.choose(observations.pool)
+        least_bend = np.inf if choice is None else NOTICEABLE * _typical_error(choice)
+    if bend < least_bend:
+        return as_given
     lon, lat = np.degrees(_middle(angles_of(plan))).round().astype(int).tolist()
     lon = (lon + 180) % 360 - 180
     given = "degrees" if is_in_degrees(features.crs) else short_crs_name(features.crs)
-    if len(features.points) < FEW:
-        if bend < PERCEPTIBLE:
-            return as_given
-        azimuthal = observations.fitted_in(azimuthal_crs(features.crs, lon, lat))
-        return azimuthal, _note(
-            azimuthal, f"{given} would bend a map that is true to scale by {bend:.2g} px")
-    choice = auto.choose(observations.pool)
-    if choice is None or bend < NOTICEABLE * _typical_error(choice):
-        return as_given
+    bent = f"{given} would bend a map that is true to scale by {bend:.2g} px"
+    try:
+        azimuthal = azimuthal_crs(features.crs, lon, lat)
+        transformation_between(features.crs, azimuthal, for_fit=True)
+    except TermselError as error:  # pyproj, or the grid of a vertical datum, is not there
+        remedy = f" {error.hint}" if error.hint else ""
+        return observations, f"No projection was tried, though {bent}: {error.what}.{remedy}"
+    if choice is None:
+        in_azimuthal = observations.fitted_in(azimuthal)
+        return in_azimuthal, _note(in_azimuthal, bent)
     error_as_given = _typical_error(choice)
     best, best_error = None, error_as_given / CLEARLY
-    for crs in (azimuthal_crs(features.crs, lon, lat), mercator_crs(features.crs, lon)):
+    for crs in (azimuthal, mercator_crs(features.crs, lon)):
         projected = observations.fitted_in(crs)
-        error = _error_in(projected, auto)
-        if error < best_error:
-            best, best_error = projected, error
+        held_out_error = _error_in(projected, auto)
+        if held_out_error < best_error:
+            best, best_error = projected, held_out_error
     if best is None:
         return as_given
     return best, _note(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from termsel.core.errors import TermselError
+from termsel.core.errors import GIS, TermselError, require_import
 from termsel.data.coordinates.crs import (
     EARTH,
     UTM,
@@ -243,11 +243,11 @@ def _polar_stereographic(crs: str, latitude: int) -> str:
 def azimuthal_crs(crs: str, lon: int, lat: int) -> str:
     """Return Lambert's azimuthal equal-area projection about a place [deg] as WKT.
 
-    Its datum is that of `crs`, so that no shift between datums comes in.
+    Its datum is that of `crs`, so that no shift between datums comes in. Raises TermselError if
+    pyproj is not installed.
     """
-    from pyproj.crs.coordinate_operation import LambertAzimuthalEqualAreaConversion
-
-    return _projection_on_datum_of(crs, LambertAzimuthalEqualAreaConversion(lat, lon),
+    conversion = _conversions().LambertAzimuthalEqualAreaConversion(lat, lon)
+    return _projection_on_datum_of(crs, conversion,
                                    f"Lambert azimuthal about {_in_words(lat, 'NS')}, "
                                    f"{_in_words(lon, 'EW')}")
 
@@ -255,11 +255,16 @@ def azimuthal_crs(crs: str, lon: int, lat: int) -> str:
 @lru_cache  # a projection is asked for with each set of points of a place
 def mercator_crs(crs: str, lon: int) -> str:
     """Return Mercator's projection with a central meridian [deg], on the datum of `crs`, as WKT."""
-    from pyproj.crs.coordinate_operation import MercatorAConversion
-
+    conversion = _conversions().MercatorAConversion(longitude_natural_origin=lon)
     return _projection_on_datum_of(
-        crs, MercatorAConversion(longitude_natural_origin=lon),
-        f"Mercator about {_in_words(lon, 'EW')}")
+        crs, conversion, f"Mercator about {_in_words(lon, 'EW')}")
+
+
+def _conversions() -> Any:
+    """Return pyproj's module of conversions; raises TermselError if pyproj is not installed."""
+    with require_import("a projection requires", "pyproj", GIS):
+        from pyproj.crs import coordinate_operation
+    return coordinate_operation
 
 
 def _in_words(degrees: int, letters: str) -> str:
