@@ -429,7 +429,7 @@ def test_few_points_of_a_map_are_averaged_over_what_they_do_not_tell_apart(n: in
         ratios.append(float(np.sqrt((errors**2).mean() / (best**2).mean())))
     assert np.median(ratios) < 1.1
     # Another candidate may be far better by luck.
-    assert sum("so few points cannot decide between polynomials" in one for one in reasons) >= 6
+    assert sum("So few points cannot decide between polynomials" in one for one in reasons) >= 6
 
 
 def test_few_points_without_heights_that_a_scanner_saw_keep_its_prior() -> None:

@@ -11,6 +11,7 @@ import pytest
 import termsel
 from termsel.auto.auto import Auto
 from termsel.auto.methods import METHODS
+from termsel.auto.rule import advantage_in_words, requirement_in_words
 from termsel.auto.selected import select_forward
 from termsel.auto.shrunken import average
 from termsel.data.features import FeatureSet, Points
@@ -97,21 +98,31 @@ def test_the_reason_states_the_figures_that_decided(
     assert found.method.name == chosen
     cubic = by_shrunken("regularised-cubic", "regularised-quadratic", judged)
     assert found.reason.startswith(
-        f"regularised cubic is {'better' if cubic > 0 else 'worse'} than regularised quadratic by "
-        f"{abs(cubic):.2g} standard errors; it must be better by more than 1. ")
+        "regularised cubic predicts left-out points "
+        f"{advantage_in_words(cubic, 'regularised quadratic')}{requirement_in_words(cubic, 1)}. ")
     against = "regularised-cubic" if cubic > 1 else "regularised-quadratic"
     rival, gain = max(((name, by_shrunken(name, against, judged)) for name in judged
                       if name in ("dlt", "rfm-2", "rfm-3", "selected")), key=lambda one: one[1])
     # A central projection needs one standard error where points call for an oblique view.
     asked = {"dlt": 1 if chosen == "dlt" else 2}.get(rival, 3)
     assert (gain > asked) == (chosen == "dlt")
-    words = "better" if gain > 0 else "worse"
     label = against.replace("regularised-", "regularised ")
-    assert (f"is {words} than {label} by {abs(gain):.2g} standard errors; it must be better by "
-            f"more than {asked}") in found.reason
+    assert (f"predicts left-out points {advantage_in_words(gain, label)}"
+            f"{requirement_in_words(gain, asked)}.") in found.reason
     least = min(judged, key=lambda name: judged[name].held_out_rmse)
-    assert ("is a limit of the regularised polynomials" in found.reason) == (
+    assert ("the regularised polynomials contain it" in found.reason) == (
         least in ("affine", "quadratic", "cubic"))
+
+
+def test_an_advantage_says_whether_it_may_be_chance() -> None:
+    """A surveyor asks why a model with a smaller figure was not taken."""
+    assert advantage_in_words(0.19, "b") == "better than b, by 0.19 times the uncertainty of the " \
+        "difference"
+    assert advantage_in_words(-2.0, "b") == advantage_in_words(np.nan, "b") == "no better than b"
+    assert requirement_in_words(0.19, 3) == ", which may be chance (more than 3 required)"
+    assert requirement_in_words(3.1, 3) == ", more than chance explains (more than 3 required)"
+    assert requirement_in_words(9.0, np.inf) == ", which so few points cannot tell from chance"
+    assert requirement_in_words(-1.0, 3) == ""
 
 
 def test_the_page_states_the_reason_of_the_choice(result: termsel.Result) -> None:

@@ -266,7 +266,9 @@ def test_a_conventional_model_is_compared_at_the_same_points() -> None:
         mine = result.rmse["independent"]
         assert mine is not None
         cubic = next(row.rmse["independent"] for row in result.baselines if row.name == "cubic")
-        verdict = verdict_on_choice(mine.total, cubic.total, "cubic", among=2)
+        assert result.strategy is not None
+        gains = {row.name: row.gain for row in result.strategy.candidates}
+        verdict = verdict_on_choice(mine.total, cubic.total, "cubic", gains, at_points=True)
         assert f"a cubic polynomial, the best conventional model in cross-validation, has " \
             f"{cubic.total:.2f} px: {verdict}." in result.judgement
         verdicts.add(verdict)
@@ -316,3 +318,17 @@ def test_a_role_of_check_alone_is_said_to_be_no_test(words: list[str], is_noted:
             "point that tests the result write --role P3=independent.")
     assert (note in text) is is_noted
     assert text.count("--role ID=check") == is_noted
+
+
+@pytest.mark.parametrize(("gain", "at_points", "words"), [
+    (0.2, False, "40 % smaller, within chance; --method cubic takes it"),
+    (4.0, False, "40 % smaller, more than chance; --method cubic takes it"),
+    (0.2, True, "40 % smaller, within chance in cross-validation; --method cubic takes it"),
+    (-0.2, True, "40 % smaller, not in cross-validation; --method cubic takes it")])
+def test_a_smaller_figure_of_another_model_has_a_reason_and_a_command(
+        gain: float, at_points: bool, words: str) -> None:
+    gains = {"field": 0.0, "cubic": gain}
+    assert verdict_on_choice(1.0, 0.6, "cubic", gains, at_points=at_points) == words
+    # One that was asked for was not chosen, and a small difference is not worth a command.
+    assert verdict_on_choice(1.0, 0.6, "cubic", {"field": 0.0}) == "40 % smaller"
+    assert "--method" not in verdict_on_choice(1.0, 0.9, "cubic", gains, at_points=at_points)

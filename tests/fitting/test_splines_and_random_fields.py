@@ -320,7 +320,7 @@ def test_local_deformation_calls_for_a_field(seed: int) -> None:
     choice = Auto().choose(FitData.of(control, False))
     assert choice is not None
     assert choice.method.name in ("field", "tps")
-    assert "probability of local deformation" in choice.reason
+    assert "show local deformation, with a probability of" in choice.reason
     best = min(total(one.errors(others)) for one in choice.compared if one.method.is_plain)
     assert total(choice.chosen.errors(others)) < 0.8 * best
     # It knows how uncertain it is between the points.

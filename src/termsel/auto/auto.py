@@ -22,6 +22,7 @@ from termsel.auto.rule import (
     FOLDS_OF_LATTICE,
     PRIOR_MARGIN,
     Choice,
+    advantage_in_words,
     best_of,
     fit_to_beat,
     fold_of_each,
@@ -35,7 +36,7 @@ from termsel.auto.rule import (
     is_contained,
     is_undecided,
     method_of,
-    standard_errors,
+    requirement_in_words,
 )
 from termsel.core.errors import TermselError
 from termsel.core.isolation.arrays import difference_from_shape, difference_from_type
@@ -398,14 +399,14 @@ class Auto(Method):
         advantage = gain_of(points_choice.chosen.held_out().squares,
                             choice.chosen.held_out().squares[:count], choice.chosen.rounding)
         comparison = (
-            f"Points alone predict the points {'better' if advantage > 0 else 'worse'} than points "
-            f"with lines do, by {standard_errors(advantage)}")
+            "Points alone predict the points "
+            f"{advantage_in_words(advantage, 'points with lines')}"
+            f"{requirement_in_words(advantage, PRIOR_MARGIN)}")
         if advantage > PRIOR_MARGIN:
             return replace(points_choice,
                            reason=f"{points_choice.reason} {comparison}, so the lines are not "
                            "used.")
-        return replace(choice, reason=f"{choice.reason} {comparison}; to be used alone they must "
-                                      f"be better by more than {PRIOR_MARGIN:g}.")
+        return replace(choice, reason=f"{choice.reason} {comparison}.")
 
     # The choice, repeated without some of the features.
 

@@ -181,18 +181,18 @@ class _WithField(Structure):
         return isinstance(process, GaussianProcess) and process.probability > FIELD_EXCLUDED
 
     def describe(self, fitted: Fit) -> str:
-        """Return a sentence on the field's probability, and on the least that it must have."""
+        """Return a sentence on the probability of local deformation, and the least it must have."""
         process = fitted.interpolation
         assert isinstance(process, GaussianProcess)
         if process.spline_weight > 0.0 and process.probability <= FIELD_CALLED_FOR:
-            return (f"{self.label} is an average: so few points cannot decide between "
-                    "polynomials, fields, a spline and an affine image. The probability of local "
-                    f"deformation is {process.probability:.3g}.")
+            return ("So few points cannot decide between polynomials, local deformation, a spline "
+                    f"and an affine image. {self.label} is their average; local deformation has "
+                    f"a probability of {process.probability:.3g} in it.")
         # The requirement is stated where the field is a course of its own.
         requirement = ""
         if process.spline_weight == 0.0:
-            requirement = f"; it must exceed {required_probability(process):g}"
-        return (f"{self.label} is used: the probability of local deformation is "
+            requirement = f" (more than {required_probability(process):g} required)"
+        return ("The points show local deformation, with a probability of "
                 f"{process.probability:.3g}{requirement}.")
 
 

@@ -13,6 +13,7 @@ from math import erf, sqrt
 import numpy as np
 
 from termsel.adjustment.bayesian.field import SPLINE_MAX_POINTS
+from termsel.core.errors import rounded_size_text
 from termsel.data.coordinates.clusters import cluster_labels
 from termsel.data.coordinates.metres import plan_of
 from termsel.data.coordinates.places import MIN_LATTICE_LINES as FEWEST_LINES
@@ -137,7 +138,7 @@ def gain_of(squares: FloatArray, other_squares: FloatArray, rounding: float = 0.
     where a model fits points exactly, the logarithms of residuals would differ by chance, and from
     processor to processor.
     """
-    tiny = np.finfo(float).tiny
+    tiny = float(np.finfo(float).tiny)
     smallest = max(rounding**2, tiny)
     gains = np.log(np.maximum(other_squares, smallest) / np.maximum(squares, smallest))
     count = len(gains)
@@ -145,6 +146,7 @@ def gain_of(squares: FloatArray, other_squares: FloatArray, rounding: float = 0.
     deviations = gains - mean
     # A single gain shows no standard error.
     variance = float(deviations @ deviations) / (count - 1) if count > 1 else np.nan
+    # Gains that are all the same are infinitely sure.
     return mean / max(float(np.sqrt(variance / count)), tiny)
 
 
@@ -377,8 +379,7 @@ def fit_to_beat(priors: Sequence[Fit]) -> tuple[Fit, list[str]]:
             knows_more = base_method.from_one > method.from_one
             margin = _equally_sure_margin(base) if knows_more else PRIOR_MARGIN
             if margin < np.inf:
-                reasons.append(f"{_comparison_sentence(fitted, base)}; it must be better by more "
-                               f"than {margin:.2g}.")
+                reasons.append(_comparison_sentence(fitted, base, margin))
             if gain(fitted, base) > margin:
                 base = fitted
     return base, reasons
@@ -474,41 +475,76 @@ def _reason_for_choice(chosen: Fit, base: Fit, reasons: Sequence[str], alternati
         # Where the base wins, the reader wants to know what came closest to it.
         nearest = chosen if chosen is not base else max(
             alternatives, key=lambda fitted: gain(fitted, base))
-        margin = required_gain(nearest, base)
-        further_condition = ""
-        if nearest is not chosen and gain(nearest, base) > margin:
-            further_condition = " and have a smaller RMSE"
-        elif nearest is chosen and gain(nearest, base) <= margin:
-            decrease = 1.0 - beyond_rounding(nearest) / beyond_rounding(base)
-            further_condition = (
-                f", or show a view and have an RMSE that is {1.0 - SUPPORTED_RMSE_RATIO:.0%} "
-                f"smaller: it is {decrease:.0%} smaller")
-        sentences.append(f"{_comparison_sentence(nearest, base)}; it must be better by more than "
-                         f"{margin:.2g}{further_condition}.")
-    if any("standard error" in sentence for sentence in sentences):
-        sentences.append("Standard errors are those of logarithms of squared leave-one-out "
-                         "errors.")
-    best = method_of(min(compared, key=beyond_rounding))
+        sentences.append(_sentence_on_rival(nearest, base, is_chosen=nearest is chosen))
+    if any(_UNCERTAINTY in sentence for sentence in sentences):
+        sentences.append("That uncertainty is the standard error of the mean difference of "
+                         "logarithms of squared leave-one-out errors.")
+    smallest = min(compared, key=beyond_rounding)
+    best = method_of(smallest)
     methods = [method_of(fitted) for fitted in compared]
     wider_methods = [method for method in methods if method.has_prior and is_limit_of(best, method)]
     if wider_methods and not best.has_prior:
         family = wider_methods[0].family or f"{wider_methods[0].title} and its like"
-        sentences.append(f"{best.label} is a limit of {family}, which find it if the points "
+        advantage = advantage_in_words(gain(smallest, chosen), "the chosen model")
+        sentences.append(f"{best.label} has the smallest RMSE of all ({advantage}), and is no "
+                         f"candidate by itself: {family} contain it, and become it if the points "
                          "support it.")
     return " ".join(sentences) or SMALLEST_RMSE_REASON
 
 
-def _comparison_sentence(fitted: Fit, reference: Fit) -> str:
-    """Return by how many standard errors a method is better or worse than another."""
-    advantage = gain(fitted, reference)
-    return (f"{method_of(fitted).label} is {'better' if advantage > 0 else 'worse'} than "
-            f"{method_of(reference).label} by {standard_errors(advantage)}")
+_UNCERTAINTY = "the uncertainty of the difference"
+"""What the difference of two models is measured by."""
 
 
-def standard_errors(gain_in_errors: float) -> str:
-    """Return a number of standard errors in words."""
-    number = f"{abs(gain_in_errors):.2g}"
-    return f"{number} standard error" if number == "1" else f"{number} standard errors"
+def _sentence_on_rival(rival: Fit, base: Fit, *, is_chosen: bool) -> str:
+    """Return how a method compares with the fit to beat, and why it is chosen or not."""
+    margin = required_gain(rival, base)
+    advantage = gain(rival, base)
+    if advantage > margin and not is_chosen:
+        return (f"{_difference_in_words(rival, base)}, and yet is not chosen: a few large errors "
+                "make its RMSE the larger one.")
+    if advantage > margin or not is_chosen:
+        return _comparison_sentence(rival, base, margin)
+    # Chosen without the margin: for its view, or as the simplest of models for few points.
+    smaller_by = f"{1.0 - beyond_rounding(rival) / beyond_rounding(base):.0%} smaller"
+    label = method_of(rival).label
+    if method_of(rival).central:
+        return (f"The points show a central projection, so {label} needs only an RMSE that is "
+                f"{1.0 - SUPPORTED_RMSE_RATIO:.0%} smaller than that of {method_of(base).label}: "
+                f"it is {smaller_by}.")
+    return (f"So few points hardly show {_UNCERTAINTY}. {label} has the fewest unknowns, so it "
+            f"needs only an RMSE that is {1.0 - SIMPLER_RMSE_RATIO:.0%} smaller than that of "
+            f"{method_of(base).label}: it is {smaller_by}.")
+
+
+def _comparison_sentence(rival: Fit, base: Fit, margin: float) -> str:
+    """Return how much better a method predicts than another, and whether that may be chance."""
+    return (f"{_difference_in_words(rival, base)}"
+            f"{requirement_in_words(gain(rival, base), margin)}.")
+
+
+def _difference_in_words(rival: Fit, base: Fit) -> str:
+    """Return by how much a method predicts held-out features better or worse than another."""
+    return (f"{method_of(rival).label} predicts left-out points "
+            f"{advantage_in_words(gain(rival, base), method_of(base).label)}")
+
+
+def advantage_in_words(advantage: float, other: str) -> str:
+    """Return how much better than `other` a prediction is, from the gain of `gain_of`."""
+    if not advantage > 0.0:
+        return f"no better than {other}"
+    times = rounded_size_text(advantage)
+    return f"better than {other}, by {times} times {_UNCERTAINTY}"
+
+
+def requirement_in_words(advantage: float, margin: float) -> str:
+    """Return whether an advantage is more than chance, and how large it must be; "" for none."""
+    if not advantage > 0.0:
+        return ""
+    if margin == np.inf:
+        return ", which so few points cannot tell from chance"
+    verdict = "more than chance explains" if advantage > margin else "which may be chance"
+    return f", {verdict} (more than {margin:.2g} required)"
 
 
 def beyond_rounding(fitted: Fit) -> float:

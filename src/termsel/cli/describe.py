@@ -270,9 +270,11 @@ def _when_chosen(method: Any) -> str:
     if method.for_few:
         return "by the smallest leave-one-out RMSE, if points are few"
     if method.has_prior:
-        return "if it is better by one standard error, or instead of the methods that it contains"
-    standard_errors = "two" if method.central else "three"
-    return f"if it is better by {standard_errors} standard errors and has the smaller RMSE"
+        return ("if it predicts left-out points better by more than the uncertainty of the "
+                "difference, or instead of the methods that it contains")
+    times = "twice" if method.central else "three times"
+    return (f"if it predicts left-out points better by {times} the uncertainty of the difference, "
+            "and has the smaller RMSE")
 
 
 def _describe_dataset(entry: Entry) -> None:

@@ -483,8 +483,9 @@ def _comparison_with_rival(record: Record, rival: BaselineRow) -> Iterator[str]:
         return
     name = "automatic choice without a search" if strategy is None else label_of(rival.name)
     if strategy is not None:
-        verdict = verdict_on_choice(own_rmse, rival_rmse, record.reference,
-                                    len(strategy.candidates))
+        gains = {row.name: row.gain for row in strategy.candidates}
+        verdict = verdict_on_choice(own_rmse, rival_rmse, record.reference, gains,
+                                    at_points=not by_held_out)
     elif are_alike(own_rmse, rival_rmse):
         verdict = "the search gains nothing"
     elif rival_rmse > own_rmse:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from termsel.auto.compare import WITHOUT_BLUNDERS
 from termsel.auto.methods import BY_NAME
+from termsel.auto.rule import CLEAR_MARGIN
 from termsel.core.errors import rounded_size_text
 from termsel.data.record.figures import BlunderTest, Outlier, RmseByRole
 from termsel.data.record.record import Record
@@ -26,7 +27,7 @@ ALIKE_RATIO = 1.05
 an RMSE is itself uncertain by more."""
 
 CHANCE = 1.15
-"""Ratio up to which a model that was not chosen may be better by chance."""
+"""Ratio beyond which a model that was not chosen may be worth a try."""
 
 
 def are_alike(first: float, second: float) -> bool:
@@ -34,21 +35,33 @@ def are_alike(first: float, second: float) -> bool:
     return first <= ALIKE_RATIO * second and second <= ALIKE_RATIO * first
 
 
-def verdict_on_choice(own_rmse: float, rival_rmse: float, rival: str, among: int) -> str:
-    """Return in a few words how the model that was chosen `among` several compares with a rival.
+def verdict_on_choice(own_rmse: float, rival_rmse: float, rival: str,
+                      gains: Mapping[str, float | None], *, at_points: bool = False) -> str:
+    """Return in a few words how the model that was chosen compares with a rival.
 
-    The first screen and the summary say it with the same figures and in the same words.
+    `gains` says of all models that it was chosen among how much better than it they predict
+    left-out points, each by the standard error of the difference. The RMSE are those of left-out
+    points, too, or `at_points` those of independent ones, which had no say in the choice. The first
+    screen and the summary say it with the same figures and in the same words.
     """
     if are_alike(own_rmse, rival_rmse):
         return "no practical difference"
     if rival_rmse > own_rmse:
         return f"{times_in_words(rival_rmse / own_rmse)} as large"
-    # The choice has kept to the simpler model, or averages, where the difference is small.
-    if among > 1 and own_rmse <= CHANCE * rival_rmse:
-        return "may be chance"
-    better = f"{label_of(rival)} is better by {100 * (1 - rival_rmse / own_rmse):.0f} %"
-    # A choice asks for more than that one figure is smaller; the user need not.
-    return f"{better}, not for certain; --method {rival} fits it" if among > 1 else better
+    smaller = f"{100 * (1 - rival_rmse / own_rmse):.0f} % smaller"
+    # Where a method was asked for, nothing else was on offer.
+    if len(gains) <= 1:
+        return smaller
+    # The best of several has the smallest figure partly by luck, so one must be surer than that. A
+    # choice asks for that; the user need not.
+    gain = gains.get(rival) or 0.0
+    if at_points and gain <= 0.0:
+        certainty = "not in cross-validation"
+    else:
+        chance = "more than chance" if gain > CLEAR_MARGIN else "within chance"
+        certainty = f"{chance} in cross-validation" if at_points else chance
+    command = f"; --method {rival} takes it" if own_rmse > CHANCE * rival_rmse else ""
+    return f"{smaller}, {certainty}{command}"
 
 
 def times_in_words(ratio: float) -> str:

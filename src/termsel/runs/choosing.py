@@ -13,7 +13,7 @@ from msgspec.structs import replace as changed
 from termsel.auto.auto import MAX_EXACT_POINTS, Auto, minimal_fit, minimal_view, unjudged_fit
 from termsel.auto.compare import compare
 from termsel.auto.named_model import NamedModel, as_far_as_determined
-from termsel.auto.rule import Choice, folds_of, has_pole, method_of
+from termsel.auto.rule import Choice, folds_of, gain, has_pole, method_of
 from termsel.core.errors import TermselError, count_in_words, rounded_size_text
 from termsel.core.interrupts import take_pending_interrupt
 from termsel.data.features import FloatArray, Points, empty_points, select
@@ -192,10 +192,12 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
                      if row.name != method.name or method.is_plain)
 
     def judgement(rmse: Rmses, rivals: tuple[Baseline, ...]) -> str:
-        predicted_of = {row.name: row.predicted for row in strategy.candidates}
+        rows = {row.name: row for row in strategy.candidates}
+        held_out = rows[method.name].predicted if method.name in rows else None
         return judge_choice(method, None if predicted is None else predicted.rmse, rmse, rivals,
-                            request.features.noise, held_out=predicted_of.get(method.name),
-                            among=len(predicted_of), is_asked_for=auto.is_one_method)
+                            request.features.noise, held_out=held_out,
+                            gains={name: row.gain for name, row in rows.items()},
+                            is_asked_for=auto.is_one_method)
 
     parts: dict[str, object] = {"model": type(fitted.model)}
     # A model that the user named is all that there is to be found again.
@@ -413,7 +415,8 @@ def _strategy_record(choice: Choice, errors: FloatArray | None, predicted: Predi
             held_out = weighted_rmse(errors, data.features.points)
     candidates = tuple(
         CandidateRow(method_of(fitted).name, fitted.model.name, int(fitted.terms.sum()),
-                     fitted.effective, finite_or_none(fitted.held_out_rmse))
+                     fitted.effective, finite_or_none(fitted.held_out_rmse),
+                     finite_or_none(gain(fitted, choice.chosen)))
         for fitted in choice.compared)
     return Strategy(
         name="auto", chosen=choice.method.name, reason=choice.reason, predicted=held_out,

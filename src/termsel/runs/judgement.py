@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -103,15 +103,17 @@ def judge(conventional: str, criterion: str, rmse: Rmses, baselines: tuple[Basel
 
 def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
                  baselines: tuple[Baseline, ...], noise: float | None, *,
-                 held_out: float | None = None, among: int = 1, is_asked_for: bool = False) -> str:
+                 held_out: float | None = None, gains: Mapping[str, float | None] | None = None,
+                 is_asked_for: bool = False) -> str:
     """Return some sentences on the worth of an automatic choice, or of a method asked for.
 
     `predicted` is the RMSE of the choice repeated in folds [px], `held_out` that of the chosen
-    model alone in leave-one-out, which was chosen `among` several, `rmse` that by role, and `noise`
-    the standard deviation of the measurements [px], where it is known. The choice is compared with
-    the conventional model that held-out features would have chosen, like with like: both at the
-    independent points where there are `MANY_INDEPENDENT`, else both in leave-one-out. A
-    conventional model that is better at so many independent points is named, too.
+    model alone in leave-one-out, `gains` are those of the models that it was chosen among (see
+    `verdict_on_choice`), `rmse` is that by role, and `noise` the standard deviation of the
+    measurements [px], where it is known. The choice is compared with the conventional model that
+    held-out features would have chosen, like with like: both at the independent points where there
+    are `MANY_INDEPENDENT`, else both in leave-one-out. A conventional model that is better at so
+    many independent points is named, too.
     """
     measured = rmse["independent"]
     expected = "" if predicted is None else f", with a predicted RMSE of {_px_text(predicted)}"
@@ -134,13 +136,14 @@ def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
         deficient = "" if best.determined else ", which is rank-deficient"
         if by_points and measured is not None:
             rival_rmse = _independent_rmse(best)
-            verdict = verdict_on_choice(measured.total, rival_rmse, best.name, among)
+            verdict = verdict_on_choice(measured.total, rival_rmse, best.name, gains or {},
+                                        at_points=True)
             sentences.append(f"There {title}, the best conventional model in cross-validation, has "
                              f"{_px_text(rival_rmse)}{deficient}: {verdict}.")
             sentences += _conventional_in_hindsight(measured.total, best, [
                 (b, name) for _, b, name in rivals])
         elif held_out is not None:
-            verdict = verdict_on_choice(held_out, rival_held_out, best.name, among)
+            verdict = verdict_on_choice(held_out, rival_held_out, best.name, gains or {})
             sentences.append("In leave-one-out, in which each is predicted by a fit without it, "
                              f"its model has {_px_text(held_out)}, and {title}, the "
                              f"best conventional model, {_px_text(rival_held_out)}{deficient}: "

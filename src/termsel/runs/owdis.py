@@ -18,7 +18,14 @@ from dataclasses import replace
 import numpy as np
 
 from termsel.auto.auto import Auto
-from termsel.auto.rule import CLEAR_MARGIN, FOLDS_WITH_LINES, Choice, gain_of
+from termsel.auto.rule import (
+    CLEAR_MARGIN,
+    FOLDS_WITH_LINES,
+    Choice,
+    advantage_in_words,
+    gain_of,
+    requirement_in_words,
+)
 from termsel.core.errors import TermselError
 from termsel.data.coordinates.places import spatial_order
 from termsel.data.features import FloatArray, Points
@@ -63,22 +70,24 @@ def with_selected_lines(control: FitData, choice: Choice, auto: Auto,
     gain = gain_of(selected_choice.chosen.held_out().squares[:n_points], squares_given)
     comparison = (
         f"OWDIS selects {len(selected_control.features.lines)} of {len(lines)} lines. With these "
-        f"the points are predicted {'better' if gain > 0 else 'worse'} by {abs(gain):.2g} standard "
-        "errors")
+        f"the points are predicted {advantage_in_words(gain, 'without the selection')}"
+        f"{requirement_in_words(gain, CLEAR_MARGIN)}")
     if gain <= CLEAR_MARGIN:
-        return replace(choice, reason=f"{choice.reason} {comparison}; it must be better by more "
-                                      f"than {CLEAR_MARGIN:g}."), None
+        return replace(choice, reason=f"{choice.reason} {comparison}."), None
     # The points judged this selection: only a selection without them shows an honest gain.
     errors = _held_out_errors(control, auto, seed)
     if errors is None:
         return choice, None
     squares = (errors**2).sum(axis=1)
     honest_gain = gain_of(squares, squares_given)
-    comparison += (f", and {'better' if honest_gain > 0 else 'worse'} by {abs(honest_gain):.2g} "
-                   "where it selects without them")
-    if honest_gain <= CLEAR_MARGIN or squares.sum() >= squares_given.sum():
-        return replace(choice, reason=f"{choice.reason} {comparison}; both must be more than "
-                                      f"{CLEAR_MARGIN:g}, and the RMSE smaller."), None
+    comparison += (". Where it selects without the points that are predicted, they are predicted "
+                   f"{advantage_in_words(honest_gain, 'without the selection')}"
+                   f"{requirement_in_words(honest_gain, CLEAR_MARGIN)}")
+    if honest_gain <= CLEAR_MARGIN:
+        return replace(choice, reason=f"{choice.reason} {comparison}."), None
+    if squares.sum() >= squares_given.sum():
+        return replace(choice, reason=f"{choice.reason} {comparison}, but not with a smaller "
+                                      "RMSE, so all lines are used."), None
     reason = f"{selected_choice.reason} {comparison}, so these lines are used."
     return replace(selected_choice, reason=reason), errors
 

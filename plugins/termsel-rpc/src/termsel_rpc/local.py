@@ -187,7 +187,7 @@ class LocalRpc(CorrectedRpc):
         field = fitted.interpolation
         assert isinstance(field, FieldOverRpc)
         return (f"The points show local deformation beyond the vendor's RPC, with a probability of "
-                f"{field.probability:.3g}; it must exceed {LIKELY:g}.")
+                f"{field.probability:.3g} (more than {LIKELY:g} required).")
 
     def suspects(self, control: FitData) -> None:
         """Return None: the corrections with a prior look for blunders."""

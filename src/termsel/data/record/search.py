@@ -106,6 +106,9 @@ class CandidateRow(RecordPart, frozen=True):
     """Effective parameters."""
     predicted: float | None
     """RMSE by leave-one-out [px]."""
+    gain: float | None = None
+    """How much better than the chosen one it predicts left-out points: the mean difference of the
+    logarithms of their squared errors, by its standard error; null if unknown."""
 
 
 NAMED_BY_USER = "You named this method."
