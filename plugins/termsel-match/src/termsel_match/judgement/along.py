@@ -10,28 +10,35 @@ from termsel import FeatureSet, Fit, Points
 from termsel_match.judgement.selection import SelectedCandidates
 from termsel_match.judgement.structures import ModelCorrection
 
-# Lines at which a step is looked for.
 _STEP_LINES = 32
-# Points on either side.
+"""Number of lines, evenly spaced over the image, at which a step is looked for."""
+
 _MIN_CANDIDATES = 3
-# Of the accepted error; a seam's step is about four times its RMS.
-_JITTER, _SEAM = 0.125, 0.25
-# Of the lines: what a step is between.
+"""Fewest candidates on either side of a line between which a step is measured."""
+
+_JITTER = 0.125
+"""RMS change along the lines, divided by the accepted error, that is worth a remark."""
+
+_SEAM = 0.25
+"""Step at one line, divided by the accepted error, that is worth a remark. The step of a seam is
+about four times the RMS change that it makes."""
+
 _WIDEST = 0.25
+"""Largest stretch of lines on either side of a step, as a share of the image's lines."""
 
 
 @dataclass(frozen=True)
 class Along:
-    """By how much a smooth correction along the lines differs from a drift.
+    """How much a correction that is smooth along the lines differs from a drift.
 
     Parameters
     ----------
     size : float
-        RMS at the candidates that agree [px].
+        RMS difference at the candidates that agree [px].
     line : float
-        Where it changes most, in the image [px].
+        Line of the image at which the difference changes most [px].
     away : tuple of float
-        By how much it changes there, line and sample [px].
+        Change of the difference at that line, in line and sample [px].
     """
 
     size: float = 0.0
@@ -44,14 +51,14 @@ class Along:
 
 
 def steady_model(selected: SelectedCandidates) -> Fit:
-    """Return a model that stays near the candidates' beyond them.
+    """Return a model that does not run away beyond the candidates.
 
-    The drift, for a smooth correction.
+    It is the selected one; only in place of a correction that is smooth along the lines comes the
+    drift fitted to the same candidates.
     """
     correction = selected.correction
     if correction.model != "rpc-jitter":
         return selected.result.fit
-    # Fitted again to the same candidates, with the drift alone.
     agree = selected.points.take(selected.agrees)
     return ModelCorrection("rpc-drift", {"rpc": correction.options["rpc"]}).fit(
         FeatureSet(agree, crs=selected.result.features.crs))
@@ -60,16 +67,17 @@ def steady_model(selected: SelectedCandidates) -> Fit:
 def drift_along(selected: SelectedCandidates, agree: Points, lines: int) -> Along:
     """Return how the correction of a model differs from a drift, and where it changes most.
 
-    A seam of the reference along the lines looks like jitter to a smooth correction, which
-    follows it and leaves no residuals. So the correction itself is looked at.
+    A correction that is smooth along the lines follows a seam of the reference as it follows
+    jitter, and leaves no residuals there. So the correction itself is examined.
 
     Parameters
     ----------
-    selected : Selected
+    selected : SelectedCandidates
+        The model; of one that is not smooth along the lines all figures are 0.
     agree : Points
-        Candidates that agree.
+        Candidates that agree with it.
     lines : int
-        Of the image.
+        Number of lines of the image.
     """
     correction = selected.correction
     if correction.model != "rpc-jitter":
@@ -77,13 +85,13 @@ def drift_along(selected: SelectedCandidates, agree: Points, lines: int) -> Alon
     drift = steady_model(selected).project(agree.ground)
     away = selected.result.project(agree.ground) - drift
     line = agree.image[:, 0]
-    # A step is between two stretches of lines, as long as an interval of the correction at most.
+    # A step is the difference of the means over two stretches of lines, before and after it. They
+    # are at most as long as an interval of the correction.
     wide = lines * min(_WIDEST, 1 / correction.options["intervals"])
     largest_at = 0.0
     step = np.zeros(2)
     for at_line in np.linspace(0, lines, _STEP_LINES):
         before, after = ((line > low) & (line <= low + wide) for low in (at_line - wide, at_line))
-        # On both sides there must be some candidates, of which the means are compared.
         if min(before.sum(), after.sum()) >= _MIN_CANDIDATES:
             change = away[after].mean(axis=0) - away[before].mean(axis=0)
             if np.linalg.norm(change) > np.linalg.norm(step):

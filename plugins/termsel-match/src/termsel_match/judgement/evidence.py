@@ -11,25 +11,33 @@ from scipy.stats import poisson
 from termsel_match.images.rasters import FloatArray, Mask, spread_pixels
 
 LEVEL = 0.01
-"""Permutation level at which residuals are not by chance."""
+"""Level of a test up to which a structure or a cluster is not taken for chance."""
+
 _NEIGHBOURS = 8
-# Residuals; of fewer nothing is seen.
+"""How many of the nearest residuals are compared with each."""
+
 _MIN_RESIDUALS = 12
+"""Fewest residuals whose structure is judged."""
+
 _PERMUTATIONS = 499
-# Mean distances of candidates: in so wide a circle chance leaves none in 1 of 1000.
+"""Permutations of the residuals that show what chance does."""
+
 _BARE_RADIUS = 1.5
-# Candidates that agree on another place; fewer are not counted.
+"""Radius of a circle, in mean distances of candidates, that chance leaves empty in 1 of 1000 cases:
+exp(-pi 1.5^2)."""
+
 _CLUSTER = 4
+"""Fewest candidates that count as agreeing on another position."""
 
 
 @dataclass(frozen=True)
 class ResidualStructure:
-    """Residuals that neighbours have in common.
+    """What residuals of neighbours have in common.
 
     Parameters
     ----------
     level : float
-        Share of permutations of the residuals in which neighbours are as alike.
+        Share of random permutations of the residuals in which neighbours are as alike.
     size : float
         Root mean square of what neighbours have in common [px], both axes together.
     image_part : str
@@ -46,21 +54,23 @@ class ResidualStructure:
 
 def residual_structure(image: FloatArray, residuals: FloatArray, limit: float,
                        size: tuple[int, int], rng: np.random.Generator) -> ResidualStructure | None:
-    """Return what residuals of neighbours have in common; None for too few.
+    """Return what residuals of neighbours have in common; None if there are too few residuals.
 
-    Moran's I of vectors, with the eight nearest as neighbours. Its level is that of permutations,
-    in which residuals beyond the limit are cut to it. The mean product of a residual and the mean
-    of its neighbours estimates the variance of what they have in common: noise has no part in it.
+    The measure is Moran's I for vectors, with the eight nearest residuals as neighbours: the mean
+    product of a residual and the mean of its neighbours. As noise of neighbours is independent,
+    this estimates the variance of what they have in common. How often chance makes it as large is
+    found by permutations.
 
     Parameters
     ----------
     image, residuals : ndarray, shape (n, 2)
-        Line and sample [px].
+        Positions in the image and residuals, line and sample [px].
     limit : float
-        [px]
+        Length to which longer residuals are cut in the test [px].
     size : tuple of int
         Lines and samples of the image.
     rng : numpy.random.Generator
+        Source of the permutations.
 
     References
     ----------
@@ -69,20 +79,21 @@ def residual_structure(image: FloatArray, residuals: FloatArray, limit: float,
     count = len(image)
     if count < _MIN_RESIDUALS:
         return None
-    # The eight nearest of each, itself left out.
+    # The nearest of all is the residual itself, which is left out.
     near = cKDTree(image).query(image, min(_NEIGHBOURS, count // 3) + 1)[1][:, 1:]
     length = np.linalg.norm(residuals, axis=1)
-    # Errors beyond the limit count as those at it, so that one of them is not all of the figure.
+    # Longer residuals are cut to the limit: otherwise a single one would decide the test.
     cut = residuals * np.minimum(1, limit / np.maximum(length, 1e-12))[:, None]
     cut -= cut.mean(axis=0)
 
     def likeness(values: FloatArray) -> float:
+        """Return the mean product of each vector (n, 2) with the mean of its neighbours."""
         return float((values * values[near].mean(axis=1)).sum(axis=1).mean())
 
     observed = likeness(cut)
-    # By chance any residual could be at any place: so they are permuted.
+    # Without structure any residual could be at any position.
     n_as_alike = sum(likeness(rng.permutation(cut)) >= observed for _ in range(_PERMUTATIONS))
-    # The median of a residual and its neighbours: where it is large, all of them are off.
+    # Where the median of a residual and its neighbours is large, most of them are off alike.
     local = np.concatenate([residuals[:, None], residuals[near]], axis=1)
     middle = np.median(local, axis=1)
     worst = int(np.linalg.norm(middle, axis=1).argmax())
@@ -98,10 +109,11 @@ class OtherPlace:
     Parameters
     ----------
     count : int
+        How many candidates agree with each other.
     away : tuple of float
-        Line and sample from where the model sees them [px].
+        Median residual of these candidates, line and sample [px].
     image_part : str
-        Part of the image where their middle is.
+        Part of the image in which their median position is.
     """
 
     count: int
@@ -113,17 +125,23 @@ def find_other_place(image: FloatArray, residuals: FloatArray, radius: float,
                      size: tuple[int, int]) -> OtherPlace | None:
     """Return the largest group of wrong candidates that agree, if chance does not explain it.
 
-    Wrong matches lie anywhere in the search. So the others expected within a radius of one are
-    the Poisson distribution's, by the density of all; the level is divided by the trials.
+    Wrong matches are spread evenly over the area that is searched. The number of others within a
+    radius of one then follows the Poisson distribution of their density. As a group is looked for
+    around each candidate, the probability of the largest is multiplied by their number.
 
     Parameters
     ----------
     image, residuals : ndarray, shape (n, 2)
-        Of the candidates that disagree [px].
+        Positions and residuals of the candidates that disagree, line and sample [px].
     radius : float
-        Of a group [px].
+        Largest distance of the residuals of a group from that of its middle one [px].
     size : tuple of int
         Lines and samples of the image.
+
+    Returns
+    -------
+    OtherPlace or None
+        None if there are fewer than four such candidates, or chance may explain the group.
     """
     if len(residuals) < _CLUSTER:
         return None
@@ -131,10 +149,10 @@ def find_other_place(image: FloatArray, residuals: FloatArray, radius: float,
     around = tree.query_ball_point(residuals, radius)
     groups = np.array([len(neighbours) for neighbours in around])
     largest = int(groups.argmax())
-    # Wrong matches lie anywhere in a circle of the largest distance.
+    # The area searched is taken to be the circle that holds all residuals.
     search = max(float(np.linalg.norm(residuals, axis=1).max()), radius)
     expected = len(residuals) * (radius / search) ** 2
-    # Poisson's probability of so many others by chance, times the number of trials.
+    # P(others >= group - 1), as the candidate in the middle is no other; sf(k) is P(> k).
     chance = len(residuals) * float(poisson.sf(groups[largest] - 2, expected))
     if groups[largest] < _CLUSTER or chance > LEVEL:
         return None
@@ -144,30 +162,39 @@ def find_other_place(image: FloatArray, residuals: FloatArray, radius: float,
 
 
 def unsupported_share(image: FloatArray, overlap: Mask, size: tuple[int, int]) -> tuple[float, str]:
-    """Return the share of what image and reference show that has no candidate near, and where.
+    """Return which share of an overlap has no agreeing candidate near, and where most of it is.
 
-    Near is within 1.5 times the distance of candidates if they were spread evenly.
+    A candidate is near within 1.5 times the distance that candidates would have if they were spread
+    evenly over the overlap.
 
     Parameters
     ----------
     image : ndarray, shape (n, 2)
-        Candidates that agree [px].
+        Positions of the candidates that agree, line and sample [px].
     overlap : ndarray of bool, shape (a, b)
-        Where both show the ground, at places spread evenly over the image.
+        Where image and reference both show the ground, at positions spread evenly over the image.
     size : tuple of int
         Lines and samples of the image.
+
+    Returns
+    -------
+    share : float
+    image_part : str
+        Part of the image with the median of these positions; "" if there are none.
     """
     positions = spread_pixels(size, overlap.shape)[overlap.ravel()]
     area = size[0] * size[1] * float(overlap.mean())
-    # The distance of candidates, if they were spread evenly over the area, is sqrt(area / n).
-    away = cKDTree(image).query(positions)[0]
-    bare = away > _BARE_RADIUS * (area / len(image)) ** 0.5
+    distances = cKDTree(image).query(positions)[0]
+    # n candidates that are spread evenly over an area are sqrt(area / n) apart.
+    bare = distances > _BARE_RADIUS * (area / len(image)) ** 0.5
     image_part = part_of(np.median(positions[bare], axis=0), size) if bare.any() else ""
     return float(bare.mean()), image_part
 
 
 def part_of(position: FloatArray, size: tuple[int, int]) -> str:
-    """Return in words which ninth of an image a place (line, sample) is in: "the upper left part".
+    """Return which ninth of an image a position (line, sample) is in, as "the upper left part".
+
+    The middle ninth is "the middle". `size` has the lines and samples of the image.
     """
     down, right = np.clip(3 * position / np.array(size), 0, 2).astype(int).tolist()
     words = [direction for direction in (("upper", "", "lower")[down], ("left", "", "right")[right])

@@ -11,42 +11,53 @@ from scipy.ndimage import maximum_filter
 
 from termsel_match.images.rasters import FloatArray, GreyRaster
 
-# Px of the reference that are compared with themselves.
 _COMPARED_SIDE = 512
-# Px of the standard deviation of what is taken for brightness, and not for texture.
+"""Side of a window of the reference that is compared with itself [px]."""
+
 _COARSE = 8.0
-# In px: nearer places look alike anyway.
+"""Standard deviation of the blur that separates brightness from texture [px]."""
+
 _MIN_DISTANCE = 20
-# Part of the window that a displaced copy must share with it.
+"""Least displacement of a copy that is compared [px]: nearer positions look alike anyway."""
+
 _OVERLAP = 0.2
-# Px that it must share at least: parts of small chips are alike by chance.
+"""Least share of the window that a displaced copy must share with it."""
+
 _ENOUGH = 128**2
-# Of the largest correlation.
+"""Fewest pixels that both must share: small parts are alike by chance."""
+
 _AS_MUCH = 0.9
+"""Correlation, divided by the largest, of the nearest displacement that is reported."""
 ALIKE = 0.5
 """Correlation of the ground with its displaced copy from which on it repeats itself."""
 
 
 def repetition_distance(picture: GreyRaster, positions: FloatArray) -> tuple[float, float]:
-    """Return at which distance a picture is like itself, and how much.
+    """Return at which distance a picture repeats itself, and how well the repetition correlates.
 
-    Up to five windows, in the middle of the places and towards their corners, are compared with
-    their displaced copies: by the normalised correlation of what is known of both (Padfield 2012,
-    "Masked object registration in the Fourier domain", IEEE TIP 21(5), 2706-2718).
+    Up to five windows, in the middle of the positions and towards their corners, are compared with
+    their displaced copies by the normalised correlation of what is known of both (Padfield 2012).
 
     Parameters
     ----------
     picture : GreyRaster
+        The picture.
     positions : ndarray, shape (n, 2)
-        Line and sample of what matters of it [px]; NaN for none.
+        Positions in the part of the picture that matters, line and sample [px]; NaN for a position
+        outside it.
 
     Returns
     -------
     distance : float
-        The least at which it is about as much so as anywhere [px of the picture]; 0 where
+        The least displacement with nearly the largest correlation [px of the picture]; 0 where
         nothing can be compared.
     correlation : float
-        At most 1.
+        The largest correlation of all displacements, at most 1.
+
+    References
+    ----------
+    Padfield 2012: Masked object registration in the Fourier domain. IEEE Transactions on Image
+    Processing 21(5), 2706-2718.
     """
     best = (0.0, 0.0)
     known_places = positions[np.isfinite(positions).all(axis=1)]
@@ -71,20 +82,22 @@ def repetition_distance(picture: GreyRaster, positions: FloatArray) -> tuple[flo
 
 
 def _window_repetition(pixels: FloatArray, is_known: FloatArray) -> tuple[float, float]:
-    """Return the distance [px] at which a window is like itself, and the correlation there.
+    """Return the distance [px] at which a window repeats itself, and the correlation there.
 
     Both are 0 if too little of the window is known (see `repetition_distance`).
     """
-    # Brightness over tens of pixels is no texture: it is divided out by the same blur of the mask.
+    # Brightness over tens of pixels is no texture. A blur of the known pixels, divided by the same
+    # blur of their mask, is the brightness, and is subtracted.
     weight = cv2.GaussianBlur(is_known, (0, 0), _COARSE)
     coarse = cv2.GaussianBlur(pixels * is_known, (0, 0), _COARSE) / np.maximum(weight, 1e-6)
     fine = (pixels - coarse) * is_known
-    # Padded to twice the size, so that displaced copies do not come round.
+    # Padded to twice the size, so that displaced copies do not wrap around.
     shape = [2 * extent for extent in fine.shape]
     of_fine, of_known, of_squares = (np.fft.rfft2(layer, shape)
                                      for layer in (fine, is_known, fine**2))
 
     def correlated(a: Any, b: Any) -> FloatArray:
+        """Return the correlation of two layers at each displacement, from their transforms."""
         return np.asarray(np.fft.irfft2(a * np.conj(b), shape))
 
     overlap = correlated(of_known, of_known)
@@ -92,15 +105,16 @@ def _window_repetition(pixels: FloatArray, is_known: FloatArray) -> tuple[float,
     power_here = correlated(of_squares, of_known)
     power_displaced = correlated(of_known, of_squares)
     power = np.sqrt(np.maximum(power_here, 0) * np.maximum(power_displaced, 0))
-    away = np.hypot(*np.meshgrid(*(np.fft.fftfreq(extent, 1 / extent) for extent in shape),
-                                 indexing="ij"))
+    distance = np.hypot(*np.meshgrid(*(np.fft.fftfreq(extent, 1 / extent) for extent in shape),
+                                     indexing="ij"))
     # Near displacements are alike anyway, and small overlaps are alike by chance.
-    used = (away >= _MIN_DISTANCE) & (power > 1e-9 * power.max()) & (
+    used = (distance >= _MIN_DISTANCE) & (power > 1e-9 * power.max()) & (
         overlap >= max(_OVERLAP * is_known.size, _ENOUGH))
     if not used.any():
         return 0.0, 0.0
     correlation = np.where(used, correlated(of_fine, of_fine) / np.where(used, power, 1), -1)
-    # Peaks: larger than all within 2 px; of those nearly as large as the best, the nearest.
+    # Of the peaks (no larger value within 2 px) nearly as high as the highest, the nearest.
+    largest = correlation.max()
     peaks = correlation == maximum_filter(correlation, 5, mode="wrap")
-    return float(away[peaks & (correlation >= _AS_MUCH
-                               * correlation.max())].min()), float(correlation.max())
+    nearly_largest = peaks & (correlation >= _AS_MUCH * largest)
+    return float(distance[nearly_largest].min()), float(largest)

@@ -22,25 +22,39 @@ from termsel_match.judgement.structures import (
 )
 from termsel_match.searching import features_by_search
 
-# Px at which a candidate counts half in the search.
 AGREEING_PX = 2.0
-_LEAST_CHECK = 2
+"""Distance from the model at which a candidate counts half in the search [px]."""
+
 NEAR_PX = 2 * AGREEING_PX
-"""Px within which the spread of those that agree is estimated."""
+"""Distance within which candidates show the spread of those that agree [px]."""
+
+_LEAST_CHECK = 2
+"""Fewest agreeing selection points by which a correction is chosen."""
+
 _SIGMAS = 3.5
-# In px.
+"""Distance, in standard deviations of one axis, up to which a candidate agrees."""
+
 _MIN_AGREEMENT = 0.5
-# Px that a model misses by RMS, from which on it is said; right ones miss 0.2.
+"""Least distance up to which candidates agree, however exact the matching is [px]."""
+
 _MISSED = 0.35
+"""RMS error of the model itself above which it is reported [px]; right models have 0.2."""
+
 _FIT_ROUNDS = 20
-# Of the correction.
+"""Most rounds of fitting to the candidates that agree, and looking anew which those are."""
+
 _CHOICES = 2
-# Times the check RMSE of the points: more is not by chance.
+"""How often the correction may be chosen anew."""
+
 _WORSE = 1.1
+"""RMSE of the selection points with lines, divided by that without, above which lines contradict
+the points."""
+
 AGREEING = ("Independent RMSE, NSSDA and ASPRS figures are of the independent candidates that "
             "agree with the model, without the others. They may be too small.")
-# Of the distance in two dimensions, in standard deviations of one.
+
 _RAYLEIGH_MEDIAN = 1.1774
+"""Median of a distance in the plane, in standard deviations of one axis: sqrt(2 ln 2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,23 +64,22 @@ class SelectedCandidates:
     Parameters
     ----------
     result : Result
-        Fitted to the candidates for control that agree; its check and independent points are the
-        other candidates that agree.
+        A fit to the agreeing control points; its selection and independent points agree as well.
     agrees : ndarray of bool, shape (n,)
         Which candidates agree.
     independent : ndarray of bool, shape (n,)
         Which candidates took no part in the choice or the fit.
     limit : float
-        Largest distance of those that agree [px].
+        Largest distance from the model at which a candidate agrees [px].
     points : Points
         All candidates.
-    correction : Correction
+    correction : ModelCorrection
         The model and its options.
-    called_for : Correction, optional
-        What held-out candidates support, where that is richer and not determined everywhere.
+    called_for : ModelCorrection, optional
+        A richer correction that held-out candidates support, but do not determine all over the map.
     missed : float
-        RMS error at candidates for check and independent ones, without the noise of matching as far
-        as it is known [px]. 0 where it is small, and no richer correction is supported.
+        RMS error of the model at selection and independent points, without the noise of matching as
+        far as that is known [px]. 0 if it is small and no richer correction is supported.
     """
 
     result: Result
@@ -80,7 +93,7 @@ class SelectedCandidates:
 
     @property
     def share(self) -> float:
-        """Part of the independent candidates that agree."""
+        """Share of the independent candidates that agree."""
         return float(self.agrees[self.independent].mean())
 
     @property
@@ -100,10 +113,10 @@ class SelectedCandidates:
         return float("inf") if rmse is None else rmse.total
 
     def sigma(self, ground: FloatArray) -> FloatArray:
-        """Return the standard deviation of the model at ground places, (n,) [px].
+        """Return the standard deviation of the model at ground positions (n, 3), (n,) [px].
 
-        As the map of sigma has it (see `Fit.sigma`), both axes together, and what the model is
-        known to miss: it grows where few candidates hold the model. Infinite where it is not known.
+        It is that of `Fit.sigma`, both axes together, and of what the model is known to miss.
+        Infinite where it is not known.
         """
         sigma = np.hypot(np.linalg.norm(self.result.fit.sigma(ground), axis=1), self.missed)
         return np.asarray(np.where(np.isfinite(sigma), sigma, np.inf))
@@ -129,15 +142,16 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
     features : FeatureSet
         Candidate points, with heights.
     model : str
+        Name of a model.
     options : mapping
         Options of the model.
     accept : float
-        Error that is accepted [px]. No candidate agrees that is further off, unless matching is
-        less exact.
-    plainer_than : Correction, optional
-        That is too rich: those before it are chosen from.
+        Largest accepted error [px]. A candidate that is further off does not agree, unless the
+        matching is less exact.
+    plainer_than : ModelCorrection, optional
+        A correction that is too rich: only plainer ones are chosen from.
     seed : int
-        Draws the roles, and drives the search.
+        Seed by which roles are drawn and the search runs.
     folder : path-like, optional
         Folder for the result; with `plainer_than` it replaces the one that is there.
 
@@ -186,8 +200,7 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
         # Jitter moves good candidates beyond the limit: all that are near have a say.
         near = ~independent & (errors <= NEAR_PX)
         several = supported_corrections(model, options, int(near.sum()))
-        # Those before the one that is too rich.
-        plainer = list(takewhile(lambda richer: richer != plainer_than, several))
+        plainer = list(takewhile(lambda correction: correction != plainer_than, several))
         close = FeatureSet(points.take(near), crs=features.crs)
         better = plainest_supported_correction(plainer, close, seed)
         if better == correction or choice == _CHOICES:
@@ -212,7 +225,7 @@ def select_points(features: FeatureSet, model: str, options: Mapping[str, Any], 
 
 
 def _options_for_all_control(features: FeatureSet) -> dict[str, Any]:
-    """Return options of a run that uses all control, so that no better selection is looked for."""
+    """Return the options by which a run uses all control points and lines, without a selection."""
     control = features.points.take(np.array(features.points.roles, dtype=object) == "control")
     return {"min_features": len(features.with_(points=control)), "blunders": "keep"}
 
@@ -228,7 +241,9 @@ def _require_control(roles: Any, n_terms: int) -> None:
 
 
 def _require_enough(agrees: Mask, roles: Any, n_terms: int) -> None:
-    """Raise TermselError unless enough candidates agree for a fit of `n_terms` and for its check.
+    """Raise TermselError unless enough candidates agree to fit `n_terms` and to choose by others.
+
+    `agrees` (n,) is which candidates agree, `roles` (n,) are their roles.
     """
     control, check = (int((agrees & (roles == role)).sum()) for role in ("control", "check"))
     if control < max(6, n_terms) or check < _LEAST_CHECK:
@@ -243,16 +258,17 @@ def with_lines(selected: SelectedCandidates, lines: FeatureSet, *, seed: int = 1
                folder: Path | str | None = None) -> SelectedCandidates:
     """Return the model fitted to the points that agree and to lines together.
 
-    Points and lines weigh by their standard deviations. The candidates for check, which no fit
-    uses, must not be further from it than from that of the points alone.
+    Points and lines are weighted by their standard deviations. The selection points, which neither
+    fit uses, must not be much further from this fit than from that to the points alone.
 
     Parameters
     ----------
-    selected : Selected
+    selected : SelectedCandidates
+        The model by points alone.
     lines : FeatureSet
-        In the CRS of the points or another one.
+        Lines in the CRS of the points or in another one.
     seed, folder
-        As for `select_points`; a result that is in the folder is replaced.
+        As for `select_points`; an earlier result in the folder is replaced.
 
     Raises
     ------
@@ -268,26 +284,27 @@ def with_lines(selected: SelectedCandidates, lines: FeatureSet, *, seed: int = 1
     control = features.points.roles == np.array("control", dtype=object)
     used = with_both.with_(points=replace(features.points.take(control), roles=()))
     check = features.points.take(features.points.roles == np.array("check", dtype=object))
-    # Candidates for check are in neither fit, and so can judge between both.
+    # Selection points are in neither fit, and so can judge between both.
     rms_alone, rms_with_lines = (_rms_distance(fitted, check) for fitted in (
         selected.result.fit, termsel.fit(used, model, **options)))
     if rms_with_lines > _WORSE * rms_alone:
         raise TermselError(
-            "points and lines contradict each other: candidates for check are "
+            "points and lines contradict each other: selection points are "
             f"{rms_with_lines:.2f} px from the model of both, and {rms_alone:.2f} px from that of "
             "the points",
             hint="Give vectors that agree with the reference, or match points alone.")
     result = _with_note(termsel.run(
         "owdis-lines", features=with_both, model=model, solver="all-terms",
-        options={**options, "mixed": True,
-                 **_options_for_all_control(with_both)}, seed=seed, out=folder,
-        overwrite=True),
-        folder)
+        options={**options, "mixed": True, **_options_for_all_control(with_both)},
+        seed=seed, out=folder, overwrite=True), folder)
     return replace(selected, result=result)
 
 
 def _with_note(result: Result, folder: Path | str | None) -> Result:
-    """Return a result with a note on what its independent figures are of, also in its folder."""
+    """Return a result with a note that its independent figures are of agreeing candidates alone.
+
+    With a folder, the result there is replaced by the one with the note.
+    """
     noted = result.with_(notes=(*result.notes, AGREEING))
     if folder is not None:
         write_result(noted, Path(folder))
@@ -295,9 +312,10 @@ def _with_note(result: Result, folder: Path | str | None) -> Result:
 
 
 def _draw_roles(points: Points, seed: int) -> Any:
-    """Return roles drawn by a seed; points that are independent already are the only ones.
+    """Return roles (n,) of points, drawn by a seed.
 
-    They are drawn among four neighbours along the lines, so that each role is all along them.
+    Of four neighbours in line one becomes a selection point and one independent, so that each role
+    is found all along the image. If some points are independent already, no others become so.
     """
     roles = np.array(points.roles, dtype=object)
     free = np.flatnonzero(roles != "independent")
@@ -305,7 +323,6 @@ def _draw_roles(points: Points, seed: int) -> Any:
              "independent" if len(free) == len(roles) else "control"]
     free = free[np.argsort(points.image[free, 0], kind="stable")]
     rng = np.random.default_rng([seed, 1])
-    # Of four neighbours one is for check, and one independent.
     for first in range(0, len(free), len(drawn)):
         neighbours = free[first:first + len(drawn)]
         roles[neighbours] = rng.permutation(np.array(drawn, dtype=object))[:len(neighbours)]
@@ -313,7 +330,7 @@ def _draw_roles(points: Points, seed: int) -> Any:
 
 
 def _distances_from_fit(fitted: Fit, points: Points) -> FloatArray:
-    """Return the distances (n,) [px] of points from a fit; infinite where it sees none."""
+    """Return the distances (n,) [px] of points from a fit; infinite where it does not project."""
     errors = np.linalg.norm(points.image - fitted.project(points.ground), axis=1)
     return np.asarray(np.where(np.isfinite(errors), errors, np.inf))
 
@@ -326,33 +343,36 @@ def _rms_distance(fitted: Fit, points: Points) -> float:
 def _rms_at_unused(fit: Fit, points: Points) -> float:
     """Return the RMS error of a fit at candidates that it does not use, without noise [px].
 
-    Those count, too, that do not agree: they show best what the model misses. Blunders do not, by
-    the median of all. Where standard deviations are stated, noise is not larger than they say, nor
-    than neighbours along the lines differ.
+    Candidates that do not agree count as well, as they show best what the model misses; only those
+    beyond 3.5 standard deviations, by the median, are left out as blunders. Noise is subtracted
+    where standard deviations are stated: as much as they say, but not more than the differences of
+    neighbours in line show. Infinite if there are too few candidates.
     """
-    away = (points.image - fit.project(points.ground))[np.argsort(points.image[:, 0])]
-    squares = (away**2).sum(axis=1)
-    away = away[np.isfinite(squares)]
+    errors = (points.image - fit.project(points.ground))[np.argsort(points.image[:, 0])]
+    squares = (errors**2).sum(axis=1)
+    errors = errors[np.isfinite(squares)]
     squares = squares[np.isfinite(squares)]
     if len(squares) < _LEAST_CHECK:
         return float("inf")
-    # Rayleigh's median: blunders are beyond 3.5 standard deviations of the others.
+    # The median distance is Rayleigh's median times the standard deviation of an axis.
     right = squares <= _SIGMAS**2 * np.median(squares) / _RAYLEIGH_MEDIAN**2
     noise = 0.0
     if points.sigma is not None:
-        # Neighbours along the lines differ by noise alone, sqrt(2) times in each axis.
-        steps = (np.diff(away[right], axis=0)**2).sum(axis=1)
+        # Neighbours in line differ by noise alone, with 2 sigma^2 in each axis. That is also the
+        # noise of both axes together, sigma^2 each, which is wanted here.
+        steps = (np.diff(errors[right], axis=0)**2).sum(axis=1)
         noise = float(min(np.median((points.sigma**2).sum(axis=1)),
                           np.median(steps) / _RAYLEIGH_MEDIAN**2))
     return float(np.sqrt(max(squares[right].mean() - noise, 0.0)))
 
 
 def _agreeing_candidates(errors: FloatArray, used: Mask, max_limit: float) -> tuple[Mask, float]:
-    """Return which candidates in use agree, and the largest error [px] that counts as agreement.
+    """Return which candidates in use agree, (n,), and the largest error that counts so [px].
 
-    The limit follows the spread of the near ones; it is `max_limit` px at most.
+    This limit is 3.5 standard deviations of the candidates near the model, but at most `max_limit`
+    and at least 0.5 px.
     """
-    # By the median of those that are near, which blunders hardly change.
+    # The median of those that are near is hardly changed by blunders.
     near = errors[used & (errors < NEAR_PX)]
     sigma = float(np.median(near)) / _RAYLEIGH_MEDIAN if len(near) else 0.0
     limit = max(min(_SIGMAS * sigma, max_limit), _MIN_AGREEMENT)

@@ -14,24 +14,23 @@ from termsel import FeatureSet, Fit, TermselError
 from termsel_match.images.rasters import FloatArray
 
 _FOLDS = 5
-# Px beyond which all errors count alike: such candidates are wrong.
+
 _CAP = 4.0
-# Candidates for each interval.
-_PER_INTERVAL = 3
+"""Error [px] beyond which all errors count alike, as such candidates are wrong."""
+
 _INTERVALS = (2, 4, 8, 16, 32)
-# Heights that differ less from a plane [of their unit] determine no term of a model.
+"""Numbers of intervals along the lines that a smooth correction may have."""
+
+_PER_INTERVAL = 3
+"""Fewest candidates for each interval of a smooth correction."""
+
 _LEVEL = 0.01
+"""Range of heights above their plane, in their unit, below which they determine no term."""
 
 
 @dataclass(frozen=True)
 class ModelCorrection:
-    """A model with its options, from plain to rich.
-
-    Parameters
-    ----------
-    model : str
-    options : mapping
-    """
+    """A model that corrects the start of an image, by its name, with its options."""
 
     model: str
     options: Mapping[str, Any]
@@ -49,20 +48,24 @@ class ModelCorrection:
 
 
 def heights_above_plane(ground: FloatArray, places: FloatArray) -> FloatArray:
-    """Return how far places (m, 3) are above the plane nearest to ground positions (n, 3), (m,)."""
+    """Return how far places (m, 3) are above a plane, (m,); `ground` (n, 3) defines the plane.
+
+    It is the plane z = a + b x + c y with the least squares of the differences in height.
+    """
     middle = ground.mean(axis=0)
+    # Coordinates divided by their range: the solution then loses no digits.
     size = np.maximum(np.ptp(ground, axis=0), np.finfo(np.float64).tiny)
     known, asked = ((positions - middle) / [*size[:2], 1.0] for positions in (ground, places))
-    # z = a + b x + c y
-    slopes = np.linalg.lstsq(np.insert(known[:, :2], 0, 1.0, axis=1), known[:, 2])[0]
-    return np.asarray(asked[:, 2] - np.insert(asked[:, :2], 0, 1.0, axis=1) @ slopes)
+    plane = np.linalg.lstsq(np.insert(known[:, :2], 0, 1.0, axis=1), known[:, 2])[0]
+    return np.asarray(asked[:, 2] - np.insert(asked[:, :2], 0, 1.0, axis=1) @ plane)
 
 
 def model_by_relief(
         model: str, options: Mapping[str, Any], features: FeatureSet) -> ModelCorrection:
-    """Return a model, or where it is affine and the ground a plane, the affine one without heights.
+    """Return the correction that a model and its options stand for.
 
-    On a plane, heights say the same as x and y, and the terms of both are not determined.
+    An affine model of ground that is a plane becomes the affine one without heights: there heights
+    depend on x and y, so that the terms of all three are not determined.
     """
     ground = features.ground_vertices()
     if model == "affine" and np.ptp(heights_above_plane(ground, ground)) < _LEVEL:
@@ -72,15 +75,17 @@ def model_by_relief(
 
 def supported_corrections(model: str, options: Mapping[str, Any],
                           count: int) -> list[ModelCorrection]:
-    """Return what so many candidates may support, the plainest first.
+    """Return the corrections that so many candidates may support, the plainest first.
 
     Parameters
     ----------
     model : str
-        With which the search began; one that corrects no RPC is the only one.
+        The model with which the search began. One that does not correct an RPC is the only one to
+        come back.
     options : mapping
+        Options of that model.
     count : int
-        Of candidates.
+        Number of candidates.
     """
     if not model.startswith("rpc-"):
         return [ModelCorrection(model, options)]
@@ -94,15 +99,21 @@ def plainest_supported_correction(
         several: list[ModelCorrection], features: FeatureSet, seed: int) -> ModelCorrection:
     """Return the plainest correction within one standard error of the best, by held-out candidates.
 
-    Candidates are drawn into five folds; each is predicted by a fit to the others.
+    Candidates are drawn into five folds, and those of a fold are predicted by a fit to the others.
 
     Parameters
     ----------
-    several : list of Correction
-        The plainest first.
+    several : list of ModelCorrection
+        Corrections to choose from, the plainest first.
     features : FeatureSet
-        Candidate points that are near the model so far; some may be wrong.
+        Candidate points near the model found so far; some may be wrong.
     seed : int
+        Seed by which the folds are drawn.
+
+    Returns
+    -------
+    ModelCorrection
+        The first if the candidates determine none of them in all folds.
 
     References
     ----------
@@ -117,17 +128,19 @@ def plainest_supported_correction(
     if not errors_of:
         return several[0]
     best = min((squares for _, squares in errors_of), key=np.mean)
-    # One standard error of the difference, point by point: most of what is common cancels.
-    root = np.sqrt(len(best))
+    # The standard error is that of the differences, candidate by candidate, in which the errors
+    # that both corrections share cancel.
+    root_of_count = np.sqrt(len(best))
     return next(correction for correction, squares in errors_of
-                if (squares - best).mean() <= (squares - best).std() / root)
+                if (squares - best).mean() <= (squares - best).std() / root_of_count)
 
 
 def _held_out_squares(correction: ModelCorrection, features: FeatureSet, fold: NDArray[np.intp],
                       ) -> FloatArray | None:
-    """Return the squared errors [px2] of points (n,) by fits without their fold, capped.
+    """Return the squared error of each point by the fit without its fold, capped, (n,) [px^2].
 
-    `fold` (n,) has the number of each point's fold. None if a fit is undetermined.
+    `fold` (n,) has the number of each point's fold. None if a fit fails, as where the other points
+    do not determine it.
     """
     points = features.points
     squares = np.empty(len(fold))
@@ -137,7 +150,6 @@ def _held_out_squares(correction: ModelCorrection, features: FeatureSet, fold: N
             fitted = correction.fit(features.with_(points=points.take(~held_out)))
         except TermselError:
             return None
-        away = points.image[held_out] - fitted.project(points.ground[held_out])
-        squares[held_out] = (away**2).sum(axis=1)
-    # Wrong candidates count alike however far they are.
+        errors = points.image[held_out] - fitted.project(points.ground[held_out])
+        squares[held_out] = (errors**2).sum(axis=1)
     return np.minimum(np.where(np.isfinite(squares), squares, np.inf), _CAP**2)

@@ -26,24 +26,36 @@ from termsel_match.judgement.structures import heights_above_plane
 from termsel_match.lines.rounds import Matched, rms_distance
 from termsel_match.points.candidates import Candidates
 
-# Candidates that agree; of fewer the RMSE says little.
 _LEAST_INDEPENDENT = 5
-# Part of the image, without candidates that agree, that is worth a remark.
+"""Fewest independent candidates that must agree: the RMSE of fewer says little."""
+
 _BARE = 0.15
-# Of the number that agree: so many that agree on another place may be the right ones.
+"""Share of the image without agreeing candidates above which the report remarks on it."""
+
 _RIVAL = 0.5
-# Of the accepted error: less structure does not matter.
+"""Candidates that agree on another position, divided by those that agree with the model, from which
+on the other position may be the right one."""
+
 _STRUCTURE = 0.125
-# Part of the candidates whose heights may be outside those of the RPC.
+"""What residuals of neighbours have in common, divided by the accepted error, above which it
+matters."""
+
 _OUTSIDE = 0.1
-# In m: twice the CE90 of QuickBird (23 m); later vendors state 3 to 15 m.
+"""Share of the candidates outside the range of heights of the RPC above which the report asks about
+the heights."""
+
 _USUAL_BIAS = 50.0
-# Times the bias that an RPC states.
+"""Largest usual error of an RPC whose vendor states none [m]: twice the CE90 of QuickBird (23 m).
+Later vendors state 3 to 15 m."""
+
 _STATED = 3.0
-# Candidates that disagree, by name.
+"""Correction, divided by the bias that an RPC states, above which the report asks about the RPC."""
+
 _MAX_NAMED = 12
-# In m.
+"""How many of the candidates that disagree the report names."""
+
 _EARTH = 6.371e6
+"""Mean radius of the Earth [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,23 +65,27 @@ class Evidence:
     Parameters
     ----------
     sigma : float
-        Largest standard deviation of the model where the map is [px].
+        Largest standard deviation of the model within the map [px].
     covered : float
-        Part of what image and reference show that is in the hull of the control.
+        Share of the area that image and reference both show which lies in the hull of the agreeing
+        candidates.
     bare : tuple of float and str
-        Part that has no candidate near that agrees, and where.
-    structure : Structure, optional
-        Of the residuals.
+        Share of that area which has no agreeing candidate nearby, and the part of the image with
+        most of it ("" if the share is 0).
+    structure : ResidualStructure, optional
+        What residuals of neighbours have in common; None of too few residuals.
     other_place : OtherPlace, optional
-        Where candidates agree that disagree with the model.
+        The position on which candidates that disagree with the model agree; None without one.
     correction : ndarray, shape (n, 2), optional
-        From the start to the candidates that agree, line and sample [px].
+        Differences of the agreeing candidates from the start, line and sample [px]; None without a
+        rough start.
     pixel : float
         Size of a pixel on the ground [m].
     along_lines : Along
-        By how much a correction that is smooth along the lines differs from a drift.
+        How much a correction that is smooth along the lines differs from a drift.
     repetition : tuple of float
-        Distance at which the reference is like itself [px of it], and how much (`repetition`).
+        Distance at which the reference repeats itself [px of the reference], and the correlation
+        there (see `repetition_distance`).
     """
 
     sigma: float
@@ -85,19 +101,21 @@ class Evidence:
 
 def evidence_of(candidates: Candidates, selected: SelectedCandidates, heights: Heights,
                 areas: tuple[Mask, Mask], seed: int, repetition: tuple[float, float]) -> Evidence:
-    """Return what candidates say of the model that is fitted to some of them.
+    """Return what the candidates say of the model that is fitted to some of them.
 
     Parameters
     ----------
     candidates : Candidates
-    selected : Selected
+        All candidates, whether they agree with the model or not.
+    selected : SelectedCandidates
+        The model, and which candidates agree with it.
     heights : float or callable
-        Heights of ground places.
+        One height of the ground, or a function that gives those of positions (n, 2).
     areas : tuple of ndarray of bool, shape (a, b)
-        Where, at places spread evenly over the image, it and the reference show the ground; and
-        which of them are to be mapped.
+        Two masks of positions spread evenly over the image: where both image and reference show the
+        ground, and what is to be mapped.
     seed : int
-        Of the permutations.
+        Seed of the permutations that judge the structure of the residuals.
     repetition : tuple of float
         As the attribute of `Evidence`.
     """
@@ -106,12 +124,12 @@ def evidence_of(candidates: Candidates, selected: SelectedCandidates, heights: H
     size = candidates.image_size
     fit = selected.result.fit
     residuals = points.image - fit.project(points.ground)
-    away = np.linalg.norm(residuals, axis=1)
-    # Of less exact matching: what agrees is no other place.
+    distances = np.linalg.norm(residuals, axis=1)
+    # Inexact matching has a wider limit: what agrees within it is not on another position.
     reach = max(NEAR_PX, selected.limit)
-    near = away <= reach
-    far = (away > reach) & np.isfinite(away)
-    # Where the map will be, by a model that goes nowhere beyond the candidates.
+    near = distances <= reach
+    far = (distances > reach) & np.isfinite(distances)
+    # Ground of the map, by a model that stays close to the candidates' beyond them.
     ground = steady_model(
         selected).locate(spread_pixels(size, mapped.shape)[mapped.ravel()], heights)
     ground = ground[np.isfinite(ground).all(axis=1)]
@@ -119,7 +137,8 @@ def evidence_of(candidates: Candidates, selected: SelectedCandidates, heights: H
     agree = points.take(selected.agrees)
     pixel = _pixel_size(agree, candidates.crs)
     if len(ground) and not fit.model.uses_height:
-        # A view from 45 degrees displaces what is above the level of the candidates by as much.
+        # A model without heights ignores relief. A view from 45 degrees displaces a place by as
+        # much as it is above the plane of the candidates.
         above = heights_above_plane(agree.ground, ground) * height_unit(candidates.crs) / pixel
         sigma = np.hypot(sigma, above)
     start = candidates.rough
@@ -138,7 +157,7 @@ def evidence_of(candidates: Candidates, selected: SelectedCandidates, heights: H
 
 def remarks_for_user(candidates: Candidates, selected: SelectedCandidates, evidence: Evidence,
                      accept: float) -> tuple[str, ...]:
-    """Return sentences on what a user must look at, though the map may be right; () if none.
+    """Return sentences on what the user should check, though the map may be right; () if none.
 
     `accept` is the largest acceptable error [px].
     """
@@ -200,14 +219,13 @@ def remarks_for_user(candidates: Candidates, selected: SelectedCandidates, evide
 
 def reasons_to_reject(
         selected: SelectedCandidates, evidence: Evidence, accept: float) -> tuple[str, ...]:
-    """Return sentences on why a result is not good enough; () if it is.
+    """Return sentences on why a result is not good enough; () if it is good enough.
 
     `accept` is the largest acceptable error [px].
     """
     refusals = []
     total = int(selected.independent.sum())
-    agree = int(
-        (selected.agrees & selected.independent).sum())
+    agree = int((selected.agrees & selected.independent).sum())
     if agree < _LEAST_INDEPENDENT:
         refusals.append(f"Only {agree} of {total} independent candidates agree with the model; at "
                         f"least {_LEAST_INDEPENDENT} must.")
@@ -218,7 +236,7 @@ def reasons_to_reject(
     if selected.rmse > accept:
         refusals.append(f"The RMSE of those that agree is {selected.rmse:.2f} px; accepted are "
                         f"{accept:g} px.")
-    # Not `sigma > accept`, so that nan refuses, too.
+    # Not `sigma > accept`: an unknown deviation (NaN) must be a refusal, too.
     if not evidence.sigma <= accept:
         refusals.append(f"The predicted standard deviation is up to {evidence.sigma:.2f} px where "
                         f"the map would be; accepted are {accept:g} px. Give a larger reference, "
@@ -239,10 +257,10 @@ def reasons_to_reject(
 
 
 def _is_seam(evidence: Evidence, accept: float) -> bool:
-    """Return whether a correction along the lines follows a step of the reference.
+    """Return whether a correction along the lines follows a seam of the reference.
 
-    Jitter moves all that a line shows. At a seam candidates agree on two places, which differ by
-    the step.
+    Jitter of the attitude displaces a whole line of the image. At a seam of the reference, however,
+    candidates of the same lines agree on two positions, whose difference is the step.
     """
     step = np.array(evidence.along_lines.away)
     if evidence.other_place is None or np.linalg.norm(step) <= accept:
@@ -254,25 +272,29 @@ def _is_seam(evidence: Evidence, accept: float) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Georeferenced:
-    """What came of an image.
+    """The model found for an image, the evidence on it, and whether it is good enough for a map.
 
     Parameters
     ----------
     candidates : Candidates
-    selected : Selected
+        All candidates that were matched or given.
+    selected : SelectedCandidates
+        The model, and which candidates agree with it.
     evidence : Evidence
+        What the candidates say of the model.
     accept : float
         Largest accepted error [px].
     reasons : tuple of str
-        Why the result is not good enough; empty where it is.
+        Why the result is not good enough; empty if it is.
     remarks : tuple of str
-        What must be looked at.
+        What the user should check, though the map may be right.
     lines : Matched, optional
-        The lines that are control too.
+        Lines that are control as well; None if the model is by points alone.
     unused : str
-        Why vectors that were given are not used.
+        Why given vectors are not used; "" if they are, or none are given.
     bounds : tuple of float, optional
-        Of the map in the CRS of the candidates, where it is not of all of the image.
+        Least x and y and largest x and y of the map, in the CRS of the candidates. None if all of
+        the image is mapped.
     """
 
     candidates: Candidates
@@ -288,7 +310,6 @@ class Georeferenced:
     def text(self) -> str:
         """Return the report as text: start, candidates, model, accuracy, remarks and reasons.
 
-        The remarks are for whoever uses the map; the reasons, if any, are why it is not accepted.
         Distances are in px of the image unless another unit is named.
         """
         selected = self.selected
@@ -343,18 +364,20 @@ class Georeferenced:
 
 
 def _structure_matters(evidence: Evidence, accept: float) -> bool:
-    """Return whether the structure of residuals is neither by chance nor too small to matter."""
+    """Return whether residuals of neighbours are alike beyond chance, and by enough to matter."""
     common = evidence.structure
     return common is not None and common.level <= LEVEL and common.size > _STRUCTURE * accept
 
 
-def _vector_text(away: tuple[float, float]) -> str:
-    """Return a vector (line, sample) [px] in words, with signs."""
-    return f"by ({away[0]:+.1f}, {away[1]:+.1f}) px in line and sample"
+def _vector_text(vector: tuple[float, float]) -> str:
+    """Return a displacement (line, sample) [px] in words, with signs."""
+    return f"by ({vector[0]:+.1f}, {vector[1]:+.1f}) px in line and sample"
 
 
 def _ground_for_start(points: Points, candidates: Candidates) -> FloatArray:
-    """Return ground places (n, 3) in the CRS of the start, at its height where theirs is unknown.
+    """Return ground positions (n, 3) of points in the CRS of the start.
+
+    Where the height of a point is unknown it gets that of the start.
     """
     assert candidates.rough is not None
     z = points.ground[:, 2]
@@ -364,7 +387,9 @@ def _ground_for_start(points: Points, candidates: Candidates) -> FloatArray:
 
 
 def _share_covered(image: FloatArray, overlap: Mask, size: tuple[int, int]) -> float:
-    """Return the share of the places in `overlap` that lie in the hull of image positions (n, 2).
+    """Return which share of an overlap lies in the hull of image positions (n, 2) [px].
+
+    `overlap` (a, b) is a mask of positions spread evenly over an image of `size`.
     """
     hull = shapely.convex_hull(shapely.MultiPoint(image))
     positions = spread_pixels(size, overlap.shape)[overlap.ravel()]
@@ -372,9 +397,9 @@ def _share_covered(image: FloatArray, overlap: Mask, size: tuple[int, int]) -> f
 
 
 def _pixel_size(points: Points, crs: str) -> float:
-    """Return the size of a pixel on the ground [m], by the hulls of points.
+    """Return the size of a pixel on the ground [m]: the root of the areas' ratio of two hulls.
 
-    NaN if that has no area.
+    They are those of the points on the ground and in the image. NaN if the latter has no area.
     """
     lonlat = np.radians(transform_plane(points.ground[:, :2], crs, "EPSG:4326"))
     # Metres on a sphere about the middle: east is narrower by the cosine of the latitude.
