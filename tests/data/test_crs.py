@@ -164,7 +164,7 @@ def _at_heights(crs: str, heights: Sequence[float]) -> FeatureSet:
     ((29_032.0, 12_100.0), "They look like feet, 3,688 to 8,849 m: state it: --set z_unit=ft"),
     ((1e25, 1e24), "Give heights in metres; or another column has the heights: --columns z=NAME."),
     ((900.0, 910.0, 905.0, 920.0, 903.0, 904.0, 272_692.3),
-     "The other 6 are between 900 and 920 m: correct it, or remove its row.")])
+     "The other 6 are between 900 and 920 m: correct it, or leave it out: --off h.")])
 def test_heights_of_no_ground_are_refused(heights: tuple[float, ...], unit: str, crs: str) -> None:
     features = _at_heights(crs, (np.nan, *heights))
     with pytest.raises(TermselError, match="beyond any ground: that of the Earth") as caught:

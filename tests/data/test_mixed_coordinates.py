@@ -297,6 +297,7 @@ def test_what_no_crs_has_does_not_end_a_run_that_leaves_it_out(
     off = {"off": "BAD"} if by == "option" else {}
     result = termsel.run(features=termsel.read(table, crs=crs, **off), options=off)
     assert "BAD" not in result.fit.control.ids
+    assert "correct the coordinates" not in result.summary()
     control = result.fit.control.points
     assert np.abs(result.fit.project(control.ground) - control.image).max() < 1.0
     table.write_text("\n".join([header, *rows, wrong]), encoding="utf-8")

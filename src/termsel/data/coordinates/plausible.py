@@ -105,29 +105,27 @@ def _check_heights(heights: FloatArray, features: FeatureSet, stated_unit: str |
     beyond = np.flatnonzero(np.abs(metres) > (_HIGHEST if on_earth else _HIGHEST_OF_BODIES))
     if not beyond.size:
         return
+    names = list(dict.fromkeys(_name_vertex(features, i, 2)[0] for i in beyond.tolist()))
     name, column = _name_vertex(features, int(beyond[0]), 2)
     reach = ": that of the Earth reaches 8,849 m" if on_earth else ""
     raise TermselError(
         f"the height {heights[beyond[0]]:,.10g} of {name} is beyond any ground{reach}",
-        ids=[name], column=column, hint=_hint_of_heights(metres, beyond, column))
+        ids=[name], column=column, hint=_hint_of_heights(metres, beyond, column, names))
 
 
-def _hint_of_heights(metres: FloatArray, beyond: IntArray, column: str) -> str:
+def _hint_of_heights(metres: FloatArray, beyond: IntArray, column: str, names: list[str]) -> str:
     """Return a sentence on the likely reason why some heights are beyond any ground.
 
     `metres` are all heights (n,), NaN where blank; `beyond` are the indices of the heights at
-    fault, `column` is the name of their column.
+    fault, `column` is the name of their column, and `names` are the features that have them.
     """
     known_heights = metres[np.isfinite(metres)]
     if len(beyond) <= _FEW_OUTSIDE * len(known_heights):
         possible_heights = np.delete(metres, beyond)
         low, high = np.nanmin(possible_heights), np.nanmax(possible_heights)
-        if len(beyond) == 1:
-            what_to_correct = "it, or remove its row"
-        else:
-            what_to_correct = f"these {len(beyond)}, or remove their rows"
+        at_fault, them = ("it", "it") if len(beyond) == 1 else (f"these {len(beyond)}", "them")
         return (f"The other {len(known_heights) - len(beyond)} are between {low:,.0f} and "
-                f"{high:,.0f} m: correct {what_to_correct}.")
+                f"{high:,.0f} m: correct {at_fault}, or leave {them} out: --off {','.join(names)}.")
     declare_column = f"another column has the heights: --columns {column}=NAME."
     low, high = known_heights.min(), known_heights.max()
     for unit, size, remedy in _LIKELY_UNITS:
@@ -366,8 +364,11 @@ def note_on_wrong_coordinates(features: FeatureSet) -> str:
 
     Minutes, zones and heights in kilometres show by the image: the ground, read rightly, is nearly
     an affine image of it. They are not looked for in fewer than `MIN_AFFINE_POINTS` points, nor
-    without a CRS.
+    without a CRS. Points that are off take no part.
     """
+    is_off = [role == "off" for role in features.points.roles]
+    if any(is_off):
+        features = features.with_(points=features.points.take(~np.array(is_off)))
     points = features.points
     before_the_crs = (_note_on_zeros(points) or _note_on_pixels(points)
                       or _note_on_depths(features))
@@ -402,13 +403,11 @@ def _note_on_pixels(points: Points) -> str:
 def _note_on_zeros(points: Points) -> str:
     """Return a note on several points at x = 0 and y = 0, or at line = 0 and sample = 0; or "".
 
-    Programs write zeros for places that they do not know. A single point may lie there; points that
-    are off take no part.
+    Programs write zeros for places that they do not know. A single point may lie there.
     """
-    in_use = np.array(points.roles, dtype=object) != "off"
     for positions, origin in ((points.ground[:, :2], "x = 0 and y = 0"),
                               (points.image, "line = 0 and sample = 0")):
-        at_zero = np.flatnonzero((positions == 0.0).all(axis=1) & in_use)
+        at_zero = np.flatnonzero((positions == 0.0).all(axis=1))
         if at_zero.size > 1:
             ids = first_names_in_words([points.ids[i] for i in at_zero], MAX_POINTS_NAMED)
             return (f"{at_zero.size} points lie at {origin}, which stands for places that are not "
