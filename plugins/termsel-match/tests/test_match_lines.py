@@ -175,7 +175,7 @@ def test_stretches_of_few_vectors_are_contiguous() -> None:
     single: Any = termsel.prepare("matched-lines", features=features, model="poly2d",
                                   options={"degree": 1, "half_at": 1.0}).problem
     assert (np.diff(_bootstrap_units(single.vector)) >= 0).all()
-    pieces = [str(one.attributes["piece"][own[0]]) for own in single._equations_of_pieces()]
+    pieces = [str(one.attributes["piece"][own[0]]) for own in single.candidates_of_pieces()]
     assert pieces == [str(number) for number in range(48)]
 
 

@@ -23,15 +23,20 @@ from termsel_match.points.readers import (
 __all__ = ["AspMatches", "is_matches", "read_matches"]
 
 _DIGITS = 19
-# Of an interest point as text, before its descriptor.
+"""Number of digits of a count that are read: Python refuses numbers of thousands of digits."""
+
 _POINT_CELLS = 11
-# Bytes of the two counts.
+"""Number of cells of an interest point as text, before its descriptor."""
+
 _COUNTS = 16
-# x, y, both as whole numbers, orientation, scale, interest, polarity, octave, level, and the
-# length of the descriptor, as VisionWorkbench writes them without gaps.
+"""Bytes of the two counts at the beginning of a binary file."""
+
 _RECORD = Struct("<2f2i3f?2IQ")
-# Matches, and numbers of a descriptor: more are none of a real file.
+"""An interest point as VisionWorkbench writes it, without gaps: x, y, both as whole numbers,
+orientation, scale, interest, polarity, octave, level, and the length of the descriptor."""
+
 _MAX_MATCHES = 10_000_000
+"""Number of matches, or numbers of a descriptor, that no real file exceeds."""
 
 
 class AspMatches(Reader):
@@ -51,8 +56,6 @@ class AspMatches(Reader):
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file and line."""
-        # The first image is the one to georeference: its positions are the image's, the others the
-        # map's.
         first, second = read_matches(path)
         inside = are_in_image(first, self.options["raster"],
                               [f"match {i + 1}" for i in range(len(first))])
@@ -61,7 +64,7 @@ class AspMatches(Reader):
 
 
 def is_matches(head: bytes) -> bool:
-    """Return whether a file that begins so has matches: two equal counts, an interest point."""
+    """Return whether a file with this beginning has matches of ASP, as binary or as text."""
     if _parse_counts(head) is not None:
         return True
     lines = head.decode("utf-8", errors="replace").splitlines()
@@ -84,7 +87,6 @@ def read_matches(path: Path) -> tuple[FloatArray, FloatArray]:
         return _parse_binary(content, counts[0], path)
     lines = text_of(path).splitlines()
     first_word = next(iter((lines or [""])[0].split()), "")
-    # Python reads no number of thousands of digits, and no file has so many rows.
     count = int(first_word[:_DIGITS]) if first_word.isdecimal() else 0
     if count == 0 or len(lines) < 1 + 2 * count:
         raise TermselError(
@@ -108,7 +110,7 @@ def _parse_counts(head: bytes) -> tuple[int, int] | None:
     if len(head) < _COUNTS + _RECORD.size:
         return None
     counts = int.from_bytes(head[:8], "little"), int.from_bytes(head[8:_COUNTS], "little")
-    # Whole numbers next to x and y are these, rounded: so no other binary file looks like one.
+    # The whole numbers after x and y are x and y rounded, which no other kind of file has.
     x, y, column, row, *_, size = _RECORD.unpack_from(head, _COUNTS)
     near = isfinite(x) and isfinite(y) and abs(x - column) <= 1 and abs(y - row) <= 1
     return (counts if 0 < counts[0] == counts[1] < _MAX_MATCHES and near and size < _MAX_MATCHES
@@ -116,14 +118,14 @@ def _parse_counts(head: bytes) -> tuple[int, int] | None:
 
 
 def _parse_binary(content: bytes, count: int, path: Path) -> tuple[FloatArray, FloatArray]:
-    """Return line and sample (n, 2) [px] of the points of both images, of a binary file.
+    """Return line and sample of the points of a binary file in both images, (n, 2) each [px].
 
     Raises TermselError if the file is shorter or longer than its counts say.
     """
-    # Bytes of a number of the descriptor, by the version of ASP.
+    # Numbers of a descriptor have 4 or 8 bytes, by the version of ASP.
     for width in (4, 8):
         positions: list[tuple[float, float]] = []
-        # The descriptors have lengths of their own, so that records are read one after the other.
+        # Each descriptor has its own length, so that records are read one after another.
         at = _COUNTS
         while len(positions) < 2 * count and at + _RECORD.size <= len(content):
             x, y, *_, size = _RECORD.unpack_from(content, at)
@@ -139,8 +141,7 @@ def _parse_binary(content: bytes, count: int, path: Path) -> tuple[FloatArray, F
 
 
 def _is_interest_point(cells: Sequence[str]) -> bool:
-    """Return whether the cells of a line of text are an interest point: enough, with x and y first.
-    """
+    """Return whether cells of a line of text are an interest point: enough cells, first x and y."""
     try:
         return len(cells) >= _POINT_CELLS and all(isfinite(float(cell)) for cell in cells[:2])
     except ValueError:

@@ -24,40 +24,55 @@ log = logging.getLogger("termsel.match")
 NONE = "none"
 """Name of a mask that is none: clouds and water are looked at, too."""
 
-# Px along either side of the reduced image from which thresholds are learned.
 _LEARNED_SIDE = 400
-# Of all variance, between two classes that are really two.
+"""Side of the reduced image from which thresholds are learned [px]."""
+
 _MIN_SEPARATION = 0.75
-# Times the median of the rest: clouds.
+"""Least share of the variance that lies between two classes, for them to be two."""
+
 _CLOUD_BRIGHTNESS = 1.8
-# Relative difference of visible bands of clouds.
+"""Least brightness of clouds in each visible band, divided by the median of the other pixels."""
+
 _GREY = 0.25
-# Times the median near infrared of the rest: water.
+"""Largest relative difference of these ratios between bands: clouds are grey."""
+
 _WATER_DARKNESS = 0.6
-# In px, reduced: smaller areas are roofs and shadows.
+"""Largest near infrared of water, divided by the median of the other pixels."""
+
 _MIN_WIDTH = 9
-# Deg of longitude and latitude.
+"""Least width of a masked area [reduced px]: narrower ones are roofs and shadows."""
+
 _GLOBE = np.array([360.0, 90.0])
-# Part of the image, below which nothing is masked.
+"""Largest absolute longitude and latitude [deg]."""
+
 _MIN_PART = 0.002
+"""Share of the image below which a class is not masked."""
 
 Excluded = Callable[[int, int, tuple[int, int], int], Mask]
+"""A function that takes first line and sample of a window [px], its lines and samples in steps, and
+the step [px], and returns where nothing is matched in it."""
 
 
 @contextmanager
 def open_masked(path: Path | str, band: int | None, masks: Sequence[Path | str],
                 ) -> Iterator[GreyRaster]:
-    """Open an image without what is not to be matched.
+    """Open an image in which masked areas count as unknown.
 
     Parameters
     ----------
     path : path-like
+        The image.
     band : int, optional
         See `open_picture`.
     masks : sequence of path-like
-        Files of polygons; here those without a CRS count, which are in px of the image, as x
-        (sample) and y (line, or negative, as in QGIS). Without any, clouds and water are left out
-        where the image has green and near infrared, or three visible bands. With "none" nothing is.
+        Files of polygons. Here only those without a CRS count, which are in px of the image: x is
+        the sample, y the line, or its negative as in QGIS. Without any file, clouds and water are
+        masked as far as green and near infrared, or three visible bands, show them. The name "none"
+        stands for no mask at all.
+
+    Yields
+    ------
+    GreyRaster
 
     Raises
     ------
@@ -79,9 +94,11 @@ def open_masked(path: Path | str, band: int | None, masks: Sequence[Path | str],
 
 
 def read_polygons(path: Path | str) -> tuple[NDArray[Any], str]:
-    """Return the polygons of a file and their CRS, "" where it has none.
+    """Return the polygons of a file and their CRS, "" if they are in px of the image.
 
-    GeoJSON always has one, so that degrees which are none are px.
+    A file without a CRS is in px. So is one whose degrees are beyond the globe: a GeoJSON of
+    pixels claims to be in degrees. Raises TermselError if the file has no polygons, or a coordinate
+    that is no number.
     """
     from pyproj import CRS
 
@@ -99,23 +116,27 @@ def read_polygons(path: Path | str) -> tuple[NDArray[Any], str]:
     if not np.isfinite(coordinates).all():
         raise TermselError("a polygon of this mask has a coordinate that is no number", file=path,
                            hint="Draw it again.")
-    # GeoJSON claims degrees for everything: what is none on the globe is in px.
     if crs and CRS.from_user_input(crs).is_geographic and (np.abs(coordinates) > _GLOBE).any():
         crs = ""
     return areas, crs
 
 
 def mask_from_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> tuple[Excluded, ...]:
-    """Return where a reference lies in polygons on the ground.
+    """Return functions that tell where a reference lies in polygons on the ground, one for a file.
 
     Parameters
     ----------
     masks : sequence of path-like
-        Those without a CRS are left out.
+        Files of polygons; those without a CRS are left out.
     crs : str
-        Of the reference.
+        CRS of the reference.
     transform : affine.Affine
-        From its columns and rows to coordinates.
+        Geotransform of the reference: from columns and rows to coordinates.
+
+    Raises
+    ------
+    TermselError
+        If a file cannot be read, has no polygons, or cannot be converted to the CRS.
     """
     excluded = []
     for name in masks:
@@ -127,14 +148,12 @@ def mask_from_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> t
         turn = plane_transformer(mask_crs, crs)
 
         def to_px(coordinates: FloatArray, turn: Any = turn, name: Path | str = name) -> FloatArray:
-            """Return the pixels of the reference at coordinates of a mask."""
+            """Return columns and rows in the reference, (n, 2), of coordinates of a mask."""
             x, y = turn.transform(coordinates[:, 0], coordinates[:, 1])
             if not np.isfinite([x, y]).all():
                 raise TermselError("polygons of this mask cannot be converted to the CRS of the "
                                    "reference", file=name,
                                    hint="Check their CRS, and draw them near the image.")
-            # The inverse of the geotransform: from coordinates to columns and rows of the
-            # reference.
             return np.column_stack(~transform @ (np.asarray(x), np.asarray(y)))
 
         excluded.append(_windows_in_polygons([shapely.transform(shape, to_px) for shape in shapes]))
@@ -143,16 +162,16 @@ def mask_from_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> t
 
 def tell_of_idle(masks: Sequence[Path | str], images: Sequence[Path | str],
                  references: Sequence[Path]) -> None:
-    """Log a warning for each mask that touches neither an image nor a reference.
+    """Log a warning for each mask that has no effect, as its polygons are elsewhere.
 
     Parameters
     ----------
     masks : sequence of path-like
         See `open_masked`.
     images : sequence of path-like
-        Which polygons without a CRS may touch.
+        Images, which polygons in px should touch.
     references : sequence of path-like
-        Which those with a CRS may touch.
+        References, which polygons on the ground should touch.
     """
     for name in masks:
         if str(name) == NONE:
@@ -196,14 +215,14 @@ def _bounds_in_crs(path: Path | str, crs: str = "") -> tuple[float, ...] | None:
 
 
 def _touches_bounds(shapes: NDArray[Any], bounds: tuple[float, ...] | None) -> bool:
-    """Return whether any polygon touches bounds; True if these are None, as they are not known."""
+    """Return whether any polygon touches bounds; True if the bounds are not known (None)."""
     return bounds is None or bool(shapely.intersects(shapes, shapely.box(*bounds)).any())
 
 
 def _polygon_in_pixels(shape: Any) -> Any:
-    """Return a polygon in columns and rows from the corner of the first pixel, rows downwards."""
+    """Return a polygon in px with rows that count downwards, whichever way its y counted."""
     coordinates = shapely.get_coordinates(shape)
-    # QGIS draws an image without CRS below the axis, with negative y.
+    # QGIS draws an image without a CRS below the x axis, with negative y.
     down = -1.0 if (coordinates[:, 1] <= 0).all() else 1.0
     return shapely.transform(shape, lambda xy: xy * [1.0, down])
 
@@ -211,12 +230,11 @@ def _polygon_in_pixels(shape: Any) -> Any:
 def _windows_in_polygons(shapes: list[Any]) -> Excluded:
     """Return a function that draws polygons (in columns and rows) as a mask of a window."""
     def drawn(first_line: int, first_sample: int, shape: tuple[int, int], step: int) -> Mask:
-        """Return which pixels of a window the polygons cover."""
+        """Return which pixels of a window the polygons touch."""
         from rasterio.features import rasterize
         from rasterio.transform import Affine
 
-        # Pixel (row, column) of the window is at first line + step * row, first sample + step *
-        # column.
+        # From column and row of the window to sample and line of the image.
         window = Affine(step, 0, first_sample, 0, step, first_line)
         return np.asarray(rasterize(shapes, out_shape=shape, transform=window, all_touched=True,
                                     dtype="uint8") > 0)
@@ -235,10 +253,10 @@ class Bands:
 
 
 def bands_of(raster: Any) -> Bands:
-    """Return which bands of a raster show what, by what it says of them.
+    """Return which bands of a raster are red, green, blue and near infrared, as it states.
 
-    Four bands of which nothing is said are blue, green, red and near infrared, as of most
-    satellites.
+    Four bands of which nothing is stated are taken for blue, green, red and near infrared, the
+    order of most satellites.
     """
     stated: dict[str, int] = {}
     for index, kind, text in zip(raster.indexes, raster.colorinterp, raster.descriptions,
@@ -254,11 +272,11 @@ def bands_of(raster: Any) -> Bands:
 
 
 def mask_clouds_and_water(picture: GreyRaster) -> tuple[Excluded, ...]:
-    """Return where an image shows clouds or water, as far as its bands show.
+    """Return functions that tell where an image shows clouds or water; () if its bands show none.
 
-    Water is what a threshold of (green - infrared) / (green + infrared) divides from the rest, and
-    clouds what one of the darkest visible band does; both by Otsu. Neither is taken for one unless
-    the two classes are really two.
+    Water is what Otsu's threshold separates by the index (green - infrared) / (green + infrared),
+    and clouds are what it separates by the darkest visible band. Either is masked only if the two
+    classes differ clearly, and in the way that water or clouds do.
 
     References
     ----------
@@ -274,12 +292,15 @@ def mask_clouds_and_water(picture: GreyRaster) -> tuple[Excluded, ...]:
 
     def learned(name: str, used: tuple[int, ...], index: Callable[[FloatArray], FloatArray],
                 likely: Callable[[FloatArray, Mask, Mask], bool]) -> None:
-        """Mask a class of pixels that an index of some bands divides from the rest, if it does."""
+        """Mask the pixels above Otsu's threshold of an index, if they are what `name` says.
+
+        `used` are the bands; `index` takes their values (c, lines, samples), and `likely` these and
+        the masks of both classes.
+        """
         of_bands = replace(picture, bands=used)
         values, is_known = read_bands(of_bands, 0, 0, shape, step)
         if not is_known.any():
             return
-        # Otsu's threshold is the one between two classes; how well it divides says if they are two.
         limit, separation = otsu_threshold(index(values)[is_known])
         high = is_known & (index(values) > limit)
         if (
@@ -292,6 +313,7 @@ def mask_clouds_and_water(picture: GreyRaster) -> tuple[Excluded, ...]:
                  100 * _wide_areas(high).mean(), name)
 
         def excluded(first_line: int, first_sample: int, shape: tuple[int, int], step: int) -> Mask:
+            """Return which pixels of a window are of this class."""
             values, is_known = read_bands(of_bands, first_line, first_sample, shape, step)
             return _wide_areas(is_known & (index(values) > limit))
 
@@ -301,6 +323,7 @@ def mask_clouds_and_water(picture: GreyRaster) -> tuple[Excluded, ...]:
     if bands.green and bands.infrared:
         # Water is dark in the near infrared, which vegetation and soil are not.
         def is_water(values: FloatArray, water: Mask, land: Mask) -> bool:
+            """Return whether one class is much darker in the near infrared than the other."""
             return bool(np.median(values[1][water]) < _WATER_DARKNESS * np.median(values[1][land]))
 
         learned("water", (bands.green, bands.infrared), lambda values: np.asarray(
@@ -308,6 +331,7 @@ def mask_clouds_and_water(picture: GreyRaster) -> tuple[Excluded, ...]:
     if len(visible) == 3:
         # Clouds are brighter than the ground in all visible bands, and about alike in each: grey.
         def is_cloud(values: FloatArray, cloud: Mask, land: Mask) -> bool:
+            """Return whether one class is much brighter than the other, and grey."""
             medians = np.array([np.median(value[cloud]) / max(float(np.median(value[land])), 1e-6)
                                 for value in values])
             return bool(medians.min() > _CLOUD_BRIGHTNESS
@@ -319,23 +343,23 @@ def mask_clouds_and_water(picture: GreyRaster) -> tuple[Excluded, ...]:
 
 def read_bands(picture: GreyRaster, first_line: int, first_sample: int, shape: tuple[int, int],
                step: int) -> tuple[FloatArray, Mask]:
-    """Return the values of a window's bands (c, lines, samples), and where all bands have data.
+    """Return the values of a window's bands, (c, lines, samples), and where all bands have data.
 
-    `shape` is in steps, each of which is `step` px.
+    `shape` has the lines and samples that come back, each the mean of `step` px.
     """
     windows = [replace(picture, bands=(band,), excluded=()).read(
         first_line, first_sample, shape[0] * step, shape[1] * step, step) for band in picture.bands]
-    # Known is what all bands know.
     return (np.stack([window[0] for window in windows]).astype(np.float64),
             np.logical_and.reduce([is_known for _, is_known in windows]))
 
 
 def otsu_threshold(values: FloatArray) -> tuple[float, float]:
-    """Return the threshold that divides values best, and the share of variance between both parts.
+    """Return Otsu's threshold of values, and the share of their variance between both classes.
 
-    The share is 0 to 1; 0 if all values are alike.
+    The share is from 0, if all values are alike, to 1.
     """
-    # Otsu: the variance between both classes, (m t - m_t)^2 / (t (1 - t)), is largest.
+    # Otsu: with the mean m of all, the share t of the values below a threshold and their sum m_t,
+    # the variance between both classes is (m t - m_t)^2 / (t (1 - t)); it is to be largest.
     count, edges = np.histogram(values, 256)
     middle = (edges[1:] + edges[:-1]) / 2
     share = count / count.sum()
@@ -352,7 +376,7 @@ def otsu_threshold(values: FloatArray) -> tuple[float, float]:
 
 def _wide_areas(mask: Mask) -> Mask:
     """Return the parts of a mask at least `_MIN_WIDTH` pixels wide, grown by half of that."""
-    # Opening removes what is narrower than the square, dilation adds the seam of a cloud.
+    # Opening removes what is narrower than the square; dilation adds the blurred rim of a cloud.
     wide = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN,
                             np.ones((_MIN_WIDTH, _MIN_WIDTH), np.uint8))
     return np.asarray(cv2.dilate(wide, np.ones((_MIN_WIDTH, _MIN_WIDTH), np.uint8)) > 0)

@@ -16,21 +16,28 @@ from termsel_match.matchers.sift import describe_keypoints, mutual_nearest
 
 log = logging.getLogger("termsel.match")
 
-# Px of all bands, which take some 3 s.
 _MANY_PIXELS = 4e8
-# Px of what is compared.
+"""Number of pixels of all bands above which a note is logged: reading them takes some 3 s."""
+
 _REDUCED_SIDE = 1000
+"""Longest side of the reduced images that are compared [px]."""
+
 _RATIO = 0.8
-# Pairs that agree, and their share of all.
+"""Largest distance of a descriptor from the nearest, divided by that from the second nearest."""
+
 _MIN_PAIRS, _MIN_SHARE = 12, 0.1
-# In px, reduced: relief and perspective are not affine.
+"""Fewest pairs of keypoints that must agree, and their least share of all pairs."""
+
 _TOLERANCE = 12.0
+"""Distance up to which pairs agree with an affine transformation [px of the reduced image]. It is
+wide, as relief and perspective are not affine."""
 
 
 def start_by_overview(picture: GreyRaster, reference: Path | str, band: int | None) -> Start:
     """Return an affine start by keypoints of the whole image and the whole reference.
 
-    It only says where to look. Pairs must agree with it to 12 px of the reduced image.
+    It is rough, and only says where in the reference to look for matches: pairs of keypoints need
+    to agree with it to 12 px of the reduced image.
 
     Parameters
     ----------
@@ -39,7 +46,7 @@ def start_by_overview(picture: GreyRaster, reference: Path | str, band: int | No
     reference : path-like
         Raster with a CRS and a geotransform that shows the same ground.
     band : int, optional
-        Of the reference, as for `open_picture`.
+        Band of the reference, as for `open_picture`.
 
     Raises
     ------
@@ -53,15 +60,13 @@ def start_by_overview(picture: GreyRaster, reference: Path | str, band: int | No
             _say_if_long(opened)
         at_image, image_vectors = _whole_described(picture)
         at_reference, reference_vectors = _whole_described(reference_picture)
-    # Pairs of keypoints whose descriptors are each other's nearest.
     image_number, reference_number = mutual_nearest(image_vectors, reference_vectors, _RATIO)
     agree = np.zeros(len(image_number), dtype=bool)
     if len(image_number) >= _MIN_PAIRS:
-        # From the reference to the image, in whose pixels the tolerance is.
+        # From the reference to the image: the tolerance is in px of the image.
         _, inliers = cv2.estimateAffine2D(
             at_reference[reference_number], at_image[image_number], method=cv2.USAC_MAGSAC,
-            maxIters=20000,
-            ransacReprojThreshold=_TOLERANCE * _reduction_step(picture.size))
+            maxIters=20000, ransacReprojThreshold=_TOLERANCE * _reduction_step(picture.size))
         if inliers is not None:
             agree = np.asarray(inliers).ravel().astype(bool)
     if agree.sum() < max(_MIN_PAIRS, _MIN_SHARE * len(image_number)):
@@ -71,10 +76,10 @@ def start_by_overview(picture: GreyRaster, reference: Path | str, band: int | No
             "other", file=picture.path,
             hint="If the reference shows the same place, say where the image is: --start with "
                  "an RPC, a result or a file of some points.")
-    # Centres of pixels are half a pixel from their corners, which the geotransform counts.
+    # The geotransform counts from the corner of the first pixel, positions from its centre.
     x, y = transform @ (at_reference[reference_number[agree], 1] + 0.5,
                         at_reference[reference_number[agree], 0] + 0.5)
-    # A keypoint may have two directions, and then comes twice.
+    # SIFT gives a keypoint with two directions twice.
     _, unique = np.unique(np.column_stack([x, y]), axis=0, return_index=True)
     ground = np.column_stack([x, y, np.full(len(x), np.nan)])[unique]
     points = Points(tuple(map(str, range(len(unique)))), at_image[image_number[agree]][unique],
@@ -84,7 +89,7 @@ def start_by_overview(picture: GreyRaster, reference: Path | str, band: int | No
 
 
 def _say_if_long(picture: GreyRaster) -> None:
-    """Log a note if a whole image has to be read to be reduced, which may take minutes."""
+    """Log a note if all pixels of a large image have to be read, which may take minutes."""
     pixels = picture.size[0] * picture.size[1] * len(picture.bands)
     if pixels > _MANY_PIXELS and not picture.raster.overviews(picture.bands[0]):
         log.info("Note: all %d x %d px of %s are read to find the image in the reference, which "
@@ -93,14 +98,16 @@ def _say_if_long(picture: GreyRaster) -> None:
 
 
 def _reduction_step(size: tuple[int, int]) -> int:
-    """Return of how many pixels one is read, so that no side is longer than `_REDUCED_SIDE`."""
+    """Return how many pixels along a side become one, so that neither side is above 1000 px."""
     return max(1, -(-max(size) // _REDUCED_SIDE))
 
 
 def _whole_described(picture: GreyRaster) -> tuple[FloatArray, Grey]:
-    """Return keypoints (n, 2) of a whole picture in its own pixels, and their descriptors (n, 128).
+    """Return keypoints of a whole picture, (n, 2) [px], and their descriptors, (n, 128).
+
+    They are found in the reduced picture, and are in px of the whole one.
     """
     step = _reduction_step(picture.size)
     keypoints, vectors = describe_keypoints(*picture.read(0, 0, *picture.size, step))
-    # The middle of a reduced pixel is that of the pixels it was made of.
+    # A reduced pixel is `step` pixels: its centre is the middle of these.
     return (keypoints + 0.5) * step - 0.5, vectors

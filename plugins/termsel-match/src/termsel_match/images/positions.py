@@ -13,13 +13,13 @@ from termsel_match.images.starts import transform_plane
 
 _WGS84 = "EPSG:4326"
 _GRID_LINES = 21
-"""Places along each side of a raster whose area is compared."""
+"""Number of positions along each side of a raster by which its area is compared."""
 
 
 def middle_in_words(plane: FloatArray, crs: str) -> str:
-    """Return the middle of places (n, 2) of a CRS as latitude and longitude.
+    """Return the middle of positions (n, 2) in a CRS as latitude and longitude, in words.
 
-    It is "an unknown place" where the CRS cannot be transformed to degrees.
+    It is "an unknown place" if the CRS cannot be transformed to degrees.
 
     Examples
     --------
@@ -36,9 +36,9 @@ def middle_in_words(plane: FloatArray, crs: str) -> str:
 
 
 def require_same_area(references: Sequence[Path], dem: Path | str | None) -> None:
-    """Raise TermselError if a DEM and every reference show different places of the Earth.
+    """Raise TermselError if a DEM overlaps none of the references.
 
-    Without a DEM, or where the place of one of the rasters is not known, nothing is refused.
+    Without a DEM, or if the position of one of the rasters is not known, nothing is raised.
     """
     if dem is None:
         return
@@ -56,9 +56,9 @@ def require_same_area(references: Sequence[Path], dem: Path | str | None) -> Non
 
 
 def _boxes_overlap(first: FloatArray, second: FloatArray) -> bool:
-    """Tell whether the boxes about two sets of longitudes and latitudes (n, 2) meet.
+    """Return whether the boxes around two sets of longitudes and latitudes (n, 2) overlap.
 
-    Longitudes may be counted from -180 or from 0 degrees: one is shifted by a turn either way.
+    As longitudes may count from -180 or from 0 degrees, one box is also shifted by a turn each way.
     """
     low, high = second.min(axis=0), second.max(axis=0)
     return any(bool((first.max(axis=0) + shift >= low).all()
@@ -67,9 +67,10 @@ def _boxes_overlap(first: FloatArray, second: FloatArray) -> bool:
 
 
 def _grid_in_degrees(path: Path) -> FloatArray | None:
-    """Return a grid (n, 2) over a raster as longitudes and latitudes; None if not known.
+    """Return longitudes and latitudes, (n, 2), of a grid over a raster.
 
-    Corners alone would leave out a pole in the middle, and edges that bulge beyond them.
+    A grid, as the corners alone would leave out a pole in the middle, and edges that bulge. None if
+    the raster has no position, or its CRS cannot be transformed to degrees.
     """
     with open_raster(path) as raster:
         if raster.crs is None or raster.transform.is_identity:
@@ -81,7 +82,9 @@ def _grid_in_degrees(path: Path) -> FloatArray | None:
 
 
 def _to_degrees(plane: FloatArray, crs: str) -> FloatArray | None:
-    """Return places (n, 2) as longitudes and latitudes; None if the CRS has none, or all are lost.
+    """Return positions (n, 2) as longitudes and latitudes, without those that have none.
+
+    None if the CRS cannot be transformed to degrees, or none of the positions can.
     """
     from pyproj.exceptions import ProjError
 

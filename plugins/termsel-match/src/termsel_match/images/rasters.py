@@ -21,16 +21,20 @@ Mask = NDArray[np.bool_]
 
 log = logging.getLogger("termsel.match")
 
-# Percentiles that become 0 and 255.
 _DARK_PERCENTILE, _BRIGHT_PERCENTILE = 1.0, 99.0
-# Px along either side of a raster that is reduced to see where it has data.
+"""Percentiles of the brightness that become 0 and 255."""
+
 _LOOKED_UP_SIDE = 200
-# Px along either side of an area of zeros that are no data.
+"""Side of the reduced raster that shows where there are data [px]."""
+
 _BLANK_SIDE = 15
-# Distinct pixels; fewer have no texture.
+"""Least side of a square of zeros that counts as without data [px]."""
+
 _MIN_PIXELS = 16
-# Of which the mean is taken: more take their time, and change it little.
+"""Fewest known pixels whose brightness is stretched: fewer have no texture."""
+
 _BANDS = 16
+"""Most bands whose mean is taken: more need time to read, and change the mean little."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,13 +44,15 @@ class GreyRaster:
     Parameters
     ----------
     path : pathlib.Path
+        File of the raster.
     raster : rasterio.DatasetReader
-        Open.
+        The open raster.
     bands : tuple of int
-        Counted from 1.
+        Numbers of the bands, from 1.
     excluded : tuple of callable
-        Each takes line and sample of a window, its shape reduced, and the reduction; and returns
-        where it has nothing to be matched.
+        Functions that mask areas in which nothing is matched. Each takes first line and sample of a
+        window [px], its lines and samples in steps, and the step [px]; it returns a mask (lines,
+        samples).
     """
 
     path: Path
@@ -56,30 +62,32 @@ class GreyRaster:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Lines and samples [px]."""
+        """Number of lines and of samples."""
         return int(self.raster.height), int(self.raster.width)
 
     def read(self, first_line: int, first_sample: int, lines: int, samples: int, step: int = 1,
              ) -> tuple[Grey, Mask]:
-        """Return the pixels of a window and where it has data.
+        """Return the brightness of a window, and where it is known.
 
         Parameters
         ----------
         first_line, first_sample, lines, samples : int
-            The window [px]; it may extend beyond the raster, where there are no data.
+            The window [px]; it may extend beyond the raster, where nothing is known.
         step : int
-            Grey along either side of those returned, each of which is a mean; GDAL reads
-            overviews where the raster has them.
+            Pixels along either side whose mean becomes one pixel of what is returned. GDAL reads
+            overviews if the raster has them.
 
         Returns
         -------
         pixels : ndarray of float32, shape (lines // step, samples // step)
+            0 where the brightness is not known.
         is_known : ndarray of bool, same shape
+            False without data, in masked areas and beyond the raster.
 
         Raises
         ------
         TermselError
-            If GDAL cannot read it.
+            If GDAL cannot read the raster.
         """
         from rasterio.enums import Resampling
         from rasterio.errors import RasterioIOError
@@ -105,14 +113,13 @@ class GreyRaster:
                     list(self.bands), window=window, masked=True, resampling=Resampling.average,
                     out_shape=(len(self.bands), last[0] - first[0], last[1] - first[1]))
             except RasterioIOError as error:
-                # Of this file, whichever others are open.
                 raise TermselError(f"GDAL cannot read this raster: {error.__cause__ or error}",
                                    file=self.path, hint="Copy it again: it is damaged.") from error
             # The mean over bands is masked only where all of them are.
             values = grey.astype(np.float32).mean(axis=0)
             has_data = ~np.ma.getmaskarray(values) & np.isfinite(values.data)
-        # Without a stated value, areas that are exactly 0 in all bands are where an image was
-        # filled up.
+        # If no value is stated for "no data", areas that are exactly 0 in all bands have none:
+        # images are filled up with zeros.
         if self.raster.nodatavals[self.bands[0] - 1] is None:
             has_data &= ~_is_filled(grey.data)
         pixels[part_inside] = np.where(has_data, values.data, 0)
@@ -122,43 +129,46 @@ class GreyRaster:
         return pixels, is_known
 
     def known_at(self, positions: FloatArray) -> Mask:
-        """Return which places (n, 2) [px] have data near them, as a reduced raster shows it.
+        """Return which positions (n, 2) [px] have data, as the reduced raster shows it, (n,).
 
-        False outside the raster.
+        False for positions outside the raster.
         """
         inside = np.all((positions >= 0) & (positions <= np.array(self.size) - 1), axis=1)
         if not inside.any():
             return np.asarray(inside)
-        # One window around all positions, reduced to some 200 px, says whether there are data near.
+        # One window around all positions is read, reduced to some 200 px.
         low = np.floor(positions[inside].min(axis=0))
         high = np.ceil(positions[inside].max(axis=0)) + 1
         step = int(max(1, (high - low).max() // _LOOKED_UP_SIDE))
-        (first_line, first_sample) = low.astype(int).tolist()
-        (lines, samples) = (
-            np.ceil((high - low) / step).astype(int) * step).tolist()
+        first_line, first_sample = low.astype(int).tolist()
+        lines, samples = (np.ceil((high - low) / step).astype(int) * step).tolist()
         is_known = self.read(first_line, first_sample, lines, samples, step)[1]
-        # Its last row or column may be of a part of a step, which is not read.
+        # The last row or column may be a part of a step, which is not read: the one before counts.
         at = np.minimum((positions[inside] - low) // step, np.array(is_known.shape) - 2).astype(int)
         inside[inside] = is_known[tuple(np.maximum(at, 0).T)]
         return np.asarray(inside)
 
 
 def _is_filled(values: NDArray[Any]) -> Mask:
-    """Return where all bands (c, lines, samples) are 0 over an area, as images are filled up."""
+    """Return where all bands, (c, lines, samples), are 0 over squares of 15 px, (lines, samples).
+    """
     zero = (values == 0).all(axis=0).astype(np.uint8)
     if not zero.any():
         return np.zeros(zero.shape, dtype=bool)
     import cv2  # which a command that matches nothing need not import
 
-    # Opening leaves only areas of zeros, not dark pixels by themselves.
+    # Opening leaves only areas of zeros, not single dark pixels.
     return np.asarray(cv2.morphologyEx(zero, cv2.MORPH_OPEN,
                                        np.ones((_BLANK_SIDE, _BLANK_SIDE), np.uint8))
                       > 0)
 
 
 def spread_pixels(size: tuple[int, int], shape: tuple[int, ...]) -> FloatArray:
-    """Return places spread evenly over an image, row by row, shape (n, 2) [px]."""
-    # Both ends are part of the image: its first and its last line and sample.
+    """Return positions spread evenly over an image, row by row, (n, 2) [px].
+
+    `size` has the lines and samples of the image, `shape` the number of positions along both. The
+    first and the last line and sample are among them.
+    """
     steps = (np.linspace(0, extent - 1, count) for extent, count in zip(size, shape, strict=True))
     return np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
 
@@ -170,14 +180,19 @@ def open_picture(path: Path | str, band: int | None = None) -> Iterator[GreyRast
     Parameters
     ----------
     path : path-like
+        The raster.
     band : int, optional
-        Counted from 1; by default the mean of all bands but those of transparency, or of some,
-        evenly spaced, where there are many.
+        Number of a band, from 1. By default the brightness is the mean of all bands without those
+        of transparency; of more than 16 bands, the mean of 16 that are evenly spaced.
+
+    Yields
+    ------
+    GreyRaster
 
     Raises
     ------
     TermselError
-        If GDAL cannot read it, or it has no such band.
+        If GDAL cannot read the raster, or it has no such band.
     """
     from rasterio.enums import ColorInterp
 
@@ -192,17 +207,19 @@ def open_picture(path: Path | str, band: int | None = None) -> Iterator[GreyRast
         if band is None and len(visible) > _BANDS:
             log.info("Note: the mean of %d of the %d bands of %s is taken, evenly spaced. Choose "
                      "one by its number (--band, --reference-band).", _BANDS, len(visible), path)
-            # Evenly spaced numbers of bands.
             visible = tuple(visible[i * len(visible) // _BANDS] for i in range(_BANDS))
         yield GreyRaster(Path(path), raster, visible if band is None else (band,))
 
 
 def stretch_to_bytes(pixels: Grey, is_known: Mask) -> NDArray[np.uint8] | None:
-    """Return pixels as bytes, dark to bright, 0 where unknown; None if they have no texture."""
+    """Return pixels as bytes from dark to bright, 0 where they are not known.
+
+    None if fewer than 16 are known, or nearly all have the same brightness.
+    """
     values = pixels[is_known]
     if values.size < _MIN_PIXELS:
         return None
-    # Percentiles and not extremes: single bright pixels do not darken all others.
+    # Percentiles, not extremes: a single bright pixel would darken all others.
     dark, bright = np.percentile(values, (_DARK_PERCENTILE, _BRIGHT_PERCENTILE))
     if not bright > dark:
         return None

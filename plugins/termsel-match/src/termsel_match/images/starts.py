@@ -28,13 +28,18 @@ Heights = float | Callable[[FloatArray], FloatArray]
 
 log = logging.getLogger("termsel.match")
 
-# Points that determine an affine transformation.
 _MIN_POINTS = 3
-# Part of the range of an RPC's heights beyond which no ground is.
+"""Number of points that determine an affine transformation."""
+
 _BEYOND_RPC = 0.5
+"""Distance of a DEM from the heights of an RPC, divided by their range, above which it is reported.
+Vendors state the range with a margin."""
+
 _FOOT = 0.3048
-# Places along each side of an RPC's area where a DEM is looked up.
+"""Length of a foot [m]."""
+
 _PLACES_ALONG = 7
+"""Number of positions along each side of an RPC's area at which a DEM is compared with it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,23 +49,24 @@ class Start:
     Parameters
     ----------
     description : str
-        What it is, in words.
+        What the geometry is of, in words, such as "the RPC of scene.RPB".
     crs : str
-        Of its ground coordinates.
+        CRS of its ground coordinates.
     height : float
-        Of the ground, where there is no DEM.
+        Height of the ground that is taken where there is no DEM.
     project : callable
-        Line and sample (n, 2) of ground places (n, 3).
+        Takes ground positions (n, 3), and returns line and sample, (n, 2).
     locate : callable
-        Ground places (n, 3) of image places (n, 2) and heights, or what gives them.
+        Takes image positions (n, 2) and a height, or a function of plane positions (n, 2) that
+        returns heights. Returns ground positions (n, 3).
     heights : tuple of float, optional
         Least and largest height that an RPC is made for [m].
     bias : float, optional
-        Root mean square of its bias [m], where its vendor states it.
+        Root mean square of the bias of an RPC [m], if its vendor states it.
     control : FeatureSet, optional
-        What it was made from, whose heights a DEM is held against.
+        Control features by which the geometry was fitted; a DEM is compared with their heights.
     places : ndarray, shape (n, 2), optional
-        Longitudes and latitudes that an RPC is made for.
+        Longitudes and latitudes over the area that an RPC is made for.
     """
 
     description: str
@@ -74,7 +80,7 @@ class Start:
     places: FloatArray | None = None
 
     def warn_if_dem_contradicts(self, dem: Path | str | None) -> None:
-        """Warn where a DEM contradicts the heights of the control, or those of an RPC."""
+        """Log a warning if a DEM contradicts the heights of the control, or those of an RPC."""
         if dem is None:
             return
         if self.places is not None:
@@ -84,7 +90,7 @@ class Start:
                 say_difference(self.control, self.project, surface)
 
     def _warn_if_dem_beyond_rpc(self, dem: Path, places: FloatArray) -> None:
-        """Warn where a DEM lies far beyond the heights that an RPC is made for."""
+        """Log a warning if the median of a DEM is far beyond the heights an RPC is made for."""
         assert self.heights is not None
         with open_dem(dem, self.crs) as surface:
             heights = surface(places)
@@ -94,7 +100,6 @@ class Start:
         low, high = self.heights
         median = float(np.median(heights))
         above = median - high if median > high else min(median - low, 0.0)
-        # Vendors state the range with a margin.
         if abs(above) > _BEYOND_RPC * (high - low):
             in_feet = low <= median * _FOOT <= high
             log.warning("Warning: %s", sentence_on_common_offset(
@@ -104,27 +109,32 @@ class Start:
 
 
 def transform_plane(plane: FloatArray, crs: str, to: str) -> FloatArray:
-    """Return plane coordinates (..., 2), x and y, of a CRS in another one."""
-    # Heights stay as they are: only the plane is transformed.
+    """Return x and y, (..., 2), of the CRS `crs` in the CRS `to`; heights are not transformed."""
     turn = plane_transformer(crs, to)
     return np.stack(turn.transform(plane[..., 0], plane[..., 1]), axis=-1)
 
 
 def start_of(named: str | Path | None, image: Path) -> Start | None:
-    """Return the start that a user names; None for none.
+    """Return the rough geometry of an image that a user names.
 
     Parameters
     ----------
     named : str or path, optional
         A file with an RPC, a folder with a result, a file of three points or more, "corners" for
-        what the image itself says of its position, or "none". By default the RPC of the image, or
-        next to it, else its position, else none.
+        the GCPs or the geotransform of the image itself, or "none". By default the RPC in the image
+        or next to it; without one, its GCPs or its geotransform.
     image : pathlib.Path
+        The image.
+
+    Returns
+    -------
+    Start or None
+        None for "none", and by default if the image states nothing of its position.
 
     Raises
     ------
     TermselError
-        If it is none of these, or cannot be read.
+        If the name is none of these, or the file cannot be read.
     """
     if named is None:
         try:
@@ -143,7 +153,7 @@ def start_of(named: str | Path | None, image: Path) -> Start | None:
     path = Path(named)
     if path.is_dir():
         result = read_result(path)
-        # The lowest height of the result stands in where there is no DEM.
+        # Without a DEM, the ground is taken to be at the lowest height of the result's control.
         height = float(result.fit.ground_box()[0][2])
         return Start(f"the result in {path}", result.features.crs,
                      height if np.isfinite(height) else 0.0, result.project, result.locate,
@@ -153,12 +163,12 @@ def start_of(named: str | Path | None, image: Path) -> Start | None:
     except TermselError as error:
         if not path.is_file():
             raise
-        # It may be a file of points: then that it has no RPC is no error.
+        # The file may be one of points, which has no RPC.
         reason = error
     try:
         return start_by_points(read(path), f"the points of {path.name}")
     except TermselError as error:
-        # But one that cannot be read.
+        # It is an RPC after all: why it could not be read is the error to report.
         if error.code == "rpc-alone":
             raise reason from error
         if error.code == "crs-unknown":
@@ -168,9 +178,10 @@ def start_of(named: str | Path | None, image: Path) -> Start | None:
 
 
 def _start_by_rpc(path: Path) -> Start:
-    """Return the start that is the RPC of a file, at the middle of its heights.
+    """Return the RPC of a file as a start, with the ground at the middle of the RPC's heights.
 
-    Its places are a lattice over the area of the RPC. Raises TermselError if there is no RPC.
+    Its `places` are a lattice over the area that the RPC is made for. Raises TermselError if there
+    is no RPC.
     """
     rpc = read_rpc(path)
     middle = rpc.ground_offset[2]
@@ -187,19 +198,19 @@ def _start_by_rpc(path: Path) -> Start:
 
 
 def start_by_points(features: FeatureSet, description: str) -> Start:
-    """Return an affine transformation by points, whose heights are not used.
+    """Return an affine transformation by points as a start; heights of the points are not used.
 
     Raises
     ------
     TermselError
-        If they are fewer than three, or on one straight line.
+        If there are fewer than three points, or all lie on one straight line.
     """
     points = features.points
     if len(points) < _MIN_POINTS:
         raise TermselError(f"{description} are {len(points)}, and a start requires at least "
                            f"{_MIN_POINTS}",
                            hint="Add points, for example the corners of the image.")
-    # Roles would leave out points for check; a start uses all.
+    # With roles, only control points would be used.
     free = replace(features, points=replace(points, roles=()))
     fitted = fit(free, "poly2d", degree=1)
     heights = points.ground[:, 2]
@@ -208,9 +219,9 @@ def start_by_points(features: FeatureSet, description: str) -> Start:
 
 
 def _start_by_own_position(image: Path) -> Start | None:
-    """Return the start by an image's own GCPs or geotransform; None if they are too few.
+    """Return the start by an image's own GCPs or geotransform.
 
-    None without a CRS, too.
+    None if there is no geotransform and fewer than three GCPs, or no CRS.
     """
     with open_raster(image) as raster:
         gcps, crs = raster.gcps

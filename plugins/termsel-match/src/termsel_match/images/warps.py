@@ -26,18 +26,22 @@ from termsel_match.images.rasters import (
 )
 from termsel_match.images.starts import Heights, Start
 
-# Px between places that are computed; those between are interpolated.
 _REFERENCE_MESH = 24
+"""Distance of the pixels whose position in the reference is computed [px]; others are interpolated.
+"""
+
 COVERS = 33
-"""Places along either side of an image by which its overlap is judged."""
-# Places along either side of a reference by which its part of the image is found.
+"""Number of positions along either side of an image by which its overlap is judged."""
+
 _EDGE_PLACES = 5
-# Ratio of pixel sizes up to which none is reduced.
+"""Number of positions along either side of a reference by which its part of the image is found."""
+
 _SAME_SIZE = 1.5
+"""Ratio of pixel sizes up to which the finer pixels are not averaged."""
 
 
 class NotShown(TermselError):
-    """A reference that does not show the place of the image."""
+    """Raised for a reference that does not show what the image shows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,34 +51,40 @@ class ReferencePatch:
     Parameters
     ----------
     pixels : ndarray of float32, shape (lines, samples)
+        Brightness of the reference; 0 where it is not known.
     known : ndarray of bool, same shape
+        Where it is known.
     mesh : ndarray, shape (2, a, b)
-        Line and sample of the reference at every 24th pixel.
+        Line and sample in the reference of every 24th pixel in either direction.
     """
 
     pixels: Grey
     known: Mask
     mesh: FloatArray
 
-    def in_reference(self, at: FloatArray) -> FloatArray:
-        """Return where in the reference, line and sample (n, 2), places of the patch are."""
-        in_mesh = np.asarray(at).T / _REFERENCE_MESH
+    def in_reference(self, positions: FloatArray) -> FloatArray:
+        """Return line and sample in the reference, (n, 2), of positions (n, 2) in the patch."""
+        in_mesh = np.asarray(positions).T / _REFERENCE_MESH
         return np.stack([map_coordinates(axis, in_mesh, order=1) for axis in self.mesh], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """A georeferenced image, seen by a start.
+    """A georeferenced image, as an image with a rough geometry would see it.
 
     Parameters
     ----------
     picture : GreyRaster
+        Brightness of the georeferenced image.
     crs : str
+        CRS of the georeferenced image.
     start : Start
+        Rough geometry of the image that is to be matched.
     heights, map_heights : float or callable
-        Of places in the CRS of the start, and of the reference; a number without a DEM.
+        Heights of the ground, as functions of positions in the CRS of the start, and in that of the
+        reference. Without a DEM, both are the height that the start states.
     to_map : pyproj.Transformer
-        From the CRS of the start.
+        From the CRS of the start to that of the reference.
     """
 
     picture: GreyRaster
@@ -85,19 +95,23 @@ class Reference:
     to_map: Any
 
     def seen(self, image: FloatArray) -> FloatArray:
-        """Return line and sample of the reference, (n, 2), of image places; NaN for none."""
+        """Return line and sample in the reference, (n, 2), of image positions (n, 2) [px].
+
+        NaN where the start or the transformation of the CRS gives no position.
+        """
         ground = self.start.locate(image, self.heights)
         x, y = self.to_map.transform(ground[:, 0], ground[:, 1])
         positions = _map_to_pixels(self.picture.raster.transform, np.asarray(x), np.asarray(y))
         positions[~np.isfinite(positions).all(axis=1)] = np.nan
         return positions
 
-    def ground(self, at: FloatArray) -> FloatArray:
-        """Return ground coordinates, (n, 3), of places in the reference, (n, 2).
+    def ground(self, positions: FloatArray) -> FloatArray:
+        """Return ground coordinates, (n, 3), of positions (n, 2) in the reference [px].
 
-        Heights are NaN without a DEM and where it has none.
+        Heights are NaN without a DEM, and where the DEM has none.
         """
-        x, y = self.picture.raster.transform @ (at[:, 1] + 0.5, at[:, 0] + 0.5)
+        # The geotransform counts from the corner of the first pixel, positions from its centre.
+        x, y = self.picture.raster.transform @ (positions[:, 1] + 0.5, positions[:, 0] + 0.5)
         plane = np.column_stack([x, y])
         if callable(self.map_heights):
             heights = self.map_heights(plane)
@@ -107,32 +121,37 @@ class Reference:
 
     def patch(self, first_line: int, first_sample: int, shape: tuple[int, int],
               step: int) -> ReferencePatch:
-        """Return the reference as the image would show it from a line and a sample on.
+        """Return the reference as the image would show it in a window.
 
         Parameters
         ----------
         first_line, first_sample : int
-            Of the image [px].
+            First line and sample of the window in the image [px].
         shape : tuple of int
-            Lines and samples of the patch, each of `step` px of the image.
+            Lines and samples of the patch.
         step : int
+            Pixels of the image that one pixel of the patch is, along either side.
+
+        Returns
+        -------
+        ReferencePatch
+            With no pixel known if the reference does not show the window.
         """
         lines, samples = (np.arange(0, -(-size // _REFERENCE_MESH) + 1) * _REFERENCE_MESH
                           for size in shape)
         nodes = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)
-        # The middle of a reduced pixel is that of its pixels.
+        # A pixel of the patch is `step` pixels of the image: its centre is the middle of these.
         at_reference = self.seen((nodes + 0.5) * step - 0.5 + [first_line, first_sample])
         mesh = at_reference.T.reshape(2, len(lines), len(samples))
         empty = ReferencePatch(np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=bool), mesh)
         finite = np.isfinite(at_reference).all(axis=1)
         if not finite.any():
             return empty
-        # Pixels of the reference that are finer than those of the image are reduced first.
+        # If its pixels are finer than those of the patch, the reference is averaged first.
         size = max(1, round(_mesh_spacing(mesh) / _REFERENCE_MESH / _SAME_SIZE))
         # Some pixels more on each side, which cubic interpolation needs.
         low = np.floor(at_reference[finite].min(axis=0)).astype(int) - 4 * size
         extent = np.ceil(at_reference[finite].max(axis=0)).astype(int) + 4 * size - low
-        # Cut to what the reference has.
         high = np.minimum(low + extent, self.picture.size)
         low = np.maximum(low, 0)
         low -= low % size
@@ -141,13 +160,13 @@ class Reference:
         top_left = low.tolist()
         extent = (high - low).tolist()
         pixels, is_known = self.picture.read(top_left[0], top_left[1], extent[0], extent[1], size)
-        # The mesh has a node every 24 px: each pixel lies between four of them.
+        # Each pixel lies between four nodes of the mesh, in units of which it is interpolated.
         grid = np.stack(np.meshgrid(*(np.arange(n) / _REFERENCE_MESH for n in shape),
                                     indexing="ij"))
         at_pixels = [((map_coordinates(axis, grid, order=1) - start + 0.5) / size - 0.5
                   ).astype(np.float32) for axis, start in zip(mesh, low, strict=True)]
         is_finite = np.isfinite(at_pixels[0])
-        # Where the start has no ground, remap reads beyond the raster, which is unknown there.
+        # Where the start gives no position, one beyond the raster is taken, which is not known.
         at_pixels = [np.where(is_finite, axis, -9).astype(np.float32) for axis in at_pixels]
         seen_known = cv2.remap(is_known.astype(np.float32), at_pixels[1], at_pixels[0],
                                cv2.INTER_LINEAR)
@@ -156,12 +175,12 @@ class Reference:
                               np.asarray(is_finite & (seen_known > 0.999)), mesh)
 
     def shown(self, picture: GreyRaster) -> Mask:
-        """Return where an image and the reference have data, shape (33, 33).
+        """Return where both the image and the reference have data, shape (33, 33).
 
         Parameters
         ----------
         picture : GreyRaster
-            The image; the places are spread evenly over it.
+            The image, over which the 33 by 33 positions are spread evenly.
         """
         image = spread_pixels(picture.size, (COVERS, COVERS))
         has_both = np.ones(len(image), dtype=bool)
@@ -170,7 +189,9 @@ class Reference:
         return has_both.reshape(COVERS, COVERS)
 
     def footprint(self, size: tuple[int, int]) -> tuple[int, int, int, int] | None:
-        """Return the part of an image where the reference is by the start; None for none.
+        """Return the part of an image that the reference covers by the start; None if it has none.
+
+        It has none, too, if the part is narrower than 24 px.
 
         Parameters
         ----------
@@ -182,9 +203,9 @@ class Reference:
         tuple of int
             Line and sample of its first pixel, lines and samples.
         """
-        # The edges and the inside of the reference, by the start's heights, in the image.
-        edge = self.ground(spread_pixels(self.picture.size, (_EDGE_PLACES, _EDGE_PLACES)))
-        x, y = self.to_map.transform(edge[:, 0], edge[:, 1], direction="INVERSE")
+        # Positions spread over the reference, its edges included, are projected into the image.
+        ground = self.ground(spread_pixels(self.picture.size, (_EDGE_PLACES, _EDGE_PLACES)))
+        x, y = self.to_map.transform(ground[:, 0], ground[:, 1], direction="INVERSE")
         plane = np.column_stack([x, y])
         if callable(self.heights):
             heights = self.heights(plane)
@@ -210,7 +231,7 @@ class Reference:
         return west, south, east, north
 
     def reduction(self, size: tuple[int, int]) -> int:
-        """Return how many pixels of the image, along a side, are one of the reference.
+        """Return how many pixels of the image make one of the size of the reference's, at least 1.
 
         Parameters
         ----------
@@ -218,29 +239,23 @@ class Reference:
             Lines and samples of the image.
         """
         middle = np.array(size) / 2
-        # Three neighbours of a mesh in the middle: two steps, down and to the right.
+        # The middle of the image, and positions 24 px below and to the right of it.
         at_reference = self.seen(middle + np.array([[0, 0], [_REFERENCE_MESH, 0],
                                                     [0, _REFERENCE_MESH]]))
-        return max(
-            1,
-            round(
-                _REFERENCE_MESH
-                / _mesh_spacing(at_reference[[0, 1, 0, 2]].T.reshape(2, 2, 2))
-                / _SAME_SIZE
-            ),
-        )
+        spacing = _mesh_spacing(at_reference[[0, 1, 0, 2]].T.reshape(2, 2, 2))
+        return max(1, round(_REFERENCE_MESH / spacing / _SAME_SIZE))
 
 
 def _mesh_spacing(mesh: FloatArray) -> float:
-    """Return the median distance of neighbours of a mesh (2, lines, samples).
+    """Return the median distance in the reference of neighbours of a mesh (2, a, b) [px].
 
-    If none is known it is the mesh's own step.
+    If no distance is known, it is 24 px, as if both images had pixels of one size.
     """
-    steps = np.concatenate([np.linalg.norm(np.diff(mesh, axis=axis), axis=0).ravel()
-                            # Steps along both axes of the mesh.
-                            for axis in (1, 2)])
-    steps = steps[np.isfinite(steps) & (steps > 0)]
-    return float(np.median(steps)) if len(steps) else float(_REFERENCE_MESH)
+    along_lines, along_samples = (np.linalg.norm(np.diff(mesh, axis=axis), axis=0).ravel()
+                                  for axis in (1, 2))
+    distances = np.concatenate([along_lines, along_samples])
+    distances = distances[np.isfinite(distances) & (distances > 0)]
+    return float(np.median(distances)) if len(distances) else float(_REFERENCE_MESH)
 
 
 def _map_to_pixels(transform: Any, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -254,32 +269,42 @@ def _map_to_pixels(transform: Any, x: FloatArray, y: FloatArray) -> FloatArray:
 def open_reference(path: Path | str, start: Start, dem: Path | str | None, size: tuple[int, int],
                    band: int | None = None, masks: Sequence[Path | str] = (),
                    ) -> Iterator[Reference]:
-    """Open a georeferenced image and the heights of its place.
+    """Open a georeferenced image and the heights of its area.
 
     Parameters
     ----------
     path : path-like
+        The georeferenced image.
     start : Start
+        Rough geometry of the image that is to be matched with it.
     dem : path-like, optional
+        Raster of heights; without it, the height that the start states holds everywhere.
     size : tuple of int
-        Lines and samples of the image that is to be georeferenced.
+        Lines and samples of the image that is to be matched.
     band : int, optional
         See `open_picture`.
     masks : sequence of path-like
-        Files of polygons where nothing is matched; those with a CRS.
+        Files of polygons in which nothing is matched. Only those with a CRS count here.
+
+    Yields
+    ------
+    Reference
 
     Raises
     ------
+    NotShown
+        If the reference shows nothing of what the image shows by the start.
     TermselError
-        If the image has no CRS; if it or the DEM cannot be read, or does not cover any part of
-        what the start says that the image shows.
+        If the georeferenced image has no CRS or no geotransform; if it or the DEM cannot be read;
+        if the DEM covers nothing of the image, or the start gives no ground position for it.
     """
     with ExitStack() as stack:
         picture = stack.enter_context(open_picture(path, band))
         crs = crs_of(picture)
         picture = replace(picture, excluded=mask_from_ground(masks, crs, picture.raster.transform))
         heights: list[Heights] = []
-        # Heights are asked in both: the start projects from its CRS, the reference lies in its own.
+        # Heights are needed in both CRSs: the start projects from one, the reference lies in the
+        # other.
         for of_crs in (start.crs, crs):
             if dem is None:
                 heights.append(start.height)
@@ -297,10 +322,11 @@ def open_reference(path: Path | str, start: Start, dem: Path | str | None, size:
 
 
 _RASTERS = (".tif", ".tiff", ".vrt", ".jp2", ".img", ".png", ".jpg")
+"""Extensions of the files in a folder that are taken for images."""
 
 
 def references_of(named: Path | str) -> list[Path]:
-    """Return the files of a reference: itself, or the images in a folder, by their names.
+    """Return the files of a reference: a file itself, or the images in a folder, sorted by name.
 
     Raises
     ------
@@ -318,7 +344,7 @@ def references_of(named: Path | str) -> list[Path]:
 
 
 def crs_of(picture: GreyRaster) -> str:
-    """Return the CRS of a georeferenced picture, as its code where it has one.
+    """Return the CRS of a georeferenced picture, as "EPSG:n" where it has a code, else as WKT.
 
     Raises
     ------
@@ -350,7 +376,6 @@ def _require_overlap(reference: Reference, size: tuple[int, int], dem: Path | st
         raise TermselError(f"the DEM does not cover the image, which by {by} is at "
                            f"{_position_of_image(reference.start, size)}", file=dem,
                            hint="Give a DEM of that area; if the place is wrong, another --start.")
-    # Finite positions that are on the reference: the image and it have ground in common.
     last = np.array(reference.picture.size) - 1
     inside = is_finite & ((at_reference >= 0) & (at_reference <= last)).all(axis=1)
     if not inside.any():

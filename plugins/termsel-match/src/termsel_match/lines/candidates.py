@@ -15,25 +15,30 @@ from termsel_match.images.starts import Start, start_of
 from termsel_match.lines.ridges import clearest_bands
 from termsel_match.lines.vectors import pieces_of
 
-# Pieces with a band.
 LEAST_PIECES = 6
-# Bands for each piece.
+"""Fewest pieces that must have a band."""
+
 BANDS_PER_PIECE = 4
+"""Most bands that are candidates for a piece."""
 
 
 @dataclass(frozen=True, eq=False)
 class LineCandidates:
-    """Candidates of control lines, most of which are wrong: a piece has several.
+    """Candidates of control lines, most of which are wrong, as each piece has several.
 
     Parameters
     ----------
     lines : Lines
-        With standard deviations, and the attributes `vector`, `piece`, `offset` [px] and `score`.
+        The candidates, with standard deviations, and the attributes `vector`, `piece`, `offset`
+        [px] and `score`.
     crs : str
+        CRS of their ground coordinates.
     image_size : tuple of int
+        Lines and samples of the image.
     pieces : int
-        Straight pieces of vectors in the image.
+        Number of straight pieces of vectors in the image.
     start : str
+        The rough geometry from which matching started, in words.
     """
 
     lines: Lines
@@ -55,23 +60,28 @@ def match_lines(
 ) -> LineCandidates:
     """Return the bands of an image that may show vectors such as roads.
 
-    Vectors are projected by the start and cut into straight pieces. Across each, in a strip as wide
-    as the search, bright and dark bands are found; the clearest four are its candidates, placed to
-    sub-pixel along the piece.
+    Vectors are projected by the start and cut into straight pieces. On both sides of each, as far
+    as the search goes, bright and dark bands are looked for. The clearest four are its candidates,
+    whose positions are measured to sub-pixel.
 
     Parameters
     ----------
     image, vectors : path-like
+        The image; and lines, or areas for their boundaries, in any format of GDAL and any CRS.
     dem : path-like, optional
-        Raster of heights.
+        Raster of heights; without it, the height that the start states holds everywhere.
     start : path-like, str or Start, optional
-        See `termsel_match.images.starts.start_of`.
+        Rough geometry of the image, as for `termsel_match.images.starts.start_of`.
     search : float
-        Largest distance across from the start [px].
+        Largest distance of a band from the projected vector [px].
     band : int, optional
-        Counted from 1; by default the mean of all.
+        Number of a band, from 1; by default the mean of all bands.
     progress : callable, optional
-        Called with the fraction that is done, 0 to 1.
+        Called with the share that is done, 0 to 1.
+
+    Returns
+    -------
+    LineCandidates
 
     Raises
     ------
@@ -123,10 +133,10 @@ def without_start(image: Path) -> TermselError:
 
 
 def _shorten_line(ends: FloatArray, k: int) -> FloatArray:
-    """Return two vertices (2, d) of the same ground line, other ones for each band k.
+    """Return two vertices (2, 3) of the ground line of a piece that differ for each band k.
 
-    Candidates of one line must differ on the ground.
+    Candidates of one piece have one ground line, but features must not have the same coordinates.
+    So its ends move by a hundredth of its length for each further band, along the line.
     """
-    # One part in a hundred for each further band, along the same line.
     share = np.array([[0.01 * k], [1 - 0.01 * k]])
     return np.asarray(ends[0] + share * (ends[1] - ends[0]))

@@ -12,14 +12,18 @@ import termsel
 from termsel import FeatureSet, Fit, Lines, Points, TermselError
 from termsel_match.images.starts import Start, transform_plane
 
-# Ratio of standard deviations across and along.
 _WEAK_RATIO = 3.0
-# Px along the lines, beyond which the start holds the image.
+"""Standard deviation along the lines, divided by that across, from which on they run in nearly one
+direction."""
+
 _HELD = 2.0
-# Vectors that are tried in turn, those with most lines.
+"""Standard deviation along the lines above which the start holds the image [px]."""
+
 _ASKED = 60
-# Px by which the image may move without one vector.
+"""Most vectors that are left out in turn, those with most lines first."""
+
 UNCERTAIN = 1.0
+"""Movement of the image without one vector above which the user is asked to check it [px]."""
 
 
 @dataclass(frozen=True)
@@ -29,16 +33,17 @@ class Decisive:
     Parameters
     ----------
     vector : str
+        Name of the vector.
     moved : float
-        Rms by which the lines move in the image [px]; infinite where the others do not determine
-        the model.
+        RMS movement of the lines in the image without it [px]; infinite if the other vectors do not
+        determine the model.
     """
 
     vector: str
     moved: float
 
     def text(self) -> str:
-        """Return a sentence on how far the image moves without the one vector that counts most."""
+        """Return a sentence on how far the image moves without the vector that counts most."""
         if self.moved <= UNCERTAIN:
             return (f"Without any one vector the image moves by at most {self.moved:.2f} px "
                     f"(vector {self.vector}).")
@@ -52,21 +57,24 @@ class Decisive:
 
 def fit_lines_or_hold_by_start(features: FeatureSet, model: str, options: Mapping[str, Any],
                                start: Start, search: float) -> tuple[FeatureSet, Fit]:
-    """Return what a model of lines is fitted to, and the model.
+    """Return the features that a model of lines is fitted to, and its fit.
 
-    Where the lines alone do not fix the image, as one street does not, or the model cannot be
-    fitted to them, the start holds it by four points in the corners of the image.
+    If the lines alone do not fix the image, as one street does not, or do not determine the model,
+    the start holds the image by four control points in its corners.
 
     Parameters
     ----------
     features : FeatureSet
         Lines, with standard deviations.
     model : str
+        Name of the model.
     options : mapping
         Options of the model.
     start : Start
+        Rough geometry of the image.
     search : float
-        Largest distance of the truth from the start [px], the standard deviation of the corners.
+        Largest distance of the truth from the start [px]. It is the standard deviation of the
+        corners.
 
     Raises
     ------
@@ -78,14 +86,17 @@ def fit_lines_or_hold_by_start(features: FeatureSet, model: str, options: Mappin
         try:
             return features, termsel.fit(features, model, **options)
         except TermselError:
-            # For example no drift from lines in one place.
+            # Lines in one part of the image, for example, do not determine a drift.
             pass
     with_start = features.with_(points=_corner_points(features, start, search))
     return with_start, termsel.fit(with_start, model, **options)
 
 
 def _corner_points(features: FeatureSet, start: Start, sigma: float) -> Points:
-    """Return control in the corners of the image, where the start sees them, good to sigma [px]."""
+    """Return control points in the corners of the image, at the ground positions by the start.
+
+    Their standard deviation in line and sample is `sigma` [px].
+    """
     size = np.array(features.image_size) - 1
     image = size * np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
     height = float(np.nanmean(features.lines.ground[..., 2]))
@@ -102,22 +113,24 @@ def most_decisive_vector(features: FeatureSet, model: str, options: Mapping[str,
     Parameters
     ----------
     features : FeatureSet
-        The lines that agree, with the attribute `vector`, and points that hold them, if any.
+        The lines that agree, with the attribute `vector`, and the points that hold the image, if
+        any.
     model : str
+        Name of the model.
     options : mapping
         Options of the model.
     """
     lines = features.lines
     ground = lines.ground.reshape(-1, 3)
-    of = lines.attributes["vector"].astype(str)
+    vector_of = lines.attributes["vector"].astype(str)
     positions = termsel.fit(features, model, **options).project(ground)
-    names, count = np.unique(of, return_counts=True)
-    # Without the only vector nothing is left to fit.
+    names, count = np.unique(vector_of, return_counts=True)
+    # Without the only vector no line is left.
     if len(names) == 1:
         return Decisive(str(names[0]), float("inf"))
     moves = []
     for name in names[np.argsort(-count, kind="stable")[:_ASKED]]:
-        other_lines = lines.take(of != name)
+        other_lines = lines.take(vector_of != name)
         try:
             without = termsel.fit(features.with_(lines=other_lines), model,
                                   **options).project(ground)
@@ -129,7 +142,7 @@ def most_decisive_vector(features: FeatureSet, model: str, options: Mapping[str,
 
 
 def sentences_on_certainty(lines: Lines) -> str:
-    """Return sentences on how well lines fix the image, across them and along [px]."""
+    """Return sentences on how well lines fix the image across them and along them."""
     (across_them, along_them), towards = _sigma_across_and_along(lines)
     if along_them < _WEAK_RATIO * across_them:
         return (f"The lines fix the position of the image in all directions: standard deviation "
@@ -144,9 +157,10 @@ def sentences_on_certainty(lines: Lines) -> str:
 
 
 def _sigma_across_and_along(lines: Lines) -> tuple[tuple[float, float], float]:
-    """Return standard deviations [px] across most lines and along them, and the direction along.
+    """Return the standard deviations of the image across most lines and along them [px].
 
-    The direction is from that of lines towards that of samples [deg]; along may be infinite.
+    That along them is infinite if all lines are parallel. Its direction comes back, too: the angle
+    from the axis of lines towards that of samples [deg].
     """
     assert lines.sigma is not None
     run = lines.image[:, 1] - lines.image[:, 0]

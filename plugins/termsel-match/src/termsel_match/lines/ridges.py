@@ -9,29 +9,42 @@ import numpy as np
 
 from termsel_match.images.rasters import FloatArray, GreyRaster
 
-# Px across.
 _PROFILE_STEP = 0.5
-# Px of a band.
+"""Distance of the columns of a strip, across the line [px]."""
+
 _WIDTHS = (4.0, 6.0, 8.0, 10.0, 13.0)
-# Px on either side that are compared with it.
+"""Widths of bands that are tried [px]."""
+
 _FLANK = 4.0
-# Px along, in which the place across is found.
+"""Width on either side of a band with which it is compared [px]."""
+
 _BLOCK_LENGTH = 12.0
-# Px between bands.
+"""Length of a block along the band in which its position across is measured [px]."""
+
 _BAND_DISTANCE = 5.0
-# Px about an edge in which its slope counts.
+"""Least distance of two bands from each other [px]."""
+
 _EDGE_WIDTH = 2.5
-# Px about a band in which its blocks are placed.
+"""Distance from the expected edge of a band within which the slope of the brightness counts [px].
+"""
+
 _BAND_REACH = 3.0
-# Px to either side, at least, whose responses are compared.
+"""Distance from the expected middle of a band within which the blocks look for it [px]."""
+
 _COMPARED = 40.0
-# Response of a band, in standard deviations of those of the strip.
+"""Least width on either side of the line whose responses are compared [px]."""
+
 _MIN_RESPONSE = 3.0
+"""Least response of a band, divided by the median response of the strip."""
+
 _LEAST_BLOCKS = 3
-# Part of the length that must be in the image.
+"""Fewest blocks that must show a band."""
+
 _SEEN = 0.6
-# In px.
+"""Least share of a column of the strip that must be known."""
+
 _MIN_BAND_SIGMA = 0.1
+"""Least standard deviation that is stated for the position of a band [px]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +54,13 @@ class Band:
     Parameters
     ----------
     image : ndarray, shape (2, 2)
-        Two places on its middle line, line and sample [px].
+        Two positions on its middle line, line and sample [px].
     sigma : float
-        Standard deviation of its place across [px].
+        Standard deviation of its position across [px].
     offset : float
-        Distance across from where it was looked for [px].
+        Signed distance, across, from the line next to which it was looked for [px].
     score : float
-        Response, in standard deviations of the responses of the strip.
+        Its response, divided by the median response of the strip.
     """
 
     image: FloatArray
@@ -57,17 +70,23 @@ class Band:
 
 
 def clearest_bands(picture: GreyRaster, ends: FloatArray, search: float, limit: int) -> list[Band]:
-    """Return the clearest bands that are parallel to a line.
+    """Return the clearest bands of an image that are nearly parallel to a line.
 
     Parameters
     ----------
     picture : GreyRaster
+        The image.
     ends : ndarray, shape (2, 2)
-        Two places of the line, line and sample [px].
+        Both ends of the line, line and sample [px].
     search : float
-        Largest distance across [px].
+        Largest distance of a band from the line [px].
     limit : int
         Largest number of bands.
+
+    Returns
+    -------
+    list of Band
+        The clearest first.
     """
     run = ends[1] - ends[0]
     length = float(np.linalg.norm(run))
@@ -82,17 +101,17 @@ def clearest_bands(picture: GreyRaster, ends: FloatArray, search: float, limit: 
     low = np.floor(at.reshape(-1, 2).min(axis=0)).astype(int) - 1
     extent = np.ceil(at.reshape(-1, 2).max(axis=0)).astype(int) + 2 - low
     grey, grey_known = picture.read(int(low[0]), int(low[1]), int(extent[0]), int(extent[1]))
-    # OpenCV takes columns before rows.
+    # OpenCV takes columns before rows. The strip has a row for each px along the line.
     maps = [(at[..., axis] - low[axis]).astype(np.float32) for axis in (1, 0)]
     strip = cv2.remap(grey, *maps, cv2.INTER_LINEAR).astype(np.float64)
     is_known = cv2.remap(grey_known.astype(np.float32), *maps, cv2.INTER_LINEAR) > 0.999
     strip[~is_known] = np.nan
     count = is_known.sum(axis=0)
-    # The mean along the line: a band is clearer in it than in any row.
+    # A band is clearer in the mean along the line than in any row.
     profile = np.where(is_known, strip, 0.0).sum(axis=0) / np.maximum(count, 1)
     profile[count < _SEEN * len(strip)] = np.nan
     responses = np.stack([_band_response(profile[None], width)[0] for width in _WIDTHS])
-    # The best width at each offset; what is clear is so in comparison with the rest of the strip.
+    # The largest response of all widths at each offset, to be compared with the rest of the strip.
     best = np.abs(np.nan_to_num(responses)).max(axis=0) * (np.abs(offset) <= compared)
     if not best.any():
         return []
@@ -114,15 +133,16 @@ def clearest_bands(picture: GreyRaster, ends: FloatArray, search: float, limit: 
 
 
 def _band_response(profiles: FloatArray, width: float) -> FloatArray:
-    """Return how much each place is the middle of a band, negative for dark ones, (rows, n).
+    """Return how much each position of profiles (rows, n) is the middle of a band, (rows, n).
 
-    The smaller of the differences to either side, where both have the same sign: of an edge it is
-    small.
+    It is the difference of the brightness to that of the flanks: the smaller of both, if they have
+    the same sign, else 0, so that it is small at an edge. It is negative for dark bands, and NaN
+    near the ends and near unknown positions.
     """
     half = round(width / 2 / _PROFILE_STEP)
     flank = round(_FLANK / _PROFILE_STEP)
     unknown = ~np.isfinite(profiles)
-    # Sums up to each column, so that the mean of any stretch is one difference.
+    # Sums up to each column: the mean of any stretch is a difference of two of them.
     total, gaps = (np.pad(np.cumsum(values, axis=1), ((0, 0), (1, 0)))
                    for values in (np.where(unknown, 0.0, profiles), unknown))
     n = profiles.shape[1]
@@ -130,11 +150,11 @@ def _band_response(profiles: FloatArray, width: float) -> FloatArray:
     middle = np.arange(half + flank + 1, n - half - flank - 1)
 
     def mean(first: int, last: int) -> FloatArray:
+        """Return the mean of the columns from `first` to `last`, counted from each middle."""
         return np.asarray((total[:, middle + last + 1] - total[:, middle + first])
                           / (last - first + 1))
 
     core = mean(-half + 1, half - 1)
-    # How much brighter the core is than either flank.
     left_step = core - mean(-half - flank, -half - 1)
     right_step = core - mean(half + 1, half + flank)
     is_band = np.sign(left_step) == np.sign(right_step)
@@ -150,13 +170,17 @@ def _middles_between_edges(
         profiles: FloatArray, offset: FloatArray, at: FloatArray, width: float) -> FloatArray:
     """Return the middles between the two edges of bright bands, (rows,).
 
-    The response is larger towards the side that differs less; edges do not depend on the other
-    side. Each is the centroid of the squared slope near where the width puts it.
+    The response of a band is biased towards the flank that differs less from it, but its edges are
+    not. An edge is the centroid of the squared slope of the brightness near its expected position;
+    that position itself if there is no slope of the right sign.
+
+    `profiles` (rows, n) are the brightness at offsets (n,), `at` (rows,) the expected middles of
+    bands of the given width.
     """
     slope = np.nan_to_num(np.gradient(profiles, axis=1))
     edges = []
     for sign in (-1, 1):
-        # The slope of the right sign near the edge that the width expects.
+        # The brightness rises at the left edge of a bright band, and falls at its right edge.
         near = np.abs(offset - (at + sign * width / 2)[:, None]) <= _EDGE_WIDTH
         weight = np.where(near, np.clip(-sign * slope, 0, None) ** 2, 0.0)
         total = weight.sum(axis=1)
@@ -167,12 +191,13 @@ def _middles_between_edges(
 
 def _place_of_band(strip: FloatArray, offset: FloatArray, about: float, width: float, sign: float,
                    ) -> tuple[tuple[float, float], float] | None:
-    """Return where across a band is at its first and last row, and the standard deviation [px].
+    """Return the offsets of a band in the first and last row of a strip, and their deviation [px].
 
-    `strip` (rows, n) is the image along the band, `offset` (n,) the places across it, `about` where
-    the band is expected, `sign` 1 for bright bands and -1 for dark ones. None if it is unclear.
+    `strip` (rows, n) is the image along the band at offsets (n,) across; the band is expected at
+    the offset `about`, and `sign` is 1 for a bright and -1 for a dark one. None if it is not clear
+    in half of the blocks.
     """
-    # The place across is found in blocks along the band, and a straight line is fitted to them.
+    # The offset is measured in blocks along the band, to which a straight line is fitted.
     count = max(_LEAST_BLOCKS, round(len(strip) / _BLOCK_LENGTH))
     blocks = np.array_split(np.arange(len(strip)), count)
     means = np.stack([strip[block].mean(axis=0) for block in blocks])
@@ -182,7 +207,7 @@ def _place_of_band(strip: FloatArray, offset: FloatArray, about: float, width: f
     clear = np.flatnonzero(np.isfinite(value).all(axis=1) & (value.max(axis=1) > 0))
     if len(clear) < _LEAST_BLOCKS:
         return None
-    # The centroid of what is above half of the largest response.
+    # A first offset: the centroid of the responses above half of the largest.
     weight = np.clip(value[clear] - 0.5 * value[clear].max(axis=1, keepdims=True), 0, None)
     at = (weight * offset[near]).sum(axis=1) / weight.sum(axis=1)
     s = middles[clear]
@@ -190,9 +215,10 @@ def _place_of_band(strip: FloatArray, offset: FloatArray, about: float, width: f
     used = np.ones(len(s), dtype=bool)
     for _ in range(4):
         line = np.polynomial.Polynomial.fit(s[used], at[used], 1).convert()
-        away = np.abs(at - line(s))
-        spread = 1.4826 * float(np.median(away[used]))
-        near_line = away <= max(3 * spread, 0.3)
+        distances = np.abs(at - line(s))
+        # The median of absolute normal errors is their standard deviation divided by 1.4826.
+        spread = 1.4826 * float(np.median(distances[used]))
+        near_line = distances <= max(3 * spread, 0.3)
         if near_line.sum() < _LEAST_BLOCKS:
             return None
         if np.array_equal(near_line, used):
@@ -200,7 +226,7 @@ def _place_of_band(strip: FloatArray, offset: FloatArray, about: float, width: f
         used = near_line
     if used.sum() < 0.5 * count:
         return None
-    # Standard deviation of the mean of the blocks, with two parameters of the line.
-    rms = float(np.sqrt((away[used] ** 2).sum() / max(1, used.sum() - 2)))
+    # Standard deviation of the mean of the blocks; the line has taken two of their freedoms.
+    rms = float(np.sqrt((distances[used] ** 2).sum() / max(1, used.sum() - 2)))
     return ((float(line(0.0)), float(line(len(strip) - 1.0))),
             max(rms / float(np.sqrt(used.sum())), _MIN_BAND_SIGMA))

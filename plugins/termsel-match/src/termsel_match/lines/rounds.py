@@ -25,37 +25,44 @@ from termsel_match.lines.problem import MatchedLines
 from termsel_match.lines.tracing import Tracing, variance_of_tracing
 from termsel_match.searching import features_by_search
 
-# Rounds.
 _MAX_ROUNDS = 6
-# The search of a round is that of the last by this.
+
 _NARROWER = 4.0
-# In px.
+"""Factor by which each round searches less far than the one before."""
+
 _NARROWEST = 8.0
-# Px at which a piece counts half, in the first round and later.
+"""Least distance that a round searches [px]."""
+
 _HALF_AT = 2.0, 1.0
-# Px by which the last round moves the image.
+"""Distance at which a piece counts half, in the first round and in later ones [px]."""
+
 _SETTLED_MOVE = 0.1
-# In px: in the end the clearest band within the one must be within the other.
+"""Movement of the image by a round below which rounds end [px]."""
+
 _PROOF, _AT = 40.0, 3.0
-# For this part of the pieces: at least 0.68 of true models in ten scenes, and.
+"""In the end, the clearest band within the first distance from a vector must be within the second
+[px]."""
+
 _LEAST_SHARE = 0.5
-# at most 0.12 of models that are 20 px off (docs/evidence/matching.md)
+"""Least share of the pieces for which this must be so. It is 0.68 or more for true models of ten
+scenes, and at most 0.12 for models that are 20 px off (docs/evidence/matching.md)."""
 
 
 @dataclass(frozen=True)
 class Round:
-    """One round: its search, its counts, and what it changed.
+    """One round of matching lines, and what it changed.
 
     Parameters
     ----------
     search : float
-        Largest distance from the model before [px].
+        Largest distance of a band from the model of the round before [px].
     pieces, candidates, agreeing : int
-        Pieces with candidates, candidates, and pieces that agree with the new model.
+        Number of pieces with candidates, of candidates, and of pieces that agree with the new
+        model.
     rms : float
-        Of the distances of those that agree [px].
+        RMS distance of the agreeing lines from the new model [px].
     moved : float
-        Rms by which the lines that agree have moved in the image [px].
+        RMS movement of the agreeing lines in the image, from the model before to the new one [px].
     """
 
     search: float
@@ -68,23 +75,25 @@ class Round:
 
 @dataclass(frozen=True, eq=False)
 class Matched:
-    """What rounds of matching ended with.
+    """The lines and the model with which rounds of matching ended.
 
     Parameters
     ----------
     candidates : LineCandidates
-        Of the last round.
+        The candidates of the last round.
     lines : Lines
-        Those that agree; their standard deviations are those of their distances.
+        The lines that agree. As their standard deviation, all have the RMS distance from the model.
     result : Result
+        The result of a run with these lines.
     rounds : tuple of Round
+        All rounds.
     settled : bool
-        Whether the last round changed next to nothing.
+        Whether the last round moved the image by less than 0.1 px.
     decisive : Decisive
         The vector without which the image moves most.
     tracing : Tracing
-        What errors of the vectors leave in the image. Where the start holds the image, or is a
-        model of points, which show more, it is not told.
+        What errors of the vectors leave in the image. It is not estimated if the start holds the
+        image, or is a model by points, which show more of it.
     """
 
     candidates: LineCandidates
@@ -134,22 +143,27 @@ def iterate_lines(
     Parameters
     ----------
     image, vectors, dem, start, search, band
-        As for `match_lines`; each round searches a fourth as far, at least 8 px.
+        As for `match_lines`. Each further round searches a fourth as far, but at least 8 px.
     model : str
+        Name of the model.
     options : mapping
         Options of the model.
     seed : int
-        Of each selection.
+        Seed of each selection.
     folder : path-like, optional
         Folder for the last result.
     progress : callable, optional
-        Called with the fraction of the round that is done.
+        Called with the share of a round that is done, 0 to 1.
+
+    Returns
+    -------
+    Matched
 
     Raises
     ------
     TermselError
-        As `match_lines`; or if the model is wrong: for fewer than half of the pieces the clearest
-        band within 40 px is where the model sees the vector.
+        As `match_lines`; or if the model is wrong, as for fewer than half of the pieces the
+        clearest band within 40 px is where the model projects the vector.
     """
     at = start if isinstance(start, Start) else start_of(start, Path(image))
     if at is None:
@@ -166,7 +180,7 @@ def iterate_lines(
         half_at = _HALF_AT[bool(rounds)]
         selected = candidates.lines.take(np.isin(candidates.lines.ids, features_by_search(
             "matched-lines", features, model, {**options, "half_at": half_at}, seed=seed)))
-        # All lines weigh alike at first: what their bands state is not how far vectors are off.
+        # All lines weigh alike: how well a band is measured does not say how far the vector is off.
         alike = replace(selected, sigma=np.ones(len(selected)))
         used, fitted = fit_lines_or_hold_by_start(
             features.with_(lines=alike), model, options, at, search)
@@ -175,23 +189,20 @@ def iterate_lines(
         rms = rms_distance(fitted, selected)
         vertices = selected.ground.reshape(-1, 3)
         position = fitted.project(vertices)
-        position_before = at.project(
-            np.column_stack(
-                [transform_plane(vertices[:, :2], candidates.crs, at.crs), vertices[:, 2]]
-            )
-        )
+        plane = transform_plane(vertices[:, :2], candidates.crs, at.crs)
+        position_before = at.project(np.column_stack([plane, vertices[:, 2]]))
         moved = float(np.sqrt(((position - position_before) ** 2).sum(axis=1).mean()))
         rounds.append(Round(search, n_pieces, len(candidates.lines), len(selected), rms, moved))
         settled = moved < _SETTLED_MOVE
         if settled or len(rounds) == _MAX_ROUNDS:
             break
-        # The model is nearer now, and a narrow search finds fewer wrong bands.
+        # The model is better now, and a narrower search finds fewer wrong bands.
         search = min(search, max(_NARROWEST, search / _NARROWER))
         at = _start(fitted, candidates.crs, selected)
-    # Whether the model is right is asked of the image again, in a wide search from it.
+    # A wide search from the model shows whether it is right: then the clearest bands are next to
+    # it.
     confirmed = are_bands_in_place(image, vectors, _start(fitted, candidates.crs, selected),
-                                   dem=dem,
-                                   search=max(_PROOF, first), band=band)
+                                   dem=dem, search=max(_PROOF, first), band=band)
     if confirmed.mean() < _LEAST_SHARE:
         raise TermselError(
             f"not enough lines agree: for {int(confirmed.sum())} of {len(confirmed)} pieces of "
@@ -222,7 +233,9 @@ def iterate_lines(
 
 def are_bands_in_place(image: Path | str, vectors: Path | str, at: Start, *, dem: Path | str | None,
                        search: float = _PROOF, band: int | None = None) -> NDArray[np.bool_]:
-    """Return whether the clearest band of each piece is within 3 px of where a model sees it, (n,).
+    """Return for each piece whether its clearest band is within 3 px of where a model projects it.
+
+    `at` is the model. The answer (n,) has an entry for each piece with a band within `search` px.
     """
     lines = match_lines(image, vectors, dem=dem, start=at, search=search, band=band).lines
     # Candidates of a piece are numbered from the clearest on.

@@ -11,12 +11,20 @@ from numpy.typing import NDArray
 from termsel_match.lines.problem import MatchedLines
 
 MIN_VECTORS = 6
-"""Vectors; of fewer, an error that a whole one has does not show."""
-# Of fewer vectors, that are drawn together.
-_STRETCHES, _MIN_STRETCHES = 8, 4
+"""Fewest vectors that are drawn as a whole: of fewer, an error of a whole vector does not show."""
+
+_STRETCHES = 8
+"""Number of stretches into which fewer vectors are divided altogether."""
+
+_MIN_STRETCHES = 4
+"""Fewest vectors or stretches from which is drawn."""
+
 _DRAWS = 60
-# Of the draws; the mean square is as large for normal errors, and not robust.
+"""Number of draws of the bootstrap."""
+
 _ALONG_LEVEL = 0.7
+"""Quantile of the mean square movements of the draws that is taken. For normal errors it is about
+their mean, which is not robust."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +34,9 @@ class Tracing:
     Parameters
     ----------
     sigma : float
-        Standard deviation, both axes together [px]; NaN where it cannot be told.
+        Standard deviation of the image, both axes together [px]; NaN if it cannot be estimated.
     vectors : int
-        By how many it is told; 0 where it is not asked.
+        Number of vectors by which it is estimated; 0 if it is not estimated at all.
     """
 
     sigma: float = float("nan")
@@ -45,21 +53,27 @@ class Tracing:
 
 
 def variance_of_tracing(problem: MatchedLines, selected: Sequence[str], seed: int) -> Tracing:
-    """Return what errors of the vectors leave in the image.
+    """Return how far errors of the vectors move the image, estimated by a bootstrap.
 
-    Errors of tracing are common to a vector, so that its pieces do not average them out; and lines
-    are selected that agree, which hides how far the others are off. So vectors are drawn with
-    replacement, selection and fit are repeated from the model on, and the image moves by as much as
-    errors of the vectors have moved it. Where vectors are few, stretches of them are drawn.
+    An error of tracing is common to a vector, so that its pieces do not average it out. Besides,
+    only lines that agree are selected, which hides how far the others are off. So vectors are drawn
+    with replacement, and selection and fit are repeated, starting from the model. The image then
+    moves as much as errors of the vectors have moved it. Of few vectors, stretches are drawn.
 
     Parameters
     ----------
     problem : MatchedLines
-        Of all candidates.
+        The problem of all candidates.
     selected : sequence of str
-        The lines that the model is fitted to.
+        Ids of the lines that the model is fitted to.
     seed : int
-        Of the draws.
+        Seed of the draws.
+
+    Returns
+    -------
+    Tracing
+        With NaN as the standard deviation if there are fewer than four stretches, or no draw has
+        lines that agree.
 
     References
     ----------
@@ -67,32 +81,33 @@ def variance_of_tracing(problem: MatchedLines, selected: Sequence[str], seed: in
     independent of each other are drawn.
     """
     vectors = int(problem.vector.max()) + 1
-    of = _bootstrap_units(problem.vector)
-    count = int(of.max()) + 1
+    unit = _bootstrap_units(problem.vector)
+    count = int(unit.max()) + 1
     if count < _MIN_STRETCHES:
         return Tracing(vectors=vectors)
     rng = np.random.default_rng([seed, 6])
-    # The model by the selected lines, refined by all that agree: the draws begin there.
+    # The model by the selected lines, from which each draw starts.
     begin = problem.fitted(np.flatnonzero(np.isin(problem.inputs.control.ids, selected)))
-    once = np.ones(len(of))
+    once = np.ones(len(unit))
     positions = problem.seen(problem.fitted(problem.agreeing(problem.refined(begin, once), once)))
     moves = []
     for _ in range(_DRAWS):
-        # How often each group is drawn, and with it all of its pieces.
-        times = np.bincount(rng.integers(0, count, count), minlength=count)[of].astype(float)
+        # How often each unit is drawn, and with it each of its pieces.
+        times = np.bincount(rng.integers(0, count, count), minlength=count)[unit].astype(float)
         lines = problem.agreeing(problem.refined(begin, times), times)
         if len(lines):
-            away = problem.seen(problem.fitted(lines)) - positions
-            moves.append((away**2).sum(axis=1).mean())
-    # A few draws hardly determine the model, which says nothing of all vectors together.
+            movement = problem.seen(problem.fitted(lines)) - positions
+            moves.append((movement**2).sum(axis=1).mean())
+    # A quantile, as a few draws hardly determine the model and move the image by far too much.
     sigma = float(np.sqrt(np.quantile(moves, _ALONG_LEVEL))) if moves else float("nan")
     return Tracing(sigma, vectors)
 
 
 def _bootstrap_units(vector: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return for each piece the number of the unit that a bootstrap draws it with, (n,).
+    """Return the number of the unit with which a bootstrap draws each piece, (n,).
 
-    A unit is a vector; where vectors are few, a stretch of one.
+    `vector` (n,) is the number of each piece's vector. A unit is a vector; if there are fewer than
+    six, it is one of the stretches, about eight altogether, into which they are divided.
     """
     count = int(vector.max()) + 1
     if count >= MIN_VECTORS:

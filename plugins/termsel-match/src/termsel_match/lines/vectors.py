@@ -20,18 +20,27 @@ from termsel_match.images.rasters import FloatArray
 from termsel_match.images.starts import Start
 
 _KINDS = ("LineString", "MultiLineString", "Polygon", "MultiPolygon")
-# Px by which a vector may bend within a piece.
+"""Types of geometry that are read."""
+
 _STRAIGHT = 0.5
-# Px of a piece.
+"""Largest deviation of a vector from a straight line within a piece [px]."""
+
 SHORTEST, _LONGEST = 40.0, 150.0
-# Px between vertices that are projected.
+"""Least and largest length of a piece [px]."""
+
 _VERTEX_STEP = 16.0
-# Of the image, around it, where vectors may be that it shows.
+"""Largest distance of vertices that are projected [px]."""
+
 _MARGIN = 0.5
-# Pieces; more would take time and show next to nothing.
+"""Margin around the image in which vectors are kept, as a share of its extent: a start may be off
+by as much."""
+
 MOST_PIECES = 400
-# Of the image along either side, and of pieces, from which they are.
+"""Most pieces that are looked for: more take time, and say next to nothing new."""
+
 _IMAGE_CELLS, _PIECE_DIRECTIONS = 6, 4
+"""Number of cells along either side of the image, and of classes of direction, over which the
+pieces are spread."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,12 +50,13 @@ class Pieces:
     Parameters
     ----------
     vector : tuple of str
-        Which vector each is of.
+        Name of the vector of each piece.
     ground : ndarray, shape (n, 2, 3)
-        Their ends, in the CRS.
+        Ground coordinates of both ends of each piece.
     image : ndarray, shape (n, 2, 2)
-        Where the start sees the ends [px].
+        Lines and samples of both ends by the start [px].
     crs : str
+        CRS of the ground coordinates.
     """
 
     vector: tuple[str, ...]
@@ -57,15 +67,16 @@ class Pieces:
 
 def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tuple[int, int],
               ) -> Pieces:
-    """Return the straight pieces of vectors that the image shows, as the start says.
+    """Return the straight pieces of vectors which, by the start, the image shows.
 
     Parameters
     ----------
     path : path-like
         Lines, or areas for their boundaries, in any format of GDAL and any CRS.
     start : Start
+        Rough geometry of the image.
     dem : path-like, optional
-        Raster of heights; without it the height of the start is taken.
+        Raster of heights; without it, the height that the start states holds everywhere.
     size : tuple of int
         Lines and samples of the image.
 
@@ -100,7 +111,7 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
     if not np.isfinite(heights).any():
         raise TermselError("the DEM does not cover any of the vectors", file=dem,
                            hint="Give a DEM of the area. Vectors may be in another CRS.")
-    # Where the start sees every vertex; what has no height is nowhere.
+    # Vertices without a height have no position in the image (NaN).
     x, y = to_start.transform(*plane.T)
     at_image = start.project(np.column_stack([x, y, heights]))
     ground = np.column_stack([plane, heights])
@@ -109,7 +120,7 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
     image = []
     for i in range(len(lines)):
         finite = np.flatnonzero((owner == i) & np.isfinite(at_image).all(axis=1))
-        # Without the vertices that have no height the line is not one.
+        # Where vertices have no height, the vector is divided into runs of those that have.
         for run in np.split(finite, np.flatnonzero(np.diff(finite) > 1) + 1):
             for first, last in _straight_pieces(at_image[run]):
                 of_image = at_image[run[[first, last]]]
@@ -122,14 +133,15 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
         raise nowhere
     measured = np.array(image)
     ground_ends = np.array(ends)
-    # Not all pieces, but long ones in all parts of the image and in all directions.
     taken_pieces = _spread_pieces(measured, size)
     return Pieces(tuple(vector[i] for i in taken_pieces), ground_ends[taken_pieces],
                   measured[taken_pieces], crs)
 
 
 def _mesh_of_image(start: Start, to_start: Any, size: tuple[int, int]) -> FloatArray:
-    """Return where an image lies in the plane of the vectors: a mesh (7, 7, 2), NaN for no place.
+    """Return x and y in the CRS of the vectors, (7, 7, 2), of positions spread over an image.
+
+    NaN for positions that the start does not locate.
     """
     steps = (np.linspace(0, extent - 1, 7) for extent in size)
     image = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -142,26 +154,28 @@ def _mesh_of_image(start: Start, to_start: Any, size: tuple[int, int]) -> FloatA
 
 def _vectors_near_image(lines: list[FloatArray], plane_mesh: FloatArray, size: tuple[int, int],
                         ) -> tuple[list[FloatArray], list[int]]:
-    """Return the parts of vectors near an image, and which vector each is of.
+    """Return the parts of vectors near an image, and the number of the vector of each.
 
-    They get vertices every 16 px, as the terrain bends where a map has none.
+    Vertices are added every 16 px, as relief bends a line that is straight on a map. Both lists are
+    empty if the position of the image is not known.
     """
     low, high = (limit(plane_mesh, axis=(0, 1)) for limit in (np.nanmin, np.nanmax))
     if not np.isfinite([low, high]).all():
-        # Vectors around the image count too: a start may be off by half an image.
         return [], []
     around = _MARGIN * (high - low)
     near = shapely.clip_by_rect([shapely.LineString(line) for line in lines],
                                 *(low - around), *(high + around))
     clipped, vector = shapely.get_parts(near, return_index=True)
-    # How many units of the map a pixel is, from steps of the mesh.
+    # Size of a pixel in units of the map: the steps of the mesh, which are a sixth of the lines.
     steps = np.linalg.norm(np.diff(plane_mesh, axis=0), axis=2) / (size[0] / 6)
     dense = shapely.segmentize(clipped, _VERTEX_STEP * float(np.nanmedian(steps)))
     return [shapely.get_coordinates(line) for line in dense], vector.tolist()
 
 
 def read_vectors(path: Path) -> tuple[list[FloatArray], str]:
-    """Return the vertices of the lines of a file, shape (n, 2) each, and the CRS.
+    """Return the vertices of the lines of a file, (n, 2) each, and their CRS.
+
+    Areas count as lines by their boundaries; lines that continue each other are joined.
 
     Raises
     ------
@@ -175,7 +189,6 @@ def read_vectors(path: Path) -> tuple[list[FloatArray], str]:
         raise TermselError("the vectors have no CRS", file=path,
                            hint="Assign the CRS in a GIS and save them again.")
     shapes = shapely.force_2d(shapes)
-    # The boundary of an area is a line, as that of a field or a lake.
     areal = shapely.get_dimensions(shapes) == 2
     shapes = np.where(areal, shapely.boundary(shapes), shapes)
     merged = shapely.get_parts(shapely.line_merge(shapes[~shapely.is_empty(shapes)]))
@@ -188,34 +201,36 @@ def read_vectors(path: Path) -> tuple[list[FloatArray], str]:
 
 
 def _spread_pieces(image: FloatArray, size: tuple[int, int]) -> NDArray[np.intp]:
-    """Return the indices of at most `MOST_PIECES` pieces, sorted: the longest of each cell first.
+    """Return the sorted indices of at most 400 pieces, spread over the image and all directions.
 
-    Pieces (n, 2, 2) are in lines and samples [px]; a cell is split by direction, too.
+    Pieces are grouped by cells of the image and by direction. The longest of each group are taken
+    first, then the second longest, and so on. `image` (n, 2, 2) has the lines and samples of their
+    ends [px].
     """
     run = image[:, 1] - image[:, 0]
     cell = np.clip(image.mean(axis=1) / size * _IMAGE_CELLS, 0, _IMAGE_CELLS - 1).astype(np.intp)
-    # A direction has no sense: half a turn is the same one.
+    # A piece and its reverse, half a turn apart, have the same direction.
     turn = np.arctan2(run[:, 0], run[:, 1]) % np.pi
     direction = np.minimum((turn / np.pi * _PIECE_DIRECTIONS).astype(np.intp),
                            _PIECE_DIRECTIONS - 1)
     group = (cell[:, 0] * _IMAGE_CELLS + cell[:, 1]) * _PIECE_DIRECTIONS + direction
     order = np.lexsort((-np.linalg.norm(run, axis=1), group))
-    # The rank within its group: first the longest of all groups, then the second of all.
+    # The rank of each piece within its group, 0 for the longest.
     first = np.searchsorted(group[order], group[order])
     rank = np.arange(len(order)) - first
     return np.sort(order[np.argsort(rank, kind="stable")[:MOST_PIECES]])
 
 
 def _straight_pieces(image: FloatArray) -> list[tuple[int, int]]:
-    """Return first and last vertex of the straight pieces of a polyline (n, 2) in the image [px].
+    """Return the numbers of the first and last vertex of each straight piece of a polyline (n, 2).
 
-    [] if it has fewer than two vertices.
+    The vertices are in px of the image. [] if there are fewer than two.
     """
     if len(image) < 2:
         return []
-    # Douglas and Peucker: what bends by less than half a pixel is straight.
+    # Douglas and Peucker's method: what bends by less than half a pixel is straight.
     vertices = shapely.get_coordinates(shapely.simplify(shapely.LineString(image), _STRAIGHT))
-    # Vertices that are kept are those of the polyline, in its order.
+    # The vertices kept are vertices of the polyline, in its order.
     at = 0
     numbers = []
     for vertex in vertices:
@@ -225,9 +240,10 @@ def _straight_pieces(image: FloatArray) -> list[tuple[int, int]]:
 
 
 def _shares_in_image(image: FloatArray, size: tuple[int, int]) -> list[FloatArray]:
-    """Return the parts of a straight piece (2, 2) in the image, as first and last share of each.
+    """Return the parts of a straight piece that are in the image, none longer than 150 px.
 
-    [] if less than `SHORTEST` px of it is in the image.
+    Each part is where it begins and ends, as shares of the piece from 0 to 1. `image` (2, 2) has
+    the ends of the piece [px]. [] if less than 40 px of it is in the image.
     """
     run = image[1] - image[0]
     length = float(np.linalg.norm(run))

@@ -1,7 +1,7 @@
-"""Standard deviations that are true: matches compared with their neighbours.
+"""Standard deviations of matches, calibrated by comparing matches with their neighbours.
 
-What least squares of grey values says is the effect of noise alone. Relief, houses, aliasing and
-another light move matches, too, and by more.
+The deviations by least squares of grey values have the effect of noise alone. Relief, houses,
+aliasing and different light displace matches as well, and by more.
 """
 
 from __future__ import annotations
@@ -14,28 +14,38 @@ from scipy.spatial import cKDTree
 
 from termsel_match.images.rasters import FloatArray, Mask
 
-# Px of displacement within which matches are taken for the same at first.
 _REACH = 6.0
-# Matches that agree; of fewer nothing is said.
+"""Distance of displacements within which they count as the same at first [px]."""
+
 _MIN_MATCHES = 12
-# Matches for each term of the surface.
+"""Fewest matches that must agree with the surface."""
+
 _PER_TERM = 6
+"""Fewest matches for each term of the surface."""
+
 _POLYNOMIAL_DEGREES = ((1, 1), (2, 2), (3, 3), (3, 6))
-"""Of the surface, and along the lines, where attitude moves an image faster."""
+"""Degrees of the surfaces that are tried in turn: of the surface, and of its terms in the line
+alone, as the attitude changes fast along the lines."""
+
 _SURFACE_ROUNDS = 12
+"""Most rounds of fitting a surface to the matches that agree with it."""
+
 _SIGMAS = 3.5
-# Of the distance in two dimensions, in standard deviations of one.
+"""Distance from the surface, in standard deviations of one axis, up to which a match agrees."""
+
 _RAYLEIGH_MEDIAN = 1.1774
-# In px.
+"""Median of a distance in the plane, in standard deviations of one axis: sqrt(2 ln 2)."""
+
 _MIN_LIMIT = 0.3
+"""Least distance from the surface up to which a match agrees [px]."""
 
 
 def smooth_part(positions: FloatArray, moved: FloatArray) -> tuple[FloatArray, Mask, int] | None:
     """Return the smooth part of displacements, which of them agree with it, and its terms.
 
-    The most common displacement comes first; then a plane, and curved surfaces as far as there are
-    enough matches, the last of them for jitter, each fitted to those that agree with the one
-    before.
+    First the most common displacement is found; then a plane is fitted to those near it, and curved
+    surfaces as far as there are enough matches, each to those that agree with the one before. The
+    last surface bends faster along the lines, as jitter does.
 
     Parameters
     ----------
@@ -44,13 +54,14 @@ def smooth_part(positions: FloatArray, moved: FloatArray) -> tuple[FloatArray, M
 
     Returns
     -------
-    ndarray of float, shape (n, 2); ndarray of bool, shape (n,); int
-        None where fewer than 12 agree.
+    tuple or None
+        The smooth part at each position, (n, 2) [px]; which displacements agree with it, (n,); and
+        the number of terms. None if fewer than 12 agree, or fewer than three for each term.
     """
     if len(positions) < _MIN_MATCHES:
         return None
     tree = cKDTree(moved)
-    # The displacement that most others have within the reach.
+    # The largest group: displacements within the reach of one of them.
     groups = tree.query_ball_point(moved, _REACH)
     largest = groups[int(np.argmax([len(group) for group in groups]))]
     away = np.linalg.norm(moved - np.median(moved[largest], axis=0), axis=1)
@@ -58,7 +69,7 @@ def smooth_part(positions: FloatArray, moved: FloatArray) -> tuple[FloatArray, M
     surface = np.zeros_like(moved)
     low = positions.min(axis=0)
     high = positions.max(axis=0)
-    # From -1 to 1, so that powers stay of the size of one.
+    # Positions from -1 to 1, so that their powers are not larger.
     unit = 2 * (positions - low) / np.maximum(high - low, 1e-9) - 1
     terms = 1
     for degree, degree_of_lines in _POLYNOMIAL_DEGREES:
@@ -82,37 +93,39 @@ def smooth_part(positions: FloatArray, moved: FloatArray) -> tuple[FloatArray, M
 
 
 def calibrate_deviations(positions: FloatArray, moved: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Return standard deviations with which matches that agree have a chi-square of 1, (n, 2).
+    """Return standard deviations with which agreeing matches have a reduced chi-square of 1, (n,
+    2).
 
-    In each axis they are larger by a constant variance, or smaller by a factor. Where too few
-    matches agree they stay.
+    In each axis a constant variance is added to those given, or, if they are too large, they are
+    divided by a factor. If too few matches agree with a smooth surface, they come back unchanged.
 
     Parameters
     ----------
     positions, moved : ndarray, shape (n, 2)
         As for `smooth_part`.
     sigma : ndarray, shape (n, 2)
-        Of line and sample, by the noise of grey values [px].
+        Standard deviations of line and sample by the noise of grey values [px].
     """
     smooth = smooth_part(positions, moved)
     if smooth is None:
         return sigma
     surface, agree, terms = smooth
     squares = ((moved - surface)[agree]) ** 2
-    # The share of the redundancy that the terms of the surface leave to each match.
+    # Mean redundancy of a match: the surface takes a share for each of its terms.
     free = 1 - terms / agree.sum()
     calibrated_sigma = sigma.copy()
     for axis in range(2):
         variance = sigma[agree, axis] ** 2
 
         def excess(further: float, noise: FloatArray = variance, axis: int = axis) -> float:
+            """Return by how much the mean of r^2 / (s^2 + v) is above its expectation `free`."""
             return float((squares[:, axis] / (noise + further)).mean() - free)
 
         ratio = excess(0.0) + free
         if ratio <= free:
             calibrated_sigma[:, axis] *= (ratio / free) ** 0.5
         else:
-            # Chi-square of 1: mean(r^2 / (s^2 + v)) = free, solved for the variance v.
+            # mean(r^2 / (s^2 + v)) = free is solved for the variance v.
             excess_variance = brentq(excess, 0.0, 10 * float(squares[:, axis].max()) / free)
             calibrated_sigma[:, axis] = np.sqrt(calibrated_sigma[:, axis] ** 2 + excess_variance)
     return calibrated_sigma

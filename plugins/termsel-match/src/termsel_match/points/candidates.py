@@ -36,10 +36,13 @@ from termsel_match.points.cells import (
 log = logging.getLogger("termsel.match")
 
 _USUAL = ("sift", "structure")
-# Candidates; fewer cannot be selected from.
+"""Matchers that are tried in turn if none is named."""
+
 LEAST_CANDIDATES = 8
-# Part of those wanted, below which another matcher may find more.
+"""Fewest candidates among which a selection is possible."""
+
 _SMALL_PART = 8
+"""The second matcher is tried if the first finds less than the wanted number divided by this."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,19 +52,21 @@ class Candidates:
     Parameters
     ----------
     points : Points
-        With standard deviations and, as the attribute `score`, the correlation of the surroundings,
-        at most 1. Ground coordinates are in the CRS.
+        The candidates, with standard deviations. Their attribute `score` is the correlation of what
+        both images show around them, at most 1.
     crs : str
+        CRS of their ground coordinates.
     image_size : tuple of int
         Lines and samples of the image.
     cells : dict of str to int
-        How many cells of the image have candidates ("found"), or why they have none.
+        Number of cells of the image that have candidates ("found"), and of those that have none, by
+        the reason.
     start : str
-        What was started from, in words.
+        The rough geometry from which matching started, in words.
     rough : Start, optional
-        What was started from.
+        That geometry; None if there was none.
     heights : str
-        Source and vertical datum of the heights, if a raster gave them.
+        Source and vertical datum of the heights in words; "" if no raster gave them.
     """
 
     points: Points
@@ -96,10 +101,10 @@ def match_points(
 ) -> Candidates:
     """Return places of an image and of a georeferenced image that look alike.
 
-    In each cell of the image, the reference is resampled as the start says that the image shows
-    it. A matcher finds places that are alike, which are then placed to sub-pixel by least squares.
-    Nothing else is asked of them than to be within `search` of the start: which of them are right,
-    the selection decides.
+    For each cell of the image, the reference is resampled as the image should show it by the start.
+    A matcher finds places that look alike, whose positions are then refined to sub-pixel by least
+    squares. They need only be within `search` of the start: which of them are right is decided
+    later, by the selection.
 
     Parameters
     ----------
@@ -107,35 +112,36 @@ def match_points(
         Rasters of any size and type. The reference may be a folder of georeferenced images: tiles,
         or chips of ground control.
     dem : path-like, optional
-        Raster of heights; without it, those of the points are unknown.
+        Raster of heights; without it, the heights of the points are unknown.
     start : path-like or str, optional
-        See `termsel_match.images.starts.start_of`.
+        Rough geometry of the image, as for `termsel_match.images.starts.start_of`.
     search : float
-        Largest distance from the start [px].
+        Largest distance of a match from the start [px].
     count : int
-        Candidates wanted, some in each cell.
+        Number of candidates wanted, spread over the image.
     band, reference_band : int, optional
-        Counted from 1; by default the mean of all.
+        Numbers of a band, from 1; by default the mean of all bands.
     matcher : str or Matcher, optional
-        By default "sift", and "structure" where that finds fewer than 8 candidates, or an eighth
-        of those wanted: the one that finds more.
+        The method that finds places that look alike. By default "sift"; if that finds fewer than 8
+        candidates, or less than an eighth of those wanted, "structure" is tried as well, and the
+        one that finds more is taken.
     seconds : float, optional
-        Time for the matching, which then goes on with what it has.
+        Time for the matching [s], after which it ends with the candidates found so far.
     masks : sequence of path-like
         See `termsel_match.images.masks.open_masked`.
     progress : callable, optional
-        Called with the fraction that is done, 0 to 1.
+        Called with the share that is done, 0 to 1.
 
     Returns
     -------
     Candidates
-        At least 8.
+        At least 8 candidates.
 
     Raises
     ------
     TermselError
-        If a raster cannot be read, the reference has no CRS, they show different places, or there
-        are fewer candidates, with the reason.
+        If a raster cannot be read, the reference has no CRS, image and reference show different
+        places, or fewer than 8 candidates are found, with the reason.
 
     Notes
     -----
@@ -183,7 +189,7 @@ def match_points(
 
 
 def _said_heights(dem: Path, crs: str) -> str:
-    """Return the source and the vertical datum of heights in words, and say them."""
+    """Return the source and the vertical datum of a DEM in words, and log them."""
     with open_dem(dem, crs) as surface:
         said = f"heights from {dem.name}, bilinear; vertical datum: {surface.datum}"
     log.info("Heights: %s.", said.removeprefix("heights "))
@@ -193,7 +199,7 @@ def _said_heights(dem: Path, crs: str) -> str:
 def _points_of_files(picture: GreyRaster, files: list[Path],
                      opened: Callable[[Path], AbstractContextManager[Reference]], looking: Looking,
                      ) -> tuple[Points, str, Counter[str]]:
-    """Return the points by all references, the CRS of the first, and how many cells ended how.
+    """Return the points by all references, their CRS, and how many cells ended how.
 
     Raises TermselError if no reference shows what the image shows.
     """
@@ -233,7 +239,10 @@ def _points_of_files(picture: GreyRaster, files: list[Path],
 
 
 def _calibrate_sigma(points: Points, rough: Start, crs: str) -> Points:
-    """Return points with standard deviations by which those that agree differ from others."""
+    """Return points with standard deviations calibrated by their neighbours' displacements.
+
+    They come back unchanged if the start does not project all of them.
+    """
     assert points.sigma is not None
     z = points.ground[:, 2]
     ground = np.column_stack([transform_plane(points.ground[:, :2], crs, rough.crs),
@@ -246,7 +255,8 @@ def _calibrate_sigma(points: Points, rough: Start, crs: str) -> Points:
 
 
 def _number_points(several: list[Points]) -> Points:
-    """Return all points as one set, numbered M001 and on; a single set stays as it is."""
+    """Return several sets of points as one, renumbered from M001; a single set comes back as it is.
+    """
     if len(several) == 1:
         return several[0]
     count = sum(map(len, several))

@@ -19,40 +19,49 @@ from termsel_match.matchers.refinement import Layers, refine_matches
 
 log = logging.getLogger("termsel.match")
 
-# Candidates wanted in a cell.
 _EACH = 3
-# Keypoints of a cell that are refined.
+"""Number of matches wanted in a cell."""
+
 _TRIED = 8
-# In px, reduced, between candidates.
+"""Most matches of a cell that are refined to sub-pixel."""
+
 _MATCH_DISTANCE = 12.0
-# In px, reduced: the largest block of cells that is looked at once.
+"""Least distance of matches from each other, in both images [reduced px]."""
+
 _WINDOW = 480
-# In px, reduced: of a cell that is larger, the part that is looked at once.
+"""Longest side of a block of cells that is matched as one window [reduced px]."""
+
 _PART = 256
-# In px, reduced, around a window, where keypoints have no descriptor.
+"""Longest side of a window in a larger block [reduced px]."""
+
 _BORDER = 24
-# Where in such a cell.
+"""Width of the rim of a window in which keypoints have no descriptor [reduced px]."""
+
 _WINDOW_PLACES = ((0.5, 0.5), (0.0, 0.0), (1.0, 1.0), (0.0, 1.0), (1.0, 0.0))
+"""Positions of such windows in a larger block, tried in turn: which shares of the free lines and
+samples come before them. The first is in the middle."""
 
 FOUND, NO_DATA, OUTSIDE, NO_TEXTURE, UNLIKE, NO_TIME = (
     "found", "no data", "outside", "no texture", "unlike", "no time")
+"""How a cell may end: with matches, or the reason why it has none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Looking:
-    """How a picture is looked at.
+    """How an image is searched for matches.
 
     Parameters
     ----------
     matcher : Matcher
+        The method that finds places that look alike.
     search : float
-        Largest distance from the start [px].
+        Largest distance of a match from the start [px].
     count : int
-        Matches wanted in the whole image.
+        Number of matches wanted in the whole image.
     until : float, optional
-        When to end, by `time.monotonic` [s].
+        When to stop, as `time.monotonic` counts [s].
     progress : callable, optional
-        Called with the fraction that is done, 0 to 1.
+        Called with the share that is done, 0 to 1.
     """
 
     matcher: Matcher
@@ -63,25 +72,35 @@ class Looking:
 
     @property
     def is_over(self) -> bool:
-        """Whether the time is over."""
+        """Whether the time for the search is over."""
         return self.until is not None and monotonic() > self.until
 
 
 Area = tuple[int, int, int, int]
-"""Line and sample of the first pixel, lines and samples."""
+"""First line, first sample, number of lines and number of samples of an area [px]."""
 
 
 def match_cells(picture: GreyRaster, reference: Reference, looking: Looking,
                 area: Area | None = None) -> tuple[Matches, Counter[str]]:
-    """Return matches, first in the image and second in the reference [px], and how cells ended.
+    """Return the matches of an image, searched cell by cell, and how many cells ended how.
 
     Parameters
     ----------
     picture : GreyRaster
+        The image.
     reference : Reference
+        What it is matched with, and where it is to be looked for.
     looking : Looking
+        How it is searched.
     area : tuple of int, optional
-        Of the image, to look at; by default all of it.
+        The part of the image that is searched; by default all of it.
+
+    Returns
+    -------
+    matches : Matches
+        First positions are in the image, second ones in the reference [px].
+    ends : Counter
+        Number of cells by how they ended: "found", or why they have no matches.
     """
     step = reference.reduction(picture.size)
     if step > 1:
@@ -89,14 +108,14 @@ def match_cells(picture: GreyRaster, reference: Reference, looking: Looking,
                  step)
     first_line, first_sample, *extents = area or (0, 0, *picture.size)
     share = extents[0] * extents[1] / (picture.size[0] * picture.size[1])
-    # As many cells as wanted matches, a few each; blocks of them are not larger than a window.
+    # As many cells, along either side, as give the wanted matches at three in each. Small cells are
+    # matched together, as a block that is not larger than a window.
     across = max(2 if area is None else 1, round((share * looking.count / _EACH) ** 0.5))
     blocks = min(across, -(-max(extents) // (_WINDOW * step)))
-    # Several small cells are looked at together.
     inner = -(-across // blocks)
     all_blocks = list(product(range(blocks), range(blocks)))
     order = np.arange(len(all_blocks))
-    # What there is no time for is all over the image.
+    # In random order, what is left when the time is over is spread over the image.
     if looking.until is not None:
         order = np.random.default_rng(0).permutation(order)
     of_cells: dict[int, list[Matches]] = {}
@@ -106,7 +125,7 @@ def match_cells(picture: GreyRaster, reference: Reference, looking: Looking,
             ends[NO_TIME] += inner**2 * (len(order) - done)
             break
         matches_of_cells: list[Matches] = []
-        # A large block is looked at in several places, until one has enough.
+        # Of a large block several windows are tried, until one has enough matches.
         for window in _windows_of_block((extents[0], extents[1]), blocks, all_blocks[number], step):
             in_image = (window[0] + first_line, window[1] + first_sample, *window[2:])
             matches, end = _best_in_window(picture, reference, looking, in_image, inner, step)
@@ -123,7 +142,10 @@ def match_cells(picture: GreyRaster, reference: Reference, looking: Looking,
 
 
 def join_matches(several: list[Matches]) -> Matches:
-    """Return the matches of several parts as one; all have standard deviations. Empty for []."""
+    """Return the matches of several parts, all with standard deviations, as one set.
+
+    It is empty for no parts.
+    """
     none = np.empty((0, 2))
     first = np.concatenate([none, *(matches.first for matches in several)])
     second = np.concatenate([none, *(matches.second for matches in several)])
@@ -135,9 +157,10 @@ def join_matches(several: list[Matches]) -> Matches:
 
 def _windows_of_block(size: tuple[int, int], across: int, block: tuple[int, int], step: int,
                       ) -> list[tuple[int, int, int, int]]:
-    """Return first line and sample, lines and samples [px] of the windows of a block, in turn.
+    """Return the areas of the windows in which a block is matched, in turn.
 
-    `block` is its row and column of `across` in either direction; one window if it is small.
+    `size` has the lines and samples of all blocks, of which there are `across` in either direction;
+    `block` is the row and the column of this one. A small block is one window.
     """
     low = [total * i // across for total, i in zip(size, block, strict=True)]
     extents = [total * (i + 1) // across - start
@@ -146,7 +169,6 @@ def _windows_of_block(size: tuple[int, int], across: int, block: tuple[int, int]
     window_size = [min(extent, largest) for extent in extents]
     windows = []
     for share in _WINDOW_PLACES if extents != window_size else _WINDOW_PLACES[:1]:
-        # Along either axis, a share of what the window leaves free comes before it.
         first_line, first_sample = (
             start + int((extent - window_extent) * fraction)
             for start, extent, window_extent, fraction in zip(
@@ -157,13 +179,14 @@ def _windows_of_block(size: tuple[int, int], across: int, block: tuple[int, int]
 
 def _best_in_window(picture: GreyRaster, reference: Reference, looking: Looking, window: Area,
                     inner: int, step: int) -> tuple[list[Matches], str]:
-    """Return the best matches of each cell of a window, in px of image and reference.
+    """Return the best matches of each cell of a window that has some, and why others have none.
 
-    And why the other cells have none.
+    The window has `inner` cells in either direction, and is matched with pixels of `step` px of the
+    image. Matches are in px of the image and of the reference.
     """
     (first_line, first_sample, lines, samples) = window
     search = looking.search / step
-    # The window of the reference is larger by the search, in which a match may be.
+    # The window of the reference is wider by the search: a match may be as far from the start.
     border = _BORDER * step
     reach = (_BORDER + int(np.ceil(search))) * step
     grey = picture.read(first_line - border, first_sample - border, lines + 2 * border,
@@ -176,7 +199,7 @@ def _best_in_window(picture: GreyRaster, reference: Reference, looking: Looking,
     patch = reference.patch(first_line - reach, first_sample - reach, shape, step)
     if not patch.known.any():
         return [], OUTSIDE
-    # Between the origins of the two.
+    # The first pixel of the reference's window is so many reduced pixels before that of the image.
     moved = (reach - border) // step
     first = Window(*grey)
     second = Window(patch.pixels, patch.known, (-moved, -moved))
@@ -184,18 +207,17 @@ def _best_in_window(picture: GreyRaster, reference: Reference, looking: Looking,
     if not len(matches.first):
         return [], UNLIKE
     inner_size = np.array(grey[0].shape) - 2 * _BORDER
-    # Which cell each match is in; those in the border are of no cell.
+    # Row and column of each match's cell; those in the border are beyond all cells.
     cell = np.floor((matches.first - _BORDER) / inner_size * inner).astype(int)
-    away = np.linalg.norm(matches.second - moved - matches.first, axis=1)
-    used = ((cell >= 0) & (cell < inner)).all(axis=1) & (away <= search)
+    distances = np.linalg.norm(matches.second - moved - matches.first, axis=1)
+    used = ((cell >= 0) & (cell < inner)).all(axis=1) & (distances <= search)
     of_cells = []
     for number in product(range(inner), repeat=2):
         in_cell = np.flatnonzero(used & (cell == number).all(axis=1))[:_TRIED]
         best = _best_spread_matches(
             _place_matches(looking.matcher, matches, in_cell, first, second))
         if best.sigma is not None and len(best.score):
-            # From reduced pixels of the window to pixels of the image, and to those of the
-            # reference.
+            # From reduced pixels of the windows to pixels of the image and of the reference.
             of_cells.append(Matches((best.first + 0.5) * step - 0.5
                                     + [first_line - border, first_sample - border],
                                     patch.in_reference(best.second), best.score,
@@ -209,8 +231,9 @@ def _place_matches(matcher: Matcher, matches: Matches, numbers: NDArray[np.intp]
     """
     if matcher.places_exactly:
         return matches.take(numbers)
-    return refine_matches(Layers(first.pixels[None], first.known), Layers(second.pixels[None],
-                   second.known), matches.first[numbers], matches.second[numbers])
+    return refine_matches(Layers(first.pixels[None], first.known),
+                          Layers(second.pixels[None], second.known),
+                          matches.first[numbers], matches.second[numbers])
 
 
 def _count_matches(several: list[Matches]) -> int:
@@ -219,9 +242,9 @@ def _count_matches(several: list[Matches]) -> int:
 
 
 def _best_spread_matches(matches: Matches) -> Matches:
-    """Return the matches with the best scores that are apart in both images, at most `_EACH`."""
+    """Return at most three matches with the best scores, 12 px or more apart in both images."""
     best: list[int] = []
-    # From the best on; a match too near to a better one says the same again.
+    # A match near a better one says nothing new.
     for i in np.argsort(-matches.score, kind="stable"):
         if len(best) < _EACH and all(
                 min(np.linalg.norm(matches.first[i] - matches.first[j]),

@@ -19,8 +19,8 @@ from termsel_match.points.readers import MatchesCsv
 
 log = logging.getLogger("termsel.match")
 
-# Bytes by which readers recognise a file.
 _HEAD = 4096
+"""Number of bytes by which readers recognise a file."""
 
 
 def read_candidates(path: Path | str, image: Path | str, reference: Path | str | None, *,
@@ -38,7 +38,8 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
     image, dem, start
         As for `match_points`.
     reference : path-like, optional
-        Of matches that are pixels of two images, and whose CRS holds where the file states none.
+        The georeferenced image. It gives ground coordinates to matches that are in px of two
+        images, and its CRS to a file that states none.
 
     Raises
     ------
@@ -48,7 +49,6 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
     path = Path(path)
     options = {}
     crs = None
-    # Pixels of two images become ground by the reference; other files have ground of their own.
     if reference is not None:
         if _is_in_pixels(path):
             options["reference"] = str(reference)
@@ -64,7 +64,7 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
         if crs is None or not unplaced:
             raise
         features = read(path, dem=dem, crs=crs, **options)
-    # The start is only told: candidates are there already.
+    # The start takes no part in matching any more. It is reported, and compared with the DEM.
     rough = start_of(start, Path(image))
     if rough is not None:
         rough.warn_if_dem_contradicts(dem)
@@ -86,7 +86,7 @@ def read_candidates(path: Path | str, image: Path | str, reference: Path | str |
 
 
 def _is_in_pixels(path: Path) -> bool:
-    """Return whether a file has pixels of two images, which only a reference turns into ground.
+    """Return whether a file has matches in px of two images, without ground coordinates.
 
     False if it cannot be read.
     """
@@ -95,13 +95,12 @@ def _is_in_pixels(path: Path) -> bool:
         with path.open("rb") as file:
             head = file.read(_HEAD)
     except OSError:
-        # Which `read` says.
+        # `read`, which comes next, reports why.
         return False
     return any(reader().sniff(path, head) for reader in (AspMatches, MatchesCsv))
 
 
 def _as_candidates(points: Points) -> Points:
-    """Return points without roles but that of independent ones, so that all others are candidates.
-    """
+    """Return points without any role but "independent": the selection draws the others."""
     return replace(points, roles=tuple(role if role == "independent" else ""
                                        for role in points.roles))

@@ -24,12 +24,17 @@ RASTER_OPTION = Option("raster", "",
                        "The image: a few matches outside it are left out. By default that of "
                        "the run, --image FILE.")
 _MOST_NAMED = 10
+"""How many of the matches outside the image a note names."""
+
 _MOST_OUTSIDE = 0.1
 """Share of matches outside the image up to which these are wrong, and not the image."""
 
 _AROSICS = ("POINT_ID", "X_IM", "Y_IM", "X_MAP", "Y_MAP", "X_SHIFT_M", "Y_SHIFT_M")
-# AROSICS' fill value.
+"""Columns of AROSICS that are read."""
+
 _NO_MATCH = -9999.0
+"""Number that AROSICS writes where there is no match."""
+
 NEEDS_REFERENCE = "the matches are pixels of two images, so the reference is needed"
 NO_PIXEL = 100_000.0
 """Line or sample beyond which next to no image has pixels."""
@@ -40,10 +45,10 @@ _POSITION_COLUMNS = (("image_line", "image_sample", "reference_line", "reference
 class ArosicsTable(Reader):
     """Tie points of AROSICS: the columns of its CoRegPoints_table, saved as CSV.
 
-    X_IM and Y_IM count from the corner of the image. The place on the map is X_MAP + X_SHIFT_M and
+    X_IM and Y_IM count from the corner of the image. The ground position is X_MAP + X_SHIFT_M and
     Y_MAP + Y_SHIFT_M, as in the GCPs that AROSICS makes. Points without a match are left out;
-    those that AROSICS takes for outliers have the role off. Heights are unknown, and the CRS is
-    not in the file.
+    those that AROSICS takes for outliers get the role off. Heights are unknown, and the file does
+    not state its CRS.
     """
 
     name = "arosics-csv"
@@ -54,12 +59,7 @@ class ArosicsTable(Reader):
         return set(_AROSICS) <= set(_read_header(head))
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name file, line and column.
-
-        Points without a match are left out, and those that AROSICS calls outliers are off. It
-        states where the image was believed to be on the map, and the shift from there. Errors name
-        file, line and column.
-        """
+        """Return the points; errors name file, line and column."""
         ids = []
         roles = []
         rows = []
@@ -75,7 +75,7 @@ class ArosicsTable(Reader):
             raise TermselError("the table has no point with a match", file=path,
                                hint="Run AROSICS again with another window or reference.")
         x, y, east, north, right, up = np.array(rows).T
-        # AROSICS shifts the position on the map; its image positions count from the corner.
+        # AROSICS states where the image was believed to be on the map, and the shift from there.
         ground = np.column_stack([east + right, north + up, np.full(len(rows), np.nan)])
         return FeatureSet(Points(tuple(ids), np.column_stack([y, x]) - 0.5, ground, None,
                                  tuple(roles)), crs="")
@@ -84,9 +84,9 @@ class ArosicsTable(Reader):
 class MatchesCsv(Reader):
     """Matches of an image with a georeferenced one, as a table of pixels.
 
-    Columns image_line, image_sample, reference_line, reference_sample, or y1, x1, y2, x2, or y0,
-    x0, y1, x1, as matches of LoFTR and its kin are called; the centre of the first pixel is (0, 0).
-    Further columns: id, and sigma in px.
+    Its columns are image_line, image_sample, reference_line, reference_sample, or y1, x1, y2, x2,
+    or y0, x0, y1, x1, as LoFTR and similar matchers name them. The centre of the first pixel is
+    (0, 0). It may have further columns: id, and sigma in px.
     """
 
     name = "matches-csv"
@@ -97,16 +97,16 @@ class MatchesCsv(Reader):
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if the header names lines and samples of both images."""
         header = set(_read_header(head))
-        # Tables of lines of termsel have columns of these names, too.
+        # termsel's tables of lines also have columns y1, x1, y2, x2.
         return any(set(names) <= header for names in _POSITION_COLUMNS) and not {"line1",
                                                                                  "z1"} & header
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column.
 
-        The second pair is in px of the reference, which gives its ground, or has ground
-        coordinates of its own. Raises TermselError, at line and column, for numbers that cannot be
-        read, and where pixels are beyond the reference or it is missing.
+        The second positions are in px of the reference, which gives their ground coordinates.
+        Raises TermselError for cells that are no numbers, without a reference, and where most
+        second positions are beyond it, as map coordinates are.
         """
         header = _read_header(text_of(path).encode())
         names = next((names for names in _POSITION_COLUMNS if set(names) <= set(header)),
@@ -131,7 +131,6 @@ class MatchesCsv(Reader):
             raise TermselError(f"{x} and {y} are beyond {beyond}, and look like map coordinates",
                                file=path, hint=f"If they are, declare the columns: {columns}.")
         if not reference:
-            # Pixels of a reference have a place on the ground only by its file.
             raise TermselError(NEEDS_REFERENCE, file=path, code="reference-missing", hint=(
                 "Give it with --set reference=ORTHO.tif. If the second places are on the ground, "
                 f"declare the columns: {columns}."))
@@ -141,21 +140,24 @@ class MatchesCsv(Reader):
                            np.repeat(sigma, 2).reshape(-1, 2)[inside] if sigma else None)
 
 
-def _are_beyond(at: FloatArray, reference: str) -> bool:
-    """Return whether most second places (n, 2) are no pixels: of a reference, or of any image."""
+def _are_beyond(positions: FloatArray, reference: str) -> bool:
+    """Return whether second positions (n, 2) cannot be pixels: most are beyond the reference.
+
+    Without a reference (""), whether any is beyond 100,000 px.
+    """
     if not reference:
-        return bool(np.abs(at).max() > NO_PIXEL)
+        return bool(np.abs(positions).max() > NO_PIXEL)
     with open_picture(reference) as picture:
         last = np.array(picture.size) - 0.5
-    return bool(((at < -0.5) | (at > last)).any(axis=1).mean() > 0.5)
+    return bool(((positions < -0.5) | (positions > last)).any(axis=1).mean() > 0.5)
 
 
 def are_in_image(positions: FloatArray, image: str, names: Sequence[str]) -> BoolArray:
-    """Return which matches (n, 2), line and sample, are in the image, (n,); a note tells of others.
+    """Return which matches are in the image, (n,); a note is logged about those outside.
 
-    A matcher yields some wrong matches, and those outside are. Where many are outside, or no image
-    is known, all are returned: it may be another image. `names` say where in the file they are,
-    such as "line 58".
+    `positions` (n, 2) are lines and samples [px], and `names` say where in the file they are, such
+    as "line 58". Matches outside the image are wrong. But if more than a tenth are, it may be
+    another image: then all count as inside, as they do if no image is known ("").
     """
     everywhere = np.ones(len(positions), dtype=bool)
     if not image:
@@ -173,12 +175,13 @@ def are_in_image(positions: FloatArray, image: str, names: Sequence[str]) -> Boo
     return inside
 
 
-def with_ground(path: Path, ids: Sequence[str], image: FloatArray, at: FloatArray,
+def with_ground(path: Path, ids: Sequence[str], image: FloatArray, at_reference: FloatArray,
                 reference: str, sigma: FloatArray | None) -> FeatureSet:
-    """Return points whose ground coordinates are those of pixels of a reference raster.
+    """Return matches as points, with the ground coordinates of their pixels in a reference raster.
 
-    `image` and `at` (n, 2) are line and sample in the image and in the reference; a match that
-    comes twice is taken once. Raises TermselError without a reference or matches.
+    `image` and `at_reference` (n, 2) are lines and samples in the image and in the reference [px].
+    Of matches with the same ground position only the first is returned. Raises TermselError without
+    a reference or without matches.
     """
     if not reference:
         raise TermselError(NEEDS_REFERENCE, file=path, code="reference-missing",
@@ -189,10 +192,10 @@ def with_ground(path: Path, ids: Sequence[str], image: FloatArray, at: FloatArra
         raise TermselError("the table has no matches", file=path, hint="Add one row per match.")
     with open_picture(reference) as picture:
         crs = crs_of(picture)
-        # Centres of pixels are at half a pixel from the corner, which the geotransform counts.
-        x, y = picture.raster.transform @ (at[:, 1] + 0.5, at[:, 0] + 0.5)
-    ground = np.column_stack([x, y, np.full(len(at), np.nan)])
-    # A keypoint may have two directions, and then comes twice.
+        # The geotransform counts from the corner of the first pixel, positions from its centre.
+        x, y = picture.raster.transform @ (at_reference[:, 1] + 0.5, at_reference[:, 0] + 0.5)
+    ground = np.column_stack([x, y, np.full(len(at_reference), np.nan)])
+    # SIFT gives a keypoint with two directions twice.
     _, first = np.unique(np.column_stack([ground[:, :2]]), axis=0, return_index=True)
     first_rows = np.sort(first)
     return FeatureSet(Points(tuple(ids[i] for i in first_rows), image[first_rows],
@@ -219,14 +222,16 @@ def bytes_of(path: Path) -> bytes:
 
 
 def _read_header(head: bytes) -> list[str]:
-    """Return the names in the first line of a table that is not blank; [""] without one."""
+    """Return the column names in the first line of a table that is not blank; [""] without one."""
     text = head.decode("utf-8-sig", errors="replace")
     first = next((line for line in text.splitlines() if line.strip()), "")
     return [cell.strip().strip('"') for cell in first.split(",")]
 
 
 def _read_rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
-    """Yield line number and cells by name of each row; raises TermselError if a column is missing.
+    """Yield the line number of each row, and its cells by column name.
+
+    Raises TermselError if one of `columns` is missing, or a quotation mark is not closed.
     """
     reader = csv.DictReader(text_of(path).splitlines(), skipinitialspace=True)
     try:
@@ -245,9 +250,9 @@ def _read_rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[s
 
 
 def _number(cells: dict[str, str], name: str, path: Path, line: int) -> float:
-    """Return the finite number in a cell.
+    """Return the number in a cell; raises TermselError with file, line and column if it has none.
 
-    Raises TermselError with file, line and column if it is none.
+    Infinite numbers and NaN are refused as well.
     """
     text = (cells[name] or "").strip()
     try:
