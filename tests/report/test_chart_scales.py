@@ -12,6 +12,7 @@ import pytest
 
 import termsel
 from termsel.core.errors import rounded_size_text
+from termsel.results.charts.maps import ground_extent, image_extent
 from termsel.results.pictures import with_margins
 
 altair = pytest.importorskip("altair")
@@ -63,6 +64,22 @@ def test_residuals_of_rounding_alone_are_not_exaggerated(kind: str, tmp_path: Pa
     from termsel.results.plots import save
     save(drawn, tmp_path / "map.png")
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(("n", "least", "most"), [(40, 0.02, 0.06), (900, 0.004, 0.021)])
+def test_many_arrows_are_short_enough_to_be_told_apart(n: int, least: float, most: float) -> None:
+    rng = np.random.default_rng(5)
+    ground = np.column_stack([rng.uniform(0, 4000, (n, 2)), np.zeros(n)])
+    image = ground[:, [1, 0]] + rng.normal(0, 1, (n, 2))
+    view = termsel.run("poly-terms", model="affine", solver="all-terms", criterion="press",
+                       features=termsel.FeatureSet(
+                           termsel.Points(tuple(map(str, range(n))), image, ground,
+                                          roles=("control",) * n), image_size=(4000, 4000))).view
+    for extent, rows, vector in ((image_extent(view), view.in_image, ("ds", "dl")),
+                                 (ground_extent(view), view.on_ground, ("dx", "dy"))):
+        lengths = [np.hypot(row[vector[0]], row[vector[1]]) for row in rows]
+        # In widths of the map: n positions lie n**-0.5 of it apart.
+        assert least < extent.scale * np.median(lengths) / 4000 < most
 
 
 def test_the_map_of_uncertainty_reaches_to_the_last_feature() -> None:

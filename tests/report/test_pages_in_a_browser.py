@@ -100,7 +100,10 @@ def fits(browser: Any) -> None:
     wait(lambda: browser.execute_script(
         "return document.documentElement.scrollWidth <= window.innerWidth && "
         "[...document.querySelectorAll('.chart svg')].every("
-        "svg => svg.getBoundingClientRect().right <= window.innerWidth)"))
+        "svg => svg.getBoundingClientRect().right <= window.innerWidth) && "
+        # Folded tables too: what lies beyond a narrow screen is not seen.
+        "[...document.querySelectorAll('.scroll')].every("
+        "table => table.scrollWidth <= table.clientWidth)"))
 
 
 def labelled(browser: Any, width: int) -> None:
@@ -208,6 +211,7 @@ def test_a_page_is_drawn_offline_in_silence_and_for_all(
     charts = browser.find_elements("css selector", ".chart")
     assert int(browser.execute_script("return document.documentElement.dataset.drawn")) \
         == len(charts) >= 5
+    browser.execute_script("document.querySelectorAll('details').forEach(d => d.open = true)")
     for width in (400, 1280):
         labelled(browser, width)
         for chart in charts:

@@ -39,15 +39,20 @@ def test_lines_about_the_search(changed: dict[str, Any], lines: list[str]) -> No
     assert added(**changed) == lines
 
 
-@pytest.mark.parametrize(("n_features", "n_terms", "lines"), [
-    (3, 2, ["Selected: 2 of 3 control features, all 2 terms; redundancy 46", "Features: A B"]),
+@pytest.mark.parametrize(("n_features", "n_terms", "lines", "fit"), [
+    (3, 2, ["Selected: 2 of 3 control features, all 2 terms; redundancy 46", "Features: A B"],
+     "all points"),
     (2, 3, ["Selected: all 2 control features, 2 of 3 terms; redundancy 46",
-            "Terms: line:1 line:X"]),
+            "Terms: line:1 line:X"], "all terms"),
     (3, 3, ["Selected: 2 of 3 control features, 2 of 3 terms; redundancy 46", "Features: A B",
-            "Terms: line:1 line:X"])])
+            "Terms: line:1 line:X"], "all points and terms")])
 def test_what_is_selected_is_listed_where_it_is_not_all(n_features: int, n_terms: int,
-                                                        lines: list[str]) -> None:
-    assert added(offered={"n_terms": n_terms, "n_features": n_features}) == lines
+                                                        lines: list[str], fit: str) -> None:
+    offered = {"n_terms": n_terms, "n_features": n_features}
+    assert added(offered=offered)[-len(lines):] == lines
+    # The fit without a selection is named by what it has more than this one.
+    assert [line.split("  ")[0] for line in page(offered=offered) if line.startswith("all ")] == [
+        fit]
 
 
 PROVEN = {"subsets": 12345, "of": 99999, "space": "all sizes", "optimal": False}
@@ -107,6 +112,12 @@ def test_fits_to_control_and_check_have_a_star() -> None:
     assert added(baselines=[baseline("dlt", 11, roles(1.0, 1.5, 2.5))]) == [
         "DLT *           11     1.00       1.50               2.50  1.99 to 3.39",
         "* also fitted to the selection points, so their RMSE is a fit"]
+
+
+def test_an_rpc_as_delivered_has_no_star_as_it_is_fitted_to_nothing() -> None:
+    text = page(baselines=[baseline("rpc-as-delivered", 6, roles(1.0, 1.5, 2.5))])
+    assert "RPC as delivered      6     1.00       1.50               2.50  1.99 to 3.39" in text
+    assert not any("*" in line for line in text)
 
 
 def test_a_baseline_without_any_figure_is_said_to_be_not_determined() -> None:
@@ -197,7 +208,7 @@ def test_a_front_says_what_is_proven_of_each_size() -> None:
         "Not proven: a selection of 5 terms may still be better than that of fewer."]
 
 
-RULE = ("The arrow marks the selection; the rule {} recommends it (--set recommend=...).")
+RULE = "The arrow marks the selection by the rule {}; --set recommend=RULE changes it."
 
 
 @pytest.mark.parametrize(("rule", "objectives", "lines"), [

@@ -101,8 +101,8 @@ def test_the_notes_of_the_search_come_first() -> None:
         "One.", "Two.", "The search was interrupted; this is the best selection so far."]
 
 
-FITTED_TO_CHECK = ("The independent RMSE is {} times the check RMSE: the selection is fitted to "
-                   "the selection points.")
+FITTED_TO_CHECK = ("The independent RMSE is {} times that at the selection points: the selection "
+                   "is fitted to them.")
 
 
 @pytest.mark.parametrize(("check", "independent", "times"), [
@@ -168,8 +168,8 @@ def test_a_search_that_saw_equations_to_first_order() -> None:
     assert seen is not None
     assert abs(iterated.total - seen.total) > 0.01 * seen.total
     assert notes(observations, found(seen.total), chosen) == [
-        f"The search saw a check RMSE of {seen.total:.4g} px, with equations to first order; the "
-        "fit was then iterated."]
+        f"The search saw an RMSE of {seen.total:.4g} px at selection points, with equations to "
+        "first order; the fit was then iterated."]
     assert notes(observations, found(iterated.total), chosen) == []
     assert notes(observations, found(3 * seen.total), chosen) == [
         OTHER_POINTS.format(f"{3 * seen.total:.4g}")]

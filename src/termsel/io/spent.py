@@ -64,7 +64,7 @@ def with_spent(result: Result, folder: Path) -> Result:
             "already assessed another fit, in "
             f"{first_names_in_words(named)}. A fit that is chosen by them looks better than it "
             "is. Compare fits by selection points or by the predicted RMSE, or measure new "
-            "selection points.")
+            "independent check points.")
     spent = tuple(name for name in result.features.points.ids if name in shown_points)
     accuracy = structs.replace(result.accuracy, spent_by=named, spent=spent)
     return result.with_(notes=(*result.notes, note), accuracy=accuracy)

@@ -325,7 +325,7 @@ def _legend_of_fits(record: Record, view: View | None) -> Iterator[str]:
     if record.rmse.leave_one_out is not None:
         yield (f"{LEAVE_ONE_OUT}: each control feature by the fit without it, as "
                f"{record.model} corrects by control")
-    if record.data.counts.check and any("check" in row.fitted_to for row in baselines):
+    if record.data.counts.check and any(fitted for _, fitted, *_ in fits_of(record)):
         yield ("* also fitted to the selection points, so their RMSE is a fit"
                + (" (a hollow symbol in the chart)" if view is not None else ""))
     if any(all(rmse.n == 0 for rmse in baseline.rmse.by_role.values()) for baseline in baselines):

@@ -42,6 +42,7 @@ from termsel.results.accuracy import (
 )
 from termsel.results.blocks import Fact
 from termsel.results.verdict import (
+    AS_DELIVERED,
     CHANCE,
     NO_FIT,
     NOT_FEW,
@@ -75,9 +76,6 @@ _CONTRADICTED = 2.0
 """Times the upper end of the predicted RMSE beyond which independent points contradict it."""
 _RPC = "rpc"
 """How the names of corrections of an RPC begin."""
-AS_DELIVERED = "rpc-as-delivered"
-"""Baseline of an RPC without a correction."""
-
 KNOWN_CAMERA = "known-camera"
 """Method of a photo whose focal length is stated."""
 

@@ -184,7 +184,15 @@ def _column_class(table: TableBlock, column: int) -> str:
         return ' class="words"'
     if column in table.page_only:  # too wide for a narrow screen as for a text
         return ' class="beyond"'
-    return ' class="range"' if table.columns[column].endswith("interval") else ""
+    if table.columns[column].endswith("interval"):
+        return ' class="range"'
+    return ' class="names"' if _has_names(table, column) else ""
+
+
+def _has_names(table: TableBlock, column: int) -> bool:
+    """Return whether a column has words alone, such as roles, which begin at the left."""
+    text = "".join(row[column] for row in table.rows)
+    return any(letter.isalpha() for letter in text) and not any(map(str.isdigit, text))
 
 
 def _row_html(table: TableBlock, i: int, classes: Sequence[str], is_listed: bool) -> str:

@@ -207,13 +207,14 @@ def _front_and_proofs(record: Record, view: View | None, picture: str) -> Iterat
     if front and view is not None:
         yield from chart_block(view, "front", search.front_chart(view))
         yield Figure("members", "Residuals of the chosen member",
-                     "Choose a member in the chart above or in the table below.",
+                     "Choose a member in the front or in the table below.",
                      search.member_residuals(view, picture), keeps_ratio=True)
     yield _table_of_members(record, members)
     rule = record.options.problem.get("recommend")
     if rule and (len(record.objectives) > 1 or rule != "best"):
-        yield (f"The arrow marks the selection; the rule {rule} recommends it (--set "
-               "recommend=...).")
+        mark = "arrow" if view is None else "coloured row"
+        yield (f"The {mark} marks the selection by the rule {rule}; --set recommend=RULE changes "
+               "it.")
     if by_size:
         yield from sizes.sentences_on_sizes(by_size, list(members[0].objectives)[1])
         yield _table_by_size(members, by_size)
@@ -244,7 +245,8 @@ def _table_of_members(record: Record, members: Sequence[Member | SizeRow]) -> Ta
         columns.append((sizes.TITLE, [proofs.get(member.objectives[size], "")
                                       for member in members]))
     page_only.append(len(columns))
-    columns.append((names, [" ".join(getattr(member.selection, names)) for member in members]))
+    columns.append((f"selected {names}",
+                    [" ".join(getattr(member.selection, names)) for member in members]))
     return TableBlock("Pareto front", tuple(heading for heading, _ in columns),
                       list(zip(*(cells for _, cells in columns), strict=True)),
                       choice="member" if record.front else "",
@@ -269,7 +271,7 @@ def _table_by_size(members: Sequence[Member | SizeRow], by_size: Sequence[SizeRo
                      sizes.proven_in_words(row), _px_text(row.rmse.independent),
                      " ".join(getattr(row.selection, names))))
     columns = (sizes.noun_of_members(members), criterion, "lower bound", sizes.TITLE,
-               "independent check [px]", names)
+               "independent check [px]", f"selected {names}")
     return TableBlock("Best selection of each size", columns, rows, folded=True)
 
 

@@ -118,7 +118,8 @@ def legend_of(kinds: dict[str, str], present: set[str]) -> Any:
 
 def role_legend() -> Any:
     """Return a legend that shows roles by the words of the field, such as "selection"."""
-    return require_altair().Legend(labelExpr=ROLE_LABELS)
+    # A faint interval or line of the same colour must not make the symbol faint.
+    return require_altair().Legend(labelExpr=ROLE_LABELS, symbolOpacity=1)
 
 
 def spread_scale(values: list[float], *, zero: bool) -> tuple[Any, str]:

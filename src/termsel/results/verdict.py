@@ -22,6 +22,12 @@ ROLE_WORDS = {"control": "control", "check": "selection", "independent": "indepe
 """What tables and charts call the points of a role of files and options."""
 
 
+ALL_TERMS = "all-terms"
+"""Baseline of a search: the fit of all terms to all control."""
+
+AS_DELIVERED = "rpc-as-delivered"
+"""Baseline of an RPC without a correction, which is fitted to nothing."""
+
 ALIKE_RATIO = 1.05
 """Two RMSE whose ratio is below this are called alike: with a few dozen independent points
 an RMSE is itself uncertain by more."""
@@ -76,7 +82,7 @@ def label_of(name: str) -> str:
     method = BY_NAME.get(name)
     if method is not None:
         return method.label
-    words = {"all-terms": "all terms", WITHOUT_BLUNDERS: "without blunders"}
+    words = {WITHOUT_BLUNDERS: "outliers removed"}
     return words.get(name, name.replace("-", " ").replace("rpc", "RPC"))
 
 
@@ -89,8 +95,20 @@ def fits_of(record: Record) -> Iterator[tuple[str, bool, int, RmseByRole]]:
     # The strategy auto fits to control and check points together, a search to control alone.
     yield THIS, bool(record.strategy), record.selection.n_terms, record.rmse
     for baseline in record.baselines:
-        fitted_to_check = "check" in baseline.fitted_to
-        yield label_of(baseline.name), fitted_to_check, baseline.n_terms, baseline.rmse
+        fitted_to_check = "check" in baseline.fitted_to and baseline.name != AS_DELIVERED
+        label = all_on_offer(record) if baseline.name == ALL_TERMS else label_of(baseline.name)
+        yield label, fitted_to_check, baseline.n_terms, baseline.rmse
+
+
+def all_on_offer(record: Record) -> str:
+    """Return what a fit without a selection uses and this result does not, such as "all lines"."""
+    selection = record.selection
+    lacking = []
+    if selection.n_features < record.offered.n_features:
+        lacking.append(record.data.counts.word)
+    if selection.n_terms < record.offered.n_terms or not lacking:
+        lacking.append("terms")
+    return f"all {' and '.join(lacking)}"
 
 
 CERTAINTY = {"certain": "blunder", "probable": "probable blunder", "possible": "possible blunder"}

@@ -263,8 +263,8 @@ def notes_on(observations: Observations, criterion: Criterion, search: SearchRes
     independent = fitted.rmse(observations.independent)
     if (criterion.needs_check and check and independent
             and independent.total > 1.5 * check.total):
-        yield (f"The independent RMSE is {independent.total / check.total:.1f} times the check "
-               "RMSE: the selection is fitted to the selection points.")
+        yield (f"The independent RMSE is {independent.total / check.total:.1f} times that "
+               "at the selection points: the selection is fitted to them.")
     yield from warnings_of(observations.control, fitted.used, observations.check)
     objective = search.objectives[0]
     if (criterion.name == "check-rmse" and check and fitted.estimator.least_squares
@@ -272,8 +272,8 @@ def notes_on(observations: Observations, criterion: Criterion, search: SearchRes
         first = fit(fitted.model, fitted.control, fitted.scaling, fitted.terms, fitted.used,
                     iterated=False).rmse(observations.check)
         if first and abs(first.total - objective) <= 0.005 * objective:
-            yield (f"The search saw a check RMSE of {objective:.4g} px, with equations to first "
-                   "order; the fit was then iterated.")
+            yield (f"The search saw an RMSE of {objective:.4g} px at selection points, with "
+                   "equations to first order; the fit was then iterated.")
         else:
             yield (f"The search minimised an RMSE of {objective:.4g} px over the points that the "
                    "problem judges by, which are not the selection points alone.")

@@ -25,7 +25,9 @@ from termsel.results.theme import (
 from termsel.results.view import Row, View, nice_number
 
 LENGTH = 0.06
-"""Of the median vector, in widths of the map."""
+"""Of the median vector, in widths of the map, at most."""
+SPACING = 0.6
+"""Of the median vector, in mean distances of neighbours, at most: more arrows are shorter ones."""
 MAP_MARGIN = 0.04
 """Drawn around the image, in widths of it."""
 WIDEST = 3.0
@@ -73,7 +75,7 @@ def image_extent(view: View) -> Extent:
     above = max(margin, (wide / WIDEST - high) / 2)
     # Of all residuals, not of a chosen member, so that members can be compared by their arrows.
     lengths = [float(np.hypot(row["dl"], row["ds"])) for row in view.in_image]
-    scale = _choose_exaggeration(lengths, wide)
+    scale = _choose_exaggeration(lengths, wide, wide * high)
     longest = _longest_ordinary(lengths)
     ends = [(row["sample"] + scale * row["ds"], row["line"] + scale * row["dl"])
             for row, length in zip(view.in_image, lengths, strict=True)
@@ -92,7 +94,7 @@ def ground_extent(view: View) -> Extent:
     margin = MAP_MARGIN * max(wide * view.flattening, tall)
     across = margin / view.flattening
     lengths = [float(np.hypot(row["dx"] * view.flattening, row["dy"])) for row in view.on_ground]
-    scale = _choose_exaggeration(lengths, tall)
+    scale = _choose_exaggeration(lengths, tall, wide * view.flattening * tall)
     longest = _longest_ordinary(lengths)
     ends = [(row["x"] + scale * row["dx"], row["y"] + scale * row["dy"])
             for row, length in zip(view.on_ground, lengths, strict=True)
@@ -405,8 +407,16 @@ def _role_colour(view: View, rows: list[Row]) -> Any:
                      legend=alt.Legend(symbolStrokeWidth=0, symbolOpacity=1, labelExpr=ROLE_LABELS))
 
 
-def _choose_exaggeration(lengths: list[float], wide: float) -> float:
-    """Return by how much residuals are drawn longer: the median has the length `LENGTH`."""
+def _choose_exaggeration(lengths: list[float], wide: float, area: float) -> float:
+    """Return by how much residuals are drawn longer over a map of an area.
+
+    The median vector has the length `LENGTH`, or `SPACING` where vectors are so many that arrows
+    of that length would lie over each other.
+    """
     # The median, as a blunder would make all others invisible.
     median = float(np.median(lengths)) if lengths else 0.0
-    return nice_number(LENGTH * wide / median) if median > VECTOR_ROUNDING * wide else 1.0
+    if median <= VECTOR_ROUNDING * wide:
+        return 1.0
+    # Mean distance of neighbours: n positions share the area.
+    length = min(LENGTH * wide, SPACING * (area / len(lengths)) ** 0.5)
+    return nice_number(length / median)

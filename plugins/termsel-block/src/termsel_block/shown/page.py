@@ -12,6 +12,7 @@ from termsel.toolkit.charts import (
     CONTROL,
     FAINT,
     INK,
+    METHODS,
     WIDTH,
     Document,
     Figure,
@@ -111,10 +112,13 @@ def _rejected_table(record: BlockRecord) -> Iterator[TableBlock | str]:
     rejected += [("tie", wrong) for wrong in record.wrong_ties]
     if not rejected:
         return
-    yield TableBlock("Observations that were rejected, the worst first", (
-        "id", "image", "kind", "distance [px]", "remark"), [
-            (wrong.id, wrong.image, kind, f"{wrong.error:.1f}", reason_of(wrong, record))
-            for kind, wrong in rejected[:_LISTED]])
+    columns: tuple[str, ...] = ("id", "image", "kind", "distance [px]", "remark")
+    rows: list[tuple[str, ...]] = [
+        (wrong.id, wrong.image, kind, f"{wrong.error:.1f}", reason_of(wrong, record))
+        for kind, wrong in rejected[:_LISTED]]
+    if not any(row[-1] for row in rows):  # nothing to remark
+        columns, rows = columns[:-1], [row[:-1] for row in rows]
+    yield TableBlock("Observations that were rejected, the worst first", columns, rows)
     if len(rejected) > _LISTED:
         yield f"{len(rejected) - _LISTED} more are in block.json."
 
@@ -156,10 +160,11 @@ def _ground_chart(result: BlockResult) -> Any:
     y = alt.Y("north:Q", title="north [km]", scale=alt.Scale(domain=y_of, nice=False),
               axis=alt.Axis(tickCount=height / 60))
     names = list(dict.fromkeys(row["image"] for row in outlines))
-    # The schemes have 10 and 20 colours; more than _TOLD_APART nobody tells apart.
-    scheme = "tableau10" if len(names) <= 10 else "tableau20"
+    # More than _TOLD_APART nobody tells apart.
+    palette = {"range": METHODS[:len(names)]} if len(names) <= len(METHODS) else {
+        "scheme": "tableau20"}
     colour = alt.Color("image:N", title="image", sort=names, legend=alt.Legend(columns=6),
-                       scale=alt.Scale(scheme=scheme))
+                       scale=alt.Scale(domain=names, **palette))
     if len(names) > _TOLD_APART:
         colour = alt.value("#888")
     hulls = alt.Chart(chart_rows(outlines)).mark_line(strokeWidth=1.5).encode(
