@@ -96,6 +96,15 @@ def examples(_app: Sphinx, _context: Any, lines: list[str]) -> None:
     lines[:] = text
 
 
+def frame_pictures(_app: Sphinx, page: nodes.document) -> None:
+    """Put each picture in a paragraph of its own, which scrolls alone on a narrow screen."""
+    for picture in list(page.findall(nodes.image)):
+        if isinstance(picture.parent, (nodes.section, nodes.document)):
+            paragraph = nodes.paragraph()
+            picture.replace_self(paragraph)
+            paragraph += picture
+
+
 def navigate(_app: Sphinx, _page: str, _template: str, context: dict[str, Any],
              _doctree: nodes.document | None) -> None:
     """Expand the branch of a page alone: the tree of all 280 on each takes half of a build."""
@@ -109,6 +118,7 @@ def setup(app: Sphinx) -> None:
     app.connect("env-get-outdated", outdated)
     app.connect("source-read", fill)
     app.connect("sphinx-click-process-description", examples)
+    app.connect("doctree-read", frame_pictures)
     app.connect("html-page-context", navigate, priority=400)  # before the theme asks for it
     app.add_html_math_renderer("mathml", (inline_math, None), (displayed_math, None))
     app.add_css_file("termsel.css")

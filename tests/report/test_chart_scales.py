@@ -14,6 +14,7 @@ import termsel
 from termsel.core.errors import rounded_size_text
 from termsel.results.charts.maps import ground_extent, image_extent
 from termsel.results.pictures import with_margins
+from termsel.results.theme import with_theme
 
 altair = pytest.importorskip("altair")
 pytest.importorskip("vl_convert")
@@ -64,6 +65,17 @@ def test_residuals_of_rounding_alone_are_not_exaggerated(kind: str, tmp_path: Pa
     from termsel.results.plots import save
     save(drawn, tmp_path / "map.png")
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("facets", [False, True])
+def test_a_caption_is_no_wider_than_its_chart(facets: bool) -> None:
+    data = altair.InlineData(values=[{"a": 1}])
+    for width in (140, 280, 560):
+        chart = altair.Chart(data).mark_point().properties(width=width)
+        shown = with_theme(chart.facet("a:N") if facets else chart, "Title", "words of it " * 20)
+        lines = shown.to_dict()["title"]["subtitle"]
+        # 84 letters of this size take 560 px.
+        assert 0.75 * width < 560 / 84 * max(map(len, lines)) <= width
 
 
 @pytest.mark.parametrize(("n", "least", "most"), [(40, 0.02, 0.06), (900, 0.004, 0.021)])

@@ -272,6 +272,7 @@ def test_a_whole_session_by_clicks(browser: Any, example: Path) -> None:
     app = App(*files_of_scene, cwd=example)
     screen = open_page(browser, app.address)
     assert "Click a feature in the image" in screen.text("empty")
+    assert screen.text("image-name") == "scene.tif, 600 × 500 px"
     places = corners(example, 12)
     for number, (image, ground) in enumerate(places, 1):
         wrong = number == 12

@@ -55,7 +55,7 @@ def with_theme(chart: Any, title: str = "", look: str = "") -> Any:
     """Return a chart in the common style, with its title and how to read it."""
     alt = require_altair()
     if title:
-        chart = chart.properties(title=alt.Title(title, subtitle=_wrap_text(look)))
+        chart = chart.properties(title=alt.Title(title, subtitle=_wrap_text(look, chart)))
     return chart.configure(
         background=GROUND, font="Helvetica Neue, Helvetica, Arial, sans-serif", padding=10,
     ).configure_view(stroke=None).configure_title(
@@ -82,11 +82,19 @@ def dark_style() -> str:
     return f"@media screen and (prefers-color-scheme: dark) {{\n{block}\n}}\n"
 
 
-def _wrap_text(text: str, width: int = 84) -> list[str]:
-    """Return the lines of a caption, wrapped to so many characters."""
+_MOST_CHARACTERS = 84
+"""Of a line of a caption; those of WIDTH px."""
+
+
+def _wrap_text(text: str, chart: Any) -> list[str]:
+    """Return the lines of a caption, none of which is wider than a panel of the chart."""
     import textwrap
 
-    return textwrap.wrap(text, width)
+    panel = getattr(chart, "spec", chart)  # one of several side by side
+    width = getattr(panel, "width", WIDTH)
+    known = isinstance(width, (int, float))
+    share = min(width / WIDTH, 1.0) if known else 1.0
+    return textwrap.wrap(text, round(_MOST_CHARACTERS * share))
 
 
 def chart_rows(rows: list[dict[str, Any]]) -> Any:

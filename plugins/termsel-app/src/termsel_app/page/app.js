@@ -161,8 +161,10 @@ function warpedLayer(projection, grid) {
 function describe(setting) {
   byId("title").textContent = setting.image.name ?? setting.folder;
   document.title = `${setting.image.name ?? "control"} · termsel app`;
-  byId("image-name").textContent = setting.image.name
-    ? `${setting.image.name}, ${setting.image.size.map(n => n.toLocaleString("en")).join(" × ")} px` : "no image given";
+  if (setting.image.name) {
+    const [height, width] = setting.image.size.map(n => n.toLocaleString("en"));
+    byId("image-name").textContent = `${setting.image.name}, ${width} × ${height} px`;
+  } else byId("image-name").textContent = "no image given";
   const names = [...setting.map.rasters, ...setting.map.vectors.map(layer => layer.name)];
   byId("map-name").textContent = [names.join(", ") || "coordinates", setting.crs.length < 30 ? setting.crs : ""]
     .filter(Boolean).join(" · ");
