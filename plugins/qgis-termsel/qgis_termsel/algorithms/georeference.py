@@ -118,8 +118,8 @@ class Georeference(Algorithm):
     def _declare_outputs(self):
         """Declare the parameters that both algorithms have at the end, and their outputs."""
         self.addParameter(QgsProcessingParameterString(
-            "OFF", "Points to leave out, such as P07,P12", optional=True))
-        self.addParameter(QgsProcessingParameterFolderDestination("OUTPUT", "Result"))
+            "OFF", "Points or lines to leave out, such as P07,L12", optional=True))
+        self.addParameter(QgsProcessingParameterFolderDestination("OUTPUT", "Folder of the result"))
         self.addOutput(QgsProcessingOutputVectorLayer("RESIDUALS", "Residuals"))
         self.addOutput(QgsProcessingOutputVectorLayer("VECTORS", "Residual vectors"))
         self.addOutput(QgsProcessingOutputVectorLayer("WRONG", "Layer of blunders"))
@@ -240,12 +240,13 @@ class SelectLines(Georeference):
         "Selects the optimum number of well-distributed control lines (OWDIS; Yavari et al. 2018) "
         "and fits the model to them.\n\n"
         "Lines are a table with two measured image points and two ground vertices of each: "
-        "id, line1, sample1, line2, sample2, x1, y1, z1, x2, y2, z2. Points judge.")
+        "id, line1, sample1, line2, sample2, x1, y1, z1, x2, y2, z2. Selection points decide which "
+        "lines are used, and independent check points give the accuracy.")
 
     def initAlgorithm(self, config=None):
         """Declare parameters and outputs."""
         self.addParameter(QgsProcessingParameterFile("LINES", "File of control lines"))
-        self.addParameter(QgsProcessingParameterFile("FILE", "File of selection and check points"))
+        self.addParameter(QgsProcessingParameterFile("FILE", "File of selection points and independent check points"))
         self.addParameter(QgsProcessingParameterCrs("CRS", "CRS of the files", optional=True))
         self._declare_outputs()
 

@@ -93,9 +93,9 @@ class Uncertainty(Algorithm):
     """Write the uncertainty of a model as a raster."""
 
     NAME, TITLE, GROUP = "sigma", "Uncertainty raster", "Results"
-    HELP = ("Writes standard deviations of a model all over the image or a map: of line and sample "
-            "[px], of east and north [m], and 1 outside the control. It shows the one to the "
-            "north. It needs the package termsel-standards.")
+    HELP = ("Writes the standard deviations of a model over the image or a map: of line and sample "
+            "[px], of east and north [m], and a band that is 1 outside the control. The layer "
+            "shows that of north. It needs the package termsel-standards.")
 
     def initAlgorithm(self, config=None):
         """Declare parameters and outputs."""
@@ -111,7 +111,7 @@ class Uncertainty(Algorithm):
         add(QgsProcessingParameterNumber("RES", "Pixel size in units of the CRS",
                                          QgsProcessingParameterNumber.Type.Double, optional=True,
                                          minValue=0))
-        add(QgsProcessingParameterRasterDestination("OUTPUT", "Uncertainty"))
+        add(QgsProcessingParameterRasterDestination("OUTPUT", "Uncertainty raster"))
 
     def processAlgorithm(self, parameters, context, feedback):
         """Run `termsel sigma` and return the raster, shown in shades."""
@@ -149,7 +149,7 @@ class ExportModel(Algorithm):
                                               optional=True))
         add(QgsProcessingParameterRasterLayer("DEM", "Raster of heights, for grids",
                                               optional=True))
-        add(QgsProcessingParameterFileDestination("OUTPUT", "File"))
+        add(QgsProcessingParameterFileDestination("OUTPUT", "Exported file"))
 
     def processAlgorithm(self, parameters, context, feedback):
         """Run `termsel export` and return the file.
@@ -183,7 +183,7 @@ class Report(Algorithm):
     def initAlgorithm(self, config=None):
         """Declare parameters and outputs."""
         self.addParameter(result_parameter())
-        self.addParameter(QgsProcessingParameterFileDestination("OUTPUT", "Page",
+        self.addParameter(QgsProcessingParameterFileDestination("OUTPUT", "Page of the report",
                                                                 "HTML files (*.html)"))
         self.addOutput(QgsProcessingOutputHtml("PAGE", "Report"))
 
@@ -199,8 +199,8 @@ class NextPlaces(Algorithm):
     """Propose where to measure next."""
 
     NAME, TITLE, GROUP = "nextplaces", "Where to measure next", "Results"
-    HELP = ("Proposes the places where further control points would lower the uncertainty of the "
-            "model most, in their order.")
+    HELP = ("Lists the positions at which further control points would lower the uncertainty of "
+            "the model most, the best one first.")
 
     def initAlgorithm(self, config=None):
         """Declare parameters and outputs."""
@@ -208,7 +208,7 @@ class NextPlaces(Algorithm):
         self.addParameter(QgsProcessingParameterNumber("NUMBER", "Number of positions",
                                                        defaultValue=5, minValue=1))
         self.addParameter(QgsProcessingParameterFeatureSink(
-            "OUTPUT", "Places", QgsProcessing.SourceType.TypeVectorPoint))
+            "OUTPUT", "Positions", QgsProcessing.SourceType.TypeVectorPoint))
 
     def processAlgorithm(self, parameters, context, feedback):
         """Run `termsel plan` and return its places as a layer of points.
