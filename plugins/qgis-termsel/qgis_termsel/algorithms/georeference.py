@@ -246,7 +246,8 @@ class SelectLines(Georeference):
     def initAlgorithm(self, config=None):
         """Declare parameters and outputs."""
         self.addParameter(QgsProcessingParameterFile("LINES", "File of control lines"))
-        self.addParameter(QgsProcessingParameterFile("FILE", "File of selection points and independent check points"))
+        self.addParameter(QgsProcessingParameterFile(
+            "FILE", "File of selection points and independent check points"))
         self.addParameter(QgsProcessingParameterCrs("CRS", "CRS of the files", optional=True))
         self._declare_outputs()
 

@@ -78,8 +78,8 @@ class AdjustBlock(Algorithm):
 
     def initAlgorithm(self, config=None):
         """Declare parameters and outputs."""
-        self.addParameter(QgsProcessingParameterFile("BLOCK", "File of the block, such as block.toml",
-                                                     extension="toml"))
+        self.addParameter(QgsProcessingParameterFile(
+            "BLOCK", "File of the block, such as block.toml", extension="toml"))
         self.addParameter(QgsProcessingParameterFolderDestination("OUTPUT", "Adjusted block"))
         self.addOutput(QgsProcessingOutputHtml("PAGE", "Report"))
 
