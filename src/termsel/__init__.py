@@ -15,4 +15,13 @@ if sys.argv[:1] == ["-m"] and not sys.flags.safe_path and sys.path and any(
 
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_imported, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> object:
+    """Return a public name, imported when it is first used."""
+    if name in __all__ or name.startswith("_"):
+        return _imported(name)
+    from termsel.core.arguments import missing_name_message
+
+    raise AttributeError(missing_name_message(__name__, name, __all__))

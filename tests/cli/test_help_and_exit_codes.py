@@ -293,7 +293,7 @@ def test_plugins_are_listed_with_what_is_wrong(call, with_plugins):
 
 
 @pytest.mark.parametrize(("args", "message"), [
-    (["lits", "models"], "Error: unknown command 'lits'. Did you mean 'list'? Known: "),
+    (["lits", "models"], "Error: unknown command 'lits'. Did you mean 'list'?"),
     (["list", "cameras"], "KIND is 'cameras', expected problems, models, "),
     (["list", "model"], "or writers. Did you mean 'models'?"),
     (["new-plugin", "mine", "--kind", "modle"], "kind of plugin 'modle'. Did you mean 'model'?"),
@@ -384,3 +384,19 @@ def test_commands_and_names_are_completed(call, built_in, monkeypatch, words, ex
     monkeypatch.setenv("COMP_CWORD", str(len(words.split()) - 1))
     done = call()
     assert [line.partition(",")[2] for line in done.stdout.split()] == expected
+
+
+@pytest.mark.parametrize(("words", "message"), [
+    # What other programs call it.
+    (["fit", "gcps.csv"], "unknown command 'fit'. Did you mean run? Fit a model to control points"),
+    (["warp"], "unknown command 'warp'. Did you mean rectify? Resample an image to a map"),
+    (["xyzzy"], "unknown command 'xyzzy'. All commands, in groups: termsel --help."),
+    (["describe", "export"], "export is a command. termsel export --help describes it."),
+    (["describe", "polynomial"], "Did you mean 'poly-terms' or 'poly2d' or 'poly3d'?"),
+    # By what it does, where no name is similar.
+    (["describe", "imperialist"], "Did you mean 'ica'?"),
+    (["run", "--problem", "poly-terms", "--solver", "genetic"], "Did you mean 'ga'?")])
+def test_what_is_called_otherwise_is_found_by_what_it_does(call, words, message):
+    done = call(*words)
+    assert done.exit_code == 2
+    assert message in done.stderr

@@ -14,6 +14,7 @@ from termsel.cli.completion import complete
 from termsel.cli.messages import echo
 from termsel.cli.tables import print_table
 from termsel.core.errors import TermselError, unknown_name_error
+from termsel.plugins.commands import COMMANDS
 
 if TYPE_CHECKING:
     from termsel.core.options import Option
@@ -46,13 +47,13 @@ def describe(name: str) -> None:
     entries = names.find(name)
     if not entries:
         # The name may be of any kind, so that the nearest one is looked for among all.
-        known_names = []
-        for kind in KINDS:
-            known_names += names.names(kind)
+        summaries = {entry.name: entry.summary for kind in KINDS for entry in names.entries(kind)}
         if _is_crs(name):
             raise TermselError(f"{name} is a coordinate reference system, which termsel does not "
                                "describe", hint=f"Give it to a command: --crs {name}.")
-        raise _unknown_name_error(name, known_names, names.hint(name, *KINDS))
+        if name in COMMANDS or name in names.names("commands"):
+            raise TermselError(f"{name} is a command", hint=f"termsel {name} --help describes it.")
+        raise _unknown_name_error(name, summaries, names.hint(name, *KINDS))
     # One name may be a model and a solver: all of them are described.
     for i, (kind, entry) in enumerate(entries):
         if i:
@@ -79,11 +80,11 @@ def _is_crs(name: str) -> bool:
 _OF_AUTHORITY = re.compile(r"[A-Za-z_0-9]+:\w+")
 
 
-def _unknown_name_error(name: str, known_names: Iterable[str], hint: str) -> TermselError:
+def _unknown_name_error(name: str, summaries: Mapping[str, str], hint: str) -> TermselError:
     """Return the error for an unknown name; it shows near names alone, or where to look."""
     from termsel.plugins.kinds import KINDS
 
-    error = unknown_name_error("name", name, known_names, hint)
+    error = unknown_name_error("name", name, summaries, hint, summaries)
     if "Did you mean" not in str(error):
         words = {word: kind for kind in KINDS for word in (kind, KINDS[kind].word)}
         near = get_close_matches(name, words, n=1)

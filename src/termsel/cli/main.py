@@ -98,14 +98,10 @@ class Commands(click.Group):
         """
         command = self.get_command(ctx, args[0])
         if command is None and not ctx.resilient_parsing:
-            from termsel.plugins.registry import registry
-
             if os.path.isfile(args[0]):
                 raise TermselError(f"{args[0]} is a file, and a command comes first",
                                    hint=f"Points are fitted by: termsel run {shlex.quote(args[0])}")
-            names = [*COMMANDS, *registry().names("commands")]
-            raise unknown_name_error("command", args[0], names,
-                                     registry().hint(args[0], "commands"))
+            raise _unknown_command_error(args[0])
         if command is not None and not ctx.resilient_parsing:
             _refuse_repeated(command, args[1:])
         return args[0], command, args[1:]
@@ -211,6 +207,37 @@ class Commands(click.Group):
         command = self.get_command(parent, words[0]) if words else None
         return None if command is None else click.Context(command, parent=parent,
                                                           info_name=words[0])
+
+
+_COMMANDS_ELSEWHERE = {
+    "fit": "run", "georeference": "run", "georef": "run", "adjust": "run", "solve": "run",
+    "start": "run", "orthorectify": "rectify", "ortho": "rectify", "warp": "rectify",
+    "transform": "project", "convert": "export", "write": "export", "info": "describe",
+    "show": "report", "view": "report", "open": "report", "validate": "accuracy",
+    "rmse": "accuracy", "uncertainty": "sigma", "match": "match-points", "bundle": "block",
+    "batch": "compare", "examples": "example", "demo": "example"}
+"""Commands by what other programs call them."""
+
+
+def _unknown_command_error(name: str) -> TermselError:
+    """Return the error for an unknown command: the one that is meant, or where they are listed."""
+    from termsel.plugins.registry import registry
+
+    meant = _COMMANDS_ELSEWHERE.get(name.lower())
+    summaries = {command: summary for command, (_, summary) in COMMANDS.items()}
+    summaries |= {entry.name: entry.summary for entry in registry().entries("commands")}
+    # Those of plugins are cut; what help prints is not.
+    for package, commands in PACKAGES.items():
+        summaries |= commands if find_spec(package) is not None else {}
+    if meant in summaries:
+        return TermselError(f"unknown command {name!r}", name=name, code="command-unknown",
+                            hint=f"Did you mean {meant}? {summaries[meant]} All commands: termsel "
+                                 "--help.")
+    hint = registry().hint(name, "commands")
+    error = unknown_name_error("command", name, summaries, hint)
+    if "Did you mean" not in str(error):
+        error.hint = f"{hint} All commands, in groups: termsel --help.".strip()
+    return error
 
 
 def _too_large_error(error: MemoryError) -> TermselError:

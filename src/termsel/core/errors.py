@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from traceback import TracebackException
+from types import MappingProxyType
 
 _JOINERS = frozenset("\u200c\u200d")
 """Joiners within words of some scripts."""
@@ -157,14 +159,16 @@ _DEGREES = {"linear": 1, "quadratic": 2, "cubic": 3}
 
 
 def unknown_name_error(
-        kind: str, name: str, names_known: Iterable[str], hint: str = "") -> TermselError:
+        kind: str, name: str, names_known: Iterable[str], hint: str = "",
+        summaries: Mapping[str, str] = MappingProxyType({})) -> TermselError:
     """Return the error for a name that is not among the known names of its kind.
 
     Its hint asks whether one of up to three similar names was meant, lists the known ones unless
-    there is a similar name among very many, and ends with `hint`.
+    there is a similar name among very many, and ends with `hint`. Where no name is similar, those
+    are meant whose `summaries` have the word, as the genetic algorithm is called ga.
     """
     names = sorted(set(names_known))
-    similar_names = _likely_names(name, names)
+    similar_names = likely_names(name, names) or _names_by_word(name, summaries)
     # The summary calls polynomials by their degree, such as cubic, which is no name of a model.
     if name.lower() in _DEGREES and "poly2d" in names:
         hint = (f"Name it poly2d, or poly3d with heights, and --set degree="
@@ -182,7 +186,7 @@ def unknown_name_error(
                         hint=" ".join(text for text in (question, listed, hint) if text))
 
 
-def _likely_names(name: str, names: Sequence[str]) -> list[str]:
+def likely_names(name: str, names: Sequence[str]) -> list[str]:
     """Return up to three names that may be meant: the nearest, and those that differ by words."""
     # Above 0.6 of matching characters the nearest name is a misspelling; below, any guess misleads.
     by_small_letters = {known.lower(): known for known in names}
@@ -196,6 +200,16 @@ def _likely_names(name: str, names: Sequence[str]) -> list[str]:
     if not near and len(alike) == 1 and len(small) > _ALIKE:
         near = alike
     return [by_small_letters[known] for known in near[:3]]
+
+
+def _names_by_word(word: str, summaries: Mapping[str, str]) -> list[str]:
+    """Return up to three names whose summaries have a word, those that begin like it first."""
+    if len(word) <= _ALIKE:
+        return []
+    as_word = re.compile(rf"\b{re.escape(word.replace('-', ' ').replace('_', ' '))}", re.IGNORECASE)
+    names = [name for name, summary in summaries.items() if as_word.search(summary)]
+    start = word[:_ALIKE].lower()
+    return sorted(names, key=lambda name: not name.lower().startswith(start))[:3]
 
 
 def exception_in_words(error: BaseException) -> str:

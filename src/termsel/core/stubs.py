@@ -9,6 +9,8 @@ from typing import Any
 
 import lazy_loader
 
+from termsel.core.arguments import missing_name_message
+
 
 def lazily(file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a module with a stub next to it.
@@ -23,5 +25,13 @@ def lazily(file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], li
         if isinstance(node, ast.ImportFrom):
             module = str(node.module).removeprefix("termsel.")
             names.setdefault(module, []).extend(alias.name for alias in node.names)
-    attached: tuple[Any, Any, list[str]] = lazy_loader.attach("termsel", submod_attrs=names)
-    return attached
+    imported, listed, public = lazy_loader.attach("termsel", submod_attrs=names)
+
+    def attribute(name: str) -> Any:
+        """Return a public name, imported when it is first used."""
+        if name in public or name.startswith("_"):
+            return imported(name)
+        module = ".".join(Path(file).with_suffix("").parts[-3:]).removesuffix(".__init__")
+        raise AttributeError(missing_name_message(module, name, public))
+
+    return attribute, listed, public

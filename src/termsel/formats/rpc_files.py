@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError, count_in_words
 from termsel.core.files.atomic import write_text
 from termsel.core.files.names import is_there
@@ -69,6 +70,7 @@ _VALUE = re.compile(r"[^;\r\n]*")
 _NUMBERS = re.compile(r"[^\s,();]+")
 
 
+@explains_arguments()
 def read_rpc(path: Path | str) -> Rpc:
     """Return the RPC of a file, whose format is recognised by its content.
 
@@ -536,6 +538,7 @@ def _entry_texts(element: ElementTree.Element) -> Iterator[tuple[str, str]]:
 _UNKNOWN = -1.0  # what GDAL and vendors write for an error that is not known
 
 
+@explains_arguments()
 def write_rpc(rpc: Rpc, path: Path | str) -> None:
     """Write an RPC as an RPB file, from which `read_rpc` reads the same RPC.
 

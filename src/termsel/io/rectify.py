@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError, rounded_size_text
 from termsel.core.files.atomic import private_folder, write_text
 from termsel.core.files.names import utf8_name
@@ -66,6 +67,7 @@ _DATUM_PX = 0.1
 """Largest move of a map by the way over WGS84, as an RPC goes, in px of the map."""
 
 
+@explains_arguments()
 def rectify(
     result: Result,
     image: Path | str,

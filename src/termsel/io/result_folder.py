@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
 
+from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError, first_names_in_words
 from termsel.core.files.atomic import make_folder, private_folder, put_in_place, sync, utf8_bytes
 from termsel.core.files.lock import lock_folder
@@ -94,6 +95,7 @@ def _refuse_taken(folder: Path, overwrite: bool) -> None:
                            hint="Choose another --out, or add --overwrite.")
 
 
+@explains_arguments()
 def write_result(result: Result, folder: Path | str) -> None:
     """Write result.json, residuals.csv, summary.txt and the features, all of them or none.
 
@@ -206,6 +208,7 @@ def _pending_folder(folder: Path) -> Path:
     return folder / _PENDING
 
 
+@explains_arguments()
 def read_result(folder: Path | str) -> Result:
     """Return the result a run has written to a folder.
 

@@ -122,8 +122,9 @@ class Registry:
         """
         if (item := self.known(kind, name)) is not None:
             return item
-        raise unknown_name_error(KINDS[kind].in_words, name, self.names(kind),
-                                 self.hint(name, kind))
+        raise unknown_name_error(
+            KINDS[kind].in_words, name, self.names(kind), self.hint(name, kind),
+            {entry.name: entry.summary for entry in self.entries(kind)})
 
     def known(self, kind: str, name: str) -> Any:
         """Return the thing of a kind by its name, as for `get`; None if nothing has the name."""

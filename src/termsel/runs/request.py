@@ -367,7 +367,7 @@ def _refuse_of_others(settings: Mapping[str, Any], names: Collection[str]) -> No
     for key in settings:
         if key in names or "." in key:
             continue
-        owners = _owners_of_options()
+        owners = owners_of_options()
         if key in owners:
             role, first, *others = owners[key]
             raise TermselError(
@@ -399,7 +399,7 @@ _MISSPELT = 0.8
 """Share of matching characters from which on an option of another part is taken for misspelt."""
 
 
-def _owners_of_options() -> dict[str, list[str]]:
+def owners_of_options() -> dict[str, list[str]]:
     """Return the kind, and the names, of the criteria, models or solvers that have each option."""
     owners: dict[str, list[str]] = {}
     for kind in ("criteria", "models", "solvers"):

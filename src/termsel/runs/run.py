@@ -12,6 +12,7 @@ from termsel.adjustment import kernels
 from termsel.adjustment.bayesian import held_out
 from termsel.auto.auto import Auto
 from termsel.auto.memory import Memory
+from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError
 from termsel.core.files.names import CERTIFICATE
 from termsel.core.threads import one_blas_thread
@@ -26,6 +27,7 @@ from termsel.io.spent import with_spent
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
 from termsel.results.result import Result
+from termsel.runs.arguments import argument_meant
 from termsel.runs.choosing import choose_for, uses_auto
 from termsel.runs.finding import result_of
 from termsel.runs.notebook import notebook_observer
@@ -59,6 +61,7 @@ SEARCH_COMPILES, AUTO_COMPILES = 4, 5
 
 
 @one_blas_thread
+@explains_arguments(argument_meant)
 def run(
     problem: str | Recipe | Task | None = None,
     *,
@@ -301,6 +304,7 @@ def _run_and_write(work: Callable[[], Result], out: Path | str | None, overwrite
 
 # One road from a method and prepared data to a result.
 
+@explains_arguments()
 def assess(method: Method, task: Task, *, seed: int = 1, observers: Iterable[Observer] = (),
            memory: Memory | None = None) -> Result:
     """Return the result of a method on prepared data.

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from termsel.auto.auto import Auto
+from termsel.core.arguments import explains_arguments
 from termsel.core.display import Glance
 from termsel.core.errors import TermselError, count_in_words, unknown_name_error
 from termsel.core.isolation.faults import attribute_errors_to
@@ -30,6 +31,7 @@ from termsel.io.read import features_of
 from termsel.models.base import SensorModel, require_heights
 from termsel.models.image_part import ImagePart, recognise_part
 from termsel.plugins.registry import registry
+from termsel.runs.arguments import argument_meant
 from termsel.runs.exported_rpc import refuse_makers, rpc_of_model
 from termsel.runs.fit_crs import with_fit_crs, with_polar
 from termsel.runs.map_projection import with_map_projection
@@ -301,6 +303,7 @@ class Task(Glance):
         return f"Task: {self.recipe.name}", {"method": method, "data": self.request.source}
 
 
+@explains_arguments(argument_meant)
 def prepare(
     problem: str | Recipe,
     *,

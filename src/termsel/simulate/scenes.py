@@ -14,6 +14,7 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.random import Generator
 
+from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError, unknown_name_error
 from termsel.data.coordinates.wgs84 import SEMI_MAJOR
 from termsel.data.datasets import DatasetSpec
@@ -58,6 +59,7 @@ class SceneTruth:
     wrong_lines: tuple[str, ...]
 
 
+@explains_arguments()
 def simulate_scene(
     name: str,
     *,

@@ -43,7 +43,8 @@ def require_limits(*, generations: float | None = None, evaluations: float | Non
             raise TermselError(f"the budget of {name} is {value!r}, not a number",
                                hint=f"Give a number, or leave {name} out for no limit.")
         if value is not None and not value > 0:
-            raise TermselError(f"the budget of {value} {name} is not positive")
+            raise TermselError(f"the budget of {value} {name} is not positive",
+                               hint="Give a positive number, or leave it out for no limit.")
         if value is not None and name != "seconds" and value % 1 != 0:
             raise TermselError(f"the budget of {value} {name} is not a whole number",
                                hint="Give a whole number, or leave it out for no limit.")

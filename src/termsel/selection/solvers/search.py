@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from msgspec import structs
 
+from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError
 from termsel.core.interrupts import take_pending_interrupt
 from termsel.core.threads import one_blas_thread
@@ -139,6 +140,7 @@ class SearchResult:
 
 
 @one_blas_thread
+@explains_arguments()
 def search(
     problem: Problem,
     solver: Solver,

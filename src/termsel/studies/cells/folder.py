@@ -9,6 +9,7 @@ from typing import Any
 
 from msgspec import ValidationError, convert
 
+from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError
 from termsel.core.files.atomic import write_text
 from termsel.core.files.lock import lock_holder
@@ -70,6 +71,7 @@ def keys_by_labels(folder: Path) -> dict[tuple[Any, ...], str]:
     return {tuple(labels.values()): key for key, labels in cells.items()}
 
 
+@explains_arguments()
 def read_study(folder: Path | str) -> Study:
     """Return the study of a folder, finished or not; nothing is run.
 

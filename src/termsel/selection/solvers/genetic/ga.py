@@ -65,7 +65,7 @@ def are_repeated(genes: Genes, others: Genes) -> BoolArray:
 
 
 class GeneticAlgorithm(Solver):
-    """Generational GA: tournament, uniform crossover, bit flips, elitism.
+    """Genetic algorithm by generations: tournament, uniform crossover, bit flips, elitism.
 
     Chromosome, selection and crossover are those of Akhoundi Khezrabad et al. 2020, table 2. Size
     and start of the population are those that did best on twelve scenes

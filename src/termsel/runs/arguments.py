@@ -1,0 +1,57 @@
+"""What is meant by an argument that `run` and `prepare` do not have."""
+
+from __future__ import annotations
+
+from inspect import signature
+from pathlib import Path
+
+from termsel.plugins.registry import registry
+from termsel.runs.request import DATA_OPTIONS, owners_of_options
+from termsel.selection.solvers.budget import SEARCH_OPTIONS
+
+_OF_RESULT = {
+    "report": "result.report('report.html') writes it.",
+    "export": "termsel.export(result, FORMAT, PATH) writes it.",
+    "verbose": "result.summary(verbose=True) returns all of the summary.",
+    "json": "result.to_json() returns it.",
+    "image_size": "It is a property of the features: termsel.read(..., image=FILE).",
+    "set": "Options are options={NAME: VALUE}.",
+    "output": "The folder of the result is out=."}
+"""What options of the command line, and of other functions, are after a run in Python."""
+
+_FEATURES = ("points", "gcps", "file", "files", "data", "path")
+"""What the features are called elsewhere."""
+
+
+def argument_meant(name: str, value: object) -> str:
+    """Return a sentence on what an argument of `run` should be; "" if nothing is known of it."""
+    shown = repr(value) if isinstance(value, str | Path | int | float) else "..."
+    if name in _FEATURES:
+        return f"Points and lines are features={shown}."
+    if name == "lines":
+        return f"Points and lines are read together: features=termsel.read('points.csv', {shown})."
+    if name in _OF_RESULT:
+        return _OF_RESULT[name]
+    if name in _names_of_options():
+        return f"It is an option: options={{{name!r}: {shown}}}."
+    if name in _names_of_reading():
+        return f"termsel.read has it: features=termsel.read('points.csv', {name}={shown})."
+    return ""
+
+
+def _names_of_options() -> set[str]:
+    """Return the names of all options of data, searches, problems, models, solvers and criteria."""
+    of_problems = [option for entry in registry().entries("problems")
+                   for option in entry.object.options]
+    return {*owners_of_options(), *(option.name for option in (
+        *DATA_OPTIONS, *SEARCH_OPTIONS, *of_problems))}
+
+
+def _names_of_reading() -> set[str]:
+    """Return the names of all arguments of `termsel.read`, those of readers and packages too."""
+    from termsel.io.read import read, read_options  # readers, for this message alone
+
+    of_readers = [option for entry in registry().entries("readers")
+                  for option in entry.object.declared_options]
+    return {*signature(read).parameters,
+            *(option.name for option in (*read_options(), *of_readers))}
