@@ -75,14 +75,11 @@ from termsel.formats.readers.cells import (
     read_cells,
     without_header,
 )
+from termsel.formats.readers.flags import find_flags, remarks_on_unread, truth_of
 from termsel.formats.repeated import average_repeated, is_averaging
 from termsel.formats.stated_roles import ids_with_stated_roles
 
 # Cells by the meaning of their columns, with the place of every bad cell.
-
-_ENABLED = {"": True, "1": True, "true": True, "yes": True, "on": True,
-            "0": False, "false": False, "no": False, "off": False}
-_WHOLE = re.compile(r"([01])\.0*")
 
 VOID_HEIGHTS = (-9999.0, -32768.0, -32767.0)
 """What rasters of heights have where there is none, and people sample from them."""
@@ -249,10 +246,7 @@ class Table:
         flags = self.columns.get("enabled", ())
         is_enabled = {}
         for cell in dict.fromkeys(flags):
-            flag = cell.strip().lower()
-            # Programs that keep numbers alone write 1.0 for 1.
-            whole_number = _WHOLE.fullmatch(flag)
-            meaning = _ENABLED.get(whole_number[1] if whole_number else flag)
+            meaning = truth_of(cell) if cell.strip() else True
             if meaning is None:
                 raise self.error(f"{cell.strip()!r} is neither true nor false",
                                  flags.index(cell), "enabled", "Write 1 or 0.")
@@ -727,6 +721,8 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
     columns = {}
     for meaning, i in column_of.items():
         columns[meaning] = [row[i] for row in rows]
+    if "enabled" in aliases:
+        _read_flags(header, rows, column_of, column_names, columns)
     _join_sides(columns, column_of, header, rows)
     _say_remarks(column_names)
     table = Table(path, crs, column_names, columns, lines, row_name=cells.row_name,
@@ -748,6 +744,28 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
                      for text in texts]
         attributes[name] = text_array(texts)
     return replace(table, signs=signs, attributes=attributes)
+
+
+def _read_flags(header: Sequence[str], rows: Sequence[Sequence[str]], column_of: dict[str, int],
+                column_names: dict[str, str], columns: dict[str, list[str]]) -> None:
+    """Add a column `enabled` to the columns of a table, if one of another name says the same.
+
+    A note says which column it is. Further notes name columns that look like roles or flags, and
+    are not read.
+    """
+    flags = None if "enabled" in column_of else find_flags(header, rows, column_of.values())
+    if flags is not None:
+        found, in_use = flags
+        column_of["enabled"] = found[0]
+        column_names["enabled"] = header[found[0]].strip()
+        columns["enabled"] = ["1" if is_in_use else "0" for is_in_use in in_use]
+        names = " and ".join(repr(header[i].strip()) for i in found)
+        n_off = in_use.count(False)
+        log.warning("Note: by column %s, %d of %d rows %s not used.", names, n_off, len(rows),
+                    "is" if n_off == 1 else "are")
+    if "role" not in column_of:
+        for remark in remarks_on_unread(header, rows, column_of.values()):
+            log.warning("Note: %s.", remark)
 
 
 def _without_title(path: Path | None, cells: Cells, aliases: Aliases,
