@@ -179,3 +179,53 @@ def test_a_map_in_another_datum_is_where_the_operation_between_the_two_puts_it(
     expected = np.array(turn.transform(*shown))
     assert np.linalg.norm(expected - shown) == pytest.approx(moved, abs=0.6)
     assert place == pytest.approx(expected, abs=0.02)
+
+
+OLD_DATUMS = (("EPSG:27700", 400_000.0, 400_000.0), ("EPSG:26716", 400_000.0, 4_200_000.0),
+              ("EPSG:31467", 3_500_000.0, 5_500_000.0), ("EPSG:27572", 600_000.0, 2_200_000.0))
+"""CRSs whose ellipsoids slope against that of WGS84, and a place in each."""
+
+
+def level_result(crs: str, east: float, north: float, pixel: float = 80.0) -> termsel.Result:
+    """Return a similarity of points without heights, turned against the axes of the map."""
+    rng = np.random.default_rng(3)
+    image = rng.uniform(0.0, np.array(SIZE) - 1.0, (14, 2))
+    points = termsel.Points(tuple(map(str, range(14))), image,
+                            level_places(image, east, north, pixel))
+    return termsel.run(features=termsel.FeatureSet(points, crs=crs, image_size=SIZE),
+                       model="helmert2d", solver="all-terms")
+
+
+def level_places(image: np.ndarray, east: float, north: float, pixel: float) -> np.ndarray:
+    line, sample = image.T
+    return np.column_stack([east + pixel * sample + 3.0 * line, north - pixel * line + 3.0 * sample,
+                            np.full(len(image), np.nan)])
+
+
+@pytest.mark.parametrize(("crs", "east", "north"), OLD_DATUMS)
+def test_a_map_of_level_control_in_an_old_datum_shows_a_mark_in_its_place(
+        crs: str, east: float, north: float, tmp_path: Path) -> None:
+    result = level_result(crs, east, north)
+    pixels = np.full(SIZE, 100, dtype=np.uint8)
+    pixels[147:152, 247:252] = 255
+    with rasterio.open(tmp_path / "scene.tif", "w", driver="GTiff", height=SIZE[0], width=SIZE[1],
+                       count=1, dtype="uint8") as raster:
+        raster.write(pixels, 1)
+    rectify(result, tmp_path / "scene.tif", tmp_path / "map.tif")
+    x, y, _ = level_places(np.array([[149.0, 249.0]]), east, north, 80.0)[0]
+    with rasterio.open(tmp_path / "map.tif") as raster:
+        marked = np.argwhere(raster.read(1) > 200).mean(axis=0)
+        assert np.abs(marked - np.array(raster.index(x, y))).max() < 1.0
+
+
+@pytest.mark.parametrize(("crs", "east", "north"), OLD_DATUMS)
+def test_an_rpc_of_level_control_ignores_heights_in_any_datum(crs: str, east: float, north: float,
+                                                              ) -> None:
+    rpc = termsel.rpc_of(level_result(crs, east, north).fit).rpc
+    image = np.random.default_rng(4).uniform(0.0, np.array(SIZE) - 1.0, (50, 2))
+    places = level_places(image, east, north, 80.0)
+    turn = pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+    lon, lat = turn.transform(places[:, 0], places[:, 1])
+    for height in (-100.0, 0.0, 3000.0):
+        seen = rpc.project(np.column_stack([lon, lat, np.full(50, height)]))
+        assert np.abs(seen - image).max() < 0.05

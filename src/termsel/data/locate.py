@@ -64,8 +64,21 @@ def locate(
     if callable(height):
         ground = _intersect_surface(project, image, height, ground, unit, inverse)
     # Higher polynomials map places far away to the same image point.
-    ground[(np.abs(ground[:, :2] - middle[:2]) > _FAR_RANGES * unit[:2]).any(axis=1)] = np.nan
+    if not _is_affine(project, middle, unit):
+        ground[(np.abs(ground[:, :2] - middle[:2]) > _FAR_RANGES * unit[:2]).any(axis=1)] = np.nan
     return ground
+
+
+def _is_affine(project: Projection, middle: FloatArray, unit: FloatArray) -> bool:
+    """Return whether a projection is affine in x and y, so that it sees each place only once.
+
+    It is if two equal steps on the ground move the image by the same, in four directions.
+    """
+    directions = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0]])
+    with np.errstate(all="ignore"):
+        start, once, twice = (project(middle + steps * directions * unit) for steps in range(3))
+        bend = np.abs(twice - 2.0 * once + start).max()
+    return bool(bend <= LOCATE_TOLERANCE)
 
 
 def visible_places(

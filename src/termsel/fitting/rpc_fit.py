@@ -148,6 +148,11 @@ def closest_rpc(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcF
     # One place and one level fewer, so that the check lies between the places of the fit.
     between, ground_between = _grid_on_ground(fitted, convert, _GRID_SIDE - 1,
                                               np.linspace(low, high, _N_LEVELS - 1))
+    if low == high:
+        # A level of another datum is no level in WGS84. Positions at a single height say nothing
+        # of the effect of heights: an RPC that followed these small differences would invent one.
+        level = ground[:, 2].mean()
+        ground[:, 2] = ground_between[:, 2] = level
     candidates = []
     for how, terms, ridge in _term_sets(fitted):
         rpc = _refit_rpc(image, ground, terms, ridge)

@@ -235,11 +235,10 @@ def _write_source(result: Result, picture: Picture, vrt: Path, surface: Dem | fl
 def _shift_over_wgs84(result: Result, grid: MapGrid) -> float:
     """Return how far a map by an RPC is off at most, as RPCs take positions in WGS84 [px of map].
 
-    It is 0 where control and map have one datum, or PROJ knows no better operation between theirs.
+    It is 0 where PROJ goes the same way from the CRS of the control to WGS84 as from that of the
+    map, there and back.
     """
     control_crs = result.features.crs
-    if horizontal_crs(control_crs) == grid.crs:
-        return 0.0
     from pyproj import Transformer
 
     ground = result.features.ground_vertices()
