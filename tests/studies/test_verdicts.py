@@ -45,6 +45,15 @@ def row(**figures: Any) -> dict[str, Any]:
                "are coordinates and CRS right?"}, None, DOUBTFUL, "40.8 N"),
     ({"notes": ["The known camera is not used: the points show 3,495 px, not 1,750 px. Check it."]},
      None, DOUBTFUL, "the known camera is not used: the points show 3,495 px, not 1,750 px"),
+    # A caution on errors that are accepted is none.
+    *(({"notes": [f"Between the points the map may be off by {size} px: the RMSE holds near them "
+                  "only."]}, accept, verdict, why) for size, accept, verdict, why in (
+        ("2.4", "5m", FIT, "meets 5 m"), ("2.6", "5m", DOUBTFUL, "off by 2.6 px"),
+        ("1.9", "2px", FIT, "meets 2 px"), ("1,041", "5px", DOUBTFUL, "off by 1,041 px"),
+        ("0.10", None, DOUBTFUL, "off by 0.10 px"))),
+    ({"notes": ["Extrapolation: the standard deviation of the model is up to 4.9 px at the corners "
+                "of the image, 5 times the RMSE, which holds within the control."]}, "5px", FIT,
+     "meets 5 px"),
     ({"notes": ["The RPC is not used: it needs heights."]}, None, PLAUSIBLE, "nothing contradicts"),
     ({"state": "failed", "reason": "too few points"}, None, UNFIT, "too few points"),
     ({}, None, PLAUSIBLE, "nothing contradicts its figures; not verified"),

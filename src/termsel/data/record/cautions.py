@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 
 EXTRAPOLATION = "Extrapolation: "
@@ -39,6 +40,9 @@ _OPENINGS = (EXTRAPOLATION, BETWEEN_POINTS)
 _WORDS = (ON_ONE_LINE, TWO_DATUMS, CONTRADICT, EXCHANGED, UNLIKE_CONTROL, BESIDE_CONTROL,
           BEYOND_RPC)
 
+_SIZE = re.compile(r" (?:off by|up to) ([0-9.,]*[0-9]) px")
+"""The size of errors where the stated accuracy does not hold, as notes word it."""
+
 
 def limits_of_accuracy(notes: Iterable[str]) -> list[str]:
     """Return the notes that say where, or that, the stated accuracy does not hold.
@@ -52,3 +56,19 @@ def limits_of_accuracy(notes: Iterable[str]) -> list[str]:
     """
     return [note for note in notes
             if note.startswith(_OPENINGS) or any(words in note for words in _WORDS)]
+
+
+def size_in_caution(note: str) -> float | None:
+    """Return how large errors may be where the stated accuracy does not hold [px], as a note says.
+
+    None comes back for a note that says no size.
+
+    Examples
+    --------
+    >>> from termsel.data.record.cautions import size_in_caution
+    >>> size_in_caution("Between the points the map may be off by 1,041 px: the RMSE holds near "
+    ...                 "them only.")
+    1041.0
+    """
+    size = _SIZE.search(note)
+    return None if size is None else float(size[1].replace(",", ""))

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from termsel.core.errors import TermselError, count_in_words, rounded_size_text
-from termsel.data.record.cautions import limits_of_accuracy
+from termsel.data.record.cautions import limits_of_accuracy, size_in_caution
 from termsel.data.record.figures import EXACTLY, MANY_INDEPENDENT, rmse_interval
 from termsel.data.record.search import clauses_on_unused_data
 from termsel.studies.cells.neighbours import ELSEWHERE
@@ -74,6 +74,12 @@ class Accept:
     def __str__(self) -> str:
         return f"{self.size!r}{self.unit}"
 
+    def pixels(self, metres_per_pixel: float | None) -> float:
+        """Return the size in px, or 0.0 if it is in metres and the size of a pixel is not known."""
+        if self.unit == "px":
+            return self.size
+        return self.size / metres_per_pixel if metres_per_pixel else 0.0
+
 
 def verdicts_of(rows: Sequence[Mapping[str, Any]], accept: Accept | None) -> list[tuple[str, str]]:
     """Return the verdict on each image of a batch, and why; "" for cells that are not finished.
@@ -112,7 +118,7 @@ def _verdict_on_image(
     # exchanged axes and signs are wrong.
     if doubt and "mirror" not in doubt and ELSEWHERE not in doubt:
         return UNFIT, doubt
-    against = _contradiction_clauses(row, usual)
+    against = _contradiction_clauses(row, usual, accept)
     if accept is None:
         if _rmse_interval(row, "px") is None:
             return DOUBTFUL, f"its accuracy cannot be estimated{_why_unknown(row)}"
@@ -192,22 +198,29 @@ def _rmse_interval(row: Mapping[str, Any], unit: str) -> tuple[float, float, flo
     return metres_per_pixel * low, metres_per_pixel * rmse, metres_per_pixel * high
 
 
-def _clauses_on_limits(notes: Sequence[str]) -> list[str]:
-    """Return the first sentences of notes on what the stated accuracy does not vouch for."""
-    sentences = [note.partition(". ")[0].removesuffix(".") for note in limits_of_accuracy(notes)]
+def _clauses_on_limits(notes: Sequence[str], accepted: float) -> list[str]:
+    """Return the first sentences of notes on what the stated accuracy does not vouch for.
+
+    Notes on errors of at most `accepted` [px] are left out.
+    """
+    sentences = [note.partition(". ")[0].removesuffix(".") for note in limits_of_accuracy(notes)
+                 if (size_in_caution(note) or np.inf) > accepted]
     return [f"{sentence[0].lower()}{sentence[1:]}" for sentence in sentences]
 
 
-def _contradiction_clauses(row: Mapping[str, Any], usual: float) -> list[str]:
+def _contradiction_clauses(row: Mapping[str, Any], usual: float,
+                           accept: Accept | None) -> list[str]:
     """Return clauses on why the figures of an image are doubtful; [] if they are not.
 
     `row` is of the table of a study; `usual` is the RMSE of the usual image of the study [px].
+    Errors up to the size that the user accepts, if any, are no reason.
     """
     clauses = []
     if row["doubt"]:
         clauses.append(str(row["doubt"]).rstrip("."))
     clauses += clauses_on_unused_data(row["notes"] or ())
-    clauses += _clauses_on_limits(row["notes"] or ())
+    clauses += _clauses_on_limits(row["notes"] or (),
+                                  accept.pixels(row["pixel"]) if accept else 0.0)
     blunders = len(row["blunders"] or ())
     points = (row["n_control"] or 0) + (row["excluded"] or 0)
     if blunders > MANY_BLUNDERS * max(points, 1):
