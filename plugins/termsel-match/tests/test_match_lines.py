@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -36,6 +37,7 @@ from termsel_match.lines.problem import RECIPE, MatchedLines
 from termsel_match.lines.rounds import iterate_lines
 from termsel_match.lines.tracing import Tracing, _bootstrap_units, variance_of_tracing
 from termsel_match.lines.vectors import pieces_of
+from termsel_match.simulated.world import WORLD_CRS
 
 CHECKS = (*checks(match_lines, words=["none.tif", "--vectors", "none.gpkg"]),
           *checks(RECIPE))
@@ -306,6 +308,23 @@ def test_the_command_names_the_run_that_selects(place: Any, says: Any, tmp_path:
     assert code == 0
     assert f"Next: termsel run --problem matched-lines --model rpc-drift --set rpc={image}" in text
     assert f"--lines '{table}' --out result" in text
+
+
+def test_the_run_that_it_names_is_determined_on_level_ground(
+        place: Any, says: Any, tmp_path: Path, altered: Callable[..., Path]) -> None:
+    start = tmp_path / "start.csv"
+    termsel.write_points_csv(place.world.independent(20), start, WORLD_CRS)
+    level = altered("dem.tif", lambda heights: np.full_like(heights, 200.0))
+    code, text = says("match-lines", place / "image.tif", "--vectors", place / "roads.gpkg",
+                      "--dem", level, "--start", start, "--output", tmp_path / "lines.csv")
+    assert code == 0, text
+    # Vectors lead beyond the DEM, and this start sees them without heights.
+    found = termsel.read(lines=tmp_path / "lines.csv")
+    assert np.isfinite(found.lines.ground).all()
+    words = shlex.split(text.split("Next: termsel ")[1].splitlines()[0])
+    assert words[words.index("--model"):][:4] == ["--model", "poly2d", "--set", "degree=1"]
+    # Without the search, whose generations take seconds: all candidates, wrong ones included.
+    assert termsel.fit(found, "poly2d", degree=1).determined
 
 
 @pytest.mark.slow

@@ -19,6 +19,7 @@ from termsel import TermselError, get, require_replaceable
 from termsel.toolkit import count_in_words, make_printable, refuse_link, remote_option
 
 if TYPE_CHECKING:
+    from termsel import FeatureSet
     from termsel_match.matchers import Matcher
 
 _FILE = click.Path(path_type=Path)
@@ -179,7 +180,7 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
       termsel run --problem matched-lines --model rpc-drift --set rpc=scene.RPB --lines lines.csv
       termsel match-lines scene.tif --vectors roads.gpkg --dem dem.tif --iterate --out result
     """
-    from termsel import write_lines_csv
+    from termsel import FeatureSet, write_lines_csv
     from termsel_match.chain import model_for
     from termsel_match.lines.candidates import match_lines as match
     from termsel_match.lines.rounds import iterate_lines
@@ -209,7 +210,9 @@ def match_lines(image: Path, vectors: Path, iterate: bool, folder: Path | None, 
     click.echo(text, nl=False)
     click.echo(f"Written: {output}" + (f", {folder}" if folder is not None else ""), err=True)
     if not iterate:
-        click.echo(f"Next: {next_run_command(options['start'], image, output)}", err=True)
+        features = FeatureSet(lines=lines, crs=crs)
+        next_command = next_run_command(options["start"], image, features, output)
+        click.echo(f"Next: {next_command}", err=True)
 
 
 @click.command("match-ties")
@@ -367,18 +370,25 @@ def next_map_command(image: Path, reference: Path, points: Path, dem: Path | Non
     return " ".join([*words, "-o map.tif --out result"])
 
 
-def next_run_command(start: str | None, image: Path, lines: Path) -> str:
-    """Return the command line that selects among candidate lines, of which most may be wrong."""
-    from termsel_match.chain import model_for
+def next_run_command(start: str | None, image: Path, features: FeatureSet, lines: Path) -> str:
+    """Return the command line that selects among candidate lines, of which most may be wrong.
 
-    model, _ = model_for(start, image)
-    rpc = ""
+    `features` are the candidates, and `lines` is the file that they are in.
+    """
+    from termsel_match.chain import model_for
+    from termsel_match.judgement.structures import model_by_relief
+
+    model, options = model_for(start, image)
     if model == "rpc-drift":
         # A result keeps its RPC in its own files, whose name the user has to give.
         of_result = start is not None and Path(start).is_dir()
-        rpc = f" --set rpc={'RPC_FILE' if of_result else quote(str(start or image))}"
-    return (f"termsel run --problem matched-lines --model {model}{rpc} --lines {quote(str(lines))} "
-            "--out result")
+        settings = f" --set rpc={'RPC_FILE' if of_result else quote(str(start or image))}"
+    else:
+        by_relief = model_by_relief(model, options, features)
+        model = by_relief.model
+        settings = "".join(f" --set {name}={value}" for name, value in by_relief.options.items())
+    return (f"termsel run --problem matched-lines --model {model}{settings} "
+            f"--lines {quote(str(lines))} --out result")
 
 
 def refuse_output(output: Path, overwrite: bool, *reads: object,

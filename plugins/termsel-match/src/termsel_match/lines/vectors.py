@@ -111,9 +111,10 @@ def pieces_of(path: Path | str, start: Start, dem: Path | str | None, size: tupl
     if not np.isfinite(heights).any():
         raise TermselError("the DEM does not cover any of the vectors", file=dem,
                            hint="Give a DEM of the area. Vectors may be in another CRS.")
-    # Vertices without a height have no position in the image (NaN).
+    # Vertices without a height have no position in the image (NaN), also by a start that uses none.
     x, y = to_start.transform(*plane.T)
     at_image = start.project(np.column_stack([x, y, heights]))
+    at_image[np.isnan(heights)] = np.nan
     ground = np.column_stack([plane, heights])
     vector = []
     ends = []
