@@ -456,3 +456,20 @@ def test_what_is_an_average_of_models_is_called_one() -> None:
     assert result.strategy is not None
     assert result.strategy.chosen == "field"
     assert "Model     average of polynomials, a spline and local deformation" in result.summary()
+
+
+def test_a_projection_is_not_taken_where_a_similarity_fits_as_well_by_chance() -> None:
+    """Errors held out of a model that spends eight of ten equations may be small by chance."""
+    rows = np.array([
+        [2351.0709, 785.2278, -3367.543, -938.150],
+        [1972.2483, 1634.4518, -1048.051, 90.538],
+        [1747.3725, 2856.5863, 2530.983, 760.905],
+        [2028.7520, 3059.7436, 3012.491, -68.059],
+        [1945.9343, 2981.7330, 2841.506, 150.942],
+    ])
+    ground = np.column_stack([rows[:, 2:] + 5e5, np.full(5, np.nan)])
+    choice = Auto().choose(FitData.of(FeatureSet(Points(tuple("ABCDE"), rows[:, :2], ground),
+                                                 crs="EPSG:32632")))
+    assert choice is not None
+    assert choice.method.name == "similarity"
+    assert "projective is not taken: it would fit points of a similarity as well" in choice.reason

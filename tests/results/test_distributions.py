@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.special import chdtri, stdtr, stdtrit
+from scipy.special import chdtri, fdtrc, stdtr, stdtrit
 
 from termsel.data.record.chances import (
+    chance_of_better_fit,
     chi_squared_quantile,
     median_of,
     quantile_of,
@@ -50,3 +51,14 @@ def test_quantiles_of_all_small_freedoms_are_those_of_scipy() -> None:
     np.testing.assert_allclose(mine, np.transpose([
         stdtrit(freedom, 0.95), stdtrit(freedom, 0.975), chdtri(freedom, 0.95),
         chdtri(freedom, 0.05)]), rtol=1e-8)
+
+
+@pytest.mark.parametrize("freedom", [0.3, 1, 2, 2.67, 40])
+@pytest.mark.parametrize("unknowns", [0.1, 1, 3.97, 12])
+def test_chances_of_needless_unknowns_are_those_of_f(freedom: float, unknowns: float) -> None:
+    for share in (1e-9, 0.01, 0.3, 0.7, 0.999, 1.0):
+        f = (1 - share) / unknowns * freedom / share
+        assert chance_of_better_fit(share, freedom, unknowns) == pytest.approx(
+            fdtrc(unknowns, freedom, f), rel=1e-8)
+    assert chance_of_better_fit(1.1, freedom, unknowns) == 1.0
+    assert chance_of_better_fit(0.0, freedom, unknowns) == 0.0

@@ -13,6 +13,7 @@ from math import erf, sqrt
 import numpy as np
 
 from termsel.adjustment.bayesian.field import SPLINE_MAX_POINTS
+from termsel.adjustment.equations import weights_of
 from termsel.core.errors import rounded_size_text
 from termsel.data.coordinates.clusters import cluster_labels
 from termsel.data.coordinates.metres import plan_of
@@ -20,7 +21,7 @@ from termsel.data.coordinates.places import MIN_LATTICE_LINES as FEWEST_LINES
 from termsel.data.coordinates.places import ground_centres, lattice_of, spatial_order
 from termsel.data.features import FeatureSet, FloatArray, IntArray, empty_points
 from termsel.data.fit_data import FitData
-from termsel.data.record.chances import t_quantile
+from termsel.data.record.chances import chance_of_better_fit, t_quantile
 from termsel.fitting.fit import Fit, Undetermined
 from termsel.fitting.least_squares import left_out_squares
 from termsel.fitting.method import Method
@@ -251,6 +252,10 @@ SUPPORTED_MIN_FEATURES = 12
 held-out RMSE is smaller by a quarter, and the errors are so many: what a polynomial misses at a few
 points of the edge hardly counts in logarithms."""
 
+CHANCE_OF_SIMILARITY = 0.05
+"""Chance with which points of a similarity make a central projection fit as well, above which it is
+not taken: the usual level of significance (Fisher 1925)."""
+
 UNKNOWNS_OF_AFFINE = 6
 """Of an affine image of a plane."""
 
@@ -328,9 +333,10 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
     fit to beat (see `fit_to_beat`). Any method that no prior contains must be better than that by
     CLEAR_MARGIN standard errors; a central projection by PROJECTION_MARGIN, or by PRIOR_MARGIN
     where the points support an oblique or near camera, or have a far smaller RMSE (see
-    `is_supported_and_smaller`); for a similarity of few points in a plane less is enough (see
-    `is_simpler_and_smaller`). Of the methods that are so much better, and the fit to beat, the one
-    with the smallest RMSE is chosen.
+    `is_supported_and_smaller`), and never where it fits few points better than a similarity by
+    chance (see `chance_of_similarity`); for a similarity of few points in a plane less is enough
+    (see `is_simpler_and_smaller`). Of the methods that are so much better, and the fit to beat, the
+    one with the smallest RMSE is chosen.
 
     The choice has its reason only where it is to be `explained`.
     """
@@ -343,6 +349,12 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
     base, reasons = fit_to_beat(priors)
     alternatives = [fitted for fitted in compared if not (
         method_of(fitted).has_prior or is_contained(method_of(fitted), priors))]
+    for fitted in alternatives.copy():
+        chance = chance_of_similarity(fitted, compared)
+        if chance > CHANCE_OF_SIMILARITY:
+            alternatives.remove(fitted)
+            reasons.append(f"{method_of(fitted).label} is not taken: it would fit points of a "
+                           f"similarity as well in {chance:.0%} of cases.")
     rivals = [base]
     for alternative in alternatives:
         is_clearly_better = gain(alternative, base) > required_gain(alternative, base)
@@ -424,6 +436,34 @@ def is_supported_and_smaller(fitted: Fit, base: Fit) -> bool:
             and len(fitted.held_out().squares) >= SUPPORTED_MIN_FEATURES
             and gain(fitted, base) > 0.0
             and beyond_rounding(fitted) < SUPPORTED_RMSE_RATIO * beyond_rounding(base))
+
+
+def chance_of_similarity(fitted: Fit, compared: Iterable[Fit]) -> float:
+    """Return how likely a central projection fits as well as it does if a similarity is true.
+
+    A similarity is the limit of a camera that looks straight down from far away. It is among the
+    fits `compared` where the points are few; of five, a camera leaves two equations, so that its
+    residuals and its errors held out may be small by chance. The chance is that of the F test of
+    both sums of squared residuals, and 0.0 for other methods and without a similarity.
+    """
+    similarities = [other for other in compared
+                    if method_of(other).for_few and other.effective < UNKNOWNS_OF_AFFINE]
+    if not (method_of(fitted).central and similarities) or len(fitted.control.lines):
+        return 0.0
+    simplest = min(similarities, key=_squares_left)
+    freedom = fitted.adjustment.n_equations - fitted.effective
+    further_unknowns = fitted.effective - simplest.effective
+    if freedom <= 0.0 or further_unknowns <= 0.0:
+        return 0.0
+    share = _squares_left(fitted) / _squares_left(simplest)
+    return chance_of_better_fit(share, freedom, further_unknowns)
+
+
+def _squares_left(fitted: Fit) -> float:
+    """Return the sum of weighted squared residuals of the points in use [px^2]."""
+    residuals = fitted.control_errors(fitted.used)
+    weights = weights_of(fitted.control.take(fitted.used).points)
+    return max(float(((residuals * weights) ** 2).sum()), np.finfo(float).tiny)
 
 
 def is_undecided(data: FitData) -> bool:

@@ -1,4 +1,4 @@
-"""Chances and quantiles of the t and chi-squared distributions.
+"""Chances and quantiles of the t, F and chi-squared distributions.
 
 Those of scipy.special take 0.2 s to import, which runs of few points need for nothing else. They
 are taken above `MAX_SUMMED_FREEDOM` degrees of freedom. References: Abramowitz and Stegun 1964,
@@ -104,18 +104,42 @@ def t_beyond(t: float, freedom: float) -> float:
         from scipy.special import stdtr
 
         return float(2 * stdtr(freedom, -t))
-    # P(|T| > t) = I_x(freedom / 2, 1 / 2) (26.5.27); the fraction converges fast for x below (a +
-    # 1) / (a + b + 2), else the complement is computed.
+    # P(|T| > t) = I_x(freedom / 2, 1 / 2) (26.5.27).
     x = freedom / (freedom + t * t)
-    if x < (freedom + 2) / (freedom + 5):
-        return _incomplete_beta(x, 1 - x, freedom / 2, 0.5)
-    return 1 - _incomplete_beta(1 - x, x, 0.5, freedom / 2)
+    return _incomplete_beta(x, 1 - x, freedom / 2, 0.5)
+
+
+def chance_of_better_fit(share: float, freedom: float, unknowns: float) -> float:
+    """Return the chance that needless unknowns leave at most a share of the squared residuals.
+
+    Parameters
+    ----------
+    share : float
+        The sum of squares of a model by that of a simpler one, which is true but for normal errors.
+    freedom : float
+        Degrees of freedom of the model, more than 0.
+    unknowns : float
+        How many more it has than the simpler one, more than 0.
+
+    Examples
+    --------
+    >>> from termsel.data.record.chances import chance_of_better_fit
+    >>> round(chance_of_better_fit(0.04, 2, 4), 4)
+    0.0784
+    """
+    # F = (1 - share) / unknowns * freedom / share; P(F > f) = I_share(freedom / 2, unknowns / 2)
+    # (26.6.2).
+    share = min(share, 1.0)
+    return _incomplete_beta(share, 1 - share, freedom / 2, unknowns / 2)
 
 
 def _incomplete_beta(x: float, complement: float, a: float, b: float) -> float:
     """Return the incomplete beta function of x = 1 - `complement` by its continued fraction."""
-    if x == 0.0:
-        return 0.0
+    if x == 0.0 or complement == 0.0:
+        return x
+    # The fraction converges fast for such x, and that of the complement for others (26.5.8).
+    if x > (a + 1) / (a + b + 2):
+        return 1 - _incomplete_beta(complement, x, b, a)
     above = 1.0
     below = 1 / (1 - (a + b) * x / (a + 1))
     change = 0.0
