@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,6 +28,9 @@ from termsel.data.tables.tabular import (
     rows_at,
     stack_columns,
 )
+
+if TYPE_CHECKING:
+    from termsel.data.record.record import ImageFile
 
 ROLES = ("control", "check", "independent", "off")
 
@@ -251,6 +255,8 @@ class FeatureSet(Glance):
     image_origin : str
         Where the file counted lines and samples from, where that is not the centre of the
         upper-left pixel by the format; they count from there here.
+    image_file : ImageFile, optional
+        What the file of the image is recognised by.
     named_units : mapping
         Units that names of columns state of x, y and z: "km", "ft", "us-ft", "gon" or "rad". Here
         kilometres are metres, gons and radians degrees.
@@ -279,6 +285,7 @@ class FeatureSet(Glance):
     dem_difference: DemDifference | None = None
     z_unit: str = ""
     image_origin: str = ""
+    image_file: ImageFile | None = None
     named_units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

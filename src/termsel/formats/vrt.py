@@ -14,11 +14,13 @@ from termsel.core.files.texts import is_xml_text, xml_attribute, xml_text
 from termsel.core.options import Option
 from termsel.data.features import Points
 from termsel.data.georeferenced import warn_of_map
+from termsel.data.image_files import image_file_of
 from termsel.data.rasters import gdal_name
 from termsel.formats.image_origin import (
     note_on_exif_orientation,
     other_image_error,
     require_inside,
+    say_other_number,
 )
 from termsel.formats.pictures import Band, Picture, picture_of
 from termsel.results.result import Result
@@ -56,7 +58,25 @@ def picture_for(result: Result, image: Path | str | None) -> Picture:
     require_inside(result.features, picture.size, image)
     warn_of_map(result.features, image)
     note_on_exif_orientation(image)
+    say_other_image(result, image)
     return picture
+
+
+def say_other_image(result: Result, image: Path | str) -> None:
+    """Warn where an image is another file than that of the run, or its name than that of points.
+
+    Sheets of a series have one size, so that nothing else shows it.
+    """
+    read = result.data.read
+    known = None if read is None else read.image
+    found = None if known is None else image_file_of(image)
+    if known is None or found is None or (known.size, known.digest) == (found.size, found.digest):
+        say_other_number(result.data.source, image)
+    else:
+        size = (f"{found.size:,} bytes, not {known.size:,}" if found.size != known.size
+                else "as many bytes, but others")
+        log.warning("Warning: %s is another file than the image of the run, which was %s (%s). Was "
+                    "it only saved again, or is it another image?", found.name, known.name, size)
 
 
 def vrt_text(

@@ -11,6 +11,7 @@ from termsel.core.display.quiet import quiet_logger
 from termsel.core.errors import ON_SUCCESS, PENDING, TermselError, rounded_size_text
 from termsel.core.files.atomic import private_folder
 from termsel.core.files.names import is_there, refuse_link
+from termsel.data.coordinates.earth import note_on_turned
 from termsel.formats.vrt import IMAGE, picture_for
 from termsel.io.replacing import require_replaceable
 from termsel.plugins.registry import registry
@@ -131,6 +132,8 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
         needs = f"It needs {writer.needs}. " if writer.needs else ""
         raise TermselError(f"the format {to} cannot hold this result",
                            hint=f"{needs}Formats that do: {suitable}.")
+    if mirrored := note_on_turned(result.features):
+        log.warning("Warning: %s", mirrored)
     # What may not be replaced, but for what an export that was killed has left.
     files = set(writer.files(path))
     if not overwrite and not is_there(path):

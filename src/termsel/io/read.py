@@ -35,6 +35,7 @@ from termsel.data.coordinates.plausible import check_ground, note_on_wrong_coord
 from termsel.data.coordinates.true_lengths import note_on_scale, with_degrees
 from termsel.data.features import FeatureSet, empty_lines, empty_points
 from termsel.data.georeferenced import warn_of_incomplete, warn_of_map
+from termsel.data.image_files import image_file_of
 from termsel.data.roles import asked_roles, with_roles
 from termsel.data.rpc import Rpc
 from termsel.data.tables.columns import LINES, OPTIONAL, POINTS, columns_text, parse_columns
@@ -347,7 +348,7 @@ def features_of(source: Any, crs: CrsLike | None = None,
 
 def _with_image_size(features: FeatureSet, image: Path | str | None, size: tuple[int, int] | None,
                      off: str | None) -> FeatureSet:
-    """Return features with the size (lines, samples) of their image, where they do not state one.
+    """Return features with the file of their image, and its size where they do not state one.
 
     Without an image or its size they are returned as they are. Raises TermselError for a feature
     outside the image; those that are off, by their own role or by `off` (ids with commas between
@@ -360,7 +361,8 @@ def _with_image_size(features: FeatureSet, image: Path | str | None, size: tuple
     warn_of_incomplete(image)
     warn_of_map(features, image)
     note_on_exif_orientation(image)
-    return features if features.image_size else replace(features, image_size=size)
+    return replace(features, image_size=features.image_size or size,
+                   image_file=image_file_of(image))
 
 
 def _with_rpc_and_heights(features: FeatureSet, dem: Path | str | None,

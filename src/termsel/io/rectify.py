@@ -40,7 +40,6 @@ from termsel.formats.heights import (
     surface_of,
     write_ellipsoidal,
 )
-from termsel.formats.image_origin import say_other_number
 from termsel.formats.pictures import Picture
 from termsel.formats.rpc_files import rpc_items
 from termsel.formats.vrt import picture_for, vrt_text
@@ -153,7 +152,6 @@ def rectify(
     True
     """
     require_rasterio()
-    say_other_number(result.data.source, image)
     image = raster_in(Path(image))
     output = Path(output)
     require_tiff_name(output)

@@ -100,7 +100,7 @@ def _what_was_read(request: Request, observations: Observations) -> WhatWasRead:
         and difference.contradicts else "",
         two_groups="" if groups is None else groups.sentence(), image_origin=read.image_origin,
         lattice=None if lattice is None else (lattice.lines, lattice.columns),
-        mixed=note_on_wrong_coordinates(request.features),
+        mixed=note_on_wrong_coordinates(request.features), image=read.image_file,
         set_aside=len({*observations.independent.ids} - {*select(
             points.ids, [role == "independent" for role in points.roles])}))
 

@@ -100,6 +100,17 @@ class IdsByRole(RecordPart, frozen=True):
     """Independent points."""
 
 
+class ImageFile(RecordPart, frozen=True):
+    """What the file of an image is recognised by."""
+
+    name: str
+    """Name of the file, without its folder."""
+    size: Count
+    """Bytes of the file."""
+    digest: str
+    """Digest of the file, of a large one of its beginning and its end."""
+
+
 class WhatWasRead(RecordPart, frozen=True):
     """What the files or the data set held."""
 
@@ -131,6 +142,8 @@ class WhatWasRead(RecordPart, frozen=True):
     of UTM."""
     set_aside: Count = 0
     """How many points became independent check points though no role says so."""
+    image: ImageFile | None = None
+    """The file of the image, where one was given."""
 
 
 class RpcNumbers(RecordPart, frozen=True):
