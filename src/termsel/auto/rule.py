@@ -349,18 +349,19 @@ def best_of(fits: Iterable[Fit], describe: Describe = lambda _: None, *,
     base, reasons = fit_to_beat(priors)
     alternatives = [fitted for fitted in compared if not (
         method_of(fitted).has_prior or is_contained(method_of(fitted), priors))]
-    for fitted in alternatives.copy():
-        chance = chance_of_similarity(fitted, compared)
-        if chance > CHANCE_OF_SIMILARITY:
-            alternatives.remove(fitted)
-            reasons.append(f"{method_of(fitted).label} is not taken: it would fit points of a "
-                           f"similarity as well in {chance:.0%} of cases.")
     rivals = [base]
-    for alternative in alternatives:
+    for alternative in alternatives.copy():
         is_clearly_better = gain(alternative, base) > required_gain(alternative, base)
-        if (is_clearly_better or is_supported_and_smaller(alternative, base)
+        if not (is_clearly_better or is_supported_and_smaller(alternative, base)
                 or is_simpler_and_smaller(alternative, base)):
+            continue
+        chance = chance_of_similarity(alternative, compared)
+        if chance <= CHANCE_OF_SIMILARITY:
             rivals.append(alternative)
+        else:
+            alternatives.remove(alternative)
+            reasons.append(f"{method_of(alternative).label} is not taken: it would fit points of a "
+                           f"similarity as well in {chance:.0%} of cases.")
     chosen = min(rivals, key=beyond_rounding)
     if not explained:
         return Choice(chosen, compared, "")
