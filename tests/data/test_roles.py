@@ -281,7 +281,7 @@ def test_few_independent_points_compare_by_leave_one_out() -> None:
     for result in (few, none):
         assert result.predicted is not None
         assert "without it, its model has" in result.judgement
-    assert f"with a predicted RMSE of {few.predicted.rmse:.2f} px" in few.judgement
+    assert f"; predicted there: {few.predicted.rmse:.2f} px." in few.judgement
     assert "It is not verified" in none.judgement
 
 

@@ -116,14 +116,17 @@ def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
     many independent points is named, too.
     """
     measured = rmse["independent"]
-    expected = "" if predicted is None else f", with a predicted RMSE of {_px_text(predicted)}"
     subject = "The method that was asked for" if is_asked_for else "The automatic choice"
-    sentences = [f"{subject} is {method.title}{expected}."]
     if measured is None:
-        sentences.append("It is not verified: there are no independent check points.")
+        expected = "" if predicted is None else f", with a predicted RMSE of {_px_text(predicted)}"
+        sentences = [f"{subject} is {method.title}{expected}.",
+                     "It is not verified: there are no independent check points."]
     else:
-        sentences.append(f"The RMSE at {count_in_words(measured.n, 'independent check point')}, "
-                         f"which took no part, is {_px_text(measured.total)}.")
+        # The prediction is for these points; that of new points elsewhere is another figure.
+        expected = "" if predicted is None else f"; predicted there: {_px_text(predicted)}"
+        sentences = [f"{subject} is {method.title}.",
+                     f"The RMSE at {count_in_words(measured.n, 'independent check point')}, "
+                     f"which took no part, is {_px_text(measured.total)}{expected}."]
     # The rival is chosen by held-out errors, never by independent check points.
     rivals = [(b.predicted, b, candidate.title) for b in baselines if b.predicted is not None
               and (candidate := registry().known("methods", b.name))
