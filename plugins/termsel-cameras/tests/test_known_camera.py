@@ -144,6 +144,18 @@ def test_auto_chooses_the_camera_and_reads_it_back(tmp_path: Path) -> None:
     assert np.isnan(again.project(behind)).all()
 
 
+@pytest.mark.parametrize("down", [88.0, 50.0])
+def test_auto_chooses_the_camera_of_four_points(down: float) -> None:
+    """An affine map meets four points whatever they are, so that it shows no departure."""
+    for seed in range(3):
+        control, ground, image = photo(4, down=down, seed=seed, camera_focal=FOCAL)
+        result = termsel.run(features=control)
+        assert result.strategy is not None
+        assert result.strategy.chosen == "known-camera"
+        assert not any("not used" in note for note in result.notes)
+        assert rmse(result.fit, ground, image) < 15.0
+
+
 def test_a_result_states_where_the_camera_was_and_how_it_looked(tmp_path: Path) -> None:
     control, _, _ = photo(12, down=60.0, camera_focal=FOCAL, noise=0.0)
     result = termsel.run(features=replace(control, crs="local"), method="known-camera",

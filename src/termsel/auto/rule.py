@@ -84,12 +84,14 @@ def is_astray_between(fitted: Fit) -> bool:
     astray where it departs from an affine map many times farther than any control does, and its own
     standard deviation there is larger than all departures of control.
 
-    A central projection never is, as it takes straight lines to straight lines. A spline and a
-    field follow what all points have in common where there are none, and are not looked at; nor
-    are fits to lines.
+    A central projection never is, as it takes straight lines to straight lines, nor is a geometry
+    that is known, which control hardly determines. A spline and a field follow what all points have
+    in common where there are none, and are not looked at; nor are fits to lines.
     """
     control = fitted.scaled_control
-    if len(control.lines) or method_of(fitted).central or fitted.interpolation is not None:
+    method = method_of(fitted)
+    if (len(control.lines) or method.central or method.from_one
+            or fitted.interpolation is not None):
         return False
     points = control.points
     columns = points.ground if fitted.model.uses_height else points.ground[:, :2]
