@@ -159,8 +159,8 @@ def test_a_choice_states_its_prediction_if_there_is_one() -> None:
         "independent check points.")
 
 
-CHOSEN = ("The automatic choice is a quadratic polynomial. The RMSE at 20 independent check points, "
-          "which took no part, is 1.00 px; predicted there: 2.00 px.")
+CHOSEN = ("The automatic choice is a quadratic polynomial. The RMSE at 20 independent check "
+          "points, which took no part, is 1.00 px; predicted there: 2.00 px.")
 
 
 @pytest.mark.parametrize(("others", "sentence"), [

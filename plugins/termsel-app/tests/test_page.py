@@ -24,6 +24,7 @@ import pytest
 import rasterio
 
 import termsel
+from termsel.toolkit import charts
 from termsel_app.iiif import parse_image_info
 from termsel_app.quality import shown_accuracy
 from termsel_app.rasters import encode_png
@@ -404,7 +405,7 @@ def test_the_result_that_is_saved_has_the_figures_of_the_page(
     result = termsel.read_result(example / "measured" / "result")
     figure = shown_accuracy(result)
     assert figure is not None
-    assert shown.split()[0] == f"{figure['px'][0]:.3g}"
+    assert shown.split()[0] == charts.rounded_size_text(figure["px"][0])
     measured.silent()
 
 

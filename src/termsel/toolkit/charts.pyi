@@ -1,3 +1,4 @@
+from termsel.core.errors import rounded_size_text as rounded_size_text
 from termsel.results.accuracy import expected_rmse as expected_rmse
 from termsel.results.accuracy import is_prediction_surer as is_prediction_surer
 from termsel.results.blocks import Document as Document

@@ -163,7 +163,7 @@ def shown_accuracy(result: Result) -> Answer | None:
     elif result.accuracy is not None:
         image = result.accuracy.image
         figure = (image.total, *image.interval)
-        kind = f"of {count_in_words(image.n, 'independent check point')}"
+        kind = f"at {count_in_words(image.n, 'independent check point')}"
         level = 0.9
     else:
         return None
@@ -280,8 +280,10 @@ def _next_places(result: Result) -> Answer:
     after = rows[0]["uncertainty"]
     # Of the mean uncertainty; a perfect model gains nothing.
     gain = 1.0 - after / before if before else 0.0
-    text = (f"One more point takes the mean uncertainty of the model from {before:.3g} to "
-            f"{after:.3g} px, {NEXT} more to {rows[-1]['uncertainty']:.3g} px.")
+    now, then, at_last = map(
+        charts.rounded_size_text, (before, after, rows[-1]["uncertainty"]))
+    text = (f"One more point takes the mean uncertainty of the model from {now} to {then} px, "
+            f"{NEXT} more to {at_last} px.")
     return {"next": rows, "enough": {"text": text, "reached": gain < ENOUGH, "gain": gain,
                                      "now": before, "after": after}}
 

@@ -25,10 +25,13 @@ export function make(tag, properties = {}, children = []) {
 /** What the page calls the roles of files and options. @type {Record<string, string>} */
 const ROLES = { control: "control", check: "selection", independent: "independent check", off: "off" };
 
-/** A size with three digits. @param {number} value */
+/** A size in px or metres, rounded as on the screens of termsel. @param {number} value */
 export function sized(value) {
   if (!Number.isFinite(value)) return "-";
-  return value >= 999.5 ? Math.round(value).toLocaleString("en") : Number(value.toPrecision(3)).toString();
+  if (value >= 99.95) return Math.round(value).toLocaleString("en");
+  if (value >= 9.995) return value.toFixed(1);
+  if (value >= 0.0995) return value.toFixed(2);
+  return value >= 1e-4 ? value.toPrecision(2) : Number(value.toPrecision(2)).toString();
 }
 
 /** A coordinate with as many digits as its size calls for. @param {number | null | undefined} value */
