@@ -138,7 +138,9 @@ def test_without_independent_points_the_metadata_say_so(files: Path, tmp_path: P
 @pytest.mark.parametrize(("words", "said"), [
     (("--res", 1e-3), "Give a larger --res"),
     (("--bounds", 0, 0, 1, 1, "--crs", "EPSG:4326"), "far outside the control"),
-    (("--bounds", 5, 5, 1, 9, "--crs", "EPSG:32639"), "--bounds 1 5 5 9"),
+    (("--bounds", 5, 5, 1, 9, "--crs", "EPSG:32639"), "--bounds 1 5 5 9 --crs EPSG:4326, as they "
+     "look like degrees, and the raster is in EPSG:32639"),
+    (("--bounds", 500, 5, 1, 900, "--crs", "EPSG:32639"), "--bounds 1 5 500 900."),
     (("--crs", "EPSG:4978"), "geocentric"),
     (("--map", "dem.tif", "--bounds", 1, 2, 3, 4), "--map and --bounds exclude each other"),
     (("--dem", "dem.tif", "--height", 4), "--dem and --height exclude each other"),

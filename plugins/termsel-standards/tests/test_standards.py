@@ -398,7 +398,9 @@ def test_few_check_points_leave_the_prediction_to_sign(
     termsel.run(features=scene, out=tmp_path / "out")
     text = invoke("accuracy", tmp_path / "out").stdout
     assert ("Predicted, not tested by independent check points" in text) == is_stated
-    assert text.endswith("Date:                Signed:\n")
+    figure = ("the predicted RMSE above, as predicted: 3 check points are too few for a test"
+              if is_stated else "the tested figures of ASPRS and NSSDA above")
+    assert text.endswith(f"To sign: {figure}.\nDate:                Signed:\n")
     stated = json.loads(invoke("accuracy", tmp_path / "out", "--json").stdout)
     assert (stated["prediction"] is not None) == is_stated
     assert stated["distribution"]["points"] == independent
@@ -416,3 +418,15 @@ def test_a_statement_repeats_that_an_rpc_seems_fitted_to_its_points(tmp_path: Pa
     shown = invoke("accuracy", tmp_path)
     assert "Warning: " in shown.stderr
     assert "as if it had been fitted to them" in shown.stderr
+
+
+@pytest.mark.parametrize(("header", "row", "words"), [
+    ("id,dx (mm),dy (mm)", "A,4,1", "Convert them to metres, and name them without the unit."),
+    ("Punkt;dE [mm];dN [mm]", "A;4;1", "The columns here are: Punkt, dE [mm], dN [mm]. Convert"),
+    ("id;dx;dy", "A;0,4;0,1", "column 'dx': '0,4' is not a number. Give metres, with a decimal")])
+def test_a_table_of_errors_in_other_words_takes_one_message(
+        header: str, row: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "errors.csv").write_text(f"{header}\n{row}\n")
+    assert words in invoke("accuracy", tmp_path / "errors.csv").stderr
+    (tmp_path / "errors.csv").write_text("id;dx;dy\nA;0.4;0.1\nB;0.2;0.1\nC;0.1;0.3\n")
+    assert invoke("accuracy", tmp_path / "errors.csv").exit_code == 0

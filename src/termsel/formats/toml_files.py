@@ -20,6 +20,7 @@ _IN_WORDS = {
     "Expected '=' after a key in a key/value pair": "a key stands here without = and a value",
     "Invalid statement": "this line is neither [a table] nor key = value",
     "Unclosed inline table": "the table that begins here has no closing brace",
+    "Illegal character '\\n'": "the text that begins on this line has no closing quote",
     "Unterminated string": "the text that begins here has no closing quote",
     "Expected ']' at the end of a table declaration": "the name of this table has no closing ]",
     "Expected ']]' at the end of an array declaration": "the name of this table has no closing ]]",

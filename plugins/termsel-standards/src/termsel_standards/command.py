@@ -191,6 +191,7 @@ def _tested_lines(stated: Statements, took: str) -> Iterator[str]:
         yield ""
         yield fill(f"{stated.prediction}.", 90)
     yield ""
+    yield _figure_to_sign(stated)
     yield SIGNATURE
 
 
@@ -203,7 +204,24 @@ def _predicted_lines(stated: PredictedStatement) -> Iterator[str]:
     for statement in stated.statements:
         yield fill(f"{statement.standard}: {statement.words}.", 90, subsequent_indent="    ")
     yield ""
+    yield "To sign: the predicted RMSE above, as predicted and not tested."
     yield SIGNATURE
+
+
+def _figure_to_sign(stated: Statements) -> str:
+    """Return which of the figures of a tested statement is the one to sign."""
+    from termsel.toolkit import count_in_words
+
+    standards = dict.fromkeys(statement.standard.split()[0] for statement in stated.statements
+                              if not statement.words.startswith("not stated"))
+    if standards:
+        return f"To sign: the tested figures of {' and '.join(standards)} above."
+    points = stated.distribution.points
+    few = "is" if points == 1 else "are"
+    too_few = f"{count_in_words(points, 'check point')} {few} too few for a test"
+    if stated.prediction is not None:
+        return f"To sign: the predicted RMSE above, as predicted: {too_few}."
+    return f"To sign: none of these figures, as {too_few}."
 
 
 def _value_or(value: float | None) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isclose
@@ -231,7 +232,8 @@ def read_errors(path: Path | str) -> GroundErrors:
     """
     path = Path(path)
     try:
-        rows = list(csv.DictReader(read_text(path).splitlines(), restval=""))
+        text = read_text(path).splitlines()
+        rows = list(csv.DictReader(text, restval="", delimiter=_delimiter_of(text)))
     except csv.Error as error:
         raise TermselError(f"this table cannot be read: {error}", file=path,
                            hint="Save it again as CSV.") from None
@@ -239,12 +241,10 @@ def read_errors(path: Path | str) -> GroundErrors:
         raise TermselError("the file is empty", file=path,
                            hint="Give a table headed id,dx,dy, or the folder of a run.")
     if not rows or not {"dx", "dy"} <= set(rows[0]):
-        if rows and any(";" in name or "\t" in name for name in rows[0] if name):
-            raise TermselError("the columns of this table are not separated by commas", file=path,
-                               hint="Save it as CSV, with commas between columns and decimal "
-                                    "points: id,dx,dy.")
         names = [name for name in rows[0] if name and not name.startswith("#")] if rows else []
         header = f"The columns here are: {', '.join(names)}. " if names else ""
+        if any(_OTHER_UNIT.search(name) for name in names):
+            header += "Convert them to metres, and name them without the unit. "
         raise TermselError("this is no table of errors: it has no columns dx and dy", file=path,
                            hint=f"{header}dx and dy are computed minus surveyed positions [m]: "
                                 "id,dx,dy or id,dx,dy,dz,x,y,sigma_x,sigma_y,sigma_z. For the "
@@ -266,6 +266,16 @@ def read_errors(path: Path | str) -> GroundErrors:
     positions = _parse_columns(path, rows, ["x", "y"])
     _refuse_repeated_places(positions, ids, path)
     return GroundErrors(ids, errors, np.column_stack(survey), positions, source=str(path))
+
+
+_OTHER_UNIT = re.compile(r"[\[(](mm|cm|dm|km|ft|us-ft)[\])]\s*$", re.IGNORECASE)
+"""End of the name of a column whose unit is not the metre."""
+
+
+def _delimiter_of(lines: Sequence[str]) -> str:
+    """Return what separates the columns of a table: what its header has most of."""
+    header = lines[0] if lines else ""
+    return max(",;\t", key=header.count)
 
 
 def _parse_columns(path: Path, rows: Sequence[Mapping[str, str]],

@@ -195,7 +195,7 @@ def _choose_grid(result: Result, like_map: Path | str | None, bounds: Sequence[f
         bounds = image_grid.bounds
     west, south, east, north = bounds
     if not (all(map(isfinite, bounds)) and west < east and south < north):
-        raise _no_area_error(bounds)
+        raise _no_area_error(bounds, target)
     if resolution is None:
         # One digit, so that pixels have a size that people would choose.
         resolution = float(f"{max(east - west, north - south) / _USUAL:.1g}")
@@ -354,8 +354,8 @@ def _advice_far_outside(grid: MapGrid, control_crs: str, control: FloatArray,
     decimals = 4 if is_geographic(grid.crs) else 0
     bounds = " ".join(f"{round(bound, decimals):.10g}"
                       for bound in (min(x), min(y), max(x), max(y)))
-    corner = np.abs([grid.transform.c, grid.transform.f])
-    if not is_geographic(grid.crs) and (corner <= _MOST_DEGREES).all():
+    given = grid.bounds
+    if not is_geographic(grid.crs) and _may_be_degrees(given):
         return (f"{of_heights}The raster is in {grid.crs}, and these bounds look like degrees: add "
                 f"--crs EPSG:4326, or give --bounds {bounds}, which holds the control.")
     return f"{of_heights}The raster is in {grid.crs}, where --bounds {bounds} holds the control."
@@ -365,7 +365,14 @@ _MOST_DEGREES = (360.0, 90.0)
 """Longitude and latitude beyond which no bounds are degrees."""
 
 
-def _no_area_error(bounds: Sequence[float]) -> TermselError:
+def _may_be_degrees(bounds: Sequence[float]) -> bool:
+    """Return whether bounds, west south east north, may be of longitudes and latitudes."""
+    longitude, latitude = _MOST_DEGREES
+    west, south, east, north = map(abs, bounds)
+    return max(west, east) <= longitude and max(south, north) <= latitude
+
+
+def _no_area_error(bounds: Sequence[float], crs: str) -> TermselError:
     """Return the error for bounds that enclose no area, with those that were probably meant."""
     west, south, east, north = bounds
     reasons = []
@@ -377,6 +384,8 @@ def _no_area_error(bounds: Sequence[float]) -> TermselError:
     remedy = ""
     if all(map(isfinite, bounds)) and west != east and south != north:
         remedy = f": --bounds {' '.join(f'{bound:.10g}' for bound in ordered)}"
+        if not is_geographic(crs) and _may_be_degrees(ordered):
+            remedy += f" --crs EPSG:4326, as they look like degrees, and the raster is in {crs}"
     reason = " and ".join(reasons) or "not all are finite"
     return TermselError(f"--bounds enclose no area: {reason}",
                         hint="The order is west south east north, in the CRS of the raster"
