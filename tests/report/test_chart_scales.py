@@ -9,12 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import convert
 
 import termsel
 from termsel.core.errors import rounded_size_text
+from termsel.data.record.record import Record
+from termsel.results.charts import bars
 from termsel.results.charts.maps import ground_extent, image_extent
+from termsel.results.charts.search import refinement_remark
 from termsel.results.pictures import with_margins
 from termsel.results.theme import with_theme
+from tests.records import baseline, record, roles
 
 altair = pytest.importorskip("altair")
 pytest.importorskip("vl_convert")
@@ -65,6 +70,31 @@ def test_residuals_of_rounding_alone_are_not_exaggerated(kind: str, tmp_path: Pa
     from termsel.results.plots import save
     save(drawn, tmp_path / "map.png")
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_caption_states_the_evaluations_of_the_refinement_that_the_report_states() -> None:
+    record = termsel.run("poly-terms", solver="ga", evaluations=400,
+                         options={"polish": True}).view.record
+    assert record.polish is not None
+    refined = record.polish.evaluations
+    assert f"{record.evaluations - refined:,} evaluations; the local refinement used {refined:,} " \
+        in refinement_remark(SimpleNamespace(record=record))
+    plain = termsel.run("poly-terms", solver="ga", evaluations=400,
+                        options={"polish": False}).view.record
+    assert plain.polish is None
+    assert refinement_remark(SimpleNamespace(record=plain)) == ""
+
+
+def test_a_caption_names_fits_that_the_chart_leaves_out_with_their_figures() -> None:
+    def fit(name: str, error: float) -> dict[str, Any]:
+        return baseline(name, 8, roles(1.0, 2.0, error))
+
+    view = SimpleNamespace(record=convert(record(
+        baselines=[fit("dlt", 2.5), fit("affine", 3.5), fit("cubic", 987.6)]), Record))
+    shown, left_out = bars.rows_of_fits(view)
+    assert left_out == {"cubic": 987.6}
+    assert "cubic" not in {row["fit"] for row in shown}
+    assert "cubic (988 px)" in bars.caption_on_others(view)
 
 
 @pytest.mark.parametrize("facets", [False, True])
@@ -119,8 +149,6 @@ def test_a_result_without_heights_is_shown_in_metres() -> None:
     ([60.0, 1, 0.9, 0.8], {"F0"}), ([80.0, 40, 1, 0.9, 0.8, 0.7, 0.5], {"F0", "F1"}),
     ([8.0, 4, 2, 1], set()), ([1.0], set()), ([0.0, 0.0], set()), ([], set())])
 def test_one_blunder_does_not_flatten_all_bars(errors: list[float], broken: set[str]) -> None:
-    from termsel.results.charts import bars
-
     view: Any = SimpleNamespace(worst=[
         {"id": f"F{i}", "role": "control", "distance": error,
          "blunder": "certain" * (i == 0 and error > 9)}

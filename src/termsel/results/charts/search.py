@@ -139,11 +139,13 @@ def convergence_chart(view: View) -> Any:
 
 
 def refinement_remark(view: View) -> str:
-    """Return how many evaluations follow the search in its local refinement; "" if none do."""
-    searched = view.record.history[-1].evaluations
-    refining = view.record.evaluations - searched
+    """Return how many evaluations follow the search in its local refinement; "" without one."""
+    refinement = view.record.polish
+    if refinement is None or not refinement.evaluations:
+        return ""
+    searched = view.record.evaluations - refinement.evaluations
     return (f"The search ended after {searched:,} evaluations; the local refinement used "
-            f"{refining:,} more, which are not drawn.") if refining > 0 else ""
+            f"{refinement.evaluations:,} more, which are not drawn.")
 
 
 def empires_chart(view: View) -> Any:
