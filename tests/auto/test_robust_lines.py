@@ -202,7 +202,7 @@ def test_auto_for_lines_leaves_out_blunders_and_says_which(of_lines: termsel.Res
     assert not out & set(of_lines.selection.features)
     assert {one.kind for one in of_lines.outliers} == {"line"}
     assert {one.role for one in of_lines.outliers} == {"control"}
-    assert "8 features rejected: " in of_lines.summary()
+    assert "8 lines rejected: " in of_lines.summary()
     searched = termsel.run("owdis-lines", generations=8, options=QUICK)
     assert of_lines.rmse["independent"].total < searched.rmse["independent"].total
     assert of_lines.data.counts.lines == 120

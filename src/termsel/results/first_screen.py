@@ -339,16 +339,15 @@ def outlier_lines(record: Record) -> list[str]:
         return ["not tested: the points of a lattice were computed"]
     if not any(groups):
         return [_no_outlier_clause(record)]
-    noun = record.data.counts.word
     lines = []
     if rejected:
         if were_selectable(record):
             outcome = "not selected by the search, which could select them"
         else:
             outcome = "rejected"
-        lines.append(f"{_count_in_words(rejected, noun)} {outcome}: {_list_worst(rejected)}")
+        lines.append(f"{_count_in_words(rejected)} {outcome}: {_list_worst(rejected)}")
     if used:
-        lines.append(f"{_count_in_words(used, noun)} still in use: {_list_worst(used)}")
+        lines.append(f"{_count_in_words(used)} still in use: {_list_worst(used)}")
     if independent:
         lines.append(f"{count_in_words(len(independent), 'independent check point')} "
                      f"{'contradicts' if len(independent) == 1 else 'contradict'} the model: "
@@ -377,9 +376,10 @@ def _outlier_count_line(record: Record) -> list[str]:
     return [f"{', '.join(counts)}; --verbose lists them"]
 
 
-def _count_in_words(outliers: Sequence[Outlier], noun: str) -> str:
-    """Return the number of outliers with their noun."""
-    return count_in_words(len(outliers), noun.removesuffix("s"))
+def _count_in_words(outliers: Sequence[Outlier]) -> str:
+    """Return the number of outliers with their noun: points, lines, or features if both."""
+    kinds = {outlier.kind for outlier in outliers}
+    return count_in_words(len(outliers), kinds.pop() if len(kinds) == 1 else "feature")
 
 
 def _no_outlier_clause(record: Record) -> str:
