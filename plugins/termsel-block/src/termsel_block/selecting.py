@@ -296,8 +296,8 @@ def _check_rows(block: Block, result: BlockResult) -> tuple[FloatArray, FloatArr
         target.append((points.image - result.project(i, points.ground)).ravel())
     if not design:
         raise TermselError("no point of the block has the role check, which judges a selection",
-                           hint="Give some points the role check, in the column role of the tables of "
-                                "points that the block names.")
+                           hint="Give some points the role check, in the column role of the "
+                                "tables of points that the block names.")
     return np.concatenate(design), np.concatenate(target)
 
 

@@ -91,8 +91,8 @@ class Refinement(SensorModel):
             reason = (f"covers {_ranges_in_words(low, high)}, but the control is in "
                       f"{_ranges_in_words(lowest, greatest)}")
         raise TermselError(f"{self.source} {reason}",
-                           hint="Give the geometry of this image, or leave it out; x must be longitude or "
-                                "easting.")
+                           hint="Give the geometry of this image, or leave it out; x must be "
+                                "longitude or easting.")
 
     def known(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return `first_order` of places, kept as a search asks for the same ones many times."""
