@@ -11,6 +11,7 @@ import pytest
 import termsel
 from termsel.core.errors import TermselError
 from termsel.data.features import FeatureSet
+from termsel.formats.readers.advice import unknown_table_error
 from termsel.formats.readers.csv_tables import (
     LinesCsv,
     PointsCsv,
@@ -405,18 +406,22 @@ def test_table_of_the_reference_pane_of_metashape(names: str, above: str, tmp_pa
 
 
 @pytest.mark.parametrize("sign", [" ", "\t", ","])
-@pytest.mark.parametrize("images", [("a.JPG", "b.JPG"), ("a.tif", "a.tif")])
-def test_list_of_opendronemap_without_its_crs(sign: str, images: tuple[str, str],
-                                              tmp_path: Path) -> None:
+def test_list_of_opendronemap_names_the_package_that_reads_it(sign: str, tmp_path: Path) -> None:
     file = tmp_path / "gcp_list.txt"
     rows = [f"{272692.3 + 9 * i} {3851114.0 + i * i} {1563 + i} {507.8 + i} {484.2 - i * i} "
-            f"{images[i % 2]} g{i}" for i in range(4)]
+            f"a.JPG g{i}" for i in range(4)]
     file.write_text("\n".join(rows).replace(" ", sign) + "\n")
-    with pytest.raises(TermselError, match="without the CRS of x and y that its first") as caught:
-        termsel.read(file, crs="EPSG:32639")
-    assert "Write the CRS as the first line, such as EPSG:32639." in str(caught.value)
-    assert ("--set image_name=a.JPG" in str(caught.value)) == (images[0] != images[1])
-    assert not caught.value.guesses
+    error = unknown_table_error(file, "", "")
+    assert error is not None
+    assert "OpenDroneMap's gcp_list.txt" in error.what
+    assert "termsel-formats" in str(error.hint)
+    assert not error.guesses
+    # In another order of columns it is no such list.
+    file.write_text("\n".join(
+        ",".join(row.split()[k] for k in (3, 4, 0, 1, 2, 5)) for row in rows) + "\n")
+    error = unknown_table_error(file, "", "")
+    assert error is not None
+    assert "OpenDroneMap" not in error.what
 
 
 @pytest.mark.parametrize(("columns", "remedy"), [

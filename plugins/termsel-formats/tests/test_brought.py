@@ -165,6 +165,48 @@ def test_a_list_with_half_a_crs_is_asked_for_the_other(header: str, tmp_path: Pa
         termsel.read(tmp_path / "gcp_list.txt")
 
 
+@pytest.mark.parametrize("form", [
+    "{x}, {y}, {z}, {sample}, {line}, my photo.JPG, {name}", "{x};{y};{z};{sample};{line};a.JPG",
+    "{x},{y},{z},{sample},{line},a.JPG,{name}"])
+@pytest.mark.parametrize("crs", ["EPSG:32633", ""])
+def test_lists_with_other_separators(form: str, crs: str, tmp_path: Path,
+                                     caplog: pytest.LogCaptureFixture) -> None:
+    write_marks(tmp_path / "gcp_list.txt", form, crs)
+    with caplog.at_level("INFO"):
+        same(termsel.read(tmp_path / "gcp_list.txt", crs="EPSG:32633"), "EPSG:32633")
+    assert ("without the CRS" in caplog.text) == (not crs)
+
+
+@pytest.mark.parametrize("separator", ["\t", ";", " "])
+@pytest.mark.parametrize("crs", ["EPSG:32633", ""])
+def test_lists_with_decimal_commas(separator: str, crs: str, tmp_path: Path) -> None:
+    form = separator.join(("{x:.3f}", "{y:.3f}", "{z:.3f}", "{sample:.3f}", "{line:.3f}"))
+    path = write_marks(tmp_path / "gcp_list.txt", form, crs)
+    marks = path.read_text().replace(".", ",").splitlines()
+    path.write_text("\n".join(
+        f"{line}{separator}a.JPG" if i or not crs else line for i, line in enumerate(marks)))
+    read = termsel.read(path, crs="EPSG:32633")
+    np.testing.assert_allclose(read.points.image, IMAGE, atol=1e-3)
+    np.testing.assert_allclose(read.points.ground, GROUND, atol=1e-3)
+
+
+def test_a_list_without_its_crs_asks_for_it_and_for_the_image(tmp_path: Path) -> None:
+    path = write_marks(tmp_path / "gcp_list.txt", "{x} {y} {z} {sample} {line} a.JPG")
+    with pytest.raises(TermselError, match="the CRS of the ground coordinates is unknown"):
+        termsel.read(path)
+    path.write_text(path.read_text() + path.read_text().replace("a.JPG", "b.JPG"))
+    with pytest.raises(TermselError, match=r"images a\.JPG \(4\), b\.JPG"):
+        termsel.read(path, crs="EPSG:32633")
+    same(termsel.read(path, crs="EPSG:32633", image_name="b.JPG"), "EPSG:32633")
+
+
+def write_marks(path: Path, form: str, crs: str = "") -> Path:
+    rows = [form.format(x=x, y=y, z=z, sample=sample, line=line, name=name)
+            for name, (line, sample), (x, y, z) in zip(IDS, IMAGE, GROUND, strict=True)]
+    path.write_text("\n".join(filter(None, [crs, *rows])) + "\n")
+    return path
+
+
 def test_a_list_whose_crs_is_unknown_is_a_list_of_images_all_the_same(
         tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = tmp_path / "gcp_list.txt"
@@ -318,6 +360,16 @@ def test_commands_with_one_output_stay_apart_too(tmp_path: Path) -> None:
     assert len(names) == 4
     for name in names:
         same(termsel.read(tmp_path / "a.sh", image_name=name), "EPSG:32633")
+
+
+def test_a_script_of_several_images_asks_which(tmp_path: Path) -> None:
+    gcps = gdal("-gcp {} {} {} {} {}")
+    command = f"gdal_translate -a_srs EPSG:32633 {gcps} im{{0}}.tif o{{0}}.tif"
+    path = tmp_path / "a.sh"
+    path.write_text("\n".join(command.format(i) for i in (1, 2)))
+    with pytest.raises(TermselError, match=r"points of the images im1\.tif, im2\.tif\. Choose one"):
+        termsel.read(path)
+    same(termsel.read(path, image_name="im2.tif"), "EPSG:32633")
 
 
 def test_exports_of_allmaps(tmp_path: Path) -> None:

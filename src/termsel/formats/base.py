@@ -284,7 +284,8 @@ def image_of(path: Path, images: Iterable[_Image], asked_for: _Image | None, opt
         If the file has no point of the image asked for, if it has several images and none is asked
         for, or if no point names its image. The message names those with the most points.
     """
-    counts = Counter(images)
+    # Of a mapping by images, Counter itself would take the values for counts.
+    counts = Counter(iter(images))
     if not counts:
         raise TermselError("no point of this file names its image", file=path,
                            hint=f"Leave --set {option} out, or name the image of each point.")

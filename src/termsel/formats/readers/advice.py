@@ -10,6 +10,7 @@ import numpy as np
 
 from termsel.core.errors import TermselError
 from termsel.core.files.endings import RASTERS, SPREADSHEETS
+from termsel.core.isolation.parts import install_hint
 from termsel.data.coordinates.crs import short_crs_name
 from termsel.data.features import FloatArray
 from termsel.data.tables.columns import (
@@ -361,7 +362,10 @@ def unknown_table_error(path: Path, expected: str, columns: str) -> TermselError
     # A header has no numbers above columns of numbers.
     is_bare = any(i in _number_columns(rows[:1]) for i in number_columns)
     if is_bare and all(map(_is_mark_of_opendronemap, rows)):
-        return _opendronemap_without_crs_error(path, rows)
+        return TermselError(
+            "these look like the rows of OpenDroneMap's gcp_list.txt (x y z column row image), "
+            "which the package termsel-formats reads", file=path, line=1,
+            hint=install_hint("termsel-formats"))
     header = [str(i + 1) for i in range(len(rows[0]))] if is_bare else rows[0]
     by_name = {meaning: indices[0]
                for meaning, indices in columns_by_meaning(header, POINTS).items() if indices}
@@ -389,23 +393,11 @@ def _no_points_in_sheets_error(path: Path, expected: str) -> TermselError:
     return TermselError(what, file=path, hint=expected)
 
 
-def _opendronemap_without_crs_error(path: Path, rows: Sequence[Sequence[str]]) -> TermselError:
-    """Return the error for the rows of OpenDroneMap's list of marks whose first line is missing."""
-    images = list(dict.fromkeys(row[5].strip() for row in rows))
-    choosing = ""
-    if len(images) > 1:
-        choosing = (f" Then choose one of its {len(images)} images, such as --set "
-                    f"image_name={images[0]}.")
-    return TermselError(
-        "these look like the rows of OpenDroneMap's gcp_list.txt (x y z column row image), "
-        "without the CRS of x and y that its first line has", file=path, line=1,
-        hint=f"Write the CRS as the first line, such as EPSG:32639.{choosing}")
-
-
 def _is_mark_of_opendronemap(row: Sequence[str]) -> bool:
-    """Return whether a row has five numbers and the name of an image file."""
-    columns_with_numbers = _number_columns([row]).keys()
-    return (len(row) > 5 and columns_with_numbers >= set(range(5))
+    """Return whether a row has five numbers, the last within an image, and the name of its file."""
+    numbers = _number_columns([row])
+    return (len(row) > 5 and numbers.keys() >= set(range(5))
+            and all(abs(numbers[i][0]) <= LARGEST_IMAGE for i in (3, 4))
             and _IMAGE_FILE.fullmatch(row[5].strip()) is not None)
 
 

@@ -2,8 +2,9 @@
 
 The first line is the CRS: "EPSG:32633", "WGS84 UTM 16N" or a string of PROJ. Each other line is a
 mark of a point in an image: ``geo_x geo_y geo_z im_x im_y image_name [gcp_name] [more]``, separated
-by blanks or tabs; geo_z may be NaN. Marks count from the centre of the first pixel, as OpenSfM, to
-which OpenDroneMap hands them, adds half a pixel to them.
+by blanks or tabs; geo_z may be NaN. People also separate them by commas or semicolons, write
+decimal commas, and leave the first line out. Marks count from the centre of the first pixel, as
+OpenSfM, to which OpenDroneMap hands them, adds half a pixel to them.
 
 References
 ----------
@@ -21,8 +22,16 @@ from warnings import catch_warnings, simplefilter
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
 from termsel.toolkit import read_text, require_import, write_text
+from termsel.toolkit.commands import ONCE
 from termsel.toolkit.coordinates import begins_as_crs, horizontal_crs, normalise
-from termsel.toolkit.files import IMAGE_NAME, Table, error_in_file, image_of, is_number
+from termsel.toolkit.files import (
+    IMAGE_NAME,
+    LARGEST_IMAGE,
+    Table,
+    error_in_file,
+    image_of,
+    is_number,
+)
 from termsel.toolkit.runs import GIS
 from termsel_formats.points.written import (
     IMAGE_OPTION,
@@ -39,6 +48,8 @@ _ODM_COLUMNS = ("geo_x", "geo_y", "geo_z", "im_x", "im_y", "image_name", "gcp_na
 _ODM_HEADINGS = {"x": "geo_x", "y": "geo_y", "z": "geo_z", "sample": "im_x", "line": "im_y"}
 _IMAGES = frozenset((".jpg", ".jpeg", ".tif", ".tiff", ".png", ".dng"))
 _CODE = re.compile(r"\d{4,5}")
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
+_SNIFFED = 20  # rows that show a list without its first line
 _CHECK = "CHK-"
 """Beginning of the names of check points. Versions of OpenDroneMap that know it keep them out of
 the adjustment; others take them as control (github.com/WebODM/WebODM/issues/1824)."""
@@ -58,13 +69,15 @@ class OdmGcpList(Reader):
         # The head may be cut within a row: the first of them is whole.
         first_mark = next(
             (i for i, (_, text) in enumerate(rows) if _is_mark(_split_cells(text))), 0)
-        return _crs_row(rows[:first_mark]) is not None or _has_unknown_crs(rows)
+        return (_crs_row(rows[:first_mark]) is not None or _has_unknown_crs(rows)
+                or _lacks_crs(rows))
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points of one image; errors name file, line and column.
 
-        A list has the marks of several images; `image_name` chooses one. Its first line is the CRS.
-        Names are optional, and points whose names begin as those of check points are independent.
+        A list has the marks of several images; `image_name` chooses one. Its first line is the CRS,
+        without which the CRS is unknown, and a note shows how the first mark is read. Names are
+        optional, and points whose names begin as those of check points are independent.
         """
         crs, marks = _read_marks(path)
         image = image_of(path, (cells[5] for _, cells in marks), self.options["image_name"],
@@ -95,23 +108,43 @@ class OdmGcpList(Reader):
 def _read_marks(path: Path) -> tuple[str, list[tuple[int, list[str]]]]:
     """Return the CRS, and number and cells of each line of a mark.
 
-    Raises TermselError without a CRS or marks, and for a line that is none.
+    The CRS is "" for a list without it. Raises TermselError without marks, and for a line that is
+    none.
     """
     rows = _numbered_lines(read_text(path))
     if not rows:
         raise TermselError("the file is empty", file=path, hint=_ODM_HINT)
-    i = _crs_row(rows)
-    number, first = rows[i or 0]
+    if _lacks_crs(rows):
+        marks = _marks_of(path, rows)
+        _say_first_mark(path, marks[0][1])
+        return "", marks
+    i = _crs_row(rows) or 0
+    return _crs_of_line(path, rows, i), _marks_of(path, rows[i + 1:])
+
+
+def _crs_of_line(path: Path, rows: list[tuple[int, str]], i: int) -> str:
+    """Return the CRS that line `i` states; "", with a note, for a statement that is none.
+
+    Raises TermselError for a line that is no statement either.
+    """
+    number, first = rows[i]
     try:
-        crs = normalise(first.removeprefix("#").strip())
+        return normalise(first.removeprefix("#").strip())
     except TermselError as error:
         if not _has_unknown_crs(rows):
             raise error_in_file(error, path, number) from error
         log.warning("Note: %s, line %d: '%s' is no CRS that is known, so --crs EPSG:CODE must "
                     "state it.", path, number, first)
-        crs = ""
+        return ""
+
+
+def _marks_of(path: Path, rows: list[tuple[int, str]]) -> list[tuple[int, list[str]]]:
+    """Return number and cells of each line of a mark, of the lines below the CRS.
+
+    Raises TermselError without marks, and for a line that is none.
+    """
     marks: list[tuple[int, list[str]]] = []
-    for number, text in rows[(i or 0) + 1:]:
+    for number, text in rows:
         cells = _split_cells(text)
         # People put the names of the columns above the marks, as OpenDroneMap does not.
         if text.startswith("#") or not (marks or any(map(is_number, cells))):
@@ -122,7 +155,15 @@ def _read_marks(path: Path) -> tuple[str, list[tuple[int, list[str]]]]:
         marks.append((number, cells))
     if not marks:
         raise TermselError("the file has no points", file=path, hint=_ODM_HINT)
-    return crs, marks
+    return marks
+
+
+def _say_first_mark(path: Path, cells: list[str]) -> None:
+    """Say how the first mark of a list without its CRS is read: nothing else shows what it is."""
+    x, y, _, sample, line = cells[:5]
+    log.info("Note: %s is read as a list of OpenDroneMap without the CRS that its first line has, "
+             "x y z column row image; the first mark is at sample %s, line %s, x %s, y %s.", path,
+             sample, line, x, y, extra={ONCE: f"a list without its CRS, {path}"})
 
 
 def _numbered_lines(text: str) -> list[tuple[int, str]]:
@@ -163,8 +204,30 @@ def _has_unknown_crs(rows: list[tuple[int, str]]) -> bool:
             and Path(mark[5]).suffix.lower() in _IMAGES)
 
 
+def _lacks_crs(rows: list[tuple[int, str]]) -> bool:
+    """Return whether lines are marks from the first on, in files of images, without a CRS.
+
+    Numbers that are beyond any image show another order of columns.
+    """
+    marks = [_split_cells(text) for _, text in rows if not text.startswith("#")][:_SNIFFED]
+    complete = marks[:-1] or marks  # the last line may be cut
+    return bool(complete) and _crs_row(rows) is None and all(
+        _is_mark(cells) and Path(cells[5]).suffix.lower() in _IMAGES
+        and all(abs(float(cell)) <= LARGEST_IMAGE for cell in cells[3:5]) for cells in complete)
+
+
 def _split_cells(text: str) -> list[str]:
-    """Return the cells of a line; between tabs, names of images may have blanks."""
+    """Return the cells of a line, its numbers with decimal points.
+
+    Between tabs, semicolons or commas, names of images may have blanks.
+    """
+    for separator in ("\t", ";", None, ","):
+        cells = [cell.strip() for cell in text.split(separator)]
+        numbers = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell
+                   for cell in cells[:5]]
+        if _is_mark([*numbers, *cells[5:]]):
+            return [*numbers, *cells[5:]]
+    # What is no mark, such as the CRS or a header.
     between_tabs = [cell.strip() for cell in text.split("\t")]
     return between_tabs if len(between_tabs) > 5 else text.split()
 
