@@ -157,6 +157,29 @@ def test_bursts_are_chosen_or_refused_with_the_remedy(tmp_path: Path) -> None:
     np.testing.assert_allclose(result.fit.project(places), stated, atol=1e-6)
 
 
+def test_lines_of_other_bursts_have_no_ground(tmp_path: Path,
+                                              caplog: pytest.LogCaptureFixture) -> None:
+    """They overlap in time, so that the clock of one burst puts them kilometres off."""
+    safe = product(tmp_path, [("iw1", "vv")], kind="slc", bursts=4)
+    result = termsel.run(features=termsel.read(safe, burst=2))
+    fitted = result.fit
+    height = float(fitted.ground_box()[0][2])
+    image = np.array([[1500.0, 9000.0], [2250.0, 9000.0], [2999.0, 9000.0], [1400.0, 9000.0],
+                      [3100.0, 9000.0], [200.0, 9000.0]])
+    ground = fitted.locate(image, height)
+    np.testing.assert_array_equal(np.isnan(ground[:, 0]), [False] * 3 + [True] * 3)
+    np.testing.assert_allclose(fitted.project(ground[:3]), image[:3], atol=1e-4)
+    # Ground that the neighbours show: a step of 800 lines from the middle, either way.
+    step = (ground[2] - ground[0]) * 800.0 / 1499.0
+    beyond = np.array([ground[1] + step, ground[1] - step])
+    assert np.isnan(fitted.project(beyond)).all()
+    assert not fitted.holds(beyond).any()
+    (low, _), (high, _) = fitted.image_box()
+    assert (low, high) == (1500.0, 2999.0)
+    termsel.export(result, "rpc-txt", tmp_path / "burst_RPC.TXT")
+    assert "of the lines 1500 to 2999 of the image alone" in caplog.text
+
+
 @pytest.mark.parametrize("content", ["an empty zip", "no zip at all", "another zip", "a bad name"])
 def test_what_is_no_product_is_refused_by_name(content: str, tmp_path: Path) -> None:
     path = tmp_path / "product.zip"

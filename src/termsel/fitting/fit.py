@@ -385,7 +385,8 @@ class Fit(Glance):
 
         There a denominator is zero, or has another sign than at the control; the quotient would
         be the mirrored place of a ray that leads away from the ground. The model has no place for
-        it, so `project` has none either.
+        it, so `project` has none either. Nor has it of places in lines that the model is not of,
+        such as those of another burst.
 
         Parameters
         ----------
@@ -398,6 +399,14 @@ class Fit(Glance):
             If the array has another shape.
         """
         points = self._ground_points(ground)
+        behind = self._is_behind_camera(points)
+        known = self.model.known_image()
+        if known is not None and known.lines is not None:
+            behind |= known.is_beyond(self._compute_positions(points))
+        return behind
+
+    def _is_behind_camera(self, points: FloatArray) -> BoolArray:
+        """Return whether ground points (n, 3) lie behind the camera or beyond the horizon, (n,)."""
         coefficients = self.adjustment.coefficients
         # A place is in front of the camera if its denominators have the sign of those of the
         # control.
@@ -405,6 +414,13 @@ class Fit(Glance):
         if denominators is None:
             return np.zeros(len(points), dtype=bool)
         return np.asarray(~(denominators * self._denominator_signs > 0.0).all(axis=1))
+
+    def _project_to_any_line(self, ground: FloatArray) -> FloatArray:
+        """Return image positions (n, 2) as `project`, also in lines that the model is not of."""
+        points = self._ground_points(ground)
+        image = self._compute_positions(points)
+        image[self._is_behind_camera(points)] = np.nan
+        return image
 
     def above_horizon(self, image: ArrayLike) -> BoolArray:
         """Return whether image points lie above the horizon of the view, (n,).
@@ -632,6 +648,9 @@ class Fit(Glance):
         image = numbers_or_nan(image)
         surface = unmasked(heights) if callable(heights) else numbers_or_nan(heights)
         ground = self._where_rays_meet(image, surface)
+        known = self.model.known_image()
+        if known is not None:
+            ground[known.is_beyond(image)] = np.nan
         # A plane model sees all heights at one place, so that nothing hides anything.
         if callable(surface) and self.model.uses_height:
             ground = visible_ground(self.project, self.holds, image, ground, surface,
@@ -654,14 +673,15 @@ class Fit(Glance):
             centre[:2] = self.scaling.ground_offset[:2]
             scale[:2] = self.scaling.ground_scale[:2]
             return to_control(locate(
-                lambda places: self.project(to_control(places)), image,
+                lambda places: self._project_to_any_line(to_control(places)), image,
                 _surface_in_plane(surface, to_control) if callable(surface) else surface,
                 centre=centre, scale=scale))
         # At least as far as the image reaches, so that the search for a place begins with the right
         # size.
         scale = np.maximum(scale, reach(
             self.control, self.model.options, self.model.known_image()))
-        return locate(self.project, image, surface, centre=centre, scale=scale)
+        # Steps of the search may lead beyond the lines that the model is of.
+        return locate(self._project_to_any_line, image, surface, centre=centre, scale=scale)
 
     def ground_box(self) -> tuple[FloatArray, FloatArray]:
         """Return middle and half-range of the control, shapes (3,), in its own CRS."""

@@ -132,6 +132,10 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
         needs = f"It needs {writer.needs}. " if writer.needs else ""
         raise TermselError(f"the format {to} cannot hold this result",
                            hint=f"{needs}Formats that do: {suitable}.")
+    known = result.fit.model.known_image()
+    if known is not None and known.lines is not None:
+        log.warning("Warning: %s. What a program makes of other lines by the file is wrong.",
+                    known.sentence())
     if mirrored := note_on_turned(result.features):
         log.warning("Warning: %s", mirrored)
     # What may not be replaced, but for what an export that was killed has left.

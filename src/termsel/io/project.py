@@ -147,9 +147,15 @@ def project_table(
     hidden = missed & (result.exported.above_horizon(image) if inverse else
                        np.isfinite(ground[:, :2]).all(axis=1) & result.exported.unseen(ground))
     off_image = _are_off_image(result, image) & missed & ~hidden if inverse else missed & False
-    return text, list(_projection_warnings(
+    known = result.exported.model.known_image()
+    has_other_lines = known is not None and known.lines is not None
+    warnings = list(_projection_warnings(
         select(ids, missed & ~hidden & ~off_image), select(ids, hidden), select(ids, off_image),
-        select(ids, ~missed & (distances > FAR_OUTSIDE)), encloses=encloses, inverse=inverse))
+        select(ids, ~missed & (distances > FAR_OUTSIDE)), encloses=encloses, inverse=inverse,
+        has_other_lines=has_other_lines))
+    if known is not None and has_other_lines and missed.any():
+        warnings.append(known.sentence())
+    return text, warnings
 
 
 def _heights_on_ground(table: Table, crs: str, path: Path) -> FloatArray:
@@ -188,7 +194,8 @@ def _are_off_image(result: Result, image: FloatArray) -> BoolArray:
 
 
 def _projection_warnings(missed: Sequence[str], hidden: Sequence[str], off_image: Sequence[str],
-                         far: Sequence[str], *, encloses: bool, inverse: bool) -> Iterator[str]:
+                         far: Sequence[str], *, encloses: bool, inverse: bool,
+                         has_other_lines: bool) -> Iterator[str]:
     """Yield clauses on points that were not projected or located, or only far outside.
 
     Parameters
@@ -200,16 +207,20 @@ def _projection_warnings(missed: Sequence[str], hidden: Sequence[str], off_image
         Whether the control encloses an area.
     inverse : bool
         Whether image positions were located on the ground.
+    has_other_lines : bool
+        Whether the model is of some lines of the image alone.
     """
     if not encloses:
         yield "the control encloses no area, so `outside` cannot be computed"
     if hidden:
+        where = ("in other lines than those of the model" if has_other_lines
+                 else "behind the camera or beyond the horizon")
         show, lie, them = (("shows", "lies", "it") if len(hidden) == 1 else
                            ("show", "lie", "them"))
         if inverse:
             reason = f"{show} no ground, as above the horizon"
         else:
-            reason = f"{lie} behind the camera or beyond the horizon, and no image shows {them}"
+            reason = f"{lie} {where}, and no image shows {them}"
         yield (f"{count_in_words(len(hidden), 'point')} {reason}: "
                f"{first_names_in_words(hidden)}")
     if missed:

@@ -296,6 +296,9 @@ _SYMBOLS = {"metre": "m", "degree": "degrees", "foot": "ft", "US survey foot": "
 def _say(result: Result, grid: MapGrid, crs_note: str, share: float,
          dem: Path | str | None) -> None:
     """Log size and CRS of the map, and which share of the image it shows."""
+    known = result.fit.model.known_image()
+    if known is not None and known.lines is not None:
+        log.warning("Warning: %s. The map shows no others.", known.sentence())
     if mirrored := note_on_turned(result.features):
         log.warning("Warning: %s", mirrored)
     log.info("Map: %d x %d px of %g %s in %s%s, with %s of the image.", grid.samples,

@@ -121,10 +121,19 @@ class Radar(Physical):
         return self.annotation.source
 
     def known_image(self) -> KnownImage | None:
-        """Return the image's size and the area of the annotation's lattice; None without a lattice.
+        """Return the image's size, the area of the annotation's lattice and the lines of the burst.
+
+        None without a lattice.
         """
         stated = self.annotation
-        return KnownImage(stated.size, np.array(stated.area)) if stated.area else None
+        if not stated.area:
+            return None
+        lines = None
+        if stated.bursts:
+            # The lines of other bursts overlap in time: each is seen by a geometry of its own.
+            first = int(self._first_line[1])
+            lines = first, first + stated.lines_per_burst - 1
+        return KnownImage(stated.size, np.array(stated.area), lines)
 
     def starts(self, features: FeatureSet) -> FloatArray:
         """Return the values of terms from which a fit begins, (1, k): no shift."""
