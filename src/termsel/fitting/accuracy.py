@@ -269,6 +269,9 @@ def _errors_with_all_points(fitted: Fit, errors: FloatArray) -> FloatArray:
     leverage = spread.variance * weights_of(points)**2 / spread.noise
     if not np.isfinite(leverage).all():
         return errors
+    # Leverages add up to the number of parameters. Where these have a larger sum, the spread has
+    # what the model does not fit as well, as of relief under a projection without heights.
+    leverage = leverage * min(1.0, fitted.effective / float(leverage.sum()))
     return np.asarray(errors * np.sqrt(1.0 - np.minimum(leverage, MAX_LEVERAGE)**2))
 
 
