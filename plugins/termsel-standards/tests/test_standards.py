@@ -18,7 +18,7 @@ pytest.importorskip("termsel_standards", reason="termsel-standards is not instal
                     "pip install -e plugins/termsel-standards")
 
 import termsel
-from termsel import Result, TermselError, export, write_result
+from termsel import FeatureSet, Points, Result, TermselError, export, write_result
 from termsel.testing import check, invoke
 from termsel.toolkit.files import accuracy_tags
 from termsel_standards import GroundErrors, errors_of, read_errors, statements_of
@@ -286,6 +286,46 @@ def test_a_stac_item_has_the_outline_and_the_accuracy(result: Result, tmp_path: 
     inside = result.features.points.ground[:, :2]
     assert (inside >= item["bbox"][:2]).all()
     assert (inside <= item["bbox"][2:]).all()
+
+
+def map_around(lon: float, lat: float, crs: str) -> Result:
+    """Return an affine map of 1000 x 800 px, 2 km each, around a place in a projection."""
+    from pyproj import Transformer
+
+    to_plane = Transformer.from_crs("EPSG:4326", crs, always_xy=True)
+    east, north = to_plane.transform(lon, lat)
+    image = np.random.default_rng(5).uniform(0.0, [799.0, 999.0], (12, 2))
+    x, y = east + 2000.0 * (image[:, 1] - 500.0), north - 2000.0 * (image[:, 0] - 400.0)
+    lonlat = np.column_stack(to_plane.transform(x, y, direction="INVERSE"))
+    points = Points(tuple(map(str, range(12))), image,
+                    np.column_stack([lonlat, np.full(12, np.nan)]))
+    return termsel.run(features=FeatureSet(points, crs="EPSG:4326", image_size=(800, 1000)))
+
+
+def test_an_outline_across_180_degrees_is_cut_there(tmp_path: Path) -> None:
+    across = map_around(179.5, -18.0, "EPSG:3832")
+    export(across, "stac-item", tmp_path / "item.json")
+    item = json.loads((tmp_path / "item.json").read_text())
+    west, south, east, north = item["bbox"]
+    assert 168.0 < west < 171.0
+    assert -172.0 < east < -169.0
+    assert -26.0 < south < -24.0 < -12.0 < north < -10.0
+    assert item["geometry"]["type"] == "MultiPolygon"
+    rings = [np.array(polygon[0]) for polygon in item["geometry"]["coordinates"]]
+    assert sorted(np.sign(ring[:, 0].mean()) for ring in rings) == [-1.0, 1.0]
+    assert all(np.ptp(ring[:, 0]) < 12.0 for ring in rings)
+    export(across, "fgdc-xml", tmp_path / "metadata.xml")
+    text = (tmp_path / "metadata.xml").read_text()
+    assert f"<westbc>{west:.9g}" in text or f"<westbc>{west}" in text
+    assert "<eastbc>-1" in text
+
+
+def test_an_outline_around_a_pole_has_the_pole(tmp_path: Path) -> None:
+    export(map_around(0.0, 90.0, "EPSG:3413"), "stac-item", tmp_path / "item.json")
+    item = json.loads((tmp_path / "item.json").read_text())
+    assert item["bbox"][0::2] == [-180.0, 180.0]
+    assert item["bbox"][3] == 90.0
+    assert 76.0 < item["bbox"][1] < 84.0
 
 
 @pytest.mark.parametrize("date", ["yesterday", "2024-13-01", "1e9"])

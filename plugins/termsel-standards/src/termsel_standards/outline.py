@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.spatial import ConvexHull
 
@@ -10,15 +12,21 @@ from termsel.toolkit import FloatArray
 from termsel.toolkit.coordinates import to_wgs84
 from termsel.toolkit.models import ground_where_held, image_places
 
-# Places along either side of the image.
 _SIDE = 9
+"""Number of positions along either side of the image."""
+
+_TURN = 360.0
+"""A full turn [deg]."""
 
 
 def outline_of(result: Result) -> FloatArray:
     """Return longitude and latitude of the image's outline, closed, counter-clockwise (n, 2).
 
-    At the middle height of the control; without a size of the image of the rectangle around them.
-    Of an oblique view it goes around what lies below the horizon, as far as the model holds.
+    The ground is at the middle height of the control. If the size of the image is not known, the
+    outline is that of the rectangle around the features. Of an oblique view it goes around what
+    lies below the horizon, as far as the model holds. Longitudes go on beyond 180 degrees, either
+    way, where the image does; around a pole the outline goes once around the Earth, and over the
+    pole.
     """
     features = result.features
     fitted = result.exported
@@ -42,15 +50,76 @@ def outline_of(result: Result) -> FloatArray:
     # Beyond the horizon there is no ground: then the rectangle around the features.
     if not np.isfinite(lonlat).all():
         control_lonlat = to_wgs84(features.crs)(np.nan_to_num(result.residuals.ground))[:, :2]
+        control_lonlat[:, 0] = _around_their_mean(control_lonlat[:, 0])
         low_corner = control_lonlat.min(axis=0)
         high_corner = control_lonlat.max(axis=0)
         lonlat = np.array([low_corner, [high_corner[0], low_corner[1]], high_corner,
                            [low_corner[0], high_corner[1]]])
+    lonlat = _without_jump(lonlat)
     x, y = lonlat.T
     # The shoelace formula: a negative area runs clockwise.
     if x @ np.roll(y, -1) - y @ np.roll(x, -1) < 0:
         lonlat = lonlat[::-1]
     return np.asarray(np.round(np.concatenate([lonlat, lonlat[:1]]), 9))
+
+
+def _around_their_mean(lon: FloatArray) -> FloatArray:
+    """Return longitudes (n,) [deg] within half a turn of their mean direction."""
+    mean = np.degrees(np.angle(np.exp(1j * np.radians(lon)).mean()))
+    return np.asarray(mean + (lon - mean + _TURN / 2) % _TURN - _TURN / 2)
+
+
+def _without_jump(lonlat: FloatArray) -> FloatArray:
+    """Return the outline (n, 2) with longitudes that go on from each position to the next.
+
+    Around a pole they end a full turn from where they began: then two positions at the pole follow.
+    """
+    lon = np.unwrap(lonlat[:, 0], period=_TURN)
+    lat = lonlat[:, 1]
+    # From the last position back to the first, the short way.
+    turned = lon[-1] + (lon[0] - lon[-1] + _TURN / 2) % _TURN - _TURN / 2 - lon[0]
+    if abs(turned) > _TURN / 2:
+        pole = np.copysign(90.0, lat.mean())
+        lon = np.append(lon, [lon[0] + turned, lon[0] + turned, lon[0]])
+        lat = np.append(lat, [lat[0], pole, pole])
+    return np.column_stack([lon - _TURN * np.round(np.median(lon) / _TURN), lat])
+
+
+def bounds_of(outline: FloatArray) -> tuple[float, float, float, float]:
+    """Return west, south, east and north of an outline (n, 2) [deg].
+
+    The west is a larger longitude than the east where the outline crosses 180 degrees, as RFC 7946
+    (section 5.2) has it. An outline around the whole Earth goes from -180 to 180.
+    """
+    (west, south), (east, north) = outline.min(axis=0).tolist(), outline.max(axis=0).tolist()
+    if east - west >= _TURN:
+        return -180.0, south, 180.0, north
+    return _within_half_turn(west, -1.0), south, _within_half_turn(east, 1.0), north
+
+
+def _within_half_turn(longitude: float, at_limit: float) -> float:
+    """Return a longitude between -180 and 180; `at_limit` is the sign of 180 itself."""
+    turned = (longitude + _TURN / 2) % _TURN - _TURN / 2
+    return at_limit * _TURN / 2 if abs(turned) == _TURN / 2 else round(turned, 9)
+
+
+def geometry_of(outline: FloatArray) -> dict[str, Any]:
+    """Return an outline (n, 2) as a GeoJSON geometry, cut at 180 degrees (RFC 7946, 3.1.9)."""
+    if np.abs(outline[:, 0]).max() <= _TURN / 2:
+        return {"type": "Polygon", "coordinates": [outline.tolist()]}
+    import shapely
+    from shapely.geometry.polygon import orient
+
+    parts = []
+    for turns in (-1.0, 0.0, 1.0):
+        moved = shapely.make_valid(shapely.Polygon(outline - [turns * _TURN, 0.0]))
+        part = shapely.intersection(moved, shapely.box(-180.0, -90.0, 180.0, 90.0))
+        parts += [orient(polygon) for polygon in shapely.get_parts(part)
+                  if polygon.geom_type == "Polygon" and polygon.area > 0]
+    rings = [[np.round(shapely.get_coordinates(polygon), 9).tolist()] for polygon in parts]
+    if len(rings) == 1:
+        return {"type": "Polygon", "coordinates": rings[0]}
+    return {"type": "MultiPolygon", "coordinates": rings}
 
 
 def _hull_of_valid_ground(fitted: Fit, height: float) -> FloatArray:

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 from termsel import Option, Result, TermselError, Writer
 from termsel.toolkit import write_text
 from termsel.toolkit.coordinates import LOCAL, horizontal_crs
-from termsel_standards.outline import outline_of
+from termsel_standards.outline import bounds_of, geometry_of, outline_of
 from termsel_standards.quality.report import file_sha256
 
 VERSION = "1.1.0"
@@ -58,9 +58,7 @@ class StacItem(Writer):
             raise TermselError("a STAC item requires a CRS of the Earth",
                                hint="State the CRS of the ground coordinates when you run termsel.")
         created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-        # A bbox of STAC is west, south, east and north.
         outline = outline_of(result)
-        box = [*outline.min(axis=0).tolist(), *outline.max(axis=0).tolist()]
         code = horizontal_crs(result.features.crs)
         properties: dict[str, Any] = {
             "datetime": _rfc3339_time(self.options["date"]) or created, "created": created,
@@ -76,7 +74,7 @@ class StacItem(Writer):
             "type": "Feature", "stac_version": VERSION,
             "stac_extensions": _extensions_of([*properties, *asset]),
             "id": PurePath(asset.get("href", "") or result.data.source).stem or "scene",
-            "geometry": {"type": "Polygon", "coordinates": [outline.tolist()]}, "bbox": box,
+            "geometry": geometry_of(outline), "bbox": list(bounds_of(outline)),
             "properties": properties, "links": [], "assets": {"image": asset} if asset else {}}
         write_text(path, json.dumps(item, indent=2, ensure_ascii=False) + "\n")
 

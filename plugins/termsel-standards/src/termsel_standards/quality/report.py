@@ -19,7 +19,7 @@ from termsel import Option, Result, TermselError
 from termsel.toolkit import as_plain_data, require_regular
 from termsel.toolkit.coordinates import LOCAL, horizontal_crs
 from termsel.toolkit.files import Prediction, prediction_of
-from termsel_standards.outline import outline_of
+from termsel_standards.outline import bounds_of, outline_of
 from termsel_standards.statement import LEAST_REDUCED
 
 RMSEP = "47"
@@ -142,10 +142,8 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
         If the ground coordinates have no CRS of the Earth, or the image cannot be read.
     """
     requires_earth(result)
-    outline = outline_of(result)
-    # The outline as a box: ISO and FGDC take bounds in degrees.
-    (west, south) = outline.min(axis=0).tolist()
-    (east, north) = outline.max(axis=0).tolist()
+    # ISO and FGDC take bounds in degrees.
+    west, south, east, north = bounds_of(outline_of(result))
     counts = result.data.counts
     terms = result.selection
     # What the run was asked for, so that it can be repeated.
