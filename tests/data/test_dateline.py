@@ -236,3 +236,23 @@ def test_x_of_cylindrical_projections_goes_on_across_180_degrees() -> None:
     ("EPSG:32633", 0.0), ("EPSG:3035", 0.0), ("+proj=robin +type=crs", 0.0), ("local", 0.0)])
 def test_what_a_turn_adds_to_x(crs: str, turn: float) -> None:
     assert turn_of(crs) == pytest.approx(turn, rel=1e-4)
+
+
+def test_an_array_on_both_sides_is_compared_with_the_model_on_either(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    rng = np.random.default_rng(6)
+    image = rng.uniform(0.0, 999.0, (12, 2))
+    lon = (175.0 + 0.01 * image[:, 1] + 180.0) % 360.0 - 180.0
+    points = Points(tuple(map(str, range(12))), image,
+                    np.column_stack([lon, -10.0 - 0.01 * image[:, 0], np.full(12, np.nan)]))
+    features = FeatureSet(points, crs="EPSG:4326", image_size=(1000, 1000))
+    with pytest.importorskip("rasterio").open(
+            tmp_path / "scene.tif", "w", driver="GTiff", height=1000, width=1000, count=1,
+            dtype="uint8") as raster:
+        raster.write(np.full((1000, 1000), 9, dtype=np.uint8), 1)
+    termsel.export(termsel.run(features=features), "geolocation-vrt", tmp_path / "scene.vrt",
+                   image=tmp_path / "scene.tif")
+    assert "geolocation-vrt: at most" in caplog.text
+    assert not any("geolocation-vrt" in record.message for record in caplog.records
+                   if record.levelname == "WARNING")

@@ -16,6 +16,7 @@ from termsel.core.files.names import is_there
 from termsel.core.files.texts import xml_text
 from termsel.core.options import COUNT, Option
 from termsel.data.coordinates.earth import place_of
+from termsel.data.coordinates.longitudes import nearest_longitudes, turn_of
 from termsel.data.coordinates.metres import ground_for_warping
 from termsel.data.features import FloatArray, Points
 from termsel.data.rasters import require_rasterio, tiff_bytes
@@ -218,6 +219,10 @@ class GeolocationVrt(GridWriter):
     def log_interpolation_error(self, fitted: Fit, image: FloatArray, ground: FloatArray,
                                 surface: Dem | float) -> None:
         """Log how far GDAL's interpolation between the nodes of the array is from the model."""
+        # Longitudes that jump by a full turn between two nodes have no middle.
+        ground = ground.copy()
+        ground[..., 0] = nearest_longitudes(
+            ground[..., 0], float(fitted.ground_box()[0][0]), turn_of(fitted.control.crs))
         ground_between = _mesh_middles(ground)
         image_between = _mesh_middles(image)
         # Middles next to a node without ground have none.

@@ -7,6 +7,7 @@ corner of the first pixel. The format has no heights.
 
 from __future__ import annotations
 
+import logging
 import re
 from pathlib import Path
 from typing import ClassVar
@@ -24,6 +25,8 @@ from termsel_formats.points.written import (
     say_by_gdal,
     to_wgs84_points,
 )
+
+log = logging.getLogger("termsel.formats")
 
 _OZI_TITLE = b"OziExplorer Map Data File"
 _OZI_POINT = re.compile(r"\s*Point(\d+)\s*,\s*xy\s*,", re.IGNORECASE)
@@ -141,6 +144,9 @@ class OziMapWriter(PointsWriter):
         self.require(result, path)
         used = chosen_points(result)
         points, zone = to_wgs84_points(used, result.features.crs)
+        if zone is None and np.abs(points.ground[:, 0]).max() > 180.0:
+            log.warning("Warning: %s: the points are on both sides of 180 degrees, and GDAL maps "
+                        "one side alone. termsel rectify and gcp-vrt have both.", self.name)
         rows = [_point_line(i, line + CORNER, sample + CORNER, x, y, zone)
                 for i, ((line, sample), (x, y, _)) in enumerate(zip(
                     points.image.tolist(), points.ground.tolist(), strict=True), 1)]
