@@ -425,3 +425,22 @@ def test_points_on_a_line_or_at_one_place_correct_nothing_or_their_mean() -> Non
     twice = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0], [0, 1, 5]])
     np.testing.assert_allclose(Piecewise().residual_weights(twice, twice[3:]), [[0, 0, 0.5, 0.5]],
                                atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [12, 40])
+@pytest.mark.parametrize("model", ["piecewise", "multiquadric", "pointwise"])
+def test_what_follows_the_noise_of_control_is_as_uncertain_as_it_is(model: str, count: int) -> None:
+    """Triangles carry the noise of their corners: of a plane they are worse than the plane."""
+    ratios = []
+    for seed in (1, 2, 3):
+        rng = np.random.default_rng(seed)
+        plane = rng.uniform(0.0, 3000.0, (count, 2))
+        image = np.column_stack([3000.0 - plane[:, 1], plane[:, 0]])
+        control = FeatureSet(Points(
+            tuple(map(str, range(count))), image + rng.normal(0.0, 0.5, image.shape),
+            np.column_stack([plane, np.full(count, np.nan)])), crs="local")
+        places = rng.uniform(300.0, 2700.0, (200, 2))
+        fitted = termsel.fit(control, model)
+        errors = fitted.project(places) - np.column_stack([3000.0 - places[:, 1], places[:, 0]])
+        ratios.append(np.sqrt(((errors / fitted.sigma(places))**2).mean()))
+    assert 0.7 < np.mean(ratios) < 1.3

@@ -539,7 +539,9 @@ class Fit(Glance):
         None with lines or too few points, with heights of very many points, and for a projection of
         a view: it is no field about a polynomial, and is judged by its residuals.
         """
-        is_polynomial = self.model.polynomial_degree is not None
+        # What corrects a polynomial by its residuals has the errors of points between them, too.
+        is_polynomial = self.model.polynomial_degree is not None or (
+            self.model.corrects and self.estimator.least_squares)
         if len(self._scaled_used.lines) or not (is_polynomial or self.interpolation is not None):
             return None
         courses_of = camera_courses if self.model.uses_height else local_courses

@@ -126,7 +126,8 @@ def spread_of(model: SensorModel, control: FeatureSet, terms: BoolArray, adjustm
     if belief is None:
         belief = _belief_of_points(model, control, heights=with_heights)
         return _unknown_spread(len(ground)) if belief is None else belief.spread(ground, image)
-    if not least_squares or model.polynomial_degree is not None:
+    # What corrects residuals follows the noise of the control, which no coefficient has.
+    if not least_squares or model.polynomial_degree is not None or model.corrects:
         return belief.spread(ground, image)
     # Either the model has the form of the image, and noise is all, or the belief holds.
     propagated, squares = _propagated_noise(model, control, terms, adjustment, ground)
@@ -192,7 +193,7 @@ def unexplained_by(model: SensorModel, control: FeatureSet, terms: BoolArray,
     if belief is None:
         return [own]
     chance = 0.0
-    if least_squares and model.polynomial_degree is None:
+    if least_squares and model.polynomial_degree is None and not model.corrects:
         squares = _propagated_noise(model, control, terms, adjustment, points.ground[:1])[1]
         chance = _chance_of_model(adjustment.n_terms, squares, belief)
     left_by_belief = Unexplained(1.0 - chance, belief.residuals(points), belief.effective())
