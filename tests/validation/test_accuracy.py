@@ -234,6 +234,9 @@ def test_the_summary_tells_a_mean_error_and_errors_that_are_not_normal() -> None
     assert "is significant" not in usual
     assert "not normal" not in usual
     assert "The bias of sample is significant." in said(mean=(0.1, -0.9), normal=(0.4, 0.3))
+    # As many digits as the RMSE above it.
+    assert "Mean error: line +0.10 px, sample -0.90 px." in said(
+        mean=(0.1, -0.9), normal=(0.4, 0.3))
     assert "errors are not normal" in said(mean=(0.1, 0.1), normal=(0.4, 0.001))
 
 

@@ -257,7 +257,8 @@ def _error_shape(of: InImage | OnGround, unit: str, rmse: dict[str, float]) -> I
     if of.mean is None:
         return
     means = dict(zip(rmse, of.mean, strict=True))
-    figures = ", ".join(f"{axis} {mean:+.3g} {unit}" for axis, mean in means.items())
+    figures = ", ".join(f"{axis} {'+' if mean > 0 else ''}{rounded_size_text(mean)} {unit}"
+                        for axis, mean in means.items())
     sentence = f"Mean error: {figures}."
     # A mean of n errors scatters by rmse / sqrt(n): beyond 2.576 of that, 1 % of means are by
     # chance.
