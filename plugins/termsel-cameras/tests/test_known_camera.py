@@ -333,6 +333,7 @@ def test_photos_of_one_flight_share_their_camera(tmp_path: Path) -> None:
     assert camera["source"] == "4 photos, 28 control points"
     assert abs(camera["focal"] / FOCAL - 1.0) < max(3.0 * camera["focal_spread"], 0.01)
     assert abs(camera["distortion"][0] + 0.03) < 0.03
+    assert camera["size"] == list(SIZE)
 
 
 @pytest.mark.slow
@@ -387,6 +388,35 @@ def test_how_well_a_focal_length_is_known_can_be_stated(stated: str, spread: flo
     interior = interior_of(control)
     assert interior is not None
     assert interior.focal_spread == pytest.approx(spread)
+
+
+def test_the_size_in_a_camera_file_shows_the_middle_of_the_photo(tmp_path: Path) -> None:
+    camera = tmp_path / "camera.json"
+    control = replace(photo(8, camera=str(camera))[0], image_size=None)
+    camera.write_text(json.dumps({"focal": FOCAL, "size": [2000, 3001]}))
+    interior = interior_of(control)
+    assert interior is not None
+    assert (interior.line, interior.sample) == (999.5, 1500.0)
+    # The image itself tells its size better.
+    of_image = interior_of(replace(control, image_size=(4000, 4000)))
+    assert of_image is not None
+    assert of_image.line == 1999.5
+    camera.write_text(json.dumps({"focal": FOCAL, "size": [2000, -1]}))
+    with pytest.raises(TermselError, match=r"camera\.json is -1, which is not positive"):
+        interior_of(control)
+
+
+def test_what_all_photos_lack_is_said_once(tmp_path: Path) -> None:
+    for seed in range(3):
+        control, _, _ = photo(8, seed=seed)
+        rows = [f"{name},{line},{sample},{x},{y},{z}" for name, (line, sample), (x, y, z) in zip(
+            control.points.ids, control.points.image, control.points.ground, strict=True)]
+        (tmp_path / f"{seed}.csv").write_text("\n".join(["id,line,sample,x,y,z", *rows]))
+    done = invoke("compare", "--points", tmp_path / "*.csv", "--crs", CRS, "--method", "affine",
+                  "--set", "camera_focal=3500", "--out", tmp_path / "out", "--quiet")
+    assert done.exit_code == 0, done.stderr
+    assert done.stderr.count("nothing shows the size of the image") == 1
+    assert "that on the size of the image concerns 2 further images as well" in done.stderr
 
 
 @pytest.mark.parametrize(("focal_spread", "expected"), [(0.3, 0.3), (0.0, 1e-6), ("0.3%", 0.003)])

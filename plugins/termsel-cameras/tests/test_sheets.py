@@ -134,6 +134,14 @@ def test_a_folder_of_sheets_is_answered_by_its_files(tmp_path: Path) -> None:
         invoke("map-series", tmp_path).stderr
 
 
+def test_a_doubt_about_all_sheets_is_said_once(tmp_path: Path) -> None:
+    files = [table(sheet(4, seed), tmp_path / f"{seed}.csv") for seed in range(3)]
+    done = invoke("map-series", *files, "--prime-meridian", "paris")
+    assert done.exit_code == 0, done.stderr
+    assert done.stderr.count("name the columns lon_gon and lat_gon") == 1
+    assert "that on grads concerns 2 further sheets as well" in done.stderr
+
+
 def test_sheets_of_a_series_share_their_projection(tmp_path: Path) -> None:
     sheets = [sheet(10, 2), *(sheet(4, seed, (7.0 + seed / 5, 45.0), 1.5) for seed in range(3))]
     candidates = tmp_path / "mine.txt"

@@ -12,7 +12,7 @@ import click
 
 from termsel.cli.bars import study_bar
 from termsel.cli.completion import complete
-from termsel.cli.messages import echo, say_written, show_messages, take_pending
+from termsel.cli.messages import echo, say_once, say_written, show_messages, take_pending
 from termsel.cli.options.run_options import COLUMNS_OPTION, parse_settings
 from termsel.cli.options.shared import progress_option, remote_option
 from termsel.cli.tables import print_table
@@ -135,7 +135,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     from termsel.studies.maps import next_command
     from termsel.studies.outputs import screen, study_summary, write_outputs
 
-    with study_bar(quiet) as observe:
+    with say_once(), study_bar(quiet) as observe:
         results = comparing.compare(study, out=out, workers=workers, scheduler=scheduler,
                                     observers=(observe,) if observe else (), **keys)
     # What was finished lies in the journal, and the same command skips it.

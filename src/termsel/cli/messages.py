@@ -122,8 +122,10 @@ class _OnStderr(logging.Handler):
 
 
 @contextmanager
-def say_once() -> Iterator[None]:
+def say_once(noun: str = "image") -> Iterator[None]:
     """Print of alike messages about many images the first, and at the end how many more there are.
+
+    `noun` is what the images are called, such as sheet.
 
     Messages of a kind have the attribute ONCE, such as a doubt about a DEM that all images of a
     batch share. Nobody reads the same sentence a hundred times.
@@ -148,7 +150,7 @@ def say_once() -> Iterator[None]:
             handler.removeFilter(is_first)
         for kind, count in told.items():
             if count > 1:
-                others = count_in_words(count - 1, "further image")
+                others = count_in_words(count - 1, f"further {noun}")
                 echo(f"Note: that on {kind} concerns {others} as well.", err=True)
 
 

@@ -1,5 +1,6 @@
 from termsel.cli.bars import search_bar as search_bar
 from termsel.cli.messages import refuse_stdout as refuse_stdout
+from termsel.cli.messages import say_once as say_once
 from termsel.cli.options.run_options import RunOptions as RunOptions
 from termsel.cli.options.run_options import parse_settings as parse_settings
 from termsel.cli.options.run_options import run_options as run_options

@@ -18,6 +18,7 @@ from termsel.toolkit import (
     say_written,
     write_text,
 )
+from termsel.toolkit.commands import say_once
 from termsel.toolkit.coordinates import LOCAL
 
 if TYPE_CHECKING:
@@ -65,7 +66,8 @@ def map_series(sheets: tuple[Path, ...], crs: str | None, prime_meridian: str | 
     if prime_meridian is not None:
         meridian_of(prime_meridian)  # refused before any sheet is
         meridian["prime_meridian"] = prime_meridian
-    read_sheets = [_read_sheet(sheet, crs, meridian) for sheet in sheets]
+    with say_once("sheet"):
+        read_sheets = [_read_sheet(sheet, crs, meridian) for sheet in sheets]
     if all(sheet.crs in ("", LOCAL) for sheet in read_sheets):
         projection = ""
     else:
@@ -178,10 +180,11 @@ def flight_camera(photos: tuple[Path, ...], crs: str | None, size: tuple[int, in
     from termsel_cameras.known.sharing import shared_camera, unlike_photos
 
     require_replaceable([output], reads=photos, overwrite=overwrite, written_as="JSON")
-    read_photos = [_read_photo(photo, crs, size) for photo in photos]
+    with say_once("photo"):
+        read_photos = [_read_photo(photo, crs, size) for photo in photos]
     camera = shared_camera(read_photos, size, focal)
     content = {"focal": round(camera.focal, 3), "focal_spread": round(camera.spread, 6),
-               "distortion": [round(camera.k1, 8)],
+               "distortion": [round(camera.k1, 8)], "size": list(size),
                "source": f"{camera.photos} photos, {camera.points} control points"}
     write_text(output, json.dumps(content, indent=2) + "\n")
     echo(f"Focal length {camera.focal:,.1f} px, standard deviation {100 * camera.spread:.2g} %; "

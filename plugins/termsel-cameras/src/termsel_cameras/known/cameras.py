@@ -82,14 +82,15 @@ CAMERAS: dict[str, SurveyCamera] = {
 """Cameras by name. Of a type the focal length differs from camera to camera, which the spread
 states; a report of calibration shows that of one."""
 
-FIELDS = ("focal", "focal_spread", "principal_point", "distortion", "source")
+FIELDS = ("focal", "focal_spread", "principal_point", "distortion", "size", "source")
 
 
 def camera_named(name: str) -> SurveyCamera | dict[str, Any]:
     """Return the camera of a name, or the content of a camera file.
 
     A file is JSON with ``focal`` [px], and perhaps ``focal_spread``, relative, ``principal_point``,
-    line and sample [px], and ``distortion``, k1, k2, p1, p2, k3.
+    line and sample [px], ``distortion``, k1, k2, p1, p2, k3, and ``size``, lines and samples of the
+    photos [px].
 
     Raises
     ------

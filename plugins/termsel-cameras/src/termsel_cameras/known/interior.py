@@ -151,6 +151,8 @@ def interior_of(features: FeatureSet) -> Interior | None:
         interior = _camera_of_type(named, stated, size)
     elif named is not None:
         interior = _camera_of_file(named, stated["camera"])
+        # An image tells its own size.
+        size = size or _size_of_file(named, stated["camera"])
     else:
         interior = _focal_length(stated, None, size)
     interior = _with_spreads(_with_middle(interior, stated, size), stated)
@@ -249,6 +251,20 @@ def _camera_of_file(content: Mapping[str, Any], path: str) -> Interior:
     if values["distortion"]:
         interior = replace(interior, distortion=_parse_numbers(values, "distortion", range(1, 6)))
     return interior
+
+
+def _size_of_file(content: Mapping[str, Any], path: str) -> tuple[int, int] | None:
+    """Return lines and samples that the content of a camera file states; None if it does not.
+
+    Raises TermselError if they are not two positive numbers.
+    """
+    name = f"size of {path}"
+    text = _numbers_as_text(content.get("size"))
+    if not text:
+        return None
+    lines, samples = (_require_positive(number, name)
+                      for number in _parse_numbers({name: text}, name, (2,)))
+    return round(lines), round(samples)
 
 
 def _numbers_as_text(value: Any) -> str:

@@ -81,7 +81,8 @@ class CameraOptions:
             log.warning("Note: nothing shows the size of the image, so the principal point is "
                         "taken to be somewhere about the middle of the points, and a photo of few "
                         "points is less accurate. --image FILE or --set "
-                        "camera_principal_point=LINE,SAMPLE shows it.")
+                        "camera_principal_point=LINE,SAMPLE shows it.",
+                        extra={ONCE: "the size of the image"})
         if interior is not None and interior.from_exif:
             log.warning("Note: %s", _exif_in_words(interior), extra={ONCE: "the camera in EXIF"})
         return described
