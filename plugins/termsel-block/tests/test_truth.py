@@ -21,6 +21,7 @@ from termsel_block.geometry.cameras import PolynomialCamera
 from termsel_block.geometry.frame import FloatArray
 from termsel_block.joint import BlockResult, adjust
 from termsel_block.shown.record import record_of, times_seen
+from termsel_block.shown.summary import reason_of
 from termsel_block.simulated import LAT, LON, Hills, Simulated, ground_heights, simulate_block
 
 
@@ -190,7 +191,15 @@ def test_no_rejected_tie_is_said_to_be_farther_off_than_it_is() -> None:
         for tie, error in zip(ties.tie[rows], np.hypot(*away.T), strict=True):
             name = ties.names[tie]
             true_error[name] = max(true_error.get(name, 0.0), float(error))
-    wrong_ties = record_of(adjust(block)).wrong_ties
+    record = record_of(adjust(block))
+    wrong_ties = record.wrong_ties
     assert len(wrong_ties) > 20
     for tie in wrong_ties:
         assert tie.error < 1.1 * true_error[tie.id] + 1.0
+    # Where no ray is used, the wrong one is farther off than its distance from where all meet.
+    contradicted = [tie for tie in wrong_ties
+                    if tie.any_ray and tie.error > 5.0 * record.sigma_ties]
+    assert contradicted
+    for tie in contradicted:
+        assert "off by more" in reason_of(tie, record)
+        assert true_error[tie.id] > 0.9 * tie.error

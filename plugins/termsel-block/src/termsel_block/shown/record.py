@@ -40,6 +40,9 @@ class WrongTie(msgspec.Struct, frozen=True):
     image: str
     error: float
     """Distance from where the others see it, or where all its rays meet if none is used [px]."""
+    any_ray: bool = False
+    """Whether no measurement of the tie is used, as its images contradict one another: which one is
+    wrong is not known, and that one is farther off than the distance says."""
 
 
 class WrongControl(msgspec.Struct, frozen=True):
@@ -300,11 +303,13 @@ def _rejected_ties(result: BlockResult) -> list[WrongTie]:
     """
     wrong_ties = []
     ties = result.block.ties
+    seen = times_seen(result)
     for i, (residual, used) in enumerate(zip(
             result.adjusted.residuals, result.adjusted.state.in_use, strict=True)):
         names = ties.tie[ties.image == i]
         wrong_ties += [WrongTie(ties.names[names[k]], result.block.images[i].name,
-                           float(np.hypot(*residual[k]))) for k in np.flatnonzero(~used)]
+                                float(np.hypot(*residual[k])), bool(seen[names[k]] == 0))
+                       for k in np.flatnonzero(~used)]
     return sorted(wrong_ties, key=lambda wrong: -wrong.error)
 
 

@@ -181,7 +181,12 @@ def _rejected_tie_lines(record: BlockRecord) -> list[str]:
 
 
 def reason_of(wrong: WrongTie | WrongControl, record: BlockRecord) -> str:
-    """Return why an observation near the model was rejected; "" for one that is far from it."""
+    """Return why an observation near the model was rejected, or what its distance does not say.
+
+    It is "" for one that is far from where others see it.
+    """
     if isinstance(wrong, WrongTie) and wrong.error <= WRONG * record.sigma_ties:
         return "now in one image only"
+    if isinstance(wrong, WrongTie) and wrong.any_ray:
+        return "its images contradict one another: one of them is off by more"
     return ""
