@@ -16,7 +16,7 @@ from termsel.data.coordinates.crs import transformation_between
 from termsel.data.record.search import FITTED_IN
 from termsel.formats.readers.csv_tables import write_points_csv
 
-pytest.importorskip("pyproj")
+pyproj = pytest.importorskip("pyproj")
 
 EARTH = "+datum=WGS84 +units=m +no_defs"
 CONIC = f"+proj=lcc +lat_1=40 +lat_2=50 +lat_0=45 +lon_0=10 {EARTH}"
@@ -48,6 +48,26 @@ def drawn_map(projection: str, count: int, *, lon: float = 10.0, lat: float = 46
     measured = replace(measured, image=measured.image + rng.normal(0.0, 1.5, (count, 2)))
     return (termsel.FeatureSet(points=measured, crs=crs),
             every.take(np.arange(count, count + NEW)))
+
+
+def test_longitudes_in_gons_are_those_of_degrees() -> None:
+    """As features made in Python may have them; files are converted as they are read."""
+    in_degrees, new = drawn_map(CONIC, 12, crs="EPSG:4275")
+    gons = pyproj.CRS("EPSG:4275").to_json_dict()
+    gons.pop("id")
+    for axis in gons["coordinate_system"]["axis"]:
+        axis["unit"] = {"type": "AngularUnit", "name": "grad",
+                        "conversion_factor": np.pi / 200.0}
+    scale = np.array([1.0 / 0.9, 1.0 / 0.9, 1.0])
+    in_gons = replace(
+        in_degrees, crs=pyproj.CRS.from_json_dict(gons).to_wkt(),
+        points=replace(in_degrees.points, ground=in_degrees.points.ground * scale))
+    results = [termsel.run(features=features) for features in (in_degrees, in_gons)]
+    notes = [next(note for note in result.notes if FITTED_IN in note) for result in results]
+    assert notes[1].split(":")[0] == notes[0].split(":")[0]
+    errors = [rms_error(results[0], new),
+              rms_error(results[1], replace(new, ground=new.ground * scale))]
+    assert errors[1] == pytest.approx(errors[0], rel=1e-3)
 
 
 def rms_error(result: termsel.Result, points: termsel.Points) -> float:

@@ -11,12 +11,13 @@ from termsel.auto.rule import Choice
 from termsel.core.errors import TermselError
 from termsel.data.coordinates.crs import (
     LOCAL,
+    axes_of_degrees,
     longitudes_and_latitudes_of,
     normalise,
     short_crs_name,
     transformation_between,
 )
-from termsel.data.coordinates.longitudes import unwrap_longitudes
+from termsel.data.coordinates.longitudes import TURN, unwrap_longitudes
 from termsel.data.coordinates.metres import (
     azimuthal_crs,
     is_in_degrees,
@@ -122,7 +123,8 @@ def _plan(features: FeatureSet) -> FloatArray:
     plan = features.points.ground[:, :2]
     if not is_in_degrees(features.crs):
         return plan
-    return np.column_stack([unwrap_longitudes(plan[:, 0]), plan[:, 1]])
+    unit, _ = axes_of_degrees(normalise(features.crs))
+    return np.column_stack([unwrap_longitudes(plan[:, 0], TURN / unit), plan[:, 1]])
 
 
 def _longitudes_and_latitudes_of(
@@ -135,7 +137,9 @@ def _longitudes_and_latitudes_of(
     if normalise(features.crs) == LOCAL:
         return None
     if is_in_degrees(features.crs):
-        return np.radians
+        # Features made in Python may count in gons, as CRSs of France do.
+        unit, _ = axes_of_degrees(normalise(features.crs))
+        return lambda plan: np.radians(plan * unit)
     if scales_at(features.crs, features.points.ground) is None:
         return None
     return longitudes_and_latitudes_of(features.crs)
