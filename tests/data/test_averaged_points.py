@@ -33,8 +33,8 @@ def file(folder: Path, rows: str = ROWS) -> Path:
 def test_all_points_at_one_place_are_named_at_once(tmp_path: Path) -> None:
     with pytest.raises(TermselError) as caught:
         termsel.read(file(tmp_path))
-    assert caught.value.what == ("points 'a' and 'b'; 'c', 'd' and 'e'; 'g' and 'h' each have "
-                                 "the same ground coordinates")
+    assert caught.value.what == ("points 'a' and 'b'; 'c', 'd' and 'e' each have the same "
+                                 "ground coordinates")
     assert caught.value.line == 4
     assert "--set repeated=average" in (caught.value.hint or "")
 
@@ -59,14 +59,27 @@ def test_very_many_are_counted(tmp_path: Path) -> None:
 
 def test_their_mean_may_be_taken(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     points = termsel.read(file(tmp_path), repeated="average").points
-    assert points.ids == ("a", "c", "f", "g")
-    np.testing.assert_allclose(points.image, [[101, 100.5], [502, 121], [130, 870], [400, 400]])
-    assert points.roles == ("control", "check", "control", "control")
+    # What is off takes no part, and stays as it is.
+    assert points.ids == ("a", "c", "f", "g", "h")
+    np.testing.assert_allclose(points.image, [[101, 100.5], [502, 121], [130, 870], [400, 400],
+                                              [401, 401]])
+    assert points.roles == ("control", "check", "control", "control", "off")
     assert points.sigma is not None
-    np.testing.assert_allclose(points.sigma[:, 0], [2**-0.5, 3**-0.5, 1, 1])
+    np.testing.assert_allclose(points.sigma[:, 0], [2**-0.5, 3**-0.5, 1, 1, 1])
     assert caplog.messages == [
         "Note: 2 points measured more than once are averaged: a, b; c, d, e. They are up to 2.24 "
         "px from their means."]
+
+
+@pytest.mark.parametrize("repeated", [None, "average"])
+@pytest.mark.parametrize("switched_off", [{"off": "b,d,e"}, {"role": "b=off,d=off,e=off"}])
+def test_points_that_are_switched_off_clash_with_none(
+        tmp_path: Path, repeated: str | None, switched_off: dict[str, str]) -> None:
+    points = termsel.read(file(tmp_path), repeated=repeated, **switched_off).points
+    assert points.ids == tuple("abcdefgh")
+    off = [name for name, role in zip(points.ids, points.roles, strict=True) if role == "off"]
+    assert off == ["b", "d", "e", "h"]
+    np.testing.assert_array_equal(points.image[0], [100, 100])
 
 
 def test_without_repeated_points_nothing_changes(tmp_path: Path) -> None:

@@ -95,7 +95,9 @@ class Points(Tabular):
                 raise TermselError(f"point {name!r} has the unknown role {role!r}",
                                    hint=f"Roles are {', '.join(ROLES)}, or blank.", ids=[name])
         # Last, as it takes ids and shapes for granted.
-        check_places(self.ground, self.ids)
+        # What takes no part contradicts nothing.
+        in_use = [role != "off" for role in self.roles]
+        check_places(self.ground[in_use], select(self.ids, in_use))
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
         roles = Counter(role or "no role" for role in self.roles)

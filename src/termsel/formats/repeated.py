@@ -47,11 +47,11 @@ def is_averaging() -> bool:
 def average_repeated(ids: Sequence[str], image: FloatArray, ground: FloatArray,
                      sigma: FloatArray | None,
                      roles: Sequence[str]) -> tuple[IntArray, FloatArray, FloatArray | None]:
-    """Return a row for each of m places on the ground, in order, with the means of its rows.
+    """Return a row for each of m places on the ground, in order, with the means of rows in use.
 
     These are the number of its first row in use, (m,), its mean image position, (m, 2), and the
-    standard deviations of that, (m, 2), None without `sigma`. Rows with the role "off" take no part
-    where others are at their place.
+    standard deviations of that, (m, 2), None without `sigma`. Rows with the role "off" take no part,
+    and stay as they are.
 
     Raises TermselError for different roles at one place: one of them would be lost.
     """
@@ -61,7 +61,10 @@ def average_repeated(ids: Sequence[str], image: FloatArray, ground: FloatArray,
     deviations = None if sigma is None else np.array(sigma)
     repeated = []
     for rows in repeated_places(ground, with_single=True):
-        used = [row for row in rows if not is_off[row]] or list(rows)
+        used = [row for row in rows if not is_off[row]]
+        first_rows += [row for row in rows if is_off[row]]
+        if not used:
+            continue
         if len({roles[row] for row in used}) > 1:
             raise TermselError(
                 f"{places_in_words(ids, [used])} and different roles, so they have no mean",

@@ -33,6 +33,11 @@ def ids_with_stated_roles() -> frozenset[str]:
     return frozenset(_stated.get())
 
 
+def ids_stated_off() -> frozenset[str]:
+    """Return the ids of the points that the command switches off."""
+    return frozenset(name for name, role in _stated.get().items() if role == "off")
+
+
 def without_off(features: FeatureSet) -> FeatureSet:
     """Return the features that are not off, by what the command states, else by the file."""
     points = features.points

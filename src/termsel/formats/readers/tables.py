@@ -77,7 +77,7 @@ from termsel.formats.readers.cells import (
 )
 from termsel.formats.readers.flags import find_flags, remarks_on_unread, truth_of
 from termsel.formats.repeated import average_repeated, is_averaging
-from termsel.formats.stated_roles import ids_with_stated_roles
+from termsel.formats.stated_roles import ids_stated_off, ids_with_stated_roles
 
 # Cells by the meaning of their columns, with the place of every bad cell.
 
@@ -186,6 +186,9 @@ class Table:
                                  f"{self.lines[first_row]}", row, "id",
                                  "Give every point a different id.")
         attributes = self.attributes
+        # Before places are compared: a point that is switched off may share that of another.
+        ids_off = ids_stated_off()
+        roles = ["off" if name in ids_off else role for name, role in zip(ids, roles, strict=True)]
         try:
             if is_averaging():
                 first_rows, image, sigma = average_repeated(ids, image, ground, sigma, roles)
