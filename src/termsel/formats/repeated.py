@@ -50,8 +50,8 @@ def average_repeated(ids: Sequence[str], image: FloatArray, ground: FloatArray,
     """Return a row for each of m places on the ground, in order, with the means of rows in use.
 
     These are the number of its first row in use, (m,), its mean image position, (m, 2), and the
-    standard deviations of that, (m, 2), None without `sigma`. Rows with the role "off" take no part,
-    and stay as they are.
+    standard deviations of that, (m, 2), None without `sigma`. Rows with the role "off" take no
+    part, and stay as they are.
 
     Raises TermselError for different roles at one place: one of them would be lost.
     """
