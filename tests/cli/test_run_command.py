@@ -158,7 +158,14 @@ BAD_FILES = {
         "line 1, column 'y': there is no column for y. The columns here are: id, line, "),
     "text in a number": (
         lambda f, t: change(f, t, 5, cells(f, 5)[2], "12.5m"),
-        "line 5, column 'line': '12.5m' is not a number. Write a plain number such as 12.5."),
+        "line 5, column 'line': '12.5m' is not a number. Write it without the unit, in this row "
+        "and all others."),
+    "a date": (
+        lambda f, t: change(f, t, 5, cells(f, 5)[2], "12.May"),
+        "'12.May' is not a number. A spreadsheet has made a date of it"),
+    "a narrow column": (
+        lambda f, t: change(f, t, 5, cells(f, 5)[2], "########"),
+        "'########' is not a number. A spreadsheet wrote # as the column was too narrow"),
     "nan": (lambda f, t: change(f, t, 7, cells(f, 7)[4], "nan"),
             "line 7, column 'x': 'nan' is not a finite number. Correct it or remove the row."),
     "two points with one id": (

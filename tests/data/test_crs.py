@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -308,3 +309,12 @@ def test_planes_of_two_datums_are_never_copied_as_numbers(monkeypatch: pytest.Mo
     plane_transformer("+proj=longlat +a=6377397 +b=6356079 +type=crs", "EPSG:4326")
     plane_transformer("IAU_2015:30100", "IAU_2015:30110")
     assert asked == [False, True, True]
+
+
+@pytest.mark.parametrize(("text", "meant"), [
+    ("Gauss-Krueger zone 3", "EPSG:31467 (DHDN / 3-degree Gauss-Kruger zone 3)"),
+    ("lambert 93", "EPSG:2154 (RGF93 v1 / Lambert-93)"),
+    ("Lambert zone II", "EPSG:27572 (NTF (Paris) / Lambert zone II)")])
+def test_a_crs_in_other_words_is_looked_up_by_them(text: str, meant: str) -> None:
+    with pytest.raises(TermselError, match=re.escape(f"Did you mean {meant}")):
+        normalise(text)

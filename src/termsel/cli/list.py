@@ -18,7 +18,7 @@ def list_(kind: str | None, as_json: bool) -> None:
     Without KIND it says how many of each there are.
 
     KIND is problems, models, solvers, criteria, objectives, methods, datasets, splits, sections,
-    measures, readers or writers.
+    measures, matchers, readers or writers.
 
     \b
     Examples:

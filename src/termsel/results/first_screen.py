@@ -411,8 +411,8 @@ def _no_outlier_clause(record: Record) -> str:
     if is_blind and test.features < NOT_FEW:
         return f"not detectable: {features} {'is' if test.features == 1 else 'are'} too few"
     if nothing_fits:
-        return (f"not detectable: no model fits these {record.data.counts.word}; several are "
-                "wrong, or no model is suitable")
+        return (f"not detectable: no model fits these {record.data.counts.word}; check the "
+                "columns, the units and the CRS")
     if is_blind or test.limit is None:
         return f"not detectable by this model among {features}"
     if test.limit > _BLUNT * test.extent:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import os
 import re
+import unicodedata
 from collections.abc import Callable
 from contextlib import closing
 from functools import lru_cache
@@ -177,7 +178,45 @@ def _question_on_meaning(text: str) -> str:
                 "(south of the equator)? ")
     if _DEGREES.search(text):
         return "Did you mean EPSG:4326 (WGS84 longitude and latitude)? "
-    return ""
+    listed = _listed_by_words(text)
+    return f"Did you mean {' or '.join(listed)}? " if listed else ""
+
+
+_MOST_LISTED = 3
+"""CRS that a message names."""
+
+
+def _listed_by_words(text: str) -> list[str]:
+    """Return up to three projected CRS of EPSG, with codes, whose names have all words of a text.
+    """
+    try:
+        from pyproj.database import query_crs_info
+        from pyproj.enums import PJType
+    except ImportError:
+        return []
+    words = _words_of_name(text)
+    if not any(len(word) > _LEAST_LETTERS for word in words):
+        return []
+    # The zone is the last number: that of "3-degree Gauss-Kruger zone 9" is 9.
+    zone = re.findall(r"\d+", text)[-1:]
+    found = [crs for crs in query_crs_info("EPSG", PJType.PROJECTED_CRS)
+             if words <= _words_of_name(crs.name)
+             and (not zone or zone == re.findall(r"\d+", crs.name)[-1:])]
+    # The shortest names are those of the least special ones.
+    found.sort(key=lambda crs: (len(crs.name), int(crs.code)))
+    return [f"EPSG:{crs.code} ({crs.name})" for crs in found[:_MOST_LISTED]]
+
+
+_LEAST_LETTERS = 3
+"""Letters of a word beyond which it may name a CRS."""
+
+
+def _words_of_name(name: str) -> set[str]:
+    """Return the words of the name of a CRS in small letters, umlauts and accents as base letters.
+    """
+    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode().lower()
+    # Krüger is written Krueger, too.
+    return set(re.findall(r"[a-z]+|\d+", plain.replace("ue", "u").replace("oe", "o")))
 
 
 @lru_cache  # PROJ takes milliseconds, and each step of a run asks

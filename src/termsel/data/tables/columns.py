@@ -373,8 +373,7 @@ def _number_of_cell(row: int, cell: str, sign: str, may_be_blank: bool, angle: s
     except ValueError:
         if angle and (degrees := _parse_degrees(row, text, angle)) is not None:
             return degrees
-        raise BadCell(row, f"{text!r} is not a number", "Write a plain number such as 12.5."
-                      ) from None
+        raise BadCell(row, f"{text!r} is not a number", _remedy_for_text(text)) from None
     if not math.isfinite(value):
         raise BadCell(row, f"{text!r} is not a finite number",
                       "Leave the cell blank if the value is unknown." if may_be_blank
@@ -382,6 +381,28 @@ def _number_of_cell(row: int, cell: str, sign: str, may_be_blank: bool, angle: s
     if "_" in text:
         raise BadCell(row, f"{text!r} is not a plain number", "Write it without underscores.")
     return value
+
+
+_DATE = re.compile(r"\d{1,2}[. -]?(jan|feb|m[aä]r|apr|ma[iy]|jun|jul|aug|sep|o[ck]t|nov|de[cz])"
+                   r"|(jan|feb|m[aä]r|apr|ma[iy]|jun|jul|aug|sep|o[ck]t|nov|de[cz])[a-z]*[. -]?\d"
+                   r"|\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}$", re.IGNORECASE)
+"""What a spreadsheet makes of 12.5 where it takes it for a date."""
+
+_WITH_UNIT = re.compile(r"[-+]?[\d.,]+\s*(m|cm|mm|km|ft|px|deg|°)", re.IGNORECASE)
+"""A number with its unit in the cell."""
+
+
+def _remedy_for_text(text: str) -> str:
+    """Return what to do about a cell that is no number, by what has probably made it so."""
+    if text and not text.strip("#"):
+        return ("A spreadsheet wrote # as the column was too narrow: widen it, and save the table "
+                "again.")
+    if _DATE.match(text):
+        return ("A spreadsheet has made a date of it: format the column as numbers or text before "
+                "the values are entered or imported, and save the table again.")
+    if _WITH_UNIT.fullmatch(text):
+        return "Write it without the unit, in this row and all others."
+    return "Write a plain number such as 12.5."
 
 
 def _parse_degrees(row: int, text: str, angle: str) -> float | None:

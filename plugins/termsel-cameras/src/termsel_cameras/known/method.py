@@ -321,12 +321,24 @@ def _refuse_contradicted(fitted: Fit, interior: Interior) -> None:
     if abs(deviation) <= limit or _median_error(stated) < CLEARLY_BETTER * _median_error(free):
         return
     scale = fitted.scaling.image_scale
+    in_mm = ""
+    # A number so far below the one in px is the focal length of the camera in mm.
+    if interior.focal < _MOST_MM and free.camera.focal[0] * scale > _LEAST_RATIO * interior.focal:
+        in_mm = f"; if {interior.focal:g} are mm: --set camera_focal={interior.focal:g}mm"
     raise Undetermined(
-        f"the points show {free.camera.focal[0] * scale:,.0f} px, not {interior.focal:,.0f} px",
+        f"the points show {free.camera.focal[0] * scale:,.0f} px, not {interior.focal:,.0f} px"
+        f"{in_mm}",
         hint=f"Their focal length has a standard deviation of {100 * spread:.2g} %; the median "
              f"error in leave-one-out is {_median_error(free) * scale:.2g} px with it, and "
              f"{_median_error(stated) * scale:.2g} px with the stated one. Check the focal "
              "length and the size of a pixel.")
+
+
+_MOST_MM = 1000.0
+"""Focal length up to which a number may be in mm."""
+
+_LEAST_RATIO = 5.0
+"""Least number of pixels in a mm of film or sensor."""
 
 
 def _free_camera(stated: Pinhole) -> Pinhole | None:
