@@ -190,6 +190,11 @@ def test_minutes_in_one_number_with_degrees_are_no_metres(factor: int, form: str
     ("pont;sor;oszlop;szélesség;hosszúság;magasság", "utf-8"),
     ("punkt;rad;kolumn;latitud;longitud;höjd", "utf-8"),
     ("σημείο;γραμμή;στήλη;γεωγραφικό πλάτος;γεωγραφικό μήκος;υψόμετρο", "utf-8"),
+    ("точка;ряд;колонка;север;восток;высота", "cp1251"),
+    ("Точка;Y пикс;X пикс;Северная (м);Восточная (м);Высота", "utf-8"),
+    ("点号;行;列;北;东;高程", "gb18030"), ("点号;行;列;北向;东向;高程", "utf-8"),
+    ("punto;renglón;columna;Y terreno;X terreno;cota", "utf-8"),
+    ("punto;Y imagen;X imagen;Norte;Este;cota", "cp1252"), ("punto;fil;col;Norte;Este;h", "utf-8"),
     ("nazwa;wiersz;kolumna;szerokość;długość;wysokość", "cp1250")])
 def test_names_are_known_in_many_languages(header: str, encoding: str, tmp_path: Path) -> None:
     ids = [f"K{i}" for i in range(N)]
@@ -198,6 +203,28 @@ def test_names_are_known_in_many_languages(header: str, encoding: str, tmp_path:
     assert points.ids == tuple(ids)
     np.testing.assert_array_equal(points.image, np.column_stack([LINE, SAMPLE]))
     np.testing.assert_array_equal(points.ground, np.column_stack([LON, LAT, Z]))
+
+
+def test_a_guess_keeps_to_the_names_that_are_known(tmp_path: Path) -> None:
+    path = write(tmp_path, "Север;Восток;coord1;coord2", NORTH, EAST, SAMPLE, LINE)
+    with pytest.raises(TermselError) as caught:
+        termsel.read(path, crs=METRES)
+    assert caught.value.guesses
+    assert all("x=Восток,y=Север" in guess for guess in caught.value.guesses)
+
+
+@pytest.mark.parametrize("header", ["B;A;px1;px2", "px1;px2;B;A"])
+def test_a_guess_beyond_the_area_of_the_crs_is_left_out(header: str, tmp_path: Path) -> None:
+    ground, image = (NORTH, EAST), (LINE, SAMPLE)
+    path = write(tmp_path, header, *(ground + image if header.startswith("B") else image + ground))
+    with pytest.raises(TermselError) as caught:
+        termsel.read(path, crs="EPSG:25833")
+    assert caught.value.guesses
+    assert all("x=A,y=B" in guess for guess in caught.value.guesses)
+    # Where no guess lies in the area, the CRS may be another one.
+    with pytest.raises(TermselError) as caught:
+        termsel.read(path, crs="EPSG:31983")
+    assert caught.value.guesses
 
 
 def test_a_mirrored_plane_without_a_crs_is_said(tmp_path: Path,

@@ -618,7 +618,7 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
             else:
                 turned = read_with
             error = keep_readable_guesses(error, partial(
-                _can_be_read, turned, crs, options or {}))
+                _fitness_of_columns, turned, crs, options or {}))
         columns = error.options.get("--columns", "?")
         # A message proposes all that is still missing. Where the same columns were given already,
         # or some are not known, nothing else would be asked next.
@@ -642,9 +642,9 @@ def _options_asked_next(read_with: Callable[..., FeatureSet],
     return {}
 
 
-def _can_be_read(read_with: Callable[..., FeatureSet], crs: str | None,
-                 options: Mapping[str, Any], columns: str) -> bool:
-    """Return whether files can be read with these columns.
+def _fitness_of_columns(read_with: Callable[..., FeatureSet], crs: str | None,
+                        options: Mapping[str, Any], columns: str) -> int:
+    """Return 0 if files cannot be read with these columns, 1 if they can, 2 also within their CRS.
 
     Where no CRS is stated, they may also be read as plane coordinates without one: it is the
     columns that are tried, and the CRS is asked for next.
@@ -652,11 +652,12 @@ def _can_be_read(read_with: Callable[..., FeatureSet], crs: str | None,
     for stated in (crs,) if crs is not None else (None, LOCAL):
         try:
             with _silence_log():
-                read_with(crs=stated, options={**options, "columns": columns})
+                features = read_with(crs=stated, options={**options, "columns": columns})
         except TermselError:
             continue
-        return True
-    return False
+        # What lies beyond the area of the stated CRS is hardly what its columns are meant for.
+        return 1 if note_on_wrong_coordinates(without_off(features)) else 2
+    return 0
 
 
 @contextmanager

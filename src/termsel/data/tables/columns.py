@@ -57,26 +57,28 @@ _FURTHER = {meaning: frozenset(names.split()) for meaning, names in {
           "точка точки номер номерточки назва σημείο 点番号 점 점번호 点 点号 点名 编号 序号 "
           "名称 id号",
     "line": "lin lines rows pxy ypix ypixel pixely py imgy imagey yimg yimage lineno zeile "
-            "imy imrow imgrow imagerow bildzeile bildy "
-            "ligne rangee fila linea riga linha wiersz rij regel "
+            "yimagen yimagem imy imrow imgrow imagerow bildzeile bildy "
+            "ligne rangee fila fil renglon linea riga linha wiersz rij regel "
             "riadok radek sor satır rivi rad rekke række rând redak vrstica "
-            "строка ряд рядок γραμμή 행 行 行号 行数 行坐标",
+            "строка yпикс ряд рядок γραμμή 행 行 行号 行数 行坐标",
     "sample": "samples samp cols columns xpix xpixel pixelx pix px imgx imagex ximg ximage spalte "
-              "imx imcol imgcol imagecol bildspalte bildx "
+              "ximagen ximagem imx imcol imgcol imagecol bildspalte bildx "
               "colonne columna muestra colonna campione coluna kolumna kolom "
               "pxx sloupec stlpec oszlop sütun sarake kolumn kolonne coloană stupac stolpec "
-              "столбец колонка стовпець στήλη 열 列 列号 列数 列坐标",
+              "столбец xпикс колонка стовпець στήλη 열 列 列号 列数 列坐标",
     "x": "e east lng long easting pointx geox xmap utme utmx utmeast utmeasting "
          "lange laenge langengrad laengengrad rechtswert ostwert "
          "ost longitud longitudine este est leste xl93 dlugosc wschod lengte "
          "lengtegraad oost delka zemepisnadelka dlzka zemepisnadlzka hosszúság boylam itä "
          "longitud öst øst lengdegrad længdegrad longitudine долгота довгота γεωγραφικόμήκος "
-         "経度 경도 经度 东经 东坐标",
+         "восток восточная xместности xterreno "
+         "経度 경도 经度 东经 东坐标 东 东向",
     "y": "n north nord norte northing pointy lati geoy ymap utmn utmy utmnorth utmnorthing "
          "breite breitengrad hochwert nordwert latitud "
          "latitudine yl93 szerokosc polnoc breedte breedtegraad noord "
          "sirka zemepisnasirka szélesség enlem pohjoinen norr nord breddegrad широта "
-         "γεωγραφικόπλάτος 緯度 위도 纬度 北纬 北坐标",
+         "γεωγραφικόπλάτος север северная yместности yterreno "
+         "緯度 위도 纬度 北纬 北坐标 北 北向",
     "z": "geoz hohe hoehe hoheunn hoheunhn hauteur altura altitud altitudine altezza cota quota "
          "elevazione elevacion elevacao wysokosc hoogte pointz ellipsoidalheight ellheight "
          "vyska magasság yükseklik korkeus höjd høyde højde visina высота висота υψόμετρο "
@@ -86,7 +88,7 @@ CHINESE = tuple(sorted(
     if any("\u4e00" <= letter <= "\u9fff" for letter in name)))
 """Names that only one encoding of Chinese text gives."""
 
-RUSSIAN = ("широта", "долгота", "строка", "столбец", "высота")
+RUSSIAN = ("широта", "долгота", "север", "восток", "строка", "столбец", "высота")
 """Names that only one encoding of Russian text gives."""
 
 CENTRAL_EUROPEAN = ("wysokość", "długość", "szerokość", "północ")

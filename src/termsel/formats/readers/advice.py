@@ -210,14 +210,14 @@ def _are_two_images(numbers: Mapping[int, FloatArray], reading: Mapping[str, int
 
 
 def keep_readable_guesses(error: TermselError,
-                          can_be_read: Callable[[str], bool]) -> TermselError:
-    """Return an error with the first of its guesses by which the file can be read.
+                          fitness: Callable[[str], int]) -> TermselError:
+    """Return an error with the first of its guesses by which the file can be read best.
 
-    Where it can be read by none, the first guesses stay, as something else may be wrong.
-    `can_be_read` takes a text of --columns.
+    Where it can be read by none, the first guesses stay, as something else may be wrong. `fitness`
+    takes a text of --columns, and is larger the better the file can be read so.
     """
-    every_guess = range(len(error.guesses))
-    readable = [i for i in every_guess if can_be_read(error.guesses[i])] or list(every_guess)
+    values = [fitness(guess) for guess in error.guesses]
+    readable = [i for i, value in enumerate(values) if value == max(values)]
     # More than these nobody compares; all columns are declared by hand.
     readable = readable[:MOST_GUESSES]
     if 0 < len(readable) < len(error.guesses):
