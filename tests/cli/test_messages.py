@@ -321,36 +321,47 @@ def texts_of(call: ast.Call) -> Iterator[str]:
             yield node.value
 
 
-def messages() -> Iterator[tuple[str, str]]:
-    """Yield where a message is made, and a piece of its text."""
+Calls = list[tuple[str, str, ast.Call]]
+
+
+@pytest.fixture(scope="module")
+def calls() -> Calls:
+    """Every call that makes a message: where it is, the name of what is called, and the call."""
+    found = []
     for path in [*ROOT.glob("src/**/*.py"), *ROOT.glob("plugins/*/src/**/*.py")]:
-        text = path.read_text(encoding="utf-8")
-        for node in ast.walk(ast.parse(text)):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if not isinstance(node, ast.Call):
                 continue
             function = node.func
             name = function.attr if isinstance(function, ast.Attribute) else \
                 function.id if isinstance(function, ast.Name) else ""
             if name in ("TermselError", "Undetermined", "BadCell", "warning", "info", "echo"):
-                for piece in texts_of(node):
-                    yield f"{path.relative_to(ROOT)}:{node.lineno}", piece
+                found.append((f"{path.relative_to(ROOT)}:{node.lineno}", name, node))
+    return found
 
 
-def test_options_that_messages_name_are_options_of_some_command() -> None:
+def pieces_of(calls: Calls) -> Iterator[tuple[str, str]]:
+    """Yield where each message is made, and a piece of its text."""
+    for place, _, call in calls:
+        for piece in texts_of(call):
+            yield place, piece
+
+
+def test_options_that_messages_name_are_options_of_some_command(calls: Calls) -> None:
     known = OF_OTHER_PROGRAMS.union(
         name for _, command in commands() for option in command.params
         if isinstance(option, click.Option) for name in (*option.opts, *option.secondary_opts))
     known |= {"--help"}  # every command has it
-    named = [(place, option) for place, piece in messages()
+    named = [(place, option) for place, piece in pieces_of(calls)
              for option in re.findall(r"(?<![\w-])--[a-z][a-z-]*[a-z]", piece)]
     assert len(named) > 200
     assert [found for found in named if found[1] not in known] == []
 
 
-def test_commands_that_messages_name_are_commands() -> None:
+def test_commands_that_messages_name_are_commands(calls: Calls) -> None:
     parent = click.Context(cli, info_name="termsel")
     known = {*cli.list_commands(parent), *registry().names("commands")}
-    named = [(place, word) for place, piece in messages()
+    named = [(place, word) for place, piece in pieces_of(calls)
              for word in re.findall(r"(?:[`:] ?|[Rr]un:? )termsel ([a-z][a-z-]+)", piece)]
     assert len(named) > 20
     assert [found for found in named if found[1] not in known] == []
@@ -368,20 +379,12 @@ def test_the_next_command_of_every_first_screen_is_one_that_can_be_typed() -> No
         command.make_context(name, words, parent=parent)
 
 
-def test_what_is_wrong_with_a_file_comes_with_a_remedy() -> None:
+def test_what_is_wrong_with_a_file_comes_with_a_remedy(calls: Calls) -> None:
     """Every error that names a file says what to do."""
-    without = []
-    for path in [*ROOT.glob("src/**/*.py"), *ROOT.glob("plugins/*/src/**/*.py")]:
-        text = path.read_text(encoding="utf-8")
-        if "TermselError(" not in text:
-            continue
-        for node in ast.walk(ast.parse(text)):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) \
-                    and node.func.id == "TermselError":
-                names = {keyword.arg for keyword in node.keywords}
-                if "file" in names and "hint" not in names:
-                    without.append(f"{path.relative_to(ROOT)}:{node.lineno}")
-    assert not without
+    errors = [(place, {keyword.arg for keyword in call.keywords})
+              for place, name, call in calls if name == "TermselError"]
+    assert len(errors) > 500
+    assert [place for place, names in errors if "file" in names and "hint" not in names] == []
 
 
 def test_every_command_that_writes_a_file_replaces_none_unless_asked() -> None:
