@@ -155,7 +155,7 @@ def test_a_file_in_another_case_is_known_where_the_disk_ignores_it(
 
 WRITTEN = {
     "export": "export r --to points-csv -o mine",
-    "second file of an export": "export r --to geolocation-vrt -o mine.vrt",
+    "second file of an export": "export r --to geolocation-vrt --set step=500 -o mine.vrt",
     "rectify": "rectify r s.tif --height 500 -o mine",
     "project": "project r --points t.csv -o mine",
 }
