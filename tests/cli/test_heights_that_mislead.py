@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from importlib.util import find_spec
 from itertools import pairwise
@@ -13,7 +14,6 @@ import pytest
 
 import termsel
 from termsel.fitting.accuracy import pixel_on_ground
-from termsel.toolkit.files import write_example
 
 needs_rpc = pytest.mark.skipif(find_spec("termsel_rpc") is None, reason="corrects the RPC")
 
@@ -21,10 +21,8 @@ Call = Callable[..., SimpleNamespace]
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("heights") / "files"
-    write_example(folder)
-    return folder
+def files(example_files: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return Path(shutil.copytree(example_files, tmp_path_factory.mktemp("heights") / "files"))
 
 
 def _points(files: Path, name: str, every: int, change: Callable[[list[str]], list[str]]) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,18 +11,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from termsel.toolkit.files import write_example
-
 rasterio = pytest.importorskip("rasterio")
 Call = Callable[..., SimpleNamespace]
 Rows = list[list[str]]
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("example") / "files"
-    write_example(folder)
-    return folder
+def files(example_files: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return Path(shutil.copytree(example_files, tmp_path_factory.mktemp("example") / "files"))
 
 
 def changed(files: Path, path: Path, columns: dict[str, Callable[[float], float]],

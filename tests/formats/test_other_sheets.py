@@ -12,17 +12,14 @@ from types import SimpleNamespace
 import pytest
 
 from termsel.data import image_files
-from termsel.toolkit.files import write_example
 
 pytest.importorskip("rasterio")
 Call = Callable[..., SimpleNamespace]
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("example") / "files"
-    write_example(folder)
-    return folder
+def files(example_files: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return Path(shutil.copytree(example_files, tmp_path_factory.mktemp("example") / "files"))
 
 
 @pytest.mark.parametrize(("image", "is_doubted"), [

@@ -50,19 +50,17 @@ def test_data_sets_that_are_kept_are_those_that_are_simulated(name: str) -> None
         computed.crs, computed.image_size, computed.noise, computed.rpc)
 
 
-def test_the_example_has_the_same_bytes_on_another_processor(tmp_path: Path) -> None:
+def test_the_example_has_the_same_bytes_on_another_processor(
+        tmp_path: Path, example_files: Path) -> None:
     pytest.importorskip("rasterio")
-    from termsel.io.example import write_example
-
-    write_example(tmp_path / "here")
     _on_another("import sys; from pathlib import Path\n"
                 "from termsel.io.example import write_example\n"
                 f"write_example(Path({str(tmp_path / 'there')!r}))")
-    names = sorted(path.relative_to(tmp_path / "here") for path in (tmp_path / "here").rglob("*.*"))
+    there = tmp_path / "there"
+    names = sorted(path.relative_to(there) for path in there.rglob("*.*"))
     assert len(names) > 20
     for name in names:
-        assert (tmp_path / "here" / name).read_bytes() == (
-            tmp_path / "there" / name).read_bytes(), name
+        assert (example_files / name).read_bytes() == (there / name).read_bytes(), name
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +19,6 @@ import termsel
 from termsel.cli import plot
 from termsel.cli.main import cli
 from termsel.data.record.figures import as_plain_data
-from termsel.io.example import write_example
 from termsel.results import library
 from termsel.results.charts import maps
 from termsel.results.plots import KINDS
@@ -361,8 +361,8 @@ def test_the_command_repeats_the_run(call: Call, request: pytest.FixtureRequest,
 
 @pytest.mark.slow
 def test_the_command_repeats_a_run_with_an_rpc_and_an_image(
-        monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    write_example(tmp_path / "files")
+        monkeypatch: pytest.MonkeyPatch, tmp_path: Path, example_files: Path) -> None:
+    shutil.copytree(example_files, tmp_path / "files")
     monkeypatch.chdir(tmp_path / "files")
     features = termsel.read("gcps.csv", rpc="vendor.RPB", image="scene.tif")
     first = termsel.run(features=features, problem="rpc-gcps", evaluations=50, out="r")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,6 @@ import termsel
 from termsel.auto.blunders import find_blunders
 from termsel.data.features import FeatureSet, Points
 from termsel.data.fit_data import FitData
-from termsel.io.example import write_example
 
 
 def photograph(count: int, wrong: int = 0, noise: float = 0.5, roles: tuple[str, ...] = (),
@@ -110,11 +111,9 @@ def test_points_without_errors_fit_exactly() -> None:
 
 @pytest.mark.slow
 def test_the_limit_of_points_that_bend_is_one_of_errors_that_are_found(
-        tmp_path_factory: pytest.TempPathFactory) -> None:
+        example_files: Path) -> None:
     # Relief looks like local deformation: a field predicts little without each point.
-    folder = tmp_path_factory.mktemp("example") / "files"
-    write_example(folder)
-    points = termsel.read(folder / "scene.points").points
+    points = termsel.read(example_files / "scene.points").points
     features = FeatureSet(points.take(np.arange(60) < 30), crs="EPSG:32639")
     suspects = find_blunders(FitData.of(features, False))
     assert suspects is not None

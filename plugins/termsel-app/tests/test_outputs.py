@@ -26,12 +26,9 @@ TIMES = frozenset(("seconds", "checksums"))
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def scene(example_files: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The files of the tutorial, with twelve of its points."""
-    from termsel.toolkit.files import write_example
-
-    folder = tmp_path_factory.mktemp("scene") / "files"
-    write_example(folder)
+    folder = Path(shutil.copytree(example_files, tmp_path_factory.mktemp("scene") / "files"))
     features = termsel.read(folder / "gcps.csv", dem=folder / "dem.tif")
     chosen = np.random.default_rng(1).choice(len(features.points), 12, replace=False)
     termsel.write_points_csv(features.points.take(chosen), folder / "twelve.csv", features.crs)

@@ -238,12 +238,10 @@ def ended() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def example(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def example(example_files: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the files of the tutorial."""
-    from termsel.toolkit.files import write_example
-
     folder = tmp_path_factory.mktemp("example")
-    write_example(folder / "files")
+    shutil.copytree(example_files, folder / "files")
     return folder
 
 
