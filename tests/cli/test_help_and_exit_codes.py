@@ -123,7 +123,7 @@ def test_a_choice_for_few_points_imports_no_part_of_scipy_and_no_proofs():
                          "termsel.selection.best_subsets.subsets", "termsel.runs.steps"}
 
 
-def test_few_points_are_fitted_and_planned_without_scipy_and_what_opens_addresses(tmp_path):
+def test_few_points_are_fitted_planned_and_exported_without_scipy_and_urllib(tmp_path):
     """Systems with more terms than equations are among the models, and a grid has heights."""
     points = termsel.simulate_scene("ikonos-hamedan", roles=(24, 0, 0), n_lines=0).points
     termsel.write_points_csv(points, tmp_path / "points.csv", "EPSG:4979")
@@ -131,7 +131,11 @@ def test_few_points_are_fitted_and_planned_without_scipy_and_what_opens_addresse
     _, loaded = imported("run", "--points", str(tmp_path / "points.csv"), "--out", result)
     text, loaded_by_plan = imported("plan", result)
     assert "uncertainty_px" in text
-    for modules in (loaded, loaded_by_plan):
+    # For its options each format of each package is looked at.
+    _, loaded_by_export = imported("export", result, "--to", "points-csv",
+                                   "-o", str(tmp_path / "exported.csv"))
+    assert (tmp_path / "exported.csv").exists()
+    for modules in (loaded, loaded_by_plan, loaded_by_export):
         assert not modules & {"scipy.linalg", "scipy.sparse", "scipy.spatial", "urllib.request"}
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from termsel import Fit, Result
 from termsel.toolkit import FloatArray
@@ -124,6 +123,8 @@ def geometry_of(outline: FloatArray) -> dict[str, Any]:
 
 def _hull_of_valid_ground(fitted: Fit, height: float) -> FloatArray:
     """Return the hull (n, 3) of the ground on which a model is valid, at a height [m]."""
+    from scipy.spatial import ConvexHull  # takes long to import
+
     ground = ground_where_held(fitted, image_places(fitted), height)
     # Places beyond the horizon have no ground; the hull goes around the others.
     ground = ground[np.isfinite(ground).all(axis=1)]

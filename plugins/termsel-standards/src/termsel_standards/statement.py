@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from math import ceil, floor, hypot, log10
 
 import numpy as np
-from scipy import stats
 
 from termsel.toolkit import FloatArray, count_in_words
 from termsel.toolkit.files import Prediction
@@ -300,7 +299,9 @@ def _component_figures(name: str, errors: FloatArray) -> Component:
     # Shapiro and Wilk's test divides by the scatter, which equal errors have none of.
     normal = None
     if n >= _FEWEST and np.ptp(errors) > 0:
-        normal = float(stats.shapiro(errors).pvalue)
+        from scipy.stats import shapiro  # takes long to import
+
+        normal = float(shapiro(errors).pvalue)
     return Component(
         name, mean=float(errors.mean()), deviation=float(errors.std(ddof=1)) if n > 1 else None,
         rmse=float(np.sqrt((errors**2).mean())), percentile95=float(np.quantile(size, 0.95)),
@@ -416,6 +417,8 @@ def _limiting_notes(ground_errors: GroundErrors, total: float, survey: float | N
 
     [] if nothing does.
     """
+    from scipy.stats import t as student  # takes long to import
+
     notes = []
     # With fewer the statement says it.
     if ASPRS_POINTS <= len(ground_errors.ids) < distribution.required:
@@ -440,7 +443,7 @@ def _limiting_notes(ground_errors: GroundErrors, total: float, survey: float | N
     for component in components:
         # By Student's distribution: of few points means are far off by chance, and errors that
         # neighbours share look like a shift.
-        bound = stats.t.ppf(1.0 - SHIFT_CHANCE / 2, n - 1) / n**0.5 if n >= SHIFT_POINTS else np.inf
+        bound = student.ppf(1.0 - SHIFT_CHANCE / 2, n - 1) / n**0.5 if n >= SHIFT_POINTS else np.inf
         if component.deviation and abs(component.mean) > bound * component.deviation:
             notes.append(f"The mean error {component.name} is significant (Student's t of {n} "
                          f"check points, p < {SHIFT_CHANCE}): look for a shift.")

@@ -9,9 +9,8 @@ import cv2
 import numpy as np
 
 from termsel import FeatureSet, Points, TermselError
-from termsel_match.images.rasters import FloatArray, Grey, GreyRaster, open_picture
+from termsel_match.images.rasters import FloatArray, Grey, GreyRaster, crs_of, open_picture
 from termsel_match.images.starts import Start, start_by_points
-from termsel_match.images.warps import crs_of
 from termsel_match.matchers.sift import describe_keypoints, mutual_nearest
 
 log = logging.getLogger("termsel.match")

@@ -211,6 +211,23 @@ def open_picture(path: Path | str, band: int | None = None) -> Iterator[GreyRast
         yield GreyRaster(Path(path), raster, visible if band is None else (band,))
 
 
+def crs_of(picture: GreyRaster) -> str:
+    """Return the CRS of a georeferenced picture, as "EPSG:n" where it has a code, else as WKT.
+
+    Raises
+    ------
+    TermselError
+        If it has none, or no geotransform.
+    """
+    raster = picture.raster
+    if raster.crs is None or raster.transform.is_identity:
+        lacks = "CRS" if raster.crs is None else "geotransform"
+        raise TermselError(f"the reference has no {lacks}", file=picture.path,
+                           hint="Give an image on a map, such as an orthophoto as GeoTIFF.")
+    code = raster.crs.to_epsg()
+    return str(raster.crs.to_wkt()) if code is None else f"EPSG:{code}"
+
+
 def stretch_to_bytes(pixels: Grey, is_known: Mask) -> NDArray[np.uint8] | None:
     """Return pixels as bytes from dark to bright, 0 where they are not known.
 

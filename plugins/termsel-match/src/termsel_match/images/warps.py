@@ -21,6 +21,7 @@ from termsel_match.images.rasters import (
     Grey,
     GreyRaster,
     Mask,
+    crs_of,
     open_picture,
     spread_pixels,
 )
@@ -341,23 +342,6 @@ def references_of(named: Path | str) -> list[Path]:
         raise TermselError("this folder has no image", file=path,
                            hint=f"Give one with georeferenced images ({', '.join(_RASTERS)}).")
     return files
-
-
-def crs_of(picture: GreyRaster) -> str:
-    """Return the CRS of a georeferenced picture, as "EPSG:n" where it has a code, else as WKT.
-
-    Raises
-    ------
-    TermselError
-        If it has none, or no geotransform.
-    """
-    raster = picture.raster
-    if raster.crs is None or raster.transform.is_identity:
-        lacks = "CRS" if raster.crs is None else "geotransform"
-        raise TermselError(f"the reference has no {lacks}", file=picture.path,
-                           hint="Give an image on a map, such as an orthophoto as GeoTIFF.")
-    code = raster.crs.to_epsg()
-    return str(raster.crs.to_wkt()) if code is None else f"EPSG:{code}"
 
 
 def _require_overlap(reference: Reference, size: tuple[int, int], dem: Path | str | None) -> None:

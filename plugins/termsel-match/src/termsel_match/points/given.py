@@ -11,9 +11,9 @@ import numpy as np
 from termsel import Points, TermselError, open_raster, read
 from termsel.toolkit import require_regular
 from termsel_match.asp import AspMatches
-from termsel_match.images.rasters import open_picture
+from termsel_match.images.rasters import crs_of, open_picture
 from termsel_match.images.starts import start_of
-from termsel_match.images.warps import crs_of, references_of
+from termsel_match.images.warps import references_of
 from termsel_match.points.candidates import LEAST_CANDIDATES, Candidates
 from termsel_match.points.readers import MatchesCsv
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, TermselError
 from termsel.toolkit import BoolArray, read_data
-from termsel_match.images.rasters import FloatArray, open_picture
-from termsel_match.images.warps import crs_of
+from termsel_match.images.rasters import FloatArray, crs_of, open_picture
 
 log = logging.getLogger("termsel.match")
 
