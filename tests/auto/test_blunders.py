@@ -365,6 +365,7 @@ def test_blunders_on_a_map_of_the_world_are_still_found() -> None:
     assert sum(found) >= 18
 
 
+@pytest.mark.slow_cases("ikonos-hamedan-33-False", "spot-isfahan-12-True")
 @pytest.mark.parametrize("two", [False, True])
 @pytest.mark.parametrize(("name", "count"), [("ikonos-hamedan", 33), ("spot-isfahan", 12)])
 def test_a_degree_that_is_wrong_is_a_blunder_though_polynomials_could_bend_to_it(

@@ -35,6 +35,7 @@ def _points(files: Path, name: str, every: int, change: Callable[[list[str]], li
 
 
 @needs_rpc
+@pytest.mark.slow_cases("10--500.0", "10-11000.0")
 @pytest.mark.parametrize("height", [0.0, -500.0, 11000.0])
 @pytest.mark.parametrize("every", [10, 40])
 def test_heights_far_outside_those_of_the_rpc_are_named(

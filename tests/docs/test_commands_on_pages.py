@@ -59,7 +59,8 @@ def _plugin() -> str:
 
 @pytest.mark.slow_cases(
     "README.md", "docs/explanation/certificates.md", "docs/explanation/lines.md",
-    "docs/explanation/searching.md", "docs/how-to/attributes.md", "docs/how-to/block.md",
+    "docs/explanation/searching.md", "docs/how-to/answers.md", "docs/how-to/attributes.md",
+    "docs/how-to/block.md", "docs/how-to/checkpoint.md",
     "docs/how-to/blunders.md", "docs/how-to/compare.md", "docs/how-to/coordinates.md",
     "docs/how-to/deap-and-pymoo.md", "docs/how-to/export.md", "docs/how-to/gallery/blunders.md",
     "docs/how-to/gallery/clean.md", "docs/how-to/gallery/contradiction.md",

@@ -63,6 +63,7 @@ def errors_by_sigma(shift: Shift, model: str, count: int) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
+@pytest.mark.slow_cases("bent_film-60", "shaken_in_time-30", "still-60")
 @pytest.mark.parametrize("count", [30, 60])
 @pytest.mark.parametrize("shift", [shaken_in_time, bent_film, still])
 def test_errors_of_a_field_with_heights_are_stated_for_cameras_of_all_kinds(

@@ -121,6 +121,7 @@ def test_check_points_beside_control_are_cautioned_of(seed: int, count: int) -> 
     assert "close beside control" in accuracy_tags(result)["ACCURACY_CAUTION"]
 
 
+@pytest.mark.slow_cases("4-3", "5-3", "6-5")
 @pytest.mark.parametrize(("seed", "count"), [(1, 3), (2, 8), (3, 20), (4, 3), (5, 3), (6, 5)])
 def test_check_points_anywhere_have_no_such_caution(seed: int, count: int) -> None:
     assert not any("beside" in note for note in checked("anywhere", seed, count).notes)

@@ -224,7 +224,7 @@ def test_a_point_is_enough_for_the_bias_of_a_pair() -> None:
 
 
 def test_images_without_geometry_are_held_by_control_and_ties() -> None:
-    simulated = simulate_block(3, control=(6, 6, 0), seed=2, independent=40)
+    simulated = simulate_block(3, n_ties=100, control=(6, 6, 0), seed=2, independent=40)
     result = adjust(simulated.block)
     assert record_of(result).images[2].model == "polynomial"
     assert errors(result, 2) < 12
@@ -377,7 +377,7 @@ def test_good_control_stays_and_its_precision_is_true() -> None:
     """
     left_out, ratios = 0, []
     for seed in range(2):
-        block = simulate_block(3, n_ties=120, control=(20, 20, 0), noise=0.4, seed=400 + seed,
+        block = simulate_block(3, n_ties=60, control=(20, 20, 0), noise=0.4, seed=400 + seed,
                                independent=4).block
         state = adjust(block).adjusted.state
         left_out += sum(int((~used).sum()) for used in state.control_in_use)

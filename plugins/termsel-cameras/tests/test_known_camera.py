@@ -280,6 +280,7 @@ def test_the_exif_of_an_image_says_the_camera(tmp_path: Path) -> None:
     assert stated.focal == 3500.0
 
 
+@pytest.mark.slow_cases("88.0")
 @pytest.mark.parametrize("down", [88.0, 35.0])
 def test_blunders_are_judged_by_the_camera(down: float) -> None:
     """A cubic polynomial follows an oblique view of hills too badly to tell a blunder."""
