@@ -40,6 +40,10 @@ PLUGIN = """
                 raise KeyboardInterrupt
             if how == 'seven':
                 return 7
+            if how in ('disk', 'stdout'):
+                import errno
+                file = ('map.tif',) if how == 'disk' else ()
+                raise OSError(errno.ENOSPC, 'No space left on device', *file)
             click.echo(how)
 """
 
@@ -329,6 +333,16 @@ def test_commands_of_plugins(call, with_plugins):
     unknown = call("gret")
     assert "Did you mean 'greet'?" in unknown.stderr
     assert "does not work (broken-package): see termsel plugins" in unknown.stderr
+
+
+def test_a_full_disk_is_the_plugins_own_unless_it_is_that_of_stdout(plugin_folder):
+    done = shell("greet", "disk", folder=plugin_folder)
+    assert done.returncode == 2
+    assert "the command 'greet' of greeter-package 2.5 failed: OSError" in done.stderr
+    done = shell("greet", "stdout", folder=plugin_folder)
+    assert done.returncode == 2
+    assert "Error: cannot write to stdout: No space left on device" in done.stderr
+    assert "greeter-package" not in done.stderr
 
 
 def test_a_broken_plugin_is_a_command_that_says_why(call, with_plugins):

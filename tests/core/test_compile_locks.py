@@ -12,7 +12,7 @@ import pytest
 
 from termsel.core.errors import TermselError
 from termsel.core.files import lock
-from termsel.core.files.lock import end_turn, lock_folder, turn
+from termsel.core.files.lock import end_turn, lock_folder, take_turn
 
 numba = pytest.importorskip("numba")
 
@@ -33,18 +33,18 @@ def test_where_nothing_can_be_locked_nobody_waits(tmp_path: Path,
 
     monkeypatch.setattr(lock.fcntl, "flock", refuse)
     monkeypatch.setattr(time, "sleep", waits)
-    assert turn(tmp_path / "kernel.lock", 60.0) is None
+    assert take_turn(tmp_path / "kernel.lock", 60.0) is None
     with pytest.raises(TermselError, match="No locks available"), lock_folder(tmp_path):
         pass
 
 
 def test_another_one_waits_until_the_turn_ends(tmp_path: Path,
                                                monkeypatch: pytest.MonkeyPatch) -> None:
-    mine = turn(tmp_path / "kernel.lock", 60.0)
+    mine = take_turn(tmp_path / "kernel.lock", 60.0)
     assert mine is not None
-    assert turn(tmp_path / "kernel.lock", 0.01) is None
+    assert take_turn(tmp_path / "kernel.lock", 0.01) is None
     monkeypatch.setattr(time, "sleep", lambda _: end_turn(mine))
-    other = turn(tmp_path / "kernel.lock", 60.0)
+    other = take_turn(tmp_path / "kernel.lock", 60.0)
     assert other is not None
     end_turn(other)
 

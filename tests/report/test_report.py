@@ -22,7 +22,7 @@ from termsel.data.record.figures import as_plain_data
 from termsel.results import library
 from termsel.results.charts import maps
 from termsel.results.plots import KINDS
-from termsel.results.repeat import repeating_command, why_not_by_command
+from termsel.results.repeat import reason_for_no_command, repeating_command
 
 altair = pytest.importorskip("altair")
 pytest.importorskip("vl_convert")
@@ -408,7 +408,7 @@ def test_what_no_command_repeats_is_said(tmp_path: Path) -> None:
     task = termsel.prepare("poly-terms")
     genes = task.problem.genome.random(np.random.default_rng(1), 1)[0]
     result = termsel.assess(termsel.GivenGenes(genes), task)
-    assert "genes were given" in why_not_by_command(result)
+    assert "genes were given" in reason_for_no_command(result)
 
 
 @pytest.mark.slow

@@ -119,7 +119,7 @@ def test_rates_of_a_paper_are_those_of_its_set_up_alone() -> None:
 @pytest.mark.parametrize(("evaluations", "population"), [
     (500, 20), (4000, 60), (16040, 200), (100_000, 200), (None, 200)])
 def test_the_population_follows_the_budget(evaluations: int | None, population: int) -> None:
-    problem = problems.twelve_terms()
+    problem = problems.problem_of_twelve_terms()
     problem.budget = evaluations
     assert GeneticAlgorithm().population_size(problem) == population
     assert GeneticAlgorithm(population=33).population_size(problem) == 33
@@ -155,7 +155,7 @@ def test_patience_waits_for_what_is_feasible() -> None:
 
 
 def test_history_holds_each_generation() -> None:
-    problem = problems.twelve_terms()
+    problem = problems.problem_of_twelve_terms()
     seen = []
     found = search(problem, GeneticAlgorithm(population=20), generations=6,
                    observers=[lambda progress: seen.append(progress.generation)])
@@ -199,7 +199,8 @@ def test_what_found_coefficients_cannot_be_refined() -> None:
 
 
 def test_one_search_after_another_adds_up() -> None:
-    found = search(problems.twelve_terms(), GeneticAlgorithm(population=10), generations=1)
+    problem = problems.problem_of_twelve_terms()
+    found = search(problem, GeneticAlgorithm(population=10), generations=1)
     both = replace(found, notes=("one",)).after(found, "two")
     assert both.evaluations == 2 * found.evaluations
     assert [one.evaluations for one in both.history] == [10, 18, 28, 36]
@@ -207,9 +208,10 @@ def test_one_search_after_another_adds_up() -> None:
 
 
 def test_a_gain_is_told_with_the_evaluation_that_found_it() -> None:
-    found = search(problems.twelve_terms(), GeneticAlgorithm(population=20), evaluations=200)
+    problem = problems.problem_of_twelve_terms()
+    found = search(problem, GeneticAlgorithm(population=20), evaluations=200)
     genes = []
-    seen = search(problems.twelve_terms(), GeneticAlgorithm(population=20), evaluations=200,
+    seen = search(problem, GeneticAlgorithm(population=20), evaluations=200,
                   observers=[lambda progress: genes.append(progress.generation.genes)])
     assert seen.gains == found.gains
     best = np.inf
@@ -218,7 +220,7 @@ def test_a_gain_is_told_with_the_evaluation_that_found_it() -> None:
         best = value
     assert best == found.objectives[0]
     # Those of the first population, in the order of its individuals.
-    first = problems.twelve_terms().evaluate(genes[0])
+    first = problems.problem_of_twelve_terms().evaluate(genes[0])
     values = np.where(first.violation == 0, first.objectives[:, 0], np.inf)
     of_first = [gain for gain in found.gains if gain[0] <= 20]
     assert [values[evaluation - 1] for evaluation, _value in of_first] == [

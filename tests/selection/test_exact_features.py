@@ -174,6 +174,18 @@ def test_the_best_of_every_size_is_that_of_brute_force(case: str, scene: Feature
     assert np.isfinite(objectives.min())
 
 
+@pytest.mark.parametrize(("criterion", "has_bound"), [("check-rmse", True), ("press", False)])
+def test_before_its_end_a_proof_bounds_no_size_but_by_what_it_knows_of_all(
+        criterion: str, has_bound: bool, scene: FeatureSet) -> None:
+    problem = prepared("owdis-points", {"degree": 1, "max_features": 7}, scene, criterion=criterion)
+    first, *_, last = prove_features(problem, selections_of(problem, problem.row_systems()))
+    of_sizes = first.by_size(problem)
+    assert of_sizes
+    assert not any(size.optimal for size in of_sizes)
+    assert {size.bound for size in of_sizes} == {first.floor if has_bound else None}
+    assert all(size.optimal and size.bound == size.objective for size in last.by_size(problem))
+
+
 def prepared(name: str, options: dict, scene: FeatureSet, **given: object) -> termsel.Problem:
     kind = scene.lines.ids if "lines" in name else tuple(
         one for one, role in zip(scene.points.ids, scene.points.roles, strict=True)

@@ -314,7 +314,7 @@ def test_bits_among_other_genes_are_crossed_between_two_places() -> None:
 
 def test_few_evaluations_suffice_for_fast_mutation() -> None:
     def reached(solver: Solver, evaluations: int) -> float:
-        return float(np.median([search(problems.bound(), solver, seed=seed,
+        return float(np.median([search(problems.bounded_problem(), solver, seed=seed,
                                        evaluations=evaluations).objectives[0]
                                 for seed in range(3)]))
 

@@ -245,8 +245,9 @@ def check_world(generation: Generation, before: Generation | None) -> None:
 @pytest.mark.parametrize("seed", range(1, 6))
 @pytest.mark.parametrize("population", [4, 7, 30, 100])
 @pytest.mark.parametrize("problem", [
-    problems.twelve_terms(), problems.bound(), problems.trap_problem(), problems.hopeless_problem(),
-    problems.narrow(1)], ids=["twelve terms", "bound", "trap", "hopeless", "narrow"])
+    problems.problem_of_twelve_terms(), problems.bounded_problem(), problems.trap_problem(),
+    problems.hopeless_problem(), problems.narrow_problem(1)],
+    ids=["twelve terms", "bound", "trap", "hopeless", "narrow"])
 def test_what_holds_in_every_generation(problem: termsel.Problem, population: int,
                                         seed: int) -> None:
     solver = ImperialistCompetition(population=population)
@@ -258,7 +259,7 @@ def test_what_holds_in_every_generation(problem: termsel.Problem, population: in
 
 def test_the_last_generation_has_one_empire() -> None:
     found = list(ImperialistCompetition(population=12, imperialists=0.4).generations(
-        problems.twelve_terms(), np.random.default_rng(1)))
+        problems.problem_of_twelve_terms(), np.random.default_rng(1)))
     assert len(found[0].details["names"]) == 5
     assert all(len(one.details["names"]) > 1 for one in found[:-1])
     assert len(found[-1].details["names"]) == 1
@@ -267,12 +268,12 @@ def test_the_last_generation_has_one_empire() -> None:
 
 def test_half_the_countries_may_be_imperialists() -> None:
     solver = ImperialistCompetition(population=9, imperialists=0.5)
-    first = next(solver.generations(problems.narrow(12), np.random.default_rng(1)))
+    first = next(solver.generations(problems.narrow_problem(12), np.random.default_rng(1)))
     assert len(first.details["names"]) == 4
 
 
 def test_only_colonies_are_evaluated_again() -> None:
-    problem = Watched(problems.narrow(12))
+    problem = Watched(problems.narrow_problem(12))
     running = ImperialistCompetition().generations(problem, np.random.default_rng(1))
     next(running)
     assert problem.evaluated == 100

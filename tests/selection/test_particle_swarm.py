@@ -43,21 +43,22 @@ def test_sigmoid() -> None:
 
 def test_velocities_keep_their_limit() -> None:
     solver = BinarySwarm(velocity=1.5)
-    for generation in islice(solver.generations(problems.bound(), np.random.default_rng(1)), 30):
+    problem = problems.bounded_problem()
+    for generation in islice(solver.generations(problem, np.random.default_rng(1)), 30):
         velocity = generation.details["velocity"]
         assert velocity.shape == generation.genes.shape
         assert np.abs(velocity).max() <= 1.5
 
 
 def test_particles_start_towards_where_they_are() -> None:
-    first = next(BinarySwarm().generations(problems.narrow(12), np.random.default_rng(1)))
+    first = next(BinarySwarm().generations(problems.narrow_problem(12), np.random.default_rng(1)))
     assert ((first.details["velocity"] >= 0) == first.genes).all()
 
 
 def test_without_pull_the_inertia_alone_changes_velocities() -> None:
     solver = BinarySwarm(cognition=0, society=0, inertia=0.9, inertia_last=0.5, iterations=4)
     seen = [one.details["velocity"] for one in islice(
-        solver.generations(problems.narrow(12), np.random.default_rng(1)), 7)]
+        solver.generations(problems.narrow_problem(12), np.random.default_rng(1)), 7)]
     inertia = [(after / before).mean() for before, after in pairwise(seen)]
     assert inertia == pytest.approx([0.8, 0.7, 0.6, 0.5, 0.5, 0.5])
 
@@ -65,14 +66,15 @@ def test_without_pull_the_inertia_alone_changes_velocities() -> None:
 def test_particles_are_drawn_to_the_finds_of_others_and_their_own() -> None:
     # With one gene on being all that counts, every particle ends up with it on most of the time.
     found = list(islice(BinarySwarm(velocity=6).generations(
-        problems.narrow(1), np.random.default_rng(1)), 40))
+        problems.narrow_problem(1), np.random.default_rng(1)), 40))
     assert found[-1].genes.mean() > 0.9
 
 
 def test_a_falling_inertia_keeps_the_swarm_from_settling() -> None:
+    problem = problems.problem_of_twelve_terms()
     spread = [
         list(islice(BinarySwarm(inertia_last=last, iterations=50).generations(
-            problems.twelve_terms(), np.random.default_rng(1)), 60))[-1].genes.std(axis=0).mean()
+            problem, np.random.default_rng(1)), 60))[-1].genes.std(axis=0).mean()
         for last in (1.0, 0.4)]
     assert spread[0] < 0.7 * spread[1]
 

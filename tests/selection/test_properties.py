@@ -24,7 +24,7 @@ from termsel.selection.problems.selection import SelectionProblem
 from termsel.selection.solvers.base import Generation, Solver
 from termsel.selection.solvers.ledger import BudgetSpent, Ledger
 from termsel.selection.solvers.search import search
-from termsel.testing.problems import Toy, Watched, trap_problem, twelve_terms
+from termsel.testing.problems import Toy, Watched, problem_of_twelve_terms, trap_problem
 from termsel.testing.scenes import imaged_features, random_coefficients
 
 # The same examples every time: a failure in a test of figures must not depend on luck.
@@ -280,7 +280,7 @@ class OneByOne(Solver):
 
 
 def test_budget_spent_between_evaluations_of_one_generation() -> None:
-    assert search(twelve_terms(), OneByOne(), evaluations=15).evaluations == 15
+    assert search(problem_of_twelve_terms(), OneByOne(), evaluations=15).evaluations == 15
 
 
 @given(st.sampled_from([np.nan, np.inf, -np.inf]), st.booleans(), seeds)

@@ -19,7 +19,7 @@ from termsel.selection.problems.base import Problem
 from termsel.selection.solvers.base import Generation, Solver
 from termsel.selection.solvers.genetic.ga import GeneticAlgorithm
 from termsel.testing import Check, check, checks
-from termsel.testing.problems import bound
+from termsel.testing.problems import bounded_problem
 from tests.broken_models import BROKEN_MODELS, NoLines, WrongLines, WrongProjection
 from tests.broken_solvers import BROKEN_SOLVERS, Choosy, Drawn
 
@@ -151,7 +151,7 @@ def test_problem_a_solver_is_made_for() -> None:
                 raise TermselError("forced genes are needed")
             yield from super().generations(problem, rng)
 
-    check(Forced, problem=bound, expected_failures={"any_problem": "needs forced genes"})
+    check(Forced, problem=bounded_problem, expected_failures={"any_problem": "needs forced genes"})
 
 
 @pytest.mark.parametrize(("broken", "name", "message"), BROKEN_SOLVERS)

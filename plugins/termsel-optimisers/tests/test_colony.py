@@ -55,7 +55,7 @@ def test_grafts_take_one_segment_each() -> None:
 
 
 def test_pheromone_begins_even_keeps_its_limits_and_leads_to_the_genes() -> None:
-    found = generations(problems.narrow(12), 30, tau_min=0.1, tau_max=0.8, restart=0)
+    found = generations(problems.narrow_problem(12), 30, tau_min=0.1, tau_max=0.8, restart=0)
     assert (found[0].details["pheromone"] == 0.5).all()
     for one in found:
         assert one.details["pheromone"].shape == (2, 12)
@@ -70,14 +70,14 @@ def starts(found: list[Generation]) -> list[int]:
 
 
 def test_a_settled_colony_restarts() -> None:
-    began = starts(generations(problems.narrow(12), 100))
+    began = starts(generations(problems.narrow_problem(12), 100))
     assert len(began) > 2
     assert np.diff(began).min() > 5
-    assert starts(generations(problems.narrow(12), 100, restart=0)) == [0]
+    assert starts(generations(problems.narrow_problem(12), 100, restart=0)) == [0]
 
 
 def test_a_colony_of_forced_genes_goes_on() -> None:
-    found = generations(problems.narrow(2, on=("g1", "g2")), 20)
+    found = generations(problems.narrow_problem(2, on=("g1", "g2")), 20)
     assert all(one.genes.all() for one in found)
 
 

@@ -103,7 +103,7 @@ def test_infeasible_individuals_are_penalised_by_their_violation() -> None:
 
 
 def test_individuals_keep_forced_genes_whatever_the_operators_do() -> None:
-    problem = problems.bound()
+    problem = problems.bounded_problem()
     box = to_deap(problem)
     box.register("mutate", tools.mutFlipBit, indpb=0.5)
     random.seed(2)
@@ -129,7 +129,7 @@ def test_a_replaced_evaluation_is_called_for_each_individual() -> None:
 def test_algorithms_and_operators_by_name(options: dict[str, Any]) -> None:
     before = global_states()
     details = []
-    found = search(problems.twelve_terms(), Deap(population=20, **options), seed=3,
+    found = search(problems.problem_of_twelve_terms(), Deap(population=20, **options), seed=3,
                    generations=5,
                    observers=[lambda progress: details.append(progress.generation.details)])
     assert global_states() == before
@@ -140,7 +140,8 @@ def test_algorithms_and_operators_by_name(options: dict[str, Any]) -> None:
     # The toolbox has figures of nine digits.
     best = details[-1]["halloffame"][0].fitness.values[0]
     assert best == pytest.approx(found.objectives[0], rel=1e-8)
-    again = search(problems.twelve_terms(), Deap(population=20, **options), seed=3, generations=5)
+    again = search(problems.problem_of_twelve_terms(), Deap(population=20, **options), seed=3,
+                   generations=5)
     assert np.array_equal(found.genes, again.genes)
 
 
@@ -156,7 +157,7 @@ def test_algorithms_and_operators_by_name(options: dict[str, Any]) -> None:
     ({"algorithm": "os.path:join"}, "has no argument 'ngen'")])
 def test_what_deap_does_not_have_is_refused(options: dict[str, Any], said: str) -> None:
     with pytest.raises(TermselError, match=said):
-        search(problems.twelve_terms(), Deap(**options), generations=1)
+        search(problems.problem_of_twelve_terms(), Deap(**options), generations=1)
 
 
 def own_box(problem: termsel.Problem) -> base.Toolbox:
@@ -293,7 +294,7 @@ def test_an_algorithm_that_cannot_do_makes_no_solver(algorithm: Any, said: str) 
     ([lambda problem: None], "'<lambda>' returned no DEAP toolbox")])
 def test_what_gives_no_toolbox_makes_no_solver(given: list[Any], said: str) -> None:
     with pytest.raises(TermselError, match=said):
-        search(problems.twelve_terms(), from_deap(*given)(), generations=1)
+        search(problems.problem_of_twelve_terms(), from_deap(*given)(), generations=1)
 
 
 def test_a_partial_function_gives_a_toolbox() -> None:
@@ -341,13 +342,13 @@ def test_an_algorithm_of_ones_own_is_a_solver(algorithm: Any, objectives: int) -
 
 def test_an_algorithm_without_a_population_is_a_solver() -> None:
     mine = from_pymoo(RandomSearch(10, sampling=BinaryRandomSampling()))
-    assert search(problems.twelve_terms(), mine(), evaluations=35).evaluations == 35
+    assert search(problems.problem_of_twelve_terms(), mine(), evaluations=35).evaluations == 35
 
 
 def test_forced_genes_are_kept_by_algorithms_of_ones_own() -> None:
     mine = from_pymoo(GA(pop_size=20, sampling=BinaryRandomSampling(), crossover=UX(),
                          mutation=BitflipMutation()))
-    problem = problems.bound()
+    problem = problems.bounded_problem()
     found = search(problem, mine(), generations=5)
     assert problem.genome.keeps(found.genes[None]).all()
 
@@ -373,7 +374,7 @@ def test_what_deap_cannot_do_is_no_bug_of_termsel(options: dict[str, Any], said:
         "def fails(population, toolbox, ngen):\n    raise KeyError('of mine')\n")
     monkeypatch.chdir(tmp_path)
     with pytest.raises(TermselError, match=said):
-        search(problems.twelve_terms(), Deap(population=20, **options), generations=3)
+        search(problems.problem_of_twelve_terms(), Deap(population=20, **options), generations=3)
 
 
 def test_a_loop_is_found_where_the_command_runs(tmp_path: Path,
@@ -415,11 +416,11 @@ def stuck(population: list[Any], toolbox: base.Toolbox) -> Iterator[list[Any]]:
 def test_a_loop_that_breeds_nothing_comes_to_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("termsel.selection.solvers.search.IDLE", 20)
     for budget in ({"generations": 50}, {"evaluations": 500}, {}):
-        found = search(problems.twelve_terms(), from_deap(own_box, still)(), **budget)
+        found = search(problems.problem_of_twelve_terms(), from_deap(own_box, still)(), **budget)
         assert (found.evaluations, found.generations) == (200, 20)
         assert found.notes == (
             "The search ended after 20 generations in which solver 'own-box' evaluated nothing.",)
-    assert search(problems.twelve_terms(), from_deap(own_box, still)(),
+    assert search(problems.problem_of_twelve_terms(), from_deap(own_box, still)(),
                   generations=5).generations == 5
 
 
@@ -431,6 +432,6 @@ def test_a_loop_that_does_nothing_is_named(monkeypatch: pytest.MonkeyPatch) -> N
         if "has yielded nothing" in progress.what:
             NAMED.set()
 
-    found = search(problems.twelve_terms(), from_deap(own_box, stuck)(population=10),
+    found = search(problems.problem_of_twelve_terms(), from_deap(own_box, stuck)(population=10),
                    observers=[observe])
     assert (found.evaluations, found.interrupted) == (10, True)

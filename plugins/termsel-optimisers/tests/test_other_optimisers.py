@@ -139,7 +139,7 @@ def test_variables_of_all_types_evolve_by_their_types() -> None:
     genes = np.array([[script.X[name] for name in termsel.to_pymoo(problem).vars]], dtype=float)
     valid = problem.genome.repair(genes, np.random.default_rng(0))
     assert script.F[0] == pytest.approx(problem.evaluate(valid).objectives[0, 0])
-    bits = search(problems.twelve_terms(), mine(), evaluations=200)
+    bits = search(problems.problem_of_twelve_terms(), mine(), evaluations=200)
     assert bits.genes.dtype == bool
 
 
@@ -154,7 +154,7 @@ def test_a_crash_within_pymoo_names_the_algorithm() -> None:
     mine = from_pymoo(GA(pop_size=10, sampling=BinaryRandomSampling(), crossover=UX(),
                          mutation=Failing()))
     with pytest.raises(TermselError, match=r"GA of pymoo .* failed in ask.*KeyError: 'of mine'"):
-        search(problems.twelve_terms(), mine(), generations=3)
+        search(problems.problem_of_twelve_terms(), mine(), generations=3)
 
 
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork here")
@@ -194,7 +194,7 @@ class Walk:
 def test_an_optimiser_that_asks_and_tells_is_a_solver() -> None:
     mine = from_ask_tell(Walk)
     assert (mine.name, mine.__doc__) == ("walk", "Ask for a few random neighbours of the best.")
-    problem = problems.bound()
+    problem = problems.bounded_problem()
     one, two = (search(problem, mine(), seed=3) for _ in range(2))
     assert (one.evaluations, one.generations) == (120, 39)  # it ended by itself
     assert np.array_equal(one.genes, two.genes)
@@ -214,7 +214,7 @@ def test_what_no_optimiser_asks_is_named(asked: Any, said: str) -> None:
             return asked
 
     with pytest.raises(TermselError, match=f"Odd .*{said}"):
-        search(problems.bound(), from_ask_tell(Odd)(), generations=3)
+        search(problems.bounded_problem(), from_ask_tell(Odd)(), generations=3)
 
 
 def test_what_makes_no_optimiser_is_refused() -> None:
@@ -224,7 +224,7 @@ def test_what_makes_no_optimiser_is_refused() -> None:
         return 1 // 0
 
     with pytest.raises(TermselError, match=r"failing .* failed in failing\(\): ZeroDivision"):
-        search(problems.bound(), from_ask_tell(failing)())
+        search(problems.bounded_problem(), from_ask_tell(failing)())
 
 
 @pytest.mark.parametrize(("library", "optimiser"), [
@@ -233,7 +233,8 @@ def test_optimisers_of_other_libraries_are_solvers(library: str, optimiser: str)
     pytest.importorskip(library)
     page = runpy.run_path(str(HOW_TO / f"with_{library}.py"))
     mine = from_ask_tell(page[optimiser])
-    one, two = (search(problems.twelve_terms(), mine(), seed=5, evaluations=60) for _ in range(2))
+    one, two = (search(problems.problem_of_twelve_terms(), mine(), seed=5, evaluations=60)
+                for _ in range(2))
     assert np.array_equal(one.genes, two.genes)
     assert one.evaluations == 60
     first, *_, last = [step.best for step in one.history if step.best is not None]

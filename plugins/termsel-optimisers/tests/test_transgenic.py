@@ -12,7 +12,7 @@ pytest.importorskip("termsel_optimisers", reason="termsel-optimisers is not inst
 
 import termsel
 from termsel import Evaluation, GeneticAlgorithm, search
-from termsel.testing.problems import narrow
+from termsel.testing.problems import narrow_problem
 from termsel.toolkit import BoolArray, FloatArray
 from termsel.toolkit.searches import WORST
 from termsel_optimisers import TransgenicGA
@@ -70,7 +70,7 @@ def test_every_second_parent_has_the_qualified_genes() -> None:
     seen: list[BoolArray] = []
     solver = TransgenicGA(population=60, elite=0, alpha=0.001, transgenic=0.25)
     genes = rng().random((60, 12)) < 0.5
-    box = solver.toolbox(narrow(12), rng())
+    box = solver.toolbox(narrow_problem(12), rng())
     _without_operators(box, seen)
     cost = 10.0 * genes[:, 3] - 10.0 * genes[:, 8] + np.linspace(0, 1e-3, 60)
     solver.children(box, genes, judged(cost), 60)
@@ -90,7 +90,7 @@ def test_the_test_of_a_gene_has_two_sides(coefficient: float, qualified: bool,
     genes = np.array([[False, True, False], [False, True, True]] * 4)
     seen: list[BoolArray] = []
     solver = TransgenicGA(population=8, elite=0, transgenic=0.5)
-    box = solver.toolbox(narrow(3), rng())
+    box = solver.toolbox(narrow_problem(3), rng())
     _without_operators(box, seen)
     solver.children(box, genes, judged(np.arange(8.0)), 8)
     assert (seen[0][::2, :2] == [qualified, not qualified]).all()

@@ -12,7 +12,7 @@ from typing import Any
 
 from termsel.adjustment.numba_settings import import_numba
 from termsel.core.errors import TermselError
-from termsel.core.files.lock import end_turn, turn
+from termsel.core.files.lock import end_turn, take_turn
 
 import_numba()
 
@@ -59,7 +59,8 @@ class _Cache(FunctionCache):
         """
         code = self._read(sig, target_context)
         if code is None and self._turn is None and _Cache._waits:
-            self._turn = turn(Path(self._cache_file._index_path).with_suffix(".lock"), PATIENCE)
+            lock_file = Path(self._cache_file._index_path).with_suffix(".lock")
+            self._turn = take_turn(lock_file, PATIENCE)
             # A process that waited in vain does not wait for each further kernel.
             _Cache._waits = self._turn is not None
             code = self._read(sig, target_context)  # of another process, which compiled meanwhile

@@ -36,10 +36,12 @@ from termsel.data.features import BoolArray, FloatArray, IntArray
 # Twins in a population of masks.
 
 def distinct_masks(columns: BoolArray, rows: BoolArray) -> tuple[IntArray, IntArray]:
-    """Return the first index of each of d distinct masks, (d,), and which of them each is, (p,).
+    """Return the index of the first copy of each of d distinct masks, and an inverse of that.
 
-    A mask is a row of `columns` (p, k) together with the same row of `rows` (p, n). Finding twins
-    takes some hundredths of a solution's time, and a converging population is full of them.
+    A mask is a row of `columns` (p, k) together with the same row of `rows` (p, n). The indices
+    (d,) say where in the population each distinct mask first stands; the inverse (p,) says for each
+    row of the population which of the d masks it has. Finding twins takes some hundredths of a
+    solution's time, and a converging population is full of them.
     """
     bits = np.packbits(np.concatenate([columns, rows], axis=1), axis=1)
     masks = bits.view(f"V{bits.shape[1]}")[:, 0].tolist()

@@ -506,9 +506,8 @@ def _agreeing_core(control: FitData, test_of_all: TestOfAll,
     """Return the features that agree, (n,), and their test; None if they are too few for a test.
 
     Of points, those with the largest strain are set aside in steps, and the others tested again
-    after each, until MAX_BLUNDER_SHARE of all is gone. With lines, which are many, the features
-    without weight under the biweight are set aside at once; if those exceed that share, or the
-    features are too few for a quadratic, the share with the largest strain is.
+    after each, until MAX_BLUNDER_SHARE of all is gone or the others are too few for a test. With
+    lines, which are many, those of `_features_with_weight` agree, found at once.
     """
     used = np.ones(len(control), dtype=bool)
     if len(control.features.lines):
@@ -521,9 +520,9 @@ def _agreeing_core(control: FitData, test_of_all: TestOfAll,
     fewest_in_core = len(control) - int(MAX_BLUNDER_SHARE * len(control))
     while used.sum() > fewest_in_core:
         to_set_aside = int(used.sum()) - fewest_in_core
-        # Large steps first, as the worst are clear; each step costs a test.
-        count = max(1, int(STEP_SHARE * to_set_aside),
-                    min(to_set_aside, int(MIN_STEP_SHARE * len(control))))
+        # Large steps first, as the worst are clear; not too small ones last, as each costs a test.
+        smallest_step = max(1, min(to_set_aside, int(MIN_STEP_SHARE * len(control))))
+        count = max(smallest_step, int(STEP_SHARE * to_set_aside))
         worst = np.argsort(-np.where(used, test.strain, -1.0), kind="stable")[:count]
         fewer = used.copy()
         fewer[worst] = False

@@ -33,7 +33,7 @@ from termsel.auto.rule import CENTRAL_AFFINE_SHARE, gain_of
 from termsel.auto.shrunken import (
     FIELD_CALLED_FOR,
     Average,
-    average,
+    fit_average,
     fit_of,
     mean_coefficients,
     points_alone,
@@ -230,7 +230,7 @@ def _cached_camera_average(measurements: Measurements, scaling: Scaling, crs: st
     averages = []
     logs_without = []
     for log, (posterior, powers) in zip(evidence.logs, evidence.shrunken, strict=True):
-        average_of_degree = average(points.ground, points.image, powers, weights)
+        average_of_degree = fit_average(points.ground, points.image, powers, weights)
         assert average_of_degree is not None
         averages.append(average_of_degree)
         # The evidence of the others when one point is left out.

@@ -72,19 +72,19 @@ class Averaging(Estimator):
             used: BoolArray) -> Fit:
         """Fit a polynomial (see `Estimator.fit`) with all its terms.
 
-        Raises Undetermined where the features without any one of them do not determine an affine
-        model.
+        Raises Undetermined where leaving out some single feature leaves an affine model
+        undetermined.
         """
         assert isinstance(model, Polynomial)
         scaled = scaling.features(control.take(used))
         points = scaled.points
         if len(scaled.lines):
             feature_word = "control feature"
-            average_of_all = average_with_lines(scaled, model)
+            average_of_all = fit_average_with_lines(scaled, model)
         else:
             feature_word = "control point"
             weights = None if points.sigma is None else weights_of(points)
-            average_of_all = average(points.ground, points.image, model.exponents, weights)
+            average_of_all = fit_average(points.ground, points.image, model.exponents, weights)
         if average_of_all is None:
             raise Undetermined(
                 f"{count_in_words(len(scaled), feature_word)} without any one of them do not "
@@ -119,8 +119,8 @@ def fit_of(estimator: Estimator, model: Polynomial, control: FeatureSet, scaling
                HeldOut.of(average_of_all.errors * scaling.image_scale, control.take(used)))
 
 
-def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
-            weights: FloatArray | None = None) -> Average | None:
+def fit_average(ground: FloatArray, image: FloatArray, exponents: Exponents,
+                weights: FloatArray | None = None) -> Average | None:
     """Fit an averaged polynomial to points.
 
     Parameters
@@ -135,12 +135,13 @@ def average(ground: FloatArray, image: FloatArray, exponents: Exponents,
     Returns
     -------
     Average or None
-        None if the points without any one of them do not determine the affine terms.
+        None if leaving out some single point leaves the affine terms undetermined.
     """
     posterior = polynomial_posterior(ground, image, exponents, weights)
     if posterior is None:
         return None
     coefficients, effective = mean_coefficients(posterior, exponents)
+    # The equations were multiplied by the weights, and so were their errors.
     errors = posterior.held_out.errors
     return Average(coefficients, errors if weights is None else errors / weights, effective)
 
@@ -149,7 +150,7 @@ def mean_coefficients(posterior: Posterior, exponents: Exponents) -> tuple[Float
     """Return the averaged coefficients of a posterior, (k, 2), and its effective parameters.
 
     Coefficients of shrunken terms are averaged over the grid; the affine ones, which are free,
-    follow from them by least squares. The exponents are as for `average`.
+    follow from them by least squares. The exponents are as for `fit_average`.
     """
     is_free = np.array(exponents).sum(axis=1) < 2
     coefficients = np.empty((len(exponents), 2))
@@ -165,12 +166,11 @@ def mean_coefficients(posterior: Posterior, exponents: Exponents) -> tuple[Float
     return coefficients, effective
 
 
-def average_with_lines(features: FeatureSet, model: Polynomial) -> Average | None:
+def fit_average_with_lines(features: FeatureSet, model: Polynomial) -> Average | None:
     """Fit an averaged polynomial to points and lines, or to lines alone, scaled to [-1, 1].
 
     The errors of the average are those of the points, then of both vertices of each line, along its
-    normal. None comes back if the features without some one of them do not determine the affine
-    terms.
+    normal. None comes back if leaving out some single feature leaves the affine terms undetermined.
     """
     equations = model.equations(features)
     mean_solution = mean_line_solution(equations, model.exponents)
@@ -183,6 +183,7 @@ def average_with_lines(features: FeatureSet, model: Polynomial) -> Average | Non
     coefficients = np.empty(2 * k)
     coefficients[~is_free] = shrunk_coefficients
     coefficients[is_free] = np.linalg.lstsq(equations.A[:, is_free], left_to_affine)[0]
+    # The rows were multiplied by their weights, and so were their errors.
     row_errors = row_errors / row_weights(features, heights=model.uses_height)
     n_point_rows = 2 * len(features.points)
     normals = np.repeat(line_normals(features.lines)[0], 2, axis=0)
@@ -240,12 +241,12 @@ def _ridge(columns: FloatArray, target: FloatArray,
     is_free = weights == 0
     x = np.zeros(columns.shape[1])
     free_columns = columns[:, is_free]
-    q, strength = np.linalg.svd(free_columns, full_matrices=False)[:2]
+    q, singular_values = np.linalg.svd(free_columns, full_matrices=False)[:2]
     rounding = np.finfo(float).eps * max(free_columns.shape)
-    q = q[:, strength > rounding * strength.max(initial=0.0)]
+    q = q[:, singular_values > rounding * singular_values.max(initial=0.0)]
     penalised = columns[:, ~is_free]
     penalised = (penalised - q @ (q.T @ penalised)) / weights[~is_free]
-    y = target - q @ (q.T @ target)
+    y = target - q @ (q.T @ target)  # what the free columns leave
     effective = float(q.shape[1])
     if penalised.size:
         u, s, vt = np.linalg.svd(penalised, full_matrices=False)
@@ -255,9 +256,10 @@ def _ridge(columns: FloatArray, target: FloatArray,
         vt = vt[is_determined]
         projections = u.T @ y
         if len(s):
-            outside = max(float(y @ y - projections @ projections), 0.0)
+            # What no solution reaches; below 0 by rounding alone.
+            outside_squared = max(float(y @ y - projections @ projections), 0.0)
             penalty = choose_penalty(
-                Spectrum(s, np.abs(projections), outside, len(y) - q.shape[1]), "gcv")
+                Spectrum(s, np.abs(projections), outside_squared, len(y) - q.shape[1]), "gcv")
             x[~is_free] = vt.T @ (s / (s**2 + penalty**2) * projections) / weights[~is_free]
             effective += float((s**2 / (s**2 + penalty**2)).sum())
     # The free columns fit what the penalised ones leave.
@@ -286,7 +288,10 @@ def required_probability(process: GaussianProcess) -> float:
 
 
 def interpolated(model: SensorModel, control: FeatureSet, scaling: Scaling) -> Interpolation | None:
-    """Return the interpolation of control points by a model; None where they are too few."""
+    """Return the interpolation of control points by a model.
+
+    None where the points are too few, or lie so that they determine none, such as in a row.
+    """
     return model.prepared(scaling, control.crs).interpolation(scaling.features(control))
 
 
@@ -305,24 +310,26 @@ class Interpolated(Estimator):
 
         Arguments are those of `Estimator.fit`. The terms have the coefficients of least squares,
         for the record alone: positions are computed by the interpolation. Raises Undetermined for
-        lines, too few points, and a field that the points do not support.
+        lines, for points that determine no interpolation, and for a field that they do not support.
         """
         points_alone(control, used, "an interpolation")
         interpolation = interpolated(model, control.take(used), scaling)
         if interpolation is None:
-            raise Undetermined(f"{used.sum()} control points are too few to interpolate by",
+            raise Undetermined(f"{count_in_words(int(used.sum()), 'control point')} do not "
+                               "determine an interpolation: they are too few, or lie in a row",
                                hint="Measure more control, spread over the area.")
-        if isinstance(interpolation, GaussianProcess
-                      ) and interpolation.probability <= required_probability(interpolation):
+        if (isinstance(interpolation, GaussianProcess)
+                and interpolation.probability <= required_probability(interpolation)):
             raise Undetermined("the points do not show local deformation: its probability is "
                                f"{interpolation.probability:.2g}", hint="Choose a polynomial.")
-        plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)
+        least_squares = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)
         errors = interpolation.errors * scaling.image_scale
-        unknown = np.full(len(terms), np.nan)
-        return replace(plain, estimator=self, trace=interpolation.effective,
+        # Those of least squares would be of its errors, which include the deformation.
+        no_deviations = np.full(len(terms), np.nan)
+        adjustment = replace(least_squares.adjustment, deviations=no_deviations, correlations=None)
+        return replace(least_squares, estimator=self, trace=interpolation.effective,
                        stored_held_out=HeldOut.of(errors, control.take(used)),
-                       adjustment=replace(plain.adjustment, deviations=unknown,
-                                          correlations=None))
+                       adjustment=adjustment)
 
 
 def points_alone(control: FeatureSet, used: BoolArray, taker: str) -> Points:

@@ -35,14 +35,14 @@ def search_bar(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] |
             assert renew is not None
             renew(completed=progress.share or 0, description=progress.what or make_printable(title),
                   total=None if progress.share is None else 1.0,
-                  state=f"best {best}, {_bound(progress)}")
+                  state=f"best {best}, {_bound_or_count(progress)}")
 
         yield observe if renew else None
 
 
-def _bound(progress: Progress) -> str:
-    """Return the lower bound and the gap of a proof, or the evaluations of a search."""
-    # Only a proof has a bound; other searches say how much they have tried.
+def _bound_or_count(progress: Progress) -> str:
+    """Return the lower bound and the gap of a proof, or the number of evaluations without a bound.
+    """
     certificate = progress.generation.details.get("certificate") or {}
     if "bound" not in certificate:
         return count_in_words(progress.evaluations, "evaluation")
@@ -75,13 +75,14 @@ def study_bar(quiet: bool) -> Iterator[Callable[[StudyProgress], None] | None]:
 @contextmanager
 def _show_bar(title: str, quiet: bool, *, total: float | None = None, remaining: bool = True,
               ) -> Iterator[Callable[..., None] | None]:
-    """Yield a function that renews a bar, which disappears at the end; None without one.
+    """Yield a function that renews a bar, which disappears at the end; None if none is shown.
 
-    Text printed meanwhile appears above it.
+    It prints lines of JSON instead where the user asked for these, and takes `completed`, `total`,
+    `description` and `state`, as ``rich.progress.Progress.update`` does. No bar is shown if
+    `quiet`, or if stderr is no terminal. Text printed meanwhile appears above the bar.
     """
     context = click.get_current_context(silent=True)
     if context is not None and context.meta.get(PROGRESS) == "json" and not quiet:
-        # Programs read stderr through a pipe, which is no terminal.
         yield _json_printer(title, total)
         return
     if quiet or not sys.stderr.isatty():
@@ -97,7 +98,7 @@ def _show_bar(title: str, quiet: bool, *, total: float | None = None, remaining:
         TimeRemainingColumn,
     )
 
-    # Text of names and files is no markup.
+    # A name may look like markup of rich, such as [red].
     columns = (TextColumn("{task.description}", markup=False), BarColumn(bar_width=20),
                TaskProgressColumn(), TextColumn("{task.fields[state]}", markup=False),
                TimeElapsedColumn(), *([TimeRemainingColumn()] if remaining else []))
@@ -107,7 +108,10 @@ def _show_bar(title: str, quiet: bool, *, total: float | None = None, remaining:
 
 
 def _json_printer(title: str, total: float | None) -> Callable[..., None]:
-    """Return a function that prints progress as lines of JSON, at most five a second."""
+    """Return a function that prints progress as lines of JSON, each `_BETWEEN` s after the last.
+
+    Only the line that reports the end is printed at any time: a reader waits for it.
+    """
     printed = -math.inf
 
     def renew(*, completed: float, total: float | None = total, description: str = title,
@@ -115,7 +119,6 @@ def _json_printer(title: str, total: float | None) -> Callable[..., None]:
         """Print the progress as a line of JSON, unless the last one is too recent."""
         nonlocal printed
         share = completed / total if total else None
-        # The last line is never left out: a reader waits for 100 %.
         if time.monotonic() - printed < _BETWEEN and share != 1.0:
             return
         printed = time.monotonic()

@@ -120,7 +120,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
         _show_status(status)
         return
     study, keys = _study_asked_for(files, options)
-    # The name first: what the file holds is read later, when its cells are made.
+    # Only the name is checked here: the file is read when its cells are made.
     if study is not None and not study.exists():
         raise no_such_file_error(study)
     if dry_run:
@@ -138,7 +138,6 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     with say_once(), study_bar(quiet) as observe:
         results = comparing.compare(study, out=out, workers=workers, scheduler=scheduler,
                                     observers=(observe,) if observe else (), **keys)
-    # What was finished lies in the journal, and the same command skips it.
     if not results.complete:
         done = len(results.records)
         echo(f"Interrupted: {done} of {count_in_words(len(results.cells), results.noun)} are "
@@ -149,7 +148,8 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     written = write_outputs(results, out)
     are_images = results.noun == "image"
     if are_images:
-        take_pending()  # doubts of a file are among its reasons
+        # The doubts about a file are not printed by themselves: they are among its reasons.
+        take_pending()
     echo(screen(results) if are_images and not verbose else study_summary(results), nl=False)
     say_written(written)
     if results.failures:
@@ -158,7 +158,7 @@ def compare(files: tuple[Path, ...], out: Path | None, workers: int, scheduler: 
     # The last line is what to type.
     if are_images and (command := next_command(results, out)):
         echo(command)
-    # An image that fails stops no other, so that only the exit code shows a script of it.
+    # An image that fails stops no other: a script learns of it by the exit code alone.
     if results.failures:
         sys.exit(EXIT_FAILED)
 
@@ -180,11 +180,13 @@ def _study_asked_for(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[
                                                                                 dict[str, Any]]:
     """Return the study file and {}, or None and the options as the keys of a study.
 
-    Raises TermselError if both or neither are given.
+    Raises TermselError if both or neither are given, and for several study files.
     """
     keys = _keys_of(options)
     points = options["points"]
-    if points:  # the shell has written out --points *.csv
+    if points:
+        # The shell writes out a pattern such as --points *.csv: all but the first of its files come
+        # without an option.
         if files and options["lines"]:
             raise TermselError(f"{files[0]} is neither an option nor its value",
                                hint="Quote the patterns: --points 'a/*.csv' --lines 'b/*.csv'.")
@@ -228,10 +230,10 @@ def _keys_of(options: dict[str, Any]) -> dict[str, Any]:
     if options["dataset"] is not None and files:
         raise TermselError("--dataset cannot be combined with files",
                            hint="Give --dataset NAMES, or --points FILES.")
-    of_files = {name: options[name] for name in ("crs", "dem", "columns")
-                if options[name] is not None}
-    if of_files and not files:
-        raise TermselError(f"--{next(iter(of_files))} requires --points or --lines",
+    file_options = {name: options[name] for name in ("crs", "dem", "columns")
+                    if options[name] is not None}
+    if file_options and not files:
+        raise TermselError(f"--{next(iter(file_options))} requires --points or --lines",
                            hint="Give --points FILES, or leave it out.")
     if options["dataset"] is not None:
         keys["data"] = [text.strip() for text in options["dataset"].split(",")]
@@ -247,7 +249,7 @@ def _keys_of(options: dict[str, Any]) -> dict[str, Any]:
         of_reading = {option.name: settings.pop(option.name) for option in read_options()
                       if option.name in settings} if settings else {}
         refuse_misspelt(settings)
-        keys["data"] = [{**files, **of_files,
+        keys["data"] = [{**files, **file_options,
                          **({"options": of_reading} if of_reading else {})}]
     # Left out where not given: a study has its own defaults, which an empty budget would hide.
     limits = ("evaluations", "generations", "patience", "seconds", "timeout")
@@ -285,10 +287,10 @@ MOST_LISTED = 100
 
 
 def _list_files(study: Path | None, keys: dict[str, Any]) -> None:
-    """Print the files that a study would read, before any is: the study may be a stranger's.
+    """Print the files that a study would read, before any is read.
 
-    Each file that is outside of the folder of the study, or that a link leads out of it, is marked
-    as such.
+    The study may be a stranger's, and may name, or link to, any file of this computer: each file
+    outside of the folder of the study is marked as such. Nothing is printed if it reads none.
     """
     from termsel.studies.compare import requested_study
     from termsel.studies.plan.data import files_of
@@ -298,7 +300,6 @@ def _list_files(study: Path | None, keys: dict[str, Any]) -> None:
     if not files:
         return
     echo(f"Reads {count_in_words(len(files), 'file')}:")
-    # A study from a stranger may name, or link to, any file of this computer.
     own_folder = folder.resolve()
     for file in files[:MOST_LISTED]:
         target = file.resolve()
@@ -313,43 +314,43 @@ def _list_files(study: Path | None, keys: dict[str, Any]) -> None:
 
 
 def _show_plan(study: Path | None, keys: dict[str, Any], workers: int) -> None:
-    """Print the kinds of cells of a study, with the time that all of them take.
+    """Print the files and the kinds of cells of a study, with the time that all cells take.
 
-    Nothing is run but one cell of each kind, for its time. `keys` are those of the options, which
-    complete the file `study`. The time is that of `workers` processes, and on a busy machine that
-    of an idle one, too.
+    Nothing is run but one cell of each kind, for its time. The study is that of the file `study`,
+    or of the `keys` of the options. The time is for `workers` processes on a machine as busy as
+    now, and where that is very busy, also on an idle one.
     """
     from termsel.studies.compare import estimate
     from termsel.studies.execution.progress import duration_in_words
 
     _list_files(study, keys)
-    # The time of each kind of cell is that of one cell that was run, times their number.
-    total = 0.0
+    # All cells of a kind are taken to last as long as the one that was run.
+    total_seconds = 0.0
+    loading_seconds = 0.0
     cells = 0
     rows = []
     ended_early = False
     clock = time.perf_counter()
     cpu = time.process_time()
-    loaded = 0.0
     for kind, number, seconds, reason, loading in estimate(study, **keys):
         ended_early |= reason.startswith("out of time")
         rows.append((*kind, str(number), "-" if seconds is None else f"{seconds:.2f}", reason))
-        total += (seconds or 0.0) * number
-        loaded += loading
+        total_seconds += (seconds or 0.0) * number
+        loading_seconds += loading
         cells += number
     print_table(("problem", "strategy", "model", "criterion", "solver", "runs", "s each", ""),
                 rows)
     about = "more than" if ended_early else "about"
-    # Runs wait while other programs have the processor; those tried have waited likewise.
-    wait = (time.perf_counter() - clock) / max(time.process_time() - cpu, 1e-6)
+    # How many times as long as their processor time the cells lasted, as other programs ran too.
+    slowdown = (time.perf_counter() - clock) / max(time.process_time() - cpu, 1e-6)
     # A batch starts, and loads what the first run of each kind needs.
-    lasting = total / workers + loaded + wait * _STARTING
-    echo(f"\n{count_in_words(cells, 'run')}; {about} {duration_in_words(lasting)} with "
+    duration = total_seconds / workers + loading_seconds + slowdown * _STARTING
+    echo(f"\n{count_in_words(cells, 'run')}; {about} {duration_in_words(duration)} with "
          f"{count_in_words(workers, 'worker')}.")
-    if wait > _BUSY and lasting / wait > _LONG:
+    if slowdown > _BUSY and duration / slowdown > _LONG:
         echo("That is with a machine as busy as now; about "
-             f"{duration_in_words(lasting / wait)} on an idle one.")
-    if workers == 1 and total > 60:
+             f"{duration_in_words(duration / slowdown)} on an idle one.")
+    if workers == 1 and total_seconds > 60:
         echo("--workers N runs N of them at a time.")
 
 

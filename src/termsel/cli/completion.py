@@ -41,7 +41,7 @@ Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]
 
 def complete(*kinds: str) -> Completer:
     """Return a ``shell_complete`` for the names of these kinds of things, by default of all."""
-    def items(
+    def completions_of(
         context: click.Context, parameter: click.Parameter, incomplete: str  # noqa: ARG001
     ) -> list[CompletionItem]:
         """Return the names that begin with the text typed so far, with their summaries."""
@@ -49,10 +49,9 @@ def complete(*kinds: str) -> Completer:
         from termsel.plugins.registry import registry
 
         completions: list[CompletionItem] = []
-        # Plugins are loaded for that, as their names are to be completed, too.
         for kind in kinds or KINDS:
             completions += [CompletionItem(entry.name, help=entry.summary)
                       for entry in registry().entries(kind) if entry.name.startswith(incomplete)]
         return completions
 
-    return items
+    return completions_of

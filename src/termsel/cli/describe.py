@@ -67,9 +67,9 @@ def _is_crs(name: str) -> bool:
     """Return whether a name is that of an authority for a CRS, such as EPSG:4326."""
     from termsel.data.coordinates.crs import normalise
 
-    # "package:name" has the same form.
     if not _OF_AUTHORITY.fullmatch(name):
         return False
+    # A thing of a package has a name of the same form, "package:name".
     try:
         normalise(name)
     except TermselError:
@@ -81,7 +81,11 @@ _OF_AUTHORITY = re.compile(r"[A-Za-z_0-9]+:\w+")
 
 
 def _unknown_name_error(name: str, summaries: Mapping[str, str], hint: str) -> TermselError:
-    """Return the error for an unknown name; it shows near names alone, or where to look."""
+    """Return the error for an unknown name, whose hint shows similar names or else where to look.
+
+    That is the command that lists the things of a kind, of the one whose word is similar to the
+    name, if any.
+    """
     from termsel.plugins.kinds import KINDS
 
     error = unknown_name_error("name", name, summaries, hint, summaries)
@@ -150,7 +154,7 @@ def _describe_data() -> None:
 def _describe_problem(entry: Entry) -> None:
     """Print the defaults of a problem and its options."""
     recipe = entry.object
-    # Of two rules the one that is met first ends the search.
+    # A search ends by the first of these rules that is met.
     rules = []
     if recipe.generations:
         rules.append(f"{recipe.generations} generations")
@@ -177,10 +181,10 @@ def _options_of_prepared_problem(recipe: Recipe) -> list[Option]:
     from termsel.selection.problems.recipes import options_of, undeclared_options
 
     undeclared = undeclared_options(recipe)
-    # What a problem can be set depends on its data, so that it has to be prepared.
+    # The problem has to be prepared, as it is the data that decide which options it has.
     try:
         names = options_of(prepare(recipe).problem) if undeclared else frozenset()
-    except TermselError:  # told where the problem is run
+    except TermselError:  # a run of the problem shows this error
         names = frozenset()
     return [option for option in undeclared if option.name in names]
 
@@ -196,7 +200,6 @@ def _describe_model(entry: Entry) -> None:
     _print_pairs({"heights": "required" if entry.object.uses_height else "not used"})
     _print_options(entry.object.declared_options)
     try:
-        # Terms at other options are others: only those of the defaults can be listed.
         terms = entry.object().terms
     except TermselError as error:  # of a plugin, whose description is still useful
         echo(f"\nTerms cannot be listed: {error}")
@@ -233,11 +236,14 @@ def _describe_criterion(entry: Entry) -> None:
 
 
 def _describe_function(entry: Entry) -> None:
-    """Print the description of a thing made of one function, and how to ask for it."""
+    """Print the description of a thing made of one function, such as a split, and how to use it.
+
+    The description is the docstring of the function without its first line, which says what it
+    returns; the summary, printed before, says what that is.
+    """
     declared = entry.object
-    (made_by, use) = _FUNCTIONS[type(entry.object).__name__]
-    # The docstring's first line says what the function returns; the summary says what that is.
-    details = (inspect.getdoc(getattr(declared, made_by)) or "").partition("\n")[2].strip("\n")
+    attribute, use = _FUNCTIONS[type(declared).__name__]
+    details = (inspect.getdoc(getattr(declared, attribute)) or "").partition("\n")[2].strip("\n")
     if details:
         echo(f"\n{details}")
     echo(f"\n{use.format(entry.name)}")
@@ -253,17 +259,20 @@ _FUNCTIONS = {
 def _describe_method(entry: Entry) -> None:
     """Print when auto chooses a method, and how to fit it alone."""
     method = entry.object
-    is_limited = method.max_features < float("inf")
+    limit = ""
+    if method.max_features < float("inf"):
+        limit = f"up to {method.max_features:g} features"
     _print_pairs({"chosen": _when_chosen(method), "contains": ", ".join(method.contains),
-                  "needs": ", ".join(method.needs),
-                  "tried for": f"up to {method.max_features:g} features" if is_limited else ""})
+                  "needs": ", ".join(method.needs), "tried for": limit})
     echo(f"\nFit it alone with termsel run --method {entry.name}, in Python with "
          f"termsel.fit(features, {entry.name!r}).")
 
 
 def _when_chosen(method: Any) -> str:
-    """Return in words when auto chooses a method."""
-    # In the order in which the choice itself asks: the first that holds decides.
+    """Return in words when auto chooses a method.
+
+    A method may be several of these things: the first that holds decides, as in the choice itself.
+    """
     if method.on_request:
         return "never: it is fitted where it is asked for"
     if method.only_shown:
@@ -299,13 +308,12 @@ _DESCRIBE: dict[str, Callable[[Entry], None]] = {
 
 
 def _print_docstring(entry: Entry) -> None:
-    """Print the docstring of a class without its first paragraph, the summary."""
+    """Print the docstring of a class without its summary and its examples, which are of Python."""
     thing = entry.object
     # Methods and criteria are objects, models and solvers classes.
     text = (thing if isinstance(thing, type) else type(thing)).__doc__
-    # Examples are of Python; that of the command line stands above.
     paragraphs = _EXAMPLE_SECTION.sub("", inspect.cleandoc(text or "")).partition("\n\n")[2].strip()
-    if paragraphs:  # the first one is the summary
+    if paragraphs:
         echo("\n" + _HEADING.sub(r"\1:", paragraphs))
 
 
@@ -318,7 +326,6 @@ _EXAMPLE_SECTION = re.compile(r"^Examples\n-{3,}\n.*?(?=^\w[\w ]*\n-{3,}$|\Z)",
 
 def _print_pairs(values: dict[str, Any]) -> None:
     """Print names and values in two columns, without empty values."""
-    # What a thing does not have is no line.
     shown = {key: value for key, value in values.items() if value}
     width = max(map(len, shown))
     echo()

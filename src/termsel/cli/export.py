@@ -52,11 +52,12 @@ def export(folder: Path, to: str, output: Path, image: str | None, dem: str | No
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import read_result
 
-    # Report a mistake in these before the folder is read.
+    # A mistake in the format and its options is reported before the folder is read.
     writer = writer_of(to, **options)
     files = writer.files(output)
     is_table = (writer.suffix or to).endswith("csv")  # as of points-csv
-    if not is_there(output):  # those next to it may be of an export that was killed
+    # Without the file itself, those next to it are of an export that was killed, and are replaced.
+    if not is_there(output):
         files = (output,)
     # All files of a format are looked at before anything is written: one that exists refuses all.
     require_replaceable(files, reads=[folder, *options.values()], overwrite=overwrite,

@@ -41,6 +41,12 @@ _UNWRITABLE = {errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, 
                errno.EAGAIN}
 
 
+def _is_of_stdout(error: Exception) -> bool:
+    """Return whether an error is that of a closed or full stdout, not that of a named file."""
+    return (isinstance(error, OSError) and error.errno in _UNWRITABLE
+            and error.filename is None)
+
+
 @contextmanager
 def _stdout_may_end() -> Iterator[None]:
     """End the program silently when the reader of its output, such as head, has ended.
@@ -51,8 +57,7 @@ def _stdout_may_end() -> Iterator[None]:
         yield
         stream_of_results().flush()
     except OSError as error:
-        # Only errors of the output itself, which have no file name, are meant.
-        if error.errno not in _UNWRITABLE or error.filename is not None:
+        if not _is_of_stdout(error):
             raise
         # Python flushes stdout once more when it ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream_of_results().fileno())
@@ -94,7 +99,9 @@ class Commands(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Return name, command and remaining arguments.
 
-        Raises TermselError for an unknown command.
+        Raises TermselError for an unknown command, and UsageError for an option of one value that
+        is given twice. While a shell asks for completions nothing is raised, and the command may be
+        None.
         """
         command = self.get_command(ctx, args[0])
         if command is None and not ctx.resilient_parsing:
@@ -148,11 +155,13 @@ class Commands(click.Group):
     ) -> Any:
         """Run the command line and leave the program with an exit code.
 
-        A command that returns a whole number chooses the exit code. Unless it `gives_back` stdout,
-        a thread of a plugin that prints on and on prints nothing after the results either.
+        A command that returns a whole number chooses the exit code. Without `standalone_mode` that
+        value is returned, and exceptions are raised. At the end stdout is given back to whatever
+        prints, unless `gives_back` is False: then a thread of a plugin that prints on and on prints
+        nothing after the results.
         """
         try:
-            # In standalone mode click would print and exit by itself; its messages are shaped here.
+            # click would print errors and exit by itself; termsel has words of its own for them.
             if standalone_mode:
                 self._end_with_code(args, prog_name, complete_var, **extra)
             return super().main(args, prog_name, complete_var, False, **extra)
@@ -248,8 +257,12 @@ def _too_large_error(error: MemoryError) -> TermselError:
 
 
 def _suggested_commands(words: Sequence[str], error: TermselError) -> Iterator[str]:
-    """Yield the commands that an error suggests, each with a label such as "Ready to run"."""
-    # Where one of several readings of a table is right, each has its command.
+    """Yield the commands that an error suggests, each with a label such as "Ready to run".
+
+    They are the words of the user with the options of the error in place of theirs. Where a table
+    can be read in several ways, each has its command. None is yielded without such options, and
+    where a command cannot be printed as it must be typed.
+    """
     guesses = error.guesses or [error.options.get("--columns", "")]
     for number, columns in enumerate(guesses, 1):
         options = {**error.options, "--columns": columns} if columns else error.options
@@ -257,11 +270,11 @@ def _suggested_commands(words: Sequence[str], error: TermselError) -> Iterator[s
         replaced = {name: value for name, value in options.items() if name != "--set"}
         typed = shlex.join([*_words_without_options(words, replaced),
                             *chain.from_iterable(options.items())])
-        if not options or not is_printable(typed):  # what is shown otherwise cannot be pasted
+        if not options or not is_printable(typed):
             continue
         # A question mark is for the user to fill in: such a command cannot run as it is.
-        asks = "?" in "".join(options.values())
-        if asks:
+        is_incomplete = "?" in "".join(options.values())
+        if is_incomplete:
             verb = "Complete and run"
         elif not error.guesses:
             verb = "Ready to run"
@@ -273,8 +286,7 @@ def _suggested_commands(words: Sequence[str], error: TermselError) -> Iterator[s
 
 
 def _words_without_options(words: Sequence[str], options: Mapping[str, str]) -> Iterator[str]:
-    """Yield words without some options and their values."""
-    # Options stand as "--crs X" or "--crs=X".
+    """Yield the words of a command without some options, written as "--crs X" or "--crs=X"."""
     remaining = iter(words)
     for word in remaining:
         if word in options:
@@ -284,12 +296,15 @@ def _words_without_options(words: Sequence[str], options: Mapping[str, str]) -> 
 
 
 def _refuse_repeated(command: click.Command, words: list[str]) -> None:
-    """Raise UsageError for an option of one value given twice: click drops the first silently."""
+    """Raise UsageError for an option of one value given twice: click drops the first silently.
+
+    Words that click cannot parse pass: the command itself says what is wrong with them.
+    """
     # The parser is that of click, so that abbreviations and clusters of flags count alike.
     parser = command.make_parser(click.Context(command, resilient_parsing=True))
     try:
         order = parser.parse_args(list(words))[2]
-    except click.UsageError:  # the command says so itself
+    except click.UsageError:
         return
     for option, times in Counter(order).items():
         if times > 1 and isinstance(option, click.Option) and not (
@@ -300,22 +315,25 @@ def _refuse_repeated(command: click.Command, words: list[str]) -> None:
 def _print_alone(command: click.Command) -> click.Command:
     """Return a built-in command during which nothing else prints on stdout.
 
-    Its help page may print as it likes.
+    stdout is taken when the command is invoked, not for its help page.
     """
     invoke = command.invoke
     # A copy, as the command object is shared by all calls in this process.
     command = copy(command)
 
-    def alone(ctx: click.Context) -> Any:
+    def invoke_alone(ctx: click.Context) -> Any:
         take_stdout()
         return invoke(ctx)
 
-    command.invoke = alone  # type: ignore[method-assign]
+    command.invoke = invoke_alone  # type: ignore[method-assign]
     return command
 
 
 def _plugin_command(name: str) -> click.Command | None:
-    """Return the command of a plugin by its name; None if no plugin has it."""
+    """Return the command of a plugin by its name; None if no plugin has it.
+
+    For a plugin that could not be loaded it is a command that shows why.
+    """
     from termsel.plugins.registry import registry
 
     names = registry()
@@ -332,33 +350,31 @@ def _plugin_command(name: str) -> click.Command | None:
 def _blame_plugin(command: click.Command) -> click.Command:
     """Return a command of a plugin whose faults name the plugin; it may choose its exit code.
 
-    What plugins raise on purpose, such as TermselError, passes; any other exception becomes a fault
-    that names the distribution and its version, so that nobody reports it to termsel.
+    The fault names the distribution and its version, so that nobody reports it to termsel.
     """
     invoke = command.invoke
 
-    def blaming(ctx: click.Context) -> Any:
-        """Run a command of a plugin; an error of it that nobody meant names the plugin.
+    def invoke_or_blame(ctx: click.Context) -> Any:
+        """Run the plugin's command; raise PluginFault for an exception that is the plugin's fault.
 
-        It is raised as PluginFault. Errors of stdout, and those by which commands end on purpose,
-        pass unchanged.
+        TermselError, click's own exceptions and MemoryError pass, and so do the errors of a closed
+        or full stdout.
         """
         try:
             return invoke(ctx)
-        # These are how commands end on purpose; all else is a fault of the plugin.
         except (click.ClickException, click.exceptions.Exit, click.Abort, TermselError,
                 MemoryError):
             raise
         except Exception as error:
-            if isinstance(error, OSError) and error.errno in _UNWRITABLE:
-                raise  # stdout, which is closed or full
+            if _is_of_stdout(error):
+                raise
             from termsel.core.isolation.faults import distribution_of, fault_of_error, package_of
 
             package = package_of(command.callback)
             failure = f"the command {command.name!r} of {distribution_of(package)} failed"
             raise fault_of_error(error, failure, package) from error
 
-    command.invoke = blaming  # type: ignore[method-assign]
+    command.invoke = invoke_or_blame  # type: ignore[method-assign]
     return command
 
 

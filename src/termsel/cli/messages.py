@@ -65,11 +65,14 @@ def say_doubts(error: TermselError) -> None:
 
 
 def echo(text: str = "", *, err: bool = False, nl: bool = True) -> None:
-    """Print text, made printable, with a line end unless `nl` is False."""
+    """Print text, made printable, with a line end unless `nl` is False.
+
+    It goes to stdout, after doubts that are pending, or to stderr if `err`. An error of stderr,
+    such as a full disk, is ignored; one of stdout is raised, as the user must learn that a result
+    was not written.
+    """
     if not err and _pending:
         say_pending()
-    # If stderr cannot be written, as on a full disk, the command goes on.
-    # stdout is not excused: who asks for a result must learn that it was not written.
     with suppress(OSError) if err else nullcontext():
         click.echo(make_printable(text), file=sys.stderr if err else stream_of_results(), nl=nl)
 
@@ -123,22 +126,21 @@ class _OnStderr(logging.Handler):
 
 @contextmanager
 def say_once(noun: str = "image") -> Iterator[None]:
-    """Print of alike messages about many images the first, and at the end how many more there are.
+    """Show only the first of many messages of a kind, and at the end how many more there were.
 
+    Messages have their kind as the attribute ONCE, such as a doubt about a DEM that all images of a
+    batch share; others are all shown. Nobody reads the same sentence a hundred times.
     `noun` is what the images are called, such as sheet.
-
-    Messages of a kind have the attribute ONCE, such as a doubt about a DEM that all images of a
-    batch share. Nobody reads the same sentence a hundred times.
     """
-    told: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
 
     def is_first(record: logging.LogRecord) -> bool:
-        """Return whether a record is the first of its kind, or of none."""
+        """Return whether a message is the first of its kind, or has no kind."""
         kind = getattr(record, ONCE, None)
         if kind is None:
             return True
-        told[kind] += 1
-        return told[kind] == 1
+        counts[kind] += 1
+        return counts[kind] == 1
 
     handlers = logging.getLogger("termsel").handlers
     for handler in handlers:
@@ -148,7 +150,7 @@ def say_once(noun: str = "image") -> Iterator[None]:
     finally:
         for handler in handlers:
             handler.removeFilter(is_first)
-        for kind, count in told.items():
+        for kind, count in counts.items():
             if count > 1:
                 others = count_in_words(count - 1, f"further {noun}")
                 echo(f"Note: that on {kind} concerns {others} as well.", err=True)

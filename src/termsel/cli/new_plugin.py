@@ -79,7 +79,7 @@ def new_plugin(name: str, kind: str, parent: Path) -> None:
         raise TermselError(f"cannot write: {error.strerror}", file=folder,
                            hint="Choose a folder that is writable: --into DIR.") from error
     say_written(folder / file for file in texts)
-    # Without the dot pip asks an index.
+    # Without "./" pip would take the folder for the name of a package in an index.
     shown_folder = folder if folder.is_absolute() else f"./{folder}"
     echo(f"Install it: {Path(sys.executable).name} -m pip install {shown_folder}\n"
          f"Test it:    cd {folder}; {Path(sys.executable).name} -m unittest discover tests")
@@ -101,8 +101,7 @@ def package_files(name: str, *kinds: str) -> dict[str, str]:
             raise unknown_name_error("kind of plugin", kind, NEW_KINDS)
     if len(set(kinds)) < len(kinds):
         raise TermselError(f"--kind {','.join(kinds)} names a kind twice", hint="Name each once.")
-    # The name of the package is that of its module, as pip normalises it; that of the thing is
-    # without the common prefix.
+    # As pip normalises names: termsel-demo has the module termsel_demo, and registers "demo".
     module = re.sub(r"[-_.]+", "_", name).lower()
     plugin_name = re.sub(r"[-_.]+", "-", name).lower().removeprefix("termsel-")
     has_one_kind = len(kinds) == 1
@@ -118,16 +117,15 @@ def package_files(name: str, *kinds: str) -> dict[str, str]:
         "POINTS": "".join(f'{names[kind]} = "{modules[kind]}"\n' for kind in kinds),
         "DESCRIBED": "\n".join(f"termsel describe {names[kind]}" for kind in kinds),
         "USE": "\n\n".join(_USE[kind].format(name=names[kind]) for kind in kinds)}
-    package_files = {file: _fill_words(file, words) for file in ("pyproject.toml", "build_wheel.py",
-                                                         "README.md")}
+    texts = {file: _fill_words(file, words)
+             for file in ("pyproject.toml", "build_wheel.py", "README.md")}
     for kind in kinds:
-        words_of_kind = {**words, "MODULE": modules[kind], "NAME": names[kind],
-               "TITLE": f"The {titles[kind]}",
-               "CLASS": "".join(syllable.capitalize() for syllable in names[kind].split("-"))}
-        package_files[f"{modules[kind]}.py"] = _fill_words(f"{kind}.py", words_of_kind)
-        file = f"test_{modules[kind]}.py"
-        package_files[f"tests/{file}"] = _fill_words(f"{kind}_test.py", words_of_kind)
-    return package_files
+        words_of_kind = {
+            **words, "MODULE": modules[kind], "NAME": names[kind], "TITLE": f"The {titles[kind]}",
+            "CLASS": "".join(syllable.capitalize() for syllable in names[kind].split("-"))}
+        texts[f"{modules[kind]}.py"] = _fill_words(f"{kind}.py", words_of_kind)
+        texts[f"tests/test_{modules[kind]}.py"] = _fill_words(f"{kind}_test.py", words_of_kind)
+    return texts
 
 
 def _name_as_word(kind: str) -> str:
@@ -146,8 +144,8 @@ def _require_free(name: str, package: str, bare: str, kind: str, module: str,
     """Refuse a name of a package that cannot be one, or that something else has already.
 
     `name` is that of the distribution, `package` its import name, `bare` the name without
-    "termsel-", and `plugin_name` what the plugin would register of its `kind`. Raises TermselError
-    with a name that could be taken.
+    "termsel-", `module` the module of this `kind`, and `plugin_name` what that would register.
+    Raises TermselError with what to choose.
     """
     if not _DISTRIBUTION_NAME.fullmatch(name) or keyword.iskeyword(package) or not bare:
         # What remains of the name without forbidden characters is the nearest that can be.

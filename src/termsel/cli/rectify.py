@@ -97,8 +97,8 @@ def rectify(context: click.Context, folder: Path, image: Path, output: Path, dem
     if sigma is not None:
         refuse_stdout(sigma)
         require_tiff_name(sigma)
-        # It is looked up before the map is made, which may take an hour.
-        # A plugin's command; without the plugin this says what to install.
+        # The command of a plugin. It is looked up before the map is made, which may take an hour:
+        # without the plugin this raises an error that says what to install.
         group = context.find_root().command
         assert isinstance(group, click.Group)
         uncertainty = group.resolve_command(context, ["sigma"])[1]
@@ -108,7 +108,6 @@ def rectify(context: click.Context, folder: Path, image: Path, output: Path, dem
     require_replaceable([output] if sigma is None else [output, sigma],
                         reads=[folder, image, dem], overwrite=overwrite)
     result = read_result(folder)
-    # A result of a plane model has no heights, and needs none here.
     if dem is None and height is None and result.fit.model.uses_height:
         raise TermselError("the position of the image on the map depends on the height of the "
                            "ground",

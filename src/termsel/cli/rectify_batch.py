@@ -46,7 +46,6 @@ def rectify_batch(folder: Path, pictures: Path, out: Path, *, doubtful: bool, dr
     _require_options(options)
     maps = plan_maps(folder, pictures, out, with_doubtful=doubtful,
                      overwrite=options["overwrite"])
-    # Before the first of hundreds of maps, not at the one that needs heights.
     if options["dem"] is None and options["height"] is None and (
             planned := first_map_needing_heights(maps)) is not None:
         dem = dem_of_batch(folder)
@@ -81,23 +80,23 @@ def _require_options(options: Mapping[str, Any]) -> None:
 
 
 def _write(maps: list[ImageMap], quiet: bool, options: Mapping[str, Any]) -> list[ImageMap]:
-    """Write maps as planned, under one bar; return what came of each."""
+    """Write maps as planned, under one bar; return the maps with their new states."""
     from termsel.io.rectify import rectify
     from termsel.studies.maps import PLANNED, write_maps
 
     total = max(sum(item.state == PLANNED for item in maps), 1)
     with say_once(), share_bar("rectify", quiet) as progress:
-        done = 0
+        finished = 0
 
-        def show(share: float) -> None:
-            """Show the part of all maps that is done."""
+        def show_share(share: float) -> None:
+            """Show the part of all maps that is finished, given the share of the current one."""
             if progress is not None:
-                progress((done + share) / total)
+                progress((finished + share) / total)
 
         def write(result: Result, image: Path, output: Path) -> None:
-            nonlocal done
-            rectify(result, image, output, **options, progress=show)
-            done += 1
+            nonlocal finished
+            rectify(result, image, output, **options, progress=show_share)
+            finished += 1
 
         return list(write_maps(maps, write))
 

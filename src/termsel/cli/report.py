@@ -42,8 +42,8 @@ def report(folder: Path, output: Path | None, image: str | None, overwrite: bool
     refuse_stdout(output)
     show_messages()
     is_study = _is_study(folder)
+    # termsel compare writes the page of a study itself: it is there already, and no error.
     if is_study and not overwrite and is_there(folder / REPORT) and output == folder / REPORT:
-        # termsel compare has written it.
         echo(f"There is a page already: {output}. Open it, or add --overwrite to write it again.")
         return
     _require_page(output, folder, image, overwrite=overwrite)

@@ -51,12 +51,11 @@ def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **argum
     if folder is not None:
         require_replaceable(files_of_result(folder), reads=settings.reads, overwrite=True,
                             makes_folder=True)
-    # A name that is not known is said before a long search.
-    exported = settings.exported()
-    page = settings.page()
+    # Formats that are not known, and files that may not be replaced, are refused now, too.
+    export_files = settings.export_files()
+    page = settings.report_file()
     features, options = settings.read()
     title = settings.problem or settings.solver or settings.method or "auto"
-    # The record names what was asked for; the bar shows only the shortest name of it.
     with search_bar(title, settings.quiet) as observe:
         result = running.run(
             settings.problem, strategy=settings.strategy, method=settings.method,
@@ -66,13 +65,12 @@ def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **argum
             **settings.budget,
             observers=[observe] if observe else [], out=folder, overwrite=settings.overwrite,
             checkpoint=checkpoint)
-    # The summary says what is doubtful; a record has it in a field of its own.
+    # The doubts that are pending are not printed by themselves: the summary states them.
     if not settings.as_json:
         take_pending()
-    # With --json the record is all that stdout gets, so that programs can read it.
     echo(result.to_json() if settings.as_json else result.summary(verbose=verbose), nl=False)
     if folder is not None:
-        settings.write(result, exported, page)
+        settings.write(result, export_files, page)
     if not settings.as_json:
         saved = f"Saved     {folder}{os.sep}    " if folder is not None else ""
         echo(f"{saved}{result.next_step(folder or '')}")

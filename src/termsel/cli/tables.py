@@ -11,11 +11,11 @@ from termsel.core.errors import make_printable
 
 
 def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table."""
+    """Print a table: drawn by rich on a terminal, as plain columns elsewhere."""
     if stream_of_results().isatty():
         _draw(header, rows)
         return
-    # Columns as wide as their widest cell, as in a pipe nobody knows the width of a screen.
+    # A pipe or file has no width that rows must fit into.
     widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
     for row in (header, *rows):
         cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
@@ -33,7 +33,7 @@ def _draw(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     for i, title in enumerate(header):
         table.add_column(title, no_wrap=i == 0, overflow="fold")
     for row in rows:
-        # Text, as "[...]" in a summary is not markup.
+        # As Text, so that "[...]" in a summary is not taken for markup.
         table.add_row(*(Text(make_printable(cell)) for cell in row))
     Console(file=stream_of_results()).print(table)
 

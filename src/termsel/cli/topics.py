@@ -49,8 +49,7 @@ class ByTopic(click.Command):
         return [*super().get_params(ctx), help_all]
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the main options by topic, or all where that is asked for."""
-        # The long help is click's own; the short one shows what most people need.
+        """Write the main options by topic, or all options, as click does, for --help-all."""
         if ctx.meta.get(_ALL_OPTIONS_ASKED):
             super().format_options(ctx, formatter)
             return
@@ -94,7 +93,7 @@ class Whole(click.IntRange):
 
     def convert(self, value: Any, param: click.Parameter | None,
                 ctx: click.Context | None) -> int:
-        """Return the number; refuse one beyond the range, and say what that is."""
+        """Return the number; raise BadParameter for one outside the range, with the range."""
         number = int(click.INT.convert(value, param, ctx))
         too_small = self.min is not None and number < self.min
         too_large = self.max is not None and number > self.max

@@ -55,7 +55,10 @@ def _help_option(error: click.ClickException) -> str:
 
 
 def _lines_on_missing(error: click.MissingParameter) -> list[str]:
-    """Return lines on a missing option or argument, with an example of the command."""
+    """Return lines on a missing option or argument: what it is, and an example of the command.
+
+    The example is the first in the help of the command, if there is one.
+    """
     param = error.param
     if param is None or error.ctx is None:
         return [error.format_message()]
@@ -85,10 +88,10 @@ _OF_MANY = re.compile(r"Of many images, a file each: termsel compare --points '(
 
 
 def hint_for(ctx: click.Context, hint: str | None) -> str | None:
-    """Return the hint of an error in the words of the command that it ended.
+    """Return the hint of an error in words that fit the command which it ended.
 
-    What reads files for many commands advises --set swapped, which few of them have, and termsel
-    compare for many files, which some of them take themselves.
+    Code that reads files for many commands advises --set swapped, which few commands have, and
+    termsel compare for many files, which some commands take themselves.
     """
     if hint is not None and any(isinstance(param, click.Argument) and param.nargs == -1
                                 for param in ctx.command.params) and ctx.info_name != "run":
@@ -100,13 +103,17 @@ def hint_for(ctx: click.Context, hint: str | None) -> str | None:
 
 
 def _unknown_option_message(error: click.NoSuchOption) -> str:
-    """Return the message for an unknown option, with a near one, or with all of a few."""
+    """Return the message for an unknown option, with the option that may be meant.
+
+    Where none is near, it names the commands that have such an option, and all options of this
+    command if they are few.
+    """
     params = error.ctx.command.params if error.ctx is not None else ()
     key = error.option_name.lstrip("-").replace("-", "_")
     own = {option for param in params for option in param.opts}
     meant = [f"--{name}" for name in _ALSO_CALLED.get(key.replace("_", "-"), ())
              if f"--{name}" in own]
-    # What this command calls otherwise comes before an option of some model or solver.
+    # Another word for an option of this command comes before an option of some model or solver.
     if meant:
         return f"there is no option {error.option_name}. Did you mean {meant[0]}?"
     if any("--set" in param.opts for param in params) and key in _options_of_set():
@@ -114,28 +121,28 @@ def _unknown_option_message(error: click.NoSuchOption) -> str:
     options = [max(param.opts, key=len) for param in params
                if isinstance(param, click.Option) and not param.hidden]
     others = _commands_with(error.option_name, error.ctx)
-    # What another command calls so is no slip of the pen.
-    near = _nearest_option(error.option_name, options, spelt=bool(others))
+    # An option that another command has is not misspelt.
+    near = _nearest_option(error.option_name, options, is_spelt_right=bool(others))
     if near:
         return f"there is no option {error.option_name}. Did you mean {near}?"
     elsewhere = f" It belongs to termsel {first_names_in_words(others, 4)}." if others else ""
-    # A command of many options is left to its help.
     listed = f" Known: {', '.join(options)}." if 0 < len(options) <= _MOST_OPTIONS else ""
     return f"there is no option {error.option_name}.{elsewhere}{listed}"
 
 
-def _nearest_option(typed: str, options: Sequence[str], spelt: bool) -> str:
+def _nearest_option(typed: str, options: Sequence[str], is_spelt_right: bool) -> str:
     """Return the option that is probably meant; "" if none is near.
 
-    What is `spelt` as an option of another command is not taken for misspelt.
+    First comes an option for which `typed` is another word, then one of which it is the beginning,
+    or that begins it, and at last one of similar spelling, unless `is_spelt_right`.
     """
     names = {option.lstrip("-"): option for option in options}
     word = typed.lstrip("-").replace("_", "-").lower()
     meant = [name for name in _ALSO_CALLED.get(word, ()) if name in names]
-    # --out for --output, and the other way round.
+    # As in --out for --output, and the other way round.
     begun = [name for name in names if len(word) >= _LEAST_BEGUN
              and (name.startswith(word) or word.startswith(name))]
-    alike = [] if spelt else get_close_matches(word, names, n=1, cutoff=_ALIKE)
+    alike = [] if is_spelt_right else get_close_matches(word, names, n=1, cutoff=_ALIKE)
     near = [*meant, *begun, *alike]
     return names[near[0]] if near else ""
 
@@ -233,11 +240,13 @@ _FACTORS = {"metres": {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "dm": 0.1, "m": 1.0, 
 
 
 def _remedy_for_unit(name: str, param: click.Parameter, typed: str) -> str:
-    """Return what to type for a number with a unit: the number in the unit of the option."""
+    """Return what to type for a number with a unit: the number in the unit of the option.
+
+    Where it cannot be converted the remedy says what to do, or in which unit the option is.
+    """
     unit = _UNIT_OF_VALUE.get(_value_name(param)) or _UNIT_OF_VALUE.get(name)
     match = _WITH_UNIT.fullmatch(typed)
     if unit is None or match is None:
-        # The help tells the unit, and the number may be of another.
         return f"Type a number without a unit; the help says what {name} counts."
     factor = _FACTORS[unit].get(match[2].lower())
     if factor is not None:
@@ -294,7 +303,7 @@ def _bad_value(error: click.BadParameter, param: click.Parameter) -> str:
 
 
 def _range_in_words(kind: click.IntRange | click.FloatRange) -> str:
-    """Return the limits of a number in words; a limit that nobody reaches is left out."""
+    """Return the limits of a number in words; an upper limit from `_NO_LIMIT` on is left out."""
     noun = "a whole number" if isinstance(kind, click.IntRange) else "a number"
     limits = []
     if kind.min is not None:
@@ -314,7 +323,6 @@ def _extra_words(error: click.ClickException) -> str:
     takes_words = any(isinstance(param, click.Argument) for param in ctx.command.params)
     remedy = "A name with spaces needs quotation marks." if takes_words else "Leave it out."
     if any("--points" in param.opts for param in ctx.command.params):
-        # The folder of a result is none of points, which the command reads anew.
         remedy = f"A file of points is given so: --points {shlex.quote(extra[1])}."
         if Path(extra[1]).is_dir():
             remedy = "It is a folder, and this command takes a file of points: --points FILE."

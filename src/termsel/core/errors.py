@@ -187,15 +187,17 @@ def unknown_name_error(
 
 
 def likely_names(name: str, names: Sequence[str]) -> list[str]:
-    """Return up to three names that may be meant: the nearest, and those that differ by words."""
-    # Above 0.6 of matching characters the nearest name is a misspelling; below, any guess misleads.
+    """Return up to three names that may be meant: the nearest, and those that differ by words.
+
+    Without any, the only name with the same first letters, such as popsize for "population".
+    """
     by_small_letters = {known.lower(): known for known in names}
     small = name.lower()
+    # Above 0.6 of matching characters the nearest name is a misspelling; below, any guess misleads.
     near = get_close_matches(small, by_small_letters, n=1, cutoff=0.6)
     near += [known for known in by_small_letters if known not in near
              and (known.startswith(f"{small}-") or small.startswith(f"{known}-")
                   or known.endswith(f"-{small}"))]
-    # popsize for population: the only name that begins alike.
     alike = [known for known in by_small_letters if known[:_ALIKE] == small[:_ALIKE]]
     if not near and len(alike) == 1 and len(small) > _ALIKE:
         near = alike
@@ -245,10 +247,10 @@ def first_names_in_words(names: Sequence[str], limit: int = 10) -> str:
 @contextmanager
 def require_import(needing: str, packages: str, install: str,
                    file: object = None) -> Iterator[None]:
-    """Run imports; raise TermselError if one fails.
+    """Run a block of imports; raise TermselError if one fails.
 
-    It begins with `needing`, which has its verb, as in "charts require", and `packages`; `install`
-    is what pip installs.
+    The message begins with `needing`, which has its verb, as in "charts require", and the names of
+    the `packages`; its hint is to let pip install `install`.
     """
     try:
         yield
@@ -271,7 +273,9 @@ _TENTHS, _HUNDREDTHS, _DIGITS, _SMALLEST = 99.95, 9.995, 0.0995, 1e-4
 
 
 def rounded_size_text(value: float) -> str:
-    """Return a size in px or metres with the same number of decimals on every screen and page.
+    """Return a size in px or metres as text, with as many decimals on every screen and page.
+
+    A size below 1 has two digits at least; one of hundreds has no decimals.
 
     Examples
     --------

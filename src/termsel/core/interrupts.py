@@ -30,13 +30,17 @@ def end_at_once() -> None:
 
 
 def leave(_number: int = signal.SIGINT, _frame: FrameType | None = None) -> NoReturn:
-    """Print "Interrupted." on stderr and end the program at once, with the code `INTERRUPTED`."""
+    """Print "Interrupted." on stderr and end the program at once, with the code `INTERRUPTED`.
+
+    It is the handler of a signal, which gets the signal's number and the frame that it stopped.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     take_pending_interrupt()
     try:
         os.write(2, b"Interrupted.\n")
     finally:
-        os._exit(INTERRUPTED)  # not even Python may do more: this may be in the middle of anything
+        # Not even Python may do more: the signal may have come in the middle of anything.
+        os._exit(INTERRUPTED)
 
 
 def end_program() -> NoReturn:

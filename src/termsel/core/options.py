@@ -28,11 +28,11 @@ _file: ContextVar[str] = ContextVar("file", default="")  # whose options are bei
 
 @contextmanager
 def options_of_file(file: object) -> Iterator[None]:
-    """Resolve options of a file: within, those that no file may set are refused.
+    """Refuse, during a block, values of options that no file may set.
 
-    A study, a block, a result or results of the benchmark may come from a stranger. Every value of
-    an option goes through `Option.parse`, which looks here. None is no file: what a user typed or
-    gave in Python.
+    The options resolved in the block are those of `file`, such as a study or a result, which may
+    come from a stranger; None stands for what a user typed or gave in Python. Every value of an
+    option goes through `Option.parse`, which looks here.
     """
     # A context variable: other threads may read another file at the same time.
     token = _file.set("" if file is None else str(file))
@@ -98,7 +98,6 @@ class Option:
         if self.choices:
             return " | ".join(self.choices)
         kind = _TYPE_WORDS[self.type]
-        # Both, one, or no limit.
         if self.minimum is not None and self.maximum is not None:
             return f"{kind} from {_plain_number(self.minimum)} to {_plain_number(self.maximum)}"
         if self.minimum is not None:
@@ -117,11 +116,13 @@ class Option:
         return f"from files only {' | '.join(self.from_files)}"
 
     def _require_from_file(self, value: Any) -> None:
-        """Refuse a value that the file whose options are being resolved may not give."""
+        """Refuse a value that the file whose options are being resolved may not give.
+
+        A file may give the default of any option. Outside `options_of_file` nothing is refused.
+        """
         allowed = self.from_files
-        # The default is no setting: a file may repeat it.
-        if not _file.get() or allowed is True or value == self.default or (
-                allowed and str(value) in allowed):
+        is_listed = isinstance(allowed, tuple) and str(value) in allowed
+        if not _file.get() or allowed is True or value == self.default or is_listed:
             return
         values = f" but to {', '.join(allowed)}" if allowed else ""
         raise TermselError(
@@ -162,7 +163,7 @@ class Option:
             parsed = ",".join(map(str, value)) if is_list else str(value)
         else:
             try:
-                parsed = self._number(value)
+                parsed = self._parse_number(value)
             except (TypeError, ValueError, OverflowError):
                 raise wrong from None
             # Only NaN differs from itself; a bool would pass as 0 or 1.
@@ -176,17 +177,22 @@ class Option:
             raise wrong
         return parsed
 
-    def _number(self, value: Any) -> float:
-        """Return a number; whole ones of any size keep all their digits."""
+    def _parse_number(self, value: Any) -> float:
+        """Return a value as a number of the option's type, which is int or float.
+
+        An int, and the text of one in plain digits, is exact. Other text of a whole number, such as
+        "1e3", is read as a float, and so has its 53 bits. Raises ValueError, TypeError or
+        OverflowError if the value is no such number.
+        """
         if self.type is float:
             return float(value)
         try:
             # Not by way of float, which has 53 bits: a seed may have 63.
             return int(value) if isinstance(value, str) else index(value)
-        except (TypeError, ValueError):  # such as 1e3
+        except (TypeError, ValueError):
             number = float(value)
             if number != int(number):
-                raise ValueError from None
+                raise ValueError(f"{value!r} is not a whole number") from None
             return int(number)
 
 
@@ -197,12 +203,13 @@ def _plain_number(bound: float) -> str:
 
 def options_by_part(values: Mapping[str, Any],
                     declared: Mapping[str, Iterable[Option]]) -> dict[str, dict[str, Any]]:
-    """Return the options by part of a run, all parts among them; each has its declared options.
+    """Return the values of options by part of a run and by name; a part may have none.
 
-    They are given by name, or by ``part.name`` where several parts have an option of that name.
-    Raises TermselError for an option that no part has, that several have, or that is given twice.
+    `values` are given by name, or by ``part.name`` where several parts have an option of that name;
+    `declared` has the options of each part. Raises TermselError for an option that no part has,
+    that is given by name alone where several parts have it, or that is given twice.
     """
-    # Names may occur in several parts: seed of a problem and of a solver.
+    # Several parts may have an option of one name, such as the seed of a problem and of a solver.
     owners: dict[str, list[str]] = {}
     for owner, options in declared.items():
         for option in options:
@@ -210,7 +217,6 @@ def options_by_part(values: Mapping[str, Any],
     values_by_owner: dict[str, dict[str, Any]] = {owner: {} for owner in declared}
     for key, value in values.items():
         prefix, _, name = key.rpartition(".")
-        # Without a prefix every part that declares the name is meant; more than one is ambiguous.
         matching = [owner for owner in owners.get(name, ()) if prefix in ("", owner)]
         if not matching:
             if of_package := package_of_option(name):

@@ -17,9 +17,11 @@ R = TypeVar("R")
 
 
 def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """Return a function that limits BLAS to one thread during its calls."""
-    # Matrices are small here. More threads wait for each other in busy loops: that gains nothing,
-    # and on a busy machine it takes several times the processor time.
+    """Return a function that limits BLAS to one thread during its calls.
+
+    Matrices are small here: further threads wait for each other in busy loops, which gains nothing,
+    and on a busy machine takes several times the processor time.
+    """
     @wraps(function)
     def alone(*args: P.args, **kwargs: P.kwargs) -> R:
         """Call the function with one thread for linear algebra."""
@@ -36,9 +38,11 @@ def _keep_freed_memory() -> None:
     That of Linux gives back what is free beyond twice the largest piece that was ever freed, and
     asks the system for it again at the next array: 256 page faults for each of 1 MB. A run of auto
     on 74 points has 15,000 of them, and 700 with this, which saves 6 to 11 % of its processor time.
+    Nothing is done before numpy is imported.
     """
     numpy = sys.modules.get("numpy")
     if numpy is not None:
+        # Allocated and freed at once: from now on the library keeps up to twice as much.
         numpy.empty(FREED)
         _memory_is_kept.append(True)
 

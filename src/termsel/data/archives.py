@@ -31,12 +31,14 @@ def raster_in(path: Path) -> Path:
     Returns
     -------
     pathlib.Path
-        The raster, in a zip by its name for GDAL; what is neither zip nor folder as it is.
+        The raster; one in a zip by its name for GDAL. A path that is neither a zip or folder nor
+        in a zip comes back unchanged, whether or not it exists.
 
     Raises
     ------
     TermselError
-        If there are several, or none.
+        If a zip or folder has several TIFFs or none, if a zip cannot be read, or if it has more
+        than `MAX_ARCHIVE_FILES` files.
     """
     # os.path instead of pathlib, whose is_dir raises for names that the system refuses, such as
     # too long ones: these are simply not there.

@@ -46,7 +46,10 @@ class Area:
     attributes: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Open the ring and check it; raises TermselError or `CornerError` as the class says."""
+        """Drop a repeated last corner and check the rings.
+
+        Raises TermselError for arrays of other shapes, and `CornerError` for a bad corner.
+        """
         image, ground = (np.array(ring, dtype=np.float64) for ring in (self.image, self.ground))
         n = len(image)
         if image.shape != (n, 2) or ground.shape != (n, 3):
@@ -61,23 +64,25 @@ class Area:
         object.__setattr__(self, "image", image)
         object.__setattr__(self, "ground", ground)
         for values, space in ((image, "image"), (ground[:, :2], "ground")):
-            far = ~(np.abs(values) < FARTHEST).all(axis=1)  # NaN too
-            if far.any():
-                corner = int(np.argmax(far))
+            # "not less than" is true of NaN, too.
+            is_bad = ~(np.abs(values) < FARTHEST).all(axis=1)
+            if is_bad.any():
+                corner = int(np.argmax(is_bad))
                 raise CornerError(f"corner {corner + 1} of area {self.id!r} has {space} "
                                   f"coordinates that are not finite, or of {FARTHEST:g} or more",
                                   corner, space, "Correct the values or remove the area.")
-        _refuse_bad(self.id, image, "image")
-        _refuse_bad(self.id, ground[:, :2], "ground")
+        _require_ring(self.id, image, "image")
+        _require_ring(self.id, ground[:, :2], "ground")
 
 
 def boundary_lines(areas: Sequence[Area]) -> Lines:
     """Return the edges of areas as lines; areas that are "off" are left out.
 
     The edges of one area have its id, and are pieces of one feature. An edge that neighbours share,
-    with the same X and Y at its ends, is used once, by the area that has fewer edges so far: so
-    each keeps some. Raises TermselError for an area in the role check or independent, which lines
-    cannot have; for an area whose edges all belong to others; and for what `Lines` refuses.
+    with the same X and Y at its ends, is used once, by the area that has fewer edges so far. So
+    neighbours that do not overlap keep some edges each. Raises TermselError for an area in the role
+    check or independent, which lines cannot have; for an area whose edges all belong to others,
+    such as one that is given twice; and for what `Lines` refuses.
 
     Yavari, Valadan Zoej and Salehi (2018) name areas as control features, next to points and lines;
     that an area enters by its boundary or its centroid is termsel's own formulation.
@@ -88,13 +93,13 @@ def boundary_lines(areas: Sequence[Area]) -> Lines:
                 f"the boundary of area {area.id!r} cannot have the role {area.role!r}",
                 hint="Lines are always control: use control, off or blank. Centroids can have any "
                      "role (--set areas_as=centroid).", ids=[area.id])
-    on = [area for area in areas if area.role != "off"]
+    areas_in_use = [area for area in areas if area.role != "off"]
     ids: list[str] = []
     attributes: list[Mapping[str, str]] = []
     # The empty arrays are for no areas at all.
     image = [np.empty((0, 2, 2))]
     ground = [np.empty((0, 2, 3))]
-    for area, edges in zip(on, _unshared_edges(on), strict=True):
+    for area, edges in zip(areas_in_use, _unshared_edges(areas_in_use), strict=True):
         if not edges:
             raise TermselError(f"all edges of area {area.id!r} belong to other areas on the same "
                                "side", ids=[area.id], hint="Remove one of these areas.")
@@ -120,37 +125,46 @@ def centroid_points(areas: Sequence[Area]) -> Points:
 def centroid_of_ring(ring: ArrayLike) -> FloatArray:
     """Return the centroid of the area that a ring of corners, (n, 2) or (n, 3), bounds.
 
-    Corners are in order, either way, without the first repeated; an unknown height gives NaN.
+    Corners are in order, clockwise or not, and the first is not repeated at the end. One unknown
+    height makes that of the centroid NaN.
     """
     corners = np.asarray(ring, dtype=np.float64)
-    # About the mean corner, so that large coordinates do not cancel.
+    # Coordinates are counted from the mean corner, so that large ones do not cancel.
     middle = corners.mean(axis=0)
-    # From the triangles between the mean corner and each edge, in the plane of the first two
-    # coordinates; the third is the mean over that area.
+    # Each edge makes a triangle with the mean corner. The centroid is the mean of theirs, each a
+    # third of the sum of its two other corners, weighted by their areas in the first two
+    # coordinates.
     edges = _edges_of_ring(corners - middle)
-    twice = _cross_products(edges[:, 0], edges[:, 1])
-    return np.asarray(middle + twice @ edges.sum(axis=1) / (3 * twice.sum()))
+    double_areas = _cross_products(edges[:, 0], edges[:, 1])
+    return np.asarray(middle + double_areas @ edges.sum(axis=1) / (3 * double_areas.sum()))
 
 
 def _unshared_edges(areas: Sequence[Area]) -> list[list[int]]:
-    """Return the numbers of each area's edges, without those that another area uses."""
-    # By its ends: the first area on either side of an edge, and the number it has there.
+    """Return the numbers of each area's edges, without those that another area uses.
+
+    Of areas on the same side of an edge the first has it, so that an area may be left with none.
+    """
+    # For the ends of an edge, and for each side: the first area there and the edge's number in it.
     by_ends: dict[frozenset[tuple[float, ...]], dict[bool, tuple[int, int]]] = {}
     for i, area in enumerate(areas):
-        # Edges of the ground ring (n, 2, 2), and whether it runs against the clock.
-        ring = _edges_of_ring(area.ground[:, :2])
-        around = _cross_products(*np.moveaxis(ring - ring.mean(axis=(0, 1)), 1, 0)).sum() > 0
-        for j, (start, end) in enumerate(ring.tolist()):
-            # Both neighbours find an edge under the same key, whichever end comes first; the area
-            # is on its left where direction and sense agree.
+        edges = _edges_of_ring(area.ground[:, :2])  # (n, 2, 2)
+        centred = edges - edges.mean(axis=(0, 1))
+        is_anticlockwise = _cross_products(centred[:, 0], centred[:, 1]).sum() > 0
+        for j, (start, end) in enumerate(edges.tolist()):
+            # Both neighbours find an edge under the same key, whichever end comes first. An area is
+            # on the left of an edge that is followed anticlockwise; seen from the lesser end it is
+            # so, too, if a clockwise ring follows the edge from the greater end.
             ends = frozenset((tuple(start), tuple(end)))
-            by_ends.setdefault(ends, {}).setdefault((start < end) == around, (i, j))
+            is_on_left = (start < end) == is_anticlockwise
+            by_ends.setdefault(ends, {}).setdefault(is_on_left, (i, j))
     edges_of: list[list[int]] = [[] for _ in areas]
-    # To the one with fewer. Every area lies on either side of some of its edges, so that the
-    # rule for equal numbers leaves none without.
-    for on_either in sorted(by_ends.values(), key=len):
-        i, j = on_either[min(on_either, key=lambda side: (
-            len(edges_of[on_either[side][0]]), not side))]
+    # Edges of one area alone come first. Each shared one goes to the area with fewer edges, and
+    # between equals to the one on the same side: every ring has edges of both sides, so that this
+    # leaves none without.
+    for areas_by_side in sorted(by_ends.values(), key=len):
+        side = min(areas_by_side, key=lambda side: (
+            len(edges_of[areas_by_side[side][0]]), not side))
+        i, j = areas_by_side[side]
         edges_of[i].append(j)
     return [sorted(edges) for edges in edges_of]
 
@@ -165,12 +179,13 @@ def _cross_products(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
 
 
-def _refuse_bad(name: str, ring: FloatArray, space: str) -> None:
+def _require_ring(name: str, ring: FloatArray, space: str) -> None:
     """Raise a CornerError if a ring, shape (n, 2), bounds no area.
 
-    Each test has its reason: fewer than three corners, a corner given twice, corners on one
-    straight line, or edges that cross. Edges of very many corners are not compared with each other,
-    which would take the square of their number. `space` is "image" or "ground", for the message.
+    It bounds none with fewer than three corners, with a corner given twice, with all corners on one
+    straight line, or with edges that cross. Crossings are not looked for in rings of more than
+    `_MANY` corners, as the time grows with the square of their number. `space` is "image" or
+    "ground", for the message.
     """
     n = len(ring)
     in_words = "in the image" if space == "image" else "on the ground"
@@ -179,17 +194,18 @@ def _refuse_bad(name: str, ring: FloatArray, space: str) -> None:
                           "An area requires at least three.")
     # For each corner the first one with the same coordinates: itself, unless it is a repetition.
     _, first, inverse = np.unique(ring, axis=0, return_index=True, return_inverse=True)
-    before = first[inverse.ravel()]
-    if (before != np.arange(n)).any():
-        corner = int(np.argmax(before != np.arange(n)))
+    first_alike = first[inverse.ravel()]
+    is_repeated = first_alike != np.arange(n)
+    if is_repeated.any():
+        corner = int(np.argmax(is_repeated))
         raise CornerError(f"corner {corner + 1} of area {name!r} repeats corner "
-                          f"{before[corner] + 1} {in_words}", corner, space,
+                          f"{first_alike[corner] + 1} {in_words}", corner, space,
                           "Give every corner once; only the first may be repeated at the end, in "
                           "the image and on the ground.")
-    # Twice the area by the shoelace formula, about the mean corner so that nothing cancels.
+    # The shoelace formula gives twice the area; about the mean corner no large numbers cancel.
     edges = _edges_of_ring(ring - ring.mean(axis=0))
-    if abs(_cross_products(edges[:, 0], edges[:, 1]).sum()) <= _FLAT * float(
-            np.ptp(ring, axis=0).max())**2:
+    double_area = abs(_cross_products(edges[:, 0], edges[:, 1]).sum())
+    if double_area <= _FLAT * float(np.ptp(ring, axis=0).max())**2:
         raise CornerError(f"area {name!r} has no extent {in_words}", 0, space,
                           "Its corners lie on one straight line, or its edges cross.")
     crossed = _find_crossing_edges(edges) if n <= _MANY else None
@@ -201,12 +217,12 @@ def _refuse_bad(name: str, ring: FloatArray, space: str) -> None:
 
 
 def _find_crossing_edges(edges: FloatArray) -> tuple[int, int] | None:
-    """Return the first two edges, shape (n, 2, 2), that cross, or None."""
+    """Return the numbers of the first two edges (n, 2, 2) that cross, or None if none do."""
     directions = edges[:, 1] - edges[:, 0]
-    # On which side of edge i the ends of edge j are; zero for an end the two share.
+    # Entry i, j: the sign says on which side of edge i an end of edge j is; 0 for a shared end.
     first_ends = _cross_products(directions[:, None], edges[None, :, 0] - edges[:, None, 0])
     second_ends = _cross_products(directions[:, None], edges[None, :, 1] - edges[:, None, 0])
-    # Two edges cross where each parts the ends of the other.
+    # Two edges cross if the ends of each are on different sides of the other.
     is_parted = first_ends * second_ends < 0
     pairs = np.argwhere(np.triu(is_parted & is_parted.T))
     return (int(pairs[0, 0]), int(pairs[0, 1])) if len(pairs) else None

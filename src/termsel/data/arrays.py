@@ -13,7 +13,7 @@ IntArray = NDArray[np.intp]
 def numbers_or_nan(values: ArrayLike) -> FloatArray:
     """Return values as an array of numbers, with NaN where a masked array of numpy masks them.
 
-    What is below a mask is no value, such as the -9999 of a hole in a DEM.
+    The number below a mask is no measurement: in a hole of a DEM it is -9999, say.
     """
     if np.ma.isMaskedArray(values):
         return np.asarray(np.ma.filled(np.ma.asarray(values, dtype=np.float64), np.nan))

@@ -29,12 +29,14 @@ _NO_RASTERS = (".csv", ".txt", ".json", ".geojson", ".gpkg", ".shp", ".xlsx", ".
 
 
 def require_tiff_name(path: Path) -> None:
-    """Refuse a name that says another format, before long work.
+    """Refuse a map's file name that says another format than TIFF.
+
+    Callers do so before long work, not only when the map is written.
 
     Raises
     ------
     TermselError
-        Naming the file.
+        If the suffix is one of another raster format, or of a file that is no raster.
     """
     suffix = path.suffix.lower()
     if suffix in _OTHERS or suffix in _NO_RASTERS:
@@ -67,14 +69,15 @@ def write_cog(
     Parameters
     ----------
     path : pathlib.Path
-        An existing file is replaced.
+        The file to write. An existing one is replaced.
     profile : dict
         Height, width, count, dtype, crs, transform and nodata, as rasterio.open takes them.
     pixels : callable
-        Returns the pixels (bands, lines, samples) of a rasterio Window with its affine.Affine, and
-        where they show something (lines, samples), which counts if `masked`; or the pixels alone.
+        Takes a rasterio Window of the map and its affine.Affine. Returns the pixels (bands, lines,
+        samples), alone or with a mask (lines, samples) that is True where they show something. The
+        mask is ignored unless `masked`.
     describe : callable
-        Called with the dataset before the first tile: its tags, colours and names of bands.
+        Called with the open dataset before the first tile, to set tags, colours and names of bands.
     across : int
         Width of the tiles [px].
     statistics : bool
@@ -82,9 +85,9 @@ def write_cog(
     masked : bool
         Whether the file has a mask.
     nearest : bool
-        Whether overviews have values of the map alone, not means.
+        Whether overviews keep single pixels of the map, instead of means of several.
     bits : int, optional
-        Of a pixel, where it has fewer than 8.
+        The bits of each pixel, if they are fewer than 8.
     progress : callable, optional
         Called with the fraction that is done, 0 to 1.
 
@@ -102,16 +105,16 @@ def write_cog(
 
     lines = profile["height"]
     samples = profile["width"]
-    # Row by row; tiles at the right and the lower edge are as small as what remains.
+    # Tiles go row by row; those at the right and the lower edge are as small as what remains.
     tiles = [Window(column, row, min(across, samples - column), min(TILE, lines - row))
              for row, column in product(range(0, lines, TILE), range(0, samples, across))]
-    # Of GDAL's driver for cloud-optimised files, which makes the overviews.
+    # GDAL's driver for cloud-optimised files, which makes the overviews, takes these options.
     options: dict[str, Any] = {"STATISTICS": "YES"} if statistics else {}
     if nearest:
         options["OVERVIEW_RESAMPLING"] = "NEAREST"
     if bits is not None:
         options["NBITS"] = profile["nbits"] = bits
-    # Of each tile as it was computed, to be compared with what the finished file holds.
+    # Those of the tiles as they were computed are compared with those of the finished file.
     checksums = []
 
     def checksum(raster: Any, window: Window) -> int:
@@ -126,7 +129,7 @@ def write_cog(
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
             tiled_file = folder / "tiles.tif"
             cog_file = folder / "made.tif"
-            # This file is read once: it is packed lightly, which is quick.
+            # This file is read only once, by the copy below, so that quick packing is enough.
             with rasterio.open(tiled_file, "w", driver="GTiff", tiled=True, compress="deflate",
                                zlevel=1, bigtiff="if_safer", **profile) as raster:
                 describe(raster)

@@ -112,9 +112,9 @@ class DemDifference:
 def sentence_on_common_offset(above: float, reference: str, evidence: str, effect: str = "",
                               dem: str = "",
                               cause: str = "") -> str:
-    """Return a sentence on a DEM that lies `above` a reference [m], and why it may.
+    """Return a sentence that a DEM lies `above` a reference [m], or below it if negative, and why.
 
-    Without a `cause` it names the usual one of such a difference.
+    Without a `cause` the sentence names the usual one of a difference of this size.
     """
     cause = cause or (GEOID if abs(above) <= _MAX_GEOID_HEIGHT else NO_DEM)
     direction = "above" if above > 0 else "below"
@@ -132,12 +132,12 @@ def dem_difference(control: FloatArray, dem: FloatArray, name: str = "") -> DemD
         Heights of control, and of the DEM at the same places [m]; NaN where not known. Control
         whose height was taken from the DEM shows nothing, and is left out.
     name : str
-        Of the DEM's file.
+        The name of the DEM's file, for sentences on the difference.
 
     Returns
     -------
     DemDifference or None
-        None where no height shows anything.
+        None if no place has two independent heights.
     """
     differences = dem - control
     informative = np.isfinite(differences) & (np.abs(differences) > TAKEN)
@@ -150,11 +150,12 @@ def dem_difference(control: FloatArray, dem: FloatArray, name: str = "") -> DemD
     median = float(np.median(differences))
     # The median absolute deviation, so that trees and blunders among the heights count little.
     scatter = _MAD * float(np.median(np.abs(differences - median)))
-    # s^2 of the module's text: with few heights what is usual counts more than what they show.
+    # This is s^2 of the module's docstring: the usual variance counts as PRIOR_COUNT more heights.
     variance = (n * scatter**2 + PRIOR_COUNT * USUAL_SIGMA**2) / (n + PRIOR_COUNT)
     sigma = float(np.sqrt(_EFFICIENCY**2 * variance / n + ROUGHLY**2))
     in_kilometres = _is_in_unit(_KILOMETRE, control, dem, scatter)
-    # Beside heights in kilometres, which are nearly 0 m, feet make all others smaller too.
+    # If one side is in kilometres, nearly 0 m, any smaller unit of the other seems to fit better:
+    # that shows no feet.
     in_feet = not in_kilometres and _is_in_unit(UNITS[FOOT], control, dem, scatter)
     return DemDifference(median, sigma, n, in_feet, in_kilometres, name)
 

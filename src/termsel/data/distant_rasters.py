@@ -71,12 +71,15 @@ class DistantRaster:
         self._question = partial(Question, next(_numbers), os.getcwd(), _request_settings())
 
     def __getattr__(self, name: str) -> Any:
-        """Return what the raster has by this name; AttributeError for one that begins with "_"."""
-        # Copying and pickling ask for such names before there is a helper.
+        """Return the attribute or method of the raster that has this name.
+
+        Raises AttributeError for a name that begins with "_": copying and pickling ask for such
+        names before there is a helper process.
+        """
         if name.startswith("_"):
             raise AttributeError(name)
         is_method, value = self._ask(_value_of, name)
-        # A method cannot be sent; its name is, with each call.
+        # A method cannot be sent by the helper: each call sends its name instead.
         if is_method:
             value = partial(self._ask, _result_of, name)
         setattr(self, name, value)  # a raster open for reading does not change
@@ -85,8 +88,8 @@ class DistantRaster:
     def _ask(self, work: Callable[..., Any] | str, *values: Any, **named: Any) -> Any:
         """Return the result of a function or method for the dataset and further values.
 
-        The process of GDAL calls it, and its error is raised here. TermselError if that process has
-        ended.
+        The helper process, in which the dataset is open, calls it. An error there is raised here
+        again; TermselError is raised if the process has ended.
         """
         try:
             answer, cause = self._helper.ask(pickle.dumps(self._question(work, values, named)))
@@ -95,13 +98,16 @@ class DistantRaster:
                                hint="Copy it again; it is damaged, or larger than the memory."
                                ) from error
         if isinstance(answer, Exception):
-            # The error as if it had been raised here, with what GDAL said as its cause.
+            # The cause, which pickle would lose, is what GDAL said.
             raise answer from cause
         return answer
 
 
 def with_dataset(raster: Any, work: Callable[..., Answer], *values: Any) -> Answer:
-    """Return the value of a function of the dataset and further values, called where it is open.
+    """Return the result of a function of the dataset and further values.
+
+    It is called in the process in which the dataset is open: one call instead of a question for
+    each attribute that the function reads.
 
     Parameters
     ----------
@@ -111,8 +117,8 @@ def with_dataset(raster: Any, work: Callable[..., Answer], *values: Any) -> Answ
         A function of a module, for example one that calls ``rasterio.warp.reproject``. It, the
         values and what it returns travel between processes, so pickle must take them.
     *values : object
+        Further arguments of `work`, after the dataset.
     """
-    # One call instead of a question for each attribute that the function reads.
     if isinstance(raster, DistantRaster):
         return raster._ask(work, *values)  # type: ignore[no-any-return]
     return work(raster, *values)
@@ -141,7 +147,10 @@ def _request_settings() -> dict[str, Any]:
 
 @cache  # one process for each set of drivers, ended with this one
 def _raster_helper(drivers: tuple[str, ...], remote: bool) -> Helper:
-    """Return the process that reads rasters with such drivers, started once."""
+    """Return a new process that reads rasters with such drivers, from servers, too, if `remote`.
+
+    It is cached, and ends with this process.
+    """
     with ExitStack() as stack:
         # The helper inherits the permission, which is a state of this process.
         if remote:

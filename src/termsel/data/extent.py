@@ -55,9 +55,11 @@ class KnownImage:
 
 def image_extent(features: FeatureSet, options: Container[str], known: KnownImage | None = None,
                  ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return first and last line and sample [px] of the image, of its RPC or of the features.
+    """Return the first line and sample and the last ones [px].
 
-    Of an image of which the model is of some lines alone they are those of these lines.
+    They are those of the image if its size is known. Else they are those of the box around all
+    features, and around the RPC if the model has the option "rpc".
+    If the model is of some lines of the image alone, they are those of these lines.
     """
     size = features.image_size or (known.size if known else None)
     if size is not None:
@@ -73,21 +75,24 @@ def image_extent(features: FeatureSet, options: Container[str], known: KnownImag
 
 
 def _image_box_of_rpc(rpc: Rpc) -> FloatArray:
-    """Return first and last line and sample of an RPC, shape (2, 2): no image begins below 0.
+    """Return first and last line and sample of the image of an RPC, shape (2, 2).
 
-    RPCs are in the middle of their images, and scaled by no less than half of these; so the margin
-    before the first pixel is beyond the last one, too.
+    An RPC's offset is in the middle of its image, and its scale is at least half the size. As no
+    image begins below 0, a scale larger than the offset has a margin before the first pixel; the
+    same margin is taken off beyond the last one.
     """
     middle = np.array(rpc.image_offset)
-    half = np.abs(rpc.image_scale)
-    half = np.where(middle > 0.0, np.minimum(half, middle), half)
-    return np.stack([middle - half, middle + half])
+    half_size = np.abs(rpc.image_scale)
+    half_size = np.where(middle > 0.0, np.minimum(half_size, middle), half_size)
+    return np.stack([middle - half_size, middle + half_size])
 
 
 def reach(features: FeatureSet, options: Container[str], known: KnownImage | None = None,
           ) -> FloatArray:
-    """Return half the size of the area of the RPC that is corrected, or that is known, shape (3,);
-    else 0.
+    """Return half the size (3,) of the area for which an RPC is valid, in units of the ground.
+
+    It is that of the known image, or of the features' RPC if the model has the option "rpc". All
+    three are 0 if there is neither.
     """
     if known is not None:
         box = known.area
@@ -95,6 +100,6 @@ def reach(features: FeatureSet, options: Container[str], known: KnownImage | Non
         box = np.array(rpc.ground_offset) + np.outer([-1.0, 1.0], rpc.ground_scale)
     else:
         return np.zeros(3)
-    # Two opposite corners of the box, in the CRS of the features.
+    # The box is that of its two opposite corners in the CRS of the features.
     corners = transformation_between("EPSG:4979", features.crs, strict=False)(box)
     return np.asarray(np.abs(corners[1] - corners[0]) / 2)

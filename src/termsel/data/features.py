@@ -79,7 +79,9 @@ class Points(Tabular):
     attributes: Attributes = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check the points and make roles of their number; raises TermselError as the class says.
+        """Check the points, and give each a blank role if there are no roles.
+
+        Raises TermselError as the class says.
         """
         self._check("point", ())
         n = len(self.ids)
@@ -94,8 +96,8 @@ class Points(Tabular):
             if role and role not in ROLES:
                 raise TermselError(f"point {name!r} has the unknown role {role!r}",
                                    hint=f"Roles are {', '.join(ROLES)}, or blank.", ids=[name])
-        # Last, as it takes ids and shapes for granted.
-        # What takes no part contradicts nothing.
+        # This check comes last, as it takes ids and shapes for granted. A point that takes no part
+        # contradicts no other.
         in_use = [role != "off" for role in self.roles]
         check_places(self.ground[in_use], select(self.ids, in_use))
 
@@ -162,10 +164,10 @@ class Lines(Tabular):
             return
         for values, in_words in ((self.image, "in the image"),
                                  (self.ground[..., :2], "on the ground")):
-            # A line of zero length has no direction, so no equation.
-            short = (values[:, 0] == values[:, 1]).all(axis=1)
-            if short.any():
-                name = self.ids[int(np.argmax(short))]
+            # A line of zero length has no direction, so that it gives no equation.
+            has_no_length = (values[:, 0] == values[:, 1]).all(axis=1)
+            if has_no_length.any():
+                name = self.ids[int(np.argmax(has_no_length))]
                 raise TermselError(f"line {name!r} has zero length {in_words}",
                                    hint="A control line needs two different points.", ids=[name])
         check_segments(self.ground, self.ids)
@@ -195,21 +197,20 @@ class Lines(Tabular):
         return np.array([number[name] for name in self.ids], dtype=np.intp)
 
     def by_feature(self, values: FloatArray) -> FloatArray:
-        """Return the mean of values over the lines of each feature.
+        """Return the mean of values over the pieces of each feature.
 
         Parameters
         ----------
         values : ndarray, shape (n, ...)
-            One, or an array, of each line.
+            A number, or an array, for each piece of a line.
 
         Returns
         -------
         ndarray, shape (len(features), ...)
         """
-        # Sums over the pieces of each feature, by their number.
         total = np.zeros((len(self.features), *values.shape[1:]))
         np.add.at(total, self.feature, values)
-        # Trailing axes of the values stay; the count has to be spread over them.
+        # The count has an axis of length 1 for each further axis of the values.
         count = np.bincount(self.feature, minlength=len(total))
         return np.asarray(total / count.reshape(-1, *[1] * (values.ndim - 1)))
 
@@ -291,7 +292,10 @@ class FeatureSet(Glance):
     named_units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Take the CRS as text; TermselError where a point and a line have the same id."""
+        """Store the CRS as text, and refuse a point and a line with the same id.
+
+        Raises TermselError for these, and for what is no CRS.
+        """
         # The class is frozen; nobody has seen the object yet.
         object.__setattr__(self, "crs", crs_text(self.crs))
         # Selections, results and messages name a feature by its id alone.
@@ -347,12 +351,14 @@ class FeatureSet(Glance):
                        lines=self.lines if lines is None else lines)
 
     def take(self, mask: BoolArray) -> FeatureSet:
-        """Return the features whose mask is set, lines with all their pieces."""
+        """Return the features that a mask (n_features,) is True for, lines with all their pieces.
+
+        The mask is in the order of `ids`: points, then lines.
+        """
         n = len(self.points)
         points = self.points.take(mask[:n])
         if not len(self.lines):
             return replace(self, points=points)
-        # The mask is of features; each piece of a line takes that of its feature.
         return replace(self, points=points, lines=self.lines.take(mask[n:][self.lines.feature]))
 
     def texts(self, name: str) -> TextArray:
@@ -361,13 +367,13 @@ class FeatureSet(Glance):
         Parameters
         ----------
         name : str
-            Such as "source", as in the header of the file; upper and lower case count as the same.
+            The name in the header of the file, such as "source". Upper and lower case count as the
+            same.
 
         Returns
         -------
         ndarray of str, shape (n_features,)
-            In the order of `ids`; of a line with pieces that of its first piece. "" where it is not
-            known.
+            The texts in the order of `ids`; "" for a feature without one.
 
         Raises
         ------
@@ -385,12 +391,13 @@ class FeatureSet(Glance):
         Parameters
         ----------
         name : str
-            As for `texts`.
+            The name in the header of the file, such as "sigma". Upper and lower case count as the
+            same.
 
         Returns
         -------
         ndarray, shape (n_features,)
-            In the order of `ids`; NaN where the column is blank.
+            The numbers in the order of `ids`; NaN for a feature without one.
 
         Raises
         ------
@@ -401,13 +408,13 @@ class FeatureSet(Glance):
 
     def without_height(self) -> tuple[str, ...]:
         """Return the ids of features with an unknown height."""
-        points = np.isnan(self.points.ground[:, 2])
-        # One vertex without a height leaves the line without one.
-        lines: BoolArray = np.any(np.isnan(self.lines.ground[..., 2]), axis=1)
-        if not points.any() and not lines.any():
+        is_point_without = np.isnan(self.points.ground[:, 2])
+        # A line is without height if one of its vertices is.
+        is_piece_without: BoolArray = np.any(np.isnan(self.lines.ground[..., 2]), axis=1)
+        if not is_point_without.any() and not is_piece_without.any():
             return ()
-        return select(self.points.ids, points) + tuple(
-            dict.fromkeys(select(self.lines.ids, lines)))
+        return select(self.points.ids, is_point_without) + tuple(
+            dict.fromkeys(select(self.lines.ids, is_piece_without)))
 
     def ground_vertices(self) -> FloatArray:
         """Return ground points and line vertices together, shape (n_points + 2 n, 3) of n lines."""

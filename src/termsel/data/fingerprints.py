@@ -29,9 +29,9 @@ ERROR_DIGITS = 6
 
 
 def with_control_record(rpc: Rpc, control: FeatureSet) -> Rpc:
-    """Return an RPC that keeps a record of the control it was fitted to, and of any before that.
+    """Return an RPC with a record of the control it was fitted to, added to any record it has.
 
-    At most `KEPT` digests are kept. Its stated errors are rounded to `ERROR_DIGITS` digits, by
+    The `KEPT` smallest digests are kept. The stated errors are rounded to `ERROR_DIGITS` digits, by
     which a file that termsel wrote is recognised.
     """
     digests = {digest for pair in _vertex_digests(control) for digest in pair}
@@ -48,12 +48,14 @@ def _rounded_error(error: float | None) -> float | None:
 
 
 def makers_of(rpc: Rpc, features: FeatureSet) -> list[str]:
-    """Return the ids of features that an RPC was fitted to by its own record; [] without one."""
+    """Return the ids of features that an RPC's own record says it was fitted to.
+
+    Without a record there are none. A line counts if one of its vertices is recorded.
+    """
     if not rpc.control_digests:
         return []
     recorded = set(rpc.control_digests)
     is_maker = np.zeros(len(features), dtype=bool)
-    # A line of several pieces is one feature.
     for feature, pair in zip(features.vertex_feature, _vertex_digests(features), strict=True):
         is_maker[feature] |= not recorded.isdisjoint(pair)
     return list(select(features.ids, is_maker))
@@ -65,11 +67,13 @@ def is_cut(rpc: Rpc) -> bool:
 
 
 def are_remaining_makers(rpc: Rpc, features: FeatureSet) -> bool:
-    """Return whether features are those an RPC was fitted to without all that it recognises.
+    """Return whether features seem to be what is left of an RPC's control without its makers.
 
-    An RPC keeps the smallest digests of its control, so that the rest of its control has none below
-    the largest of them. Digests are uniform: other features have none there with a probability of
-    (1 - share)^digests.
+    An RPC keeps the smallest digests of its control, so that the rest of its control has no digest
+    below the largest kept one. Digests are uniformly distributed. So features that are not of its
+    control have none below it with the probability (1 - share)^digests only, where share is how
+    large the largest kept digest is among all possible ones. They are taken for the rest if this
+    is less than `_CHANCE`, and never if the RPC's record is complete.
     """
     if not is_cut(rpc):
         return False
@@ -82,10 +86,10 @@ def are_remaining_makers(rpc: Rpc, features: FeatureSet) -> bool:
 
 
 def _vertex_digests(features: FeatureSet) -> list[tuple[str, str]]:
-    """Return digests of the image and of the ground position of points and vertices of lines.
+    """Return a digest of the image position, and one of the ground position, for each vertex.
 
-    Two of them, as a point that is measured anew in the image, or whose coordinates are converted,
-    is still the same.
+    They are separate, as a point is still the same if only one changes: if it is measured anew in
+    the image, or its ground coordinates are converted.
     """
     ground = features.ground_vertices()[:, :2]
     is_degrees = np.abs(ground).max(initial=0.0) <= _LARGEST_DEGREES

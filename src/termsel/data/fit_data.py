@@ -97,7 +97,7 @@ class FitData:
 
 
 def heights_differ(control: FitData) -> bool:
-    """Return whether all features have heights that differ enough to show their effect."""
+    """Return whether all features have heights, and these differ enough to show their effect."""
     if control.features.without_height():
         return False
     plane, z, _ = _plane_columns(control)
@@ -110,8 +110,8 @@ def heights_differ(control: FitData) -> bool:
 def errors_hide_heights(control: FitData) -> bool:
     """Return whether heights show no effect only because the errors of the points are large.
 
-    They would show it if the points were measured as usual; rows that are shifted, for example,
-    make such errors.
+    They would show it if the points were measured as well as usual. Rows of a table that are
+    shifted, for example, make such large errors.
     """
     plane, z, _ = _plane_columns(control)
     off_plane_heights = _distances_about_plane(plane, z)[0]
@@ -123,9 +123,9 @@ def errors_hide_heights(control: FitData) -> bool:
 def relief_carriers(control: FitData, limit: int = 2) -> tuple[str, ...]:
     """Return the ids of the one or two features that make all relief; () if more features do.
 
-    All ids come back where the heights show no effect even with all features. Heights must be
-    known. `limit`, 1 or 2, is how many features are looked for; among fewer than `RELIEF_FEATURES`
-    it is one.
+    All ids are returned if the heights show no effect even with all features. Heights must be
+    known. `limit`, 1 or 2, is the largest number of features that is tried; among fewer than
+    `RELIEF_FEATURES` it is 1.
     """
     limit = limit if len(control) >= RELIEF_FEATURES else 1
     plane, z, feature_of_vertex = _plane_columns(control)
@@ -157,8 +157,9 @@ def relief_carriers(control: FitData, limit: int = 2) -> tuple[str, ...]:
 def _view_confirms_heights(control: FitData, noise: float) -> bool:
     """Return whether points are seen, but for noise [px], as a camera with square pixels does.
 
-    Two points off a plane have four coordinates for the three unknowns of what heights do to a
-    view. That pixels are square are two conditions more: so each tests the height of the other.
+    Two points off a plane have four image coordinates for the three unknowns by which heights enter
+    a view. Square pixels are two conditions more. So the height of each point is tested by the
+    other. False is returned with lines, and if the unit of the ground is unknown.
     """
     metres = metres_of(control.features, control.scaling)
     if len(control.features.lines) or metres is None:
@@ -173,9 +174,9 @@ def distance_off_plane(control: FitData, ground: FloatArray) -> tuple[FloatArray
     """Return how far places (m, 3) are off the plane of the control's heights, and the effect.
 
     The distances (m,) are in units of height, the effect (m,) is the standard deviation of what
-    they do to the image [px]. Both are 0 where a height is not known, where heights of the control
-    are not known, and where the control shows what a height does. Features that alone make the
-    relief have no influence on the plane.
+    they do to the image [px]. Both are 0 for a place without a height, and for all places if a
+    height of the control is unknown, or if the control shows what heights do to the image. Features
+    that alone make the relief have no influence on the plane.
     """
     zeros = np.zeros(len(ground))
     carriers = () if control.features.without_height() else relief_carriers(control)
@@ -183,7 +184,7 @@ def distance_off_plane(control: FitData, ground: FloatArray) -> tuple[FloatArray
         return zeros, zeros
     (plane, z, feature_of_vertex) = _plane_columns(control)
     scaled = control.scaling.ground(ground)
-    # Where all features are carriers, the plane is that of all.
+    # If all features are carriers, the plane is fitted to all.
     ids_of_vertices = np.array(control.features.ids)[feature_of_vertex]
     in_plane = ~np.isin(ids_of_vertices, carriers) | (len(carriers) == len(control))
     plane_heights = _plane_columns_at(scaled) @ np.linalg.lstsq(plane[in_plane], z[in_plane])[0]
@@ -195,15 +196,15 @@ def distance_off_plane(control: FitData, ground: FloatArray) -> tuple[FloatArray
 def with_usual_heights(control: FitData, ground: FloatArray) -> FloatArray:
     """Return places (m, 3) with heights as far off a plane as the control's are, in mean squares.
 
-    They come back as they are, the same array, where they are not more than `OTHER` times as far
-    off, where the control has unknown heights, and in a geocentric CRS.
+    The same array is returned, unchanged, if its heights are at most `OTHER` times as far off, if a
+    height of the control is unknown, and in a geocentric CRS.
     """
     if control.features.without_height() or not np.isfinite(_effect_of_height(control)):
         return ground
     (plane, z, _) = _plane_columns(control)
     scaled = control.scaling.ground(ground)
     coefficients = np.linalg.lstsq(plane, z)[0]
-    # A height that is not known is on the plane.
+    # Places without a height count as if on the plane.
     distances = np.nan_to_num(scaled[:, 2] - _plane_columns_at(scaled) @ coefficients)
     usual_rms = np.linalg.norm(z - plane @ coefficients) / np.sqrt(max(len(z) - plane.shape[1], 1))
     rms = np.linalg.norm(distances) / np.sqrt(max(len(distances), 1))
@@ -246,10 +247,11 @@ def _usual_noise(control: FitData) -> float:
 
 
 def _noise_of_measurement(control: FitData) -> float:
-    """Return the standard deviation of a measurement [px]: as usual, or more if points show it.
+    """Return the standard deviation of a measurement [px]: the usual one, or a larger one shown.
 
-    Many points show it by what a quadratic polynomial or a view leaves, without the points that fit
-    worst: blunders would hide what heights do.
+    `MANY` points show it, without lines, by the residuals of a quadratic polynomial or of a view,
+    whichever are smaller. The points that fit worst are left out, as blunders would hide what
+    heights do.
     """
     usual_noise = _usual_noise(control)
     points = control.scaled.points
@@ -259,8 +261,8 @@ def _noise_of_measurement(control: FitData) -> float:
     columns = np.stack([x**0, x, y, z, x * x, x * y, y * y], axis=1)
     image = points.image
     for count in (len(points), round(BEST * len(points))):
-        # Residuals of the quadratic, and 1 - leverage of each point: it divides the residual, so
-        # that a point that bends the fit to itself is not taken for a good one.
+        # Each residual is divided by 1 - leverage, so that a point that bends the polynomial to
+        # itself is not taken for a good one.
         q = np.linalg.qr(columns)[0]
         residuals = image - q @ (q.T @ image)
         free = np.maximum(1.0 - (q**2).sum(axis=1), np.finfo(float).eps)
@@ -268,7 +270,8 @@ def _noise_of_measurement(control: FitData) -> float:
         square = (residuals**2).sum() / (len(image) - columns.shape[1]) / 2
         columns = columns[best]
         image = image[best]
-    # An oblique view is no quadratic: there the projection shows how well points are measured.
+    # A quadratic polynomial does not describe an oblique view: the residuals of the projection
+    # show how well its points are measured.
     view = view_of(points)
     noise = float(np.sqrt(square))
     if view is not None:
@@ -285,7 +288,7 @@ def _effects_of_height(control: FitData, scaled: FloatArray) -> FloatArray:
     effect = _effect_of_height(control)
     if view is None or not np.isfinite(effect):
         return np.full(len(scaled), effect)
-    # Pixels by a metre on the ground, along X and Y; the larger of both is across the view.
+    # The larger of the scales along X and Y is the one across the direction of view.
     metres = metres_of(control.features, control.scaling)
     assert metres is not None
     px_per_metre = view.magnification(scaled) * control.scaling.image_scale / metres[:2]
@@ -295,14 +298,16 @@ def _effects_of_height(control: FitData, scaled: FloatArray) -> FloatArray:
 def _effect_of_height(control: FitData) -> float:
     """Return the standard deviation of what a scaled height of 1 does to the image [px].
 
-    It is infinite for geocentric coordinates, whose Z is no height.
+    It is infinite for geocentric coordinates, whose Z is no height, and if all features are at one
+    place.
     """
     features = control.features
     plan = plan_of(features.fit_crs or features.crs, to_fit_crs(
         features.ground_vertices(), features.crs, features.fit_crs))
     if plan is None:
         return np.inf
-    # The scale of the image is the ratio of the scatters in the image [px] and on the ground [m].
+    # The scale of the image is taken as the ratio of the scatter in the image to that on the
+    # ground.
     extent_in_metres = np.sqrt(plan.var(axis=0).sum())
     extent_in_image = np.sqrt(features.image_vertices().var(axis=0).sum())
     metres = control.scaling.ground_scale[2] * height_unit(features.fit_crs or features.crs)

@@ -24,14 +24,15 @@ _LARGEST_BLOCK = 1e7
 
 
 def warn_of_incomplete(image: Path | str) -> None:
-    """Warn of an image whose last pixel cannot be read, as of a download that broke off.
+    """Warn of an image whose last pixel cannot be read, as after a download that broke off.
 
-    Its size is known all the same, so that nothing else would show before a map is made.
+    The size of such an image is known all the same, so that nothing else would show the damage
+    before a map is made. An image in large blocks is not tested.
     """
     from rasterio.errors import RasterioError
 
     with open_raster(image) as raster:
-        # A pixel costs its block, which a small file may claim to be of any size.
+        # To read a pixel GDAL reads its block, which a small file may claim to be of any size.
         if not raster.count or np.prod(raster.block_shapes[0], dtype=float) > _LARGEST_BLOCK:
             return
         last = (raster.height - 1, raster.height), (raster.width - 1, raster.width)
@@ -56,11 +57,11 @@ def warn_of_map(features: FeatureSet, image: Path | str) -> None:
             return
         ground = features.ground_vertices()
         measured = features.image_vertices()
-        # Lines are not conjugate to their vertices: points alone are compared.
+        # Vertices of a line in the image are not those on the ground: points alone are compared.
         ground = ground[:len(features.points)]
         measured = measured[:len(features.points)]
         expected = np.full_like(measured, np.nan)
-        # A CRS without a way to the other says nothing of the image.
+        # If one CRS cannot be transformed to the other, nothing is known of the image.
         with suppress(TermselError):
             expected = pixel_positions(raster, *transformation_between(
                 features.crs, raster.crs.to_wkt(), for_fit=True)(np.nan_to_num(ground))[:, :2].T)

@@ -40,11 +40,11 @@ def locate(
 ) -> FloatArray:
     """Return where the rays of image points [px] (n, 2) reach heights or a surface, shape (n, 3).
 
-    Heights are (n,), one number, or a surface that gives them for x and y; the search starts in the
-    middle, `centre` and half-range `scale` of the ground (3,). NaN where the ray meets no ground
-    point, or the surface has no height there. Where a ray meets a steep surface several times, one
-    of the places is returned; `visible_places` moves it to the visible one. Raises TermselError for
-    other shapes.
+    `height` is an array (n,), one number, or a surface that gives heights for x and y. The search
+    starts at `centre` (3,), the middle of the ground; `scale` (3,) is half the ground's size. A row
+    is NaN if its ray meets no ground, meets it very far from the middle, or if the surface has no
+    height there. Where a ray meets a steep surface several times, one of the places is returned;
+    `visible_places` moves it to the visible one. Raises TermselError for other shapes.
     """
     image = np.asarray(image, dtype=np.float64)
     if image.ndim != 2 or image.shape[1] != 2:
@@ -58,12 +58,13 @@ def locate(
             raise TermselError(f"heights have shape {heights.shape}, expected ({len(image)},) or "
                                "one number for all image points")
         ground[:, 2] = heights
-    # Newton's method at fixed heights, then the secant method for that of the surface.
+    # Newton's method finds places at fixed heights, the secant method then the surface's height.
     inverse = _inverse_derivatives(project, ground, unit)
     ground = _iterate_newton(project, image, ground, unit, inverse)
     if callable(height):
         ground = _intersect_surface(project, image, height, ground, unit, inverse)
-    # Higher polynomials map places far away to the same image point.
+    # Polynomials of higher degree map places far away to the same image point, too; affine models
+    # do not.
     if not _is_affine(project, middle, unit):
         ground[(np.abs(ground[:, :2] - middle[:2]) > _FAR_RANGES * unit[:2]).any(axis=1)] = np.nan
     return ground
@@ -95,21 +96,24 @@ def visible_places(
     Parameters
     ----------
     project : callable
+        Returns line and sample [px] (n, 2) of ground points (n, 3).
     image : ndarray, shape (n, 2)
         Line and sample [px].
     ground : ndarray, shape (n, 3)
-        Where the rays meet the surface, as `locate` returns it; NaN stays.
+        Where the rays meet the surface, as `locate` returns it.
     surface : callable
+        Returns heights (n,) of places (n, 2); NaN where it has none.
     highest : float
         Height that the surface is nowhere above.
     spacing : float
-        Of heights of the surface, in the plane.
+        Distance between neighbouring heights of the surface, in units of x and y.
     unit : ndarray, shape (3,)
-        Half-range of the ground.
+        Half the size of the ground.
 
     Returns
     -------
     ndarray, shape (n, 3)
+        A copy of `ground`, in which hidden places are replaced by the visible ones. NaN stays.
     """
     ground = ground.copy()
     rays = np.flatnonzero(np.isfinite(ground).all(axis=1) & (ground[:, 2] < highest - _CLOSE))
@@ -121,7 +125,8 @@ def visible_places(
         places[:, 2] = height
         return _iterate_newton(project, image[rays], places, unit, inverse[rays])
 
-    # Two places of each ray above the first one: a camera may be below the highest ground.
+    # Each ray is a curve through three places: the known one, the highest, and one half-way up. A
+    # camera may be below the highest ground; the top of its rays is lowered until it is found.
     low = ground[rays, 2]
     top = np.full(len(rays), highest)
     upper = at_height(rays, top)
@@ -132,11 +137,11 @@ def visible_places(
         top[lost] = (top[lost] + low[lost]) / 2
         upper[lost] = at_height(rays[lost], top[lost])
     middle = at_height(rays, (top + low) / 2)
-    # A ray that stays within a pixel of the surface, as in views from above, cannot leave it again.
+    # A ray that moves by less than the spacing, as in views from above, meets the surface once.
     distance = np.linalg.norm(upper[:, :2] - ground[rays, :2], axis=1)
-    going = np.flatnonzero((distance > spacing) & np.isfinite(middle[:, 0]))
-    for i in range(0, len(going), _RAYS_AT_ONCE):
-        batch = going[i:i + _RAYS_AT_ONCE]
+    slanted = np.flatnonzero((distance > spacing) & np.isfinite(middle[:, 0]))
+    for i in range(0, len(slanted), _RAYS_AT_ONCE):
+        batch = slanted[i:i + _RAYS_AT_ONCE]
         steps = int(min(np.ceil(2 * distance[batch].max() / spacing), _MOST_STEPS))
         curves = np.stack([upper[batch], middle[batch], ground[rays[batch]]])
         start, end = _first_crossings(curves, surface, steps)
@@ -152,17 +157,19 @@ def visible_places(
 
 def _first_crossings(curves: FloatArray, surface: Surface, steps: int,
                      ) -> tuple[FloatArray, FloatArray]:
-    """Return the heights between which rays go first below a surface, (r,) each; NaN for none.
+    """Return heights (r,) above and below the surface, between which rays first cross it.
 
-    `curves` are places of the rays above, half-way and at a crossing, shape (3, r, 3).
+    The first are NaN for rays that do not cross it before the known place, and for those that begin
+    below it. `curves` (3, r, 3) are places of the rays at the top, half-way and at the known place.
     """
-    # Lagrange's polynomials through t = 0, 1/2 and 1; the last step ends above the known crossing.
+    # Lagrange's polynomials go through the places at t = 0, 1/2 and 1. The last step ends before
+    # t = 1, the known place.
     t = np.linspace(0.0, 1.0, steps + 1)[:-1, None]
     weights = np.stack([(2 * t - 1) * (t - 1), 4 * t * (1 - t), t * (2 * t - 1)])
     places = np.einsum("kti,krc->trc", weights, curves)
     heights = surface(places[..., :2].reshape(-1, 2)).reshape(places.shape[:2])
     is_below = heights - places[..., 2] > _CLOSE
-    # At the top itself a ray is above all of the surface, or the camera is inside of it.
+    # A ray that is below the surface at its top begins inside of the ground: no crossing counts.
     first = np.argmax(is_below, axis=0)
     rays = np.arange(places.shape[1])
     start = np.where(first > 0, places[np.maximum(first - 1, 0), rays, 2], np.nan)
@@ -170,14 +177,14 @@ def _first_crossings(curves: FloatArray, surface: Surface, steps: int,
 
 
 def _bisect(at_height: Callable[[FloatArray], FloatArray], surface: Surface, below: FloatArray,
-            over: FloatArray) -> FloatArray:
-    """Return the places (r, 3) where rays cross a surface, between heights under and above it."""
+            above: FloatArray) -> FloatArray:
+    """Return the places (r, 3) where rays cross a surface, between heights below and above it."""
     for _ in range(_BISECTIONS):
-        middle = (below + over) / 2
+        middle = (below + above) / 2
         places = at_height(middle)
-        rises = surface(places[:, :2]) > places[:, 2]
-        below = np.where(rises, middle, below)
-        over = np.where(rises, over, middle)
+        is_below = surface(places[:, :2]) > places[:, 2]
+        below = np.where(is_below, middle, below)
+        above = np.where(is_below, above, middle)
     return places
 
 
@@ -185,61 +192,71 @@ def _iterate_newton(project: Projection, image: FloatArray, ground: FloatArray, 
                     inverse: FloatArray) -> FloatArray:
     """Return ground points (n, 3) at their heights, moved until they project to the image points.
 
-    `inverse`, the moves on the ground for 1 px, hardly changes over an image. It is renewed only
-    for points that do not converge. In an oblique view it does change, and a step may end behind
-    the camera. Such a step is made again from where it began, by half of it where need be, and so
-    are all further ones of the point.
+    `inverse`, the moves on the ground for 1 px, hardly changes over an image, so that it is used
+    for several steps. In an oblique view it does change, and a step may end behind the camera. Such
+    a step is made again from where it began, with derivatives of that place and shortened as need
+    be; so are all further steps of the point. Points that do not converge become NaN.
     """
-    ground, oblique = ground.copy(), np.zeros(len(ground), dtype=bool)
+    ground = ground.copy()
+    is_oblique = np.zeros(len(ground), dtype=bool)
     with np.errstate(all="ignore"):
         error = image - project(ground)
         for step in range(_NEWTON_STEPS):
-            going = np.flatnonzero(np.abs(error).max(axis=1) > LOCATE_TOLERANCE / 100)
-            if not going.size:
+            active = np.flatnonzero(np.abs(error).max(axis=1) > LOCATE_TOLERANCE / 100)
+            if not active.size:
                 break
-            before = error[going]
-            at = ground[going]
-            # Newton's step d = (dp/dx)^-1 (image - p(x)); derivatives are renewed now and then.
-            moves = (_inverse_derivatives(project, at, unit) if step and not step % _STARTS_KEPT
-                     else inverse[going])
-            ground[going, :2] += np.einsum("nij,nj->ni", moves, before)
-            error[going] = image[going] - project(ground[going])
-            # A step that makes things worse, or ends where nothing projects (NaN), was too long.
-            oblique[going] |= ~(np.abs(error[going]).max(axis=1)
-                                <= _WORSE * np.abs(before).max(axis=1))
-            wrong = oblique[going]
-            if wrong.any():
-                again = going[wrong]
-                ground[again] = _take_shortened_steps(
-                    project, image[again], at[wrong], before[wrong], unit)
-                error[again] = image[again] - project(ground[again])
+            error_before = error[active]
+            ground_before = ground[active]
+            # Newton's step is d = (dp/dx)^-1 (image - p(x)).
+            if step and not step % _STARTS_KEPT:
+                moves = _inverse_derivatives(project, ground_before, unit)
+            else:
+                moves = inverse[active]
+            ground[active, :2] += np.einsum("nij,nj->ni", moves, error_before)
+            error[active] = image[active] - project(ground[active])
+            # A step that makes the error larger, or NaN where nothing projects, was too long; "not
+            # less or equal" is true of NaN.
+            is_oblique[active] |= ~(np.abs(error[active]).max(axis=1)
+                                    <= _WORSE * np.abs(error_before).max(axis=1))
+            is_repeated = is_oblique[active]
+            if is_repeated.any():
+                repeated = active[is_repeated]
+                ground[repeated] = _take_shortened_steps(
+                    project, image[repeated], ground_before[is_repeated],
+                    error_before[is_repeated], unit)
+                error[repeated] = image[repeated] - project(ground[repeated])
     ground[~(np.abs(error).max(axis=1) <= LOCATE_TOLERANCE)] = np.nan
     return ground
 
 
 def _take_shortened_steps(project: Projection, image: FloatArray, ground: FloatArray,
                           error: FloatArray, unit: FloatArray) -> FloatArray:
-    """Return ground points (n, 3) moved by their own Newton steps, or by shares that help.
+    """Return ground points (n, 3) moved by their own Newton steps, shortened where need be.
 
-    A step is halved until it makes the error smaller; a point that no share helps stays.
+    A step is halved until it makes the error (n, 2) smaller. A point for which no step of
+    `_SHORTER` does so stays where it is.
     """
-    full = np.einsum("nij,nj->ni", _inverse_derivatives(project, ground, unit), error)
+    full_steps = np.einsum("nij,nj->ni", _inverse_derivatives(project, ground, unit), error)
     moved = ground.copy()
-    todo = np.arange(len(ground))
+    remaining = np.arange(len(ground))
     for halving in range(_SHORTER):
-        stepped = ground[todo]
-        stepped[:, :2] += 0.5**halving * full[todo]
-        distances = np.abs(image[todo] - project(stepped)).max(axis=1)
-        better = distances < np.abs(error[todo]).max(axis=1)
-        moved[todo[better]] = stepped[better]
-        todo = todo[~better]
-        if not todo.size:
+        tried = ground[remaining]
+        tried[:, :2] += 0.5**halving * full_steps[remaining]
+        distances = np.abs(image[remaining] - project(tried)).max(axis=1)
+        is_better = distances < np.abs(error[remaining]).max(axis=1)
+        moved[remaining[is_better]] = tried[is_better]
+        remaining = remaining[~is_better]
+        if not remaining.size:
             break
     return moved
 
 
 def _inverse_derivatives(project: Projection, ground: FloatArray, unit: FloatArray) -> FloatArray:
-    """Return the moves in x and y for 1 px of line and of sample, shape (n, 2, 2)."""
+    """Return the moves in x and y for 1 px of line and of sample, shape (n, 2, 2).
+
+    The derivatives are central differences over `_DIFFERENCE` of `unit`. Where the image does not
+    change, or nothing projects, the moves are not finite.
+    """
     with np.errstate(all="ignore"):
         steps = np.diag(_DIFFERENCE * unit)[:2]
         (lx, sx), (ly, sy) = (((project(ground + step) - project(ground - step)) / 2).T
@@ -253,26 +270,26 @@ def _intersect_surface(project: Projection, image: FloatArray, surface: Surface,
                        unit: FloatArray, inverse: FloatArray) -> FloatArray:
     """Return ground points (n, 3) moved along their rays onto the surface.
 
-    The height h of a ray and the surface above it, s(h), meet where s(h) - h = 0. The secant method
-    finds the root on usual ground. Where the surface is steeper than the ray, it jumps over it, and
-    the interval of all heights tried is halved instead.
+    At height h a ray is below or above a point of the surface with the height s(h); they meet where
+    s(h) - h = 0. The secant method finds this root on usual ground. Where the surface is steeper
+    than the ray, the method does not converge, and the interval of all heights that were tried is
+    halved instead.
 
     Parameters
     ----------
-    project : ground to image, scaled
-    image : positions (n, 2), whose rays are followed
-    surface : heights at x and y (n, 2), NaN outside
-    ground : places on the rays (n, 3) to begin with; they are changed
-    unit : steps for derivatives (3,)
-    inverse : derivatives of the plane by the image at these places (n, 2, 2)
+    project : callable, ground (n, 3) to image (n, 2)
+    image : positions (n, 2) whose rays are followed
+    surface : callable, x and y (n, 2) to heights (n,), NaN outside
+    ground : places on the rays (n, 3) to begin with; the array is changed
+    unit : half the size of the ground (3,), the unit of steps for derivatives
+    inverse : moves in x and y for 1 px at these places (n, 2, 2)
 
     Returns
     -------
     ground : (n, 3), NaN where the ray does not meet the surface
     """
-    def moved(rays: IntArray, height: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return places of rays at heights, (r, 3), and how far the surface lies above them, (r,).
-        """
+    def at_height(rays: IntArray, height: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return places of rays at heights, (r, 3), and how far the surface is above them, (r,)."""
         places = ground[rays]
         places[:, 2] = height
         places = _iterate_newton(project, image[rays], places, unit, inverse[rays])
@@ -281,27 +298,28 @@ def _intersect_surface(project: Projection, image: FloatArray, surface: Surface,
     above = surface(ground[:, :2]) - ground[:, 2]
     low = ground[:, 2].copy()
     high = ground[:, 2].copy()
-    slope = np.zeros(len(ground))  # of the surface's height over the height of the ray
+    slope = np.zeros(len(ground))  # ds / dh, how the surface's height changes with the ray's
     for _ in range(_SECANTS):
-        going = np.flatnonzero(np.abs(above) > _AT_SURFACE)
-        if not going.size:
+        active = np.flatnonzero(np.abs(above) > _AT_SURFACE)
+        if not active.size:
             break
-        before = above[going]
-        step = before / (1.0 - np.clip(slope[going], -3.0, 0.7))
-        ground[going], above[going] = moved(going, ground[going, 2] + step)
+        above_before = above[active]
+        # The slope is limited, so that a wrong one makes no step of the wrong sign or a huge one.
+        step = above_before / (1.0 - np.clip(slope[active], -3.0, 0.7))
+        ground[active], above[active] = at_height(active, ground[active, 2] + step)
         low = np.fmin(low, ground[:, 2])
         high = np.fmax(high, ground[:, 2])
         with np.errstate(all="ignore"):
-            slope[going] = np.nan_to_num(1.0 + (above[going] - before) / step)
-    # The rest is too steep for that: halve the interval of heights where the ray meets the surface.
-    going = np.flatnonzero(~(np.abs(above) <= _AT_SURFACE))
-    below = np.full(len(going), np.fmin.reduce(low, initial=np.nan))
-    over = np.full(len(going), np.fmax.reduce(high, initial=np.nan))
-    for _ in range(_BISECTIONS if going.size else 0):
-        middle = (below + over) / 2
-        ground[going], above[going] = moved(going, middle)
-        rises = above[going] > 0
-        below = np.where(rises, middle, below)
-        over = np.where(rises, over, middle)
+            slope[active] = np.nan_to_num(1.0 + (above[active] - above_before) / step)
+    # The surface is too steep for the secant method where it has not converged.
+    active = np.flatnonzero(~(np.abs(above) <= _AT_SURFACE))
+    bottom = np.full(len(active), np.fmin.reduce(low, initial=np.nan))
+    top = np.full(len(active), np.fmax.reduce(high, initial=np.nan))
+    for _ in range(_BISECTIONS if active.size else 0):
+        middle = (bottom + top) / 2
+        ground[active], above[active] = at_height(active, middle)
+        is_below = above[active] > 0
+        bottom = np.where(is_below, middle, bottom)
+        top = np.where(is_below, top, middle)
     ground[~(np.abs(above) <= _CLOSE)] = np.nan
     return ground

@@ -31,7 +31,7 @@ def graded_exponents(degree: int, variables: int) -> Exponents:
     for total in range(degree + 1):
         for i in range(total, -1, -1):
             for j in range(total - i, -1, -1):
-                # Z has the degrees that X and Y leave: none, of two variables.
+                # Z has the degrees that X and Y leave; with two variables they must leave none.
                 if variables == 3 or i + j == total:
                     exponents.append((i, j, total - i - j))
     return tuple(exponents)
@@ -40,8 +40,8 @@ def graded_exponents(degree: int, variables: int) -> Exponents:
 def double_sum_exponents(degree: int) -> Exponents:
     """Return the exponents of all X^i Y^j with i and j up to a degree, (degree + 1)^2 of them.
 
-    In the order of Valadan Zoej et al. 2002, eq. 6: by the higher power, then by the lower, that
-    of X first.
+    They are in the order of Valadan Zoej et al. 2002, eq. 6: by the higher of the two powers, then
+    by the lower, and with the higher power of X first.
 
     Examples
     --------
@@ -67,7 +67,8 @@ def monomial_name(exponent: Exponent) -> str:
 def evaluate_monomials(ground: FloatArray, exponents: Exponents) -> FloatArray:
     """Return k monomials, by their exponents of X, Y, Z, at ground points (n, 3), shape (n, k).
 
-    They are not to be written into: many models are fitted to the same few places.
+    Callers must not write into the array: that of few places is kept, as many models are fitted to
+    them.
     """
     if len(ground) > KEPT_PLACES:
         return _monomials(ground, exponents)
@@ -85,7 +86,7 @@ def _cached_monomials(ground: bytes, exponents: Exponents) -> FloatArray:
 def _monomials(ground: FloatArray, exponents: Exponents) -> FloatArray:
     """Return X^i Y^j Z^k of ground (n, 3) for each triple of exponents, (n, terms)."""
     highest = max(max(e) for e in exponents)
-    # powers[i] = ground^i, by products: a power function is slower and rounds otherwise.
+    # powers[i] is ground^i, made by products: a power function is slower and rounds otherwise.
     powers = np.ones((highest + 1, *ground.shape))
     for i in range(1, highest + 1):
         powers[i] = powers[i - 1] * ground

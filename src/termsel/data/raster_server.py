@@ -23,7 +23,7 @@ _open_here: dict[int, tuple[Any, ExitStack]] = {}
 
 
 def serve(drivers: tuple[str, ...], remote: bool) -> None:
-    """Answer the questions that come on stdin, in a new process."""
+    """Answer the questions that come on stdin until it ends; a new process runs this."""
     claim_process()
     with answer_channel(drivers, remote) as answers, require_rasterio().Env():
         while True:
@@ -47,13 +47,14 @@ def _pickle_answer(answer: tuple[Any, BaseException | None]) -> bytes:
 def _answer(asked: bytes) -> tuple[Any, BaseException | None]:
     """Return the answer to a question and None, or the error and its cause.
 
-    Pickle would leave the cause of an error out.
+    The cause is apart, as pickle leaves it out of an error.
     """
     from rasterio import Env
 
     try:
-        question = pickle.loads(asked)  # may name a function that this process cannot import
-        # Names within a raster count from the folder in which it was opened.
+        # This fails if the question names a function that this process cannot import.
+        question = pickle.loads(asked)
+        # Relative names of files count from the folder of the process that asks.
         os.chdir(question.folder)
         with Env(**question.settings):
             answer = _answer_of_dataset(question)

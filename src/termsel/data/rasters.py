@@ -60,14 +60,18 @@ _BYTES = {"complex_int16": "complex64"}
 
 
 def require_rasterio() -> Any:
-    """Return the package rasterio; the TermselError says how to install it if it is not there."""
+    """Return the package rasterio; raises TermselError, with how to install it, if it is missing.
+
+    GDAL keeps only the drivers that are allowed in this process.
+    """
     if "rasterio" not in sys.modules:
         # GDAL's errors come as exceptions, which termsel explains; the log would repeat them.
         logging.getLogger("rasterio").addHandler(logging.NullHandler())
     with keep_own_drivers_only(), require_import("this requires", "rasterio", GIS):
         import rasterio
 
-        with rasterio.Env():  # GDAL looks for its drivers now
+        # GDAL looks for its drivers in the first environment, which has to be this one.
+        with rasterio.Env():
             pass
     return rasterio
 
@@ -82,7 +86,7 @@ def tiff_bytes(pixels: Any, driver: str = "GTiff", **profile: Any) -> bytes:
     rasterio = require_rasterio()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-        # What is written as bytes is complete; GDAL may not report a full disk.
+        # In memory the file is always complete; on a full disk GDAL may fail without an error.
         with rasterio.MemoryFile() as memory:
             with memory.open(driver=driver, count=pixels.shape[0], height=pixels.shape[1],
                              width=pixels.shape[2], dtype=pixels.dtype.name, **profile) as raster:
@@ -94,10 +98,9 @@ def tiff_bytes(pixels: Any, driver: str = "GTiff", **profile: Any) -> bytes:
 def _quiet_about_encodings() -> Iterator[None]:
     """Keep Python from printing that rasterio cannot log a message that is not UTF-8.
 
-    The exception itself comes all the same, and says what is wrong; the hooks are put back
-    afterwards.
+    Python would print it twice, through two hooks, before the error is raised, which says what is
+    wrong. The hooks are put back afterwards.
     """
-    # It prints that twice, through either hook, before the error comes as an exception.
     unraisable = sys.unraisablehook
     uncaught = sys.excepthook
 
@@ -126,14 +129,14 @@ def open_raster(path: Path | str) -> Iterator[Any]:
     Parameters
     ----------
     path : path-like
-        Of a format of `termsel.core.files.drivers`, or one that the user allows; a virtual raster
-        whose sources are such.
+        A raster of a format of `termsel.core.files.drivers`, or of one that the user allows, or a
+        virtual raster whose sources are such.
 
     Yields
     ------
     rasterio.DatasetReader or termsel.data.distant_rasters.DistantRaster
-        The latter has its attributes and methods. In a program of the user, whose GDAL has all
-        drivers, it stands for a raster of several files, which a process of termsel reads.
+        The second has the attributes and methods of the first. In a program of the user, whose GDAL
+        has all drivers, it stands for a raster of several files, which a process of termsel reads.
         Functions of rasterio that take a dataset are called by `with_dataset`.
 
     Raises
@@ -160,12 +163,12 @@ def open_raster(path: Path | str) -> Iterator[Any]:
     refuse_pipe(Path(path))
     path = gdal_name(path)
     sources = refuse_foreign(path)
-    # In termsel's own processes GDAL has no driver beyond the list. Else only the list given with
-    # a file holds, and what GDAL opens together with that file would be opened with any driver.
-    apart = not drivers_are_off() and not is_single_file(path)
+    # In termsel's own processes GDAL has no driver beyond the list. Elsewhere the list is given for
+    # one file, and GDAL would use any driver for further files that it opens with that one.
+    may_open_others = not drivers_are_off() and not is_single_file(path)
     try:
         with ExitStack() as stack:
-            raster = None if apart else stack.enter_context(_open_here(path, sources))
+            raster = None if may_open_others else stack.enter_context(_open_here(path, sources))
             if raster is None or (not drivers_are_off() and any(_rasters_named_by(raster))):
                 stack.close()
                 raster = stack.enter_context(open_distant(path))
@@ -190,7 +193,7 @@ def _open_here(path: Path | str, sources: list[str]) -> Iterator[Any]:
     drivers = [name for name in raster_drivers() if name != "VRT" or drivers_are_off()]
     with (without_exceptions(), rasterio.Env(**gdal_options()), utf8_name(path) as name,
           _quiet_about_encodings(), np.errstate(over="ignore")):
-        # The last: rasterio compares a value for no data with what pixels of the type can hold.
+        # np.errstate is for rasterio, which compares a nodata value with what the type can hold.
         with warnings.catch_warnings():
             # An image that is to be georeferenced has no geotransform.
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
@@ -213,9 +216,10 @@ def without_siblings() -> Iterator[None]:
 
 
 def gdal_name(path: Path | str) -> Path | str:
-    """Return a name of GDAL with the second slash of places, which paths lose.
+    """Return a path as a name for GDAL, with the second slashes that pathlib took away.
 
-    These are addresses such as ``/vsicurl/https://...`` and absolute places of archives.
+    Addresses such as ``/vsicurl/https://...`` and absolute places in archives have them. Any other
+    path is returned unchanged, and so is that of a file which exists.
     """
     name = str(path)
     if os.path.lexists(name):
@@ -231,13 +235,15 @@ def gdal_name(path: Path | str) -> Path | str:
 
 
 def _refuse_named_by(name: str) -> None:
-    """Raise TermselError if the metadata of an open raster's source name a file not to be opened.
+    """Raise TermselError if a source of a virtual raster names a file that must not be opened.
+
+    A source that cannot be opened raises nothing: reading its pixels does.
     """
     import rasterio
 
     try:
         source = rasterio.io.DatasetReader(name, driver=list(raster_drivers()))
-    except rasterio.errors.RasterioIOError:  # who reads its pixels gets to know why
+    except rasterio.errors.RasterioIOError:
         return
     with source:
         refuse_named(name, _rasters_named_by(source))
@@ -265,12 +271,13 @@ def _refuse_large_blocks(path: Path | str, raster: Any) -> None:
 def refuse_empty_giant(raster: Any) -> None:
     """Refuse to read a raster whose pixels are hundreds of times what its files hold.
 
-    A small file can claim to have any size. Where GDAL is asked for all of its pixels, that takes
-    hours.
+    A small file can claim to have any size, and to read all of its pixels would take hours. Rasters
+    in archives and on servers, whose files have no known size, are not refused.
 
     Raises
     ------
     TermselError
+        If the pixels take more than `SMALL`, and more than `_DENSEST` times the size of the files.
     """
     pixels = float(raster.width) * raster.height * raster.count
     size = pixels * np.dtype(_BYTES.get(raster.dtypes[0], raster.dtypes[0])).itemsize
@@ -284,7 +291,7 @@ def refuse_empty_giant(raster: Any) -> None:
 
 
 def _unreadable_error(path: Path | str, reason: str) -> TermselError:
-    """Return the error for a raster that GDAL cannot read."""
+    """Return the error for a raster that GDAL cannot read, with a hint by GDAL's `reason`."""
     if not is_there(Path(path)) and not str(path).startswith("/vsi"):
         return no_such_file_error(path)
     if "not recognized as being in a supported file format" in reason:

@@ -74,20 +74,24 @@ def visible_ground(project: Projection, holds: Callable[[FloatArray], BoolArray]
     Parameters
     ----------
     project : callable
+        Returns line and sample [px] (n, 2) of ground points (n, 3).
     holds : callable
-        Whether the model holds at places (m, 3), (m,): behind the camera it has mirrored ones.
+        Returns a mask (m,) of places (m, 3) at which the model holds. Behind a camera it does not:
+        a model sees mirrored places there.
     image : ndarray, shape (n, 2)
         Line and sample [px].
     ground : ndarray, shape (n, 3)
-        Where rays meet the surface, as `termsel.data.locate.locate` returns it; NaN stays.
-    surface : callable
-        One that is no `Relief` is asked at places all over the area.
+        Where rays meet the surface, as `termsel.data.locate.locate` returns it.
+    surface : Relief or callable
+        Returns heights (n,) of places (n, 2). The highest place of one that is no `Relief` is found
+        by asking for heights all over the area.
     box : tuple of 2 ndarrays
-        Middle and half-range of the control, (3,) each.
+        Middle and half the size of the control, (3,) each.
 
     Returns
     -------
     ndarray, shape (n, 3)
+        NaN stays. The same array is returned if no place is known, or no height of the surface.
     """
     known_places = ground[np.isfinite(ground).all(axis=1), :2]
     if not len(known_places):

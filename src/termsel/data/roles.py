@@ -49,9 +49,10 @@ MAX_PAIRWISE_PLACES = 300
 def find_twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArray:
     """Return the number of each point's group of twins, (n,), by places on the ground (n, 3).
 
-    Groups are counted from 0 in the order of their first points; a point without a twin is a group
-    of its own. The spread of the points `typical` (m, 3), by default all, decides what is near.
-    Heights that are not known are NaN.
+    Twins are points so near to each other, compared with the spread of the points `typical` (m, 3),
+    by default all, that they repeat one measurement. Groups are counted from 0 in the order of
+    their first points; a point without a twin is a group of its own. Unknown heights, NaN, count
+    as 0.
     """
     n = len(ground)
     typical = ground if typical is None else typical
@@ -59,9 +60,10 @@ def find_twins(ground: FloatArray, typical: FloatArray | None = None) -> IntArra
         return np.arange(n, dtype=np.intp)
     positions = np.nan_to_num(ground)
     typical = np.nan_to_num(typical)
-    # Half of the points span half of an even spread, wherever a few wild ones are.
+    # Quartiles are used, as half of the points span half of an even spread, whatever wild ones do.
     low, high = (quantile_of(typical.T, share) for share in (0.25, 0.75))
-    # Distances of twins in X, Y and Z are 1 in these units.
+    # Twins are up to 1 apart in these units. In X and Y they shrink as the distance of neighbours
+    # does with the number of points.
     unit = TWIN_DISTANCE * 2 * (high - low) * np.array([len(typical) ** -0.5] * 2 + [1.0])
     rounding = np.finfo(float).eps * np.abs(positions).max(axis=0)
     pairs = _pairs_nearby(positions / np.maximum(unit, np.maximum(rounding, np.finfo(float).tiny)))
@@ -89,8 +91,9 @@ def _pairs_nearby(positions: FloatArray) -> IntArray:
 def with_merged_twins(features: FeatureSet) -> FeatureSet:
     """Return features in which twins are one point, at their mean; lines stay as they are.
 
-    Each point has the id, the role and the attributes of the first of its twins. Its sigma is their
-    mean, and not less, as twins repeat one measurement. Without twins the same object comes back.
+    Each point has the id, the role and the attributes of the first of its twins. Its sigma is the
+    mean of theirs, not less, as twins repeat one measurement. Without twins the same object comes
+    back.
     """
     points = features.points
     labels = find_twins(points.ground)
@@ -99,14 +102,15 @@ def with_merged_twins(features: FeatureSet) -> FeatureSet:
         return features
     count = np.bincount(labels)[:, None]
 
-    def mean(values: FloatArray) -> FloatArray:
+    def mean_of_group(values: FloatArray) -> FloatArray:
         total = np.zeros((len(first_of_group), values.shape[1]))
         np.add.at(total, labels, values)
         return total / count
 
     return features.with_(points=Points(
-        tuple(points.ids[i] for i in first_of_group), mean(points.image), mean(points.ground),
-        None if points.sigma is None else mean(points.sigma),
+        tuple(points.ids[i] for i in first_of_group), mean_of_group(points.image),
+        mean_of_group(points.ground),
+        None if points.sigma is None else mean_of_group(points.sigma),
         tuple(points.roles[i] for i in first_of_group), rows_at(points.attributes, first_of_group)))
 
 
@@ -199,19 +203,21 @@ def _roles_in_turn(order: Sequence[int] | np.ndarray, shares: FloatArray,
                    rng: np.random.Generator) -> list[str]:
     """Return the role of each point, so that every stretch of an order has all roles by share.
 
-    `order` are the numbers of the points, `shares` (3,) those of the roles.
+    `order` has the numbers of the points. `shares` (3,) are those of the roles in the order of
+    ASSIGNABLE, with the sum 1; a role with the share 0 is not given.
     """
-    # Each point in the order gets the role that lags most behind its share; among roles that lag
-    # alike the draw decides, so that different seeds give different splits.
+    # Each point in the order gets the role that lags most behind its share. Among roles that lag
+    # nearly alike the draw decides, so that different seeds give different splits.
     names = ASSIGNABLE
-    if not shares[0]:  # the same draws, whether points or lines are the control
+    # Without control among the points, its draws go to the first role that there is: check.
+    if not shares[0]:
         names = (*names[1:], names[0])
         shares = np.roll(shares, -1)
     counts = np.zeros(3)
     roles = [""] * len(order)
-    for turn, i in enumerate(order):
-        # What a role should have had by now, less what it has.
-        lag = shares * (turn + 1) - counts
+    for n_before, i in enumerate(order):
+        # The points that each role should have by now, less those it has.
+        lag = shares * (n_before + 1) - counts
         lag = np.where(shares > 0, lag + rng.uniform(0.0, 0.5, 3), -np.inf)
         role = int(np.argmax(lag))
         counts[role] += 1
@@ -292,7 +298,10 @@ class Observations:
 
     @cached_property
     def lattice(self) -> Lattice | None:
-        """The lattice that all points form, at those of the pool; None if they form none."""
+        """The lattice that all points form, with its rows for the points of the pool.
+
+        None if all points form no lattice.
+        """
         points = self.features.points
         all_points = lattice_of(self.features)
         if all_points is None:
@@ -327,7 +336,7 @@ def assign_roles(
     whether lines are the control: the share of control points is 0 then. `crs` is that of the
     points. Raises TermselError for negative shares, or if control (with lines: check) has none.
     """
-    # The first role that needs a share: points are no control where lines are.
+    # Control needs a share, or check if lines are the control, as points then are none.
     first_role = 1 if lines else 0
     shares = np.array((0.0, *fractions[1:]) if lines else fractions, dtype=np.float64)
     if (shares.shape != (3,) or not np.isfinite(shares).all() or (shares < 0).any()
@@ -335,7 +344,7 @@ def assign_roles(
         raise TermselError(f"fractions {list(fractions)} do not assign the points",
                            hint="Give three numbers: control (above 0), check, independent.")
     shares = shares / shares.max()  # the sum of huge ones is infinite
-    # By the ground, so that what an independent point's image coordinates are changes no role.
+    # Roles depend on the ground alone: image coordinates of independent points must not matter.
     ground = to_globe(points.ground, crs) if split.on_globe else points.ground
     return split.roles(points.ids, ground, shares / shares.sum(), rng)
 
@@ -343,11 +352,11 @@ def assign_roles(
 def asked_roles(off: str | None, role: str | None) -> dict[str, str]:
     """Return the role of each feature that the options `off` and `role` name.
 
-    Ids, and ID=ROLE, each with commas between them. Raises TermselError for what is not of this
-    form, a role that does not exist, or a feature named twice.
+    `off` has ids, and `role` has pairs ID=ROLE, both with commas between. Raises TermselError for
+    a pair of another form, for a role that does not exist, and for an id with two different roles.
     """
     role_of: dict[str, str] = {}
-    # "off" is short for ID=off; both options go the same way.
+    # The option `off` is short for ID=off.
     pairs = [(name, "off") for name in (off or "").split(",")]
     for pair in (role or "").split(","):
         name, equals, value = pair.rpartition("=")
@@ -422,7 +431,7 @@ def observe(
     check and independent among the points that are assigned; with control from lines alone, all
     become check and independent points.
 
-    Raises TermselError if the control that is required is not there.
+    Raises TermselError if there are no features that could be the control.
     """
     features, labels = _order_and_labels(features)
     points = features.points
@@ -476,18 +485,22 @@ def sorted_by_id(features: FeatureSet) -> FeatureSet:
     # What chance or ties decide is then the same, however the rows of a file are ordered.
     points = features.points
     lines = features.lines
-    return features.with_(points=points.take(_order(points.ids)),
-                          lines=lines.take(_order(lines.ids)))
+    return features.with_(points=points.take(_natural_order(points.ids)),
+                          lines=lines.take(_natural_order(lines.ids)))
 
 
-def _order(names: Sequence[str]) -> list[int]:
-    """Return the indices of names in their order; the pieces of one line stay in theirs."""
+def _natural_order(names: Sequence[str]) -> list[int]:
+    """Return the indices of names in natural order, in which P2 comes before P10.
+
+    Equal names, as of the pieces of one line, stay in their order.
+    """
     keys = []
     for name in names:
-        # Numbers count by their value. Of two without leading zeros the longer one is larger.
+        # Each odd piece is a number and counts by its value: without leading zeros the longer of
+        # two is larger.
         pieces = [piece.lstrip("0") if i % 2 else piece
                   for i, piece in enumerate(_NUMBER.split(name))]
-        # Names that differ have different keys, by the name itself at the end.
+        # The name itself, at the end, parts names whose pieces are equal, such as P1 and P01.
         keys.append(([(len(piece) if i % 2 else 0, piece) for i, piece in enumerate(pieces)], name))
     return sorted(range(len(keys)), key=keys.__getitem__)
 

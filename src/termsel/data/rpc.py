@@ -93,9 +93,9 @@ class Rpc:
     control_digests: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
-        """Take the numbers as float; raises TermselError as the class says."""
+        """Store numbers as Python's float and check them; raises TermselError as the class says."""
         for name, value in vars(self).items():
-            # numpy's numbers have another repr, which is written.
+            # Files have the repr of the numbers, which is another one for those of numpy.
             if isinstance(value, tuple) and name != "control_digests":
                 object.__setattr__(self, name, tuple(map(float, value)))
         for name in ("line_numerator", "line_denominator", "sample_numerator",
@@ -127,7 +127,7 @@ class Rpc:
         return cls(**structs.asdict(numbers))
 
     def heights_outside(self, heights: FloatArray) -> str:
-        """Return the clause that the median height [m] is far outside those of the RPC; else "".
+        """Return a clause for a message if the median height is far outside the range of the RPC.
 
         Parameters
         ----------
@@ -137,7 +137,7 @@ class Rpc:
         Returns
         -------
         str
-            A clause for a message.
+            The clause; "" without heights, and if their median is not far outside.
 
         Examples
         --------
@@ -154,12 +154,12 @@ class Rpc:
             return ""
         # The range of an RPC is its offset plus and minus its scale.
         middle = self.ground_offset[2]
-        half = abs(self.ground_scale[2])
-        median = float(np.median(heights)) + 0.0
-        if abs(median - middle) <= max(_OUTSIDE * half, half + _NEAR_RANGE):
+        half_range = abs(self.ground_scale[2])
+        median = float(np.median(heights)) + 0.0  # 0.0 makes 0 of -0, which would be written "-0"
+        if abs(median - middle) <= max(_OUTSIDE * half_range, half_range + _NEAR_RANGE):
             return ""
         return (f"the heights of the control, {median:,.0f} m (median){BEYOND_RPC}"
-                f"{middle - half:,.0f} to {middle + half:,.0f} m")
+                f"{middle - half_range:,.0f} to {middle + half_range:,.0f} m")
 
     def project(self, ground: ArrayLike) -> FloatArray:
         """Return where ground points are seen.
@@ -174,10 +174,13 @@ class Rpc:
         ndarray, shape (n, 2)
             Line and sample [px].
         """
-        away = np.asarray(ground, dtype=np.float64) - self.ground_offset
-        # Longitudes may go on beyond 180 degrees, as GDAL evaluates an RPC, too.
-        away[:, 0] -= 360.0 * ((away[:, 0] > 270).astype(float) - (away[:, 0] < -270))
-        columns = evaluate_monomials(away / self.ground_scale, RPC00B)
+        from_offset = np.asarray(ground, dtype=np.float64) - self.ground_offset
+        # Longitudes on the other side of 180 degrees differ by about a turn; GDAL evaluates an RPC
+        # with the same limits.
+        is_turn_more = from_offset[:, 0] > 270
+        is_turn_less = from_offset[:, 0] < -270
+        from_offset[:, 0] -= 360.0 * (is_turn_more.astype(float) - is_turn_less)
+        columns = evaluate_monomials(from_offset / self.ground_scale, RPC00B)
         # Scaled line and sample are quotients of cubic polynomials in scaled P, L, H.
         line = (columns @ self.line_numerator) / (columns @ self.line_denominator)
         sample = (columns @ self.sample_numerator) / (columns @ self.sample_denominator)
@@ -203,7 +206,8 @@ class Rpc:
         Returns
         -------
         ndarray, shape (n, 3)
-            WGS84 longitude, latitude and ellipsoidal height; NaN where a ray reaches none.
+            WGS84 longitude, latitude [deg] and ellipsoidal height [m]; NaN where a ray does not
+            reach its height or the surface.
         """
         return locate(self.project, image, height, centre=self.ground_offset,
                       scale=np.abs(self.ground_scale))

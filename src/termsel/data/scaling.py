@@ -67,23 +67,21 @@ class Scaling:
     def ground(self, ground: ArrayLike) -> FloatArray:
         """Return scaled ground coordinates, (..., 3); unknown heights become 0.
 
-        Longitudes, or x that repeats around the Earth, are first taken to the turn nearest to the
-        control. Places that the CRS of the fit cannot have become very far ones, so that no model
-        puts them into the image.
+        Longitudes, or x that repeats around the Earth, are first moved by whole turns to those
+        nearest to the control. Places that have no coordinates in the CRS of the fit become very
+        far ones, so that no model puts them into the image.
         """
         fitted = to_fit_crs(np.asarray(ground, dtype=np.float64), self.crs, self.fit_crs)
-        # Scaled coordinate = (coordinate - offset) / scale.
-        away = fitted - self.ground_offset
+        from_offset = fitted - self.ground_offset
         if self.x_turn:
-            # A place is the nearest of those that are whole turns apart, but control that spans
-            # more than a turn keeps its places. Rounding must not turn places half a turn away.
+            # Control that spans more than a turn keeps its places. The margin is for rounding,
+            # which must not move places that are half a turn away.
             reach = max(self.x_turn / 2, self.ground_scale[0]) * (1 + 1e-9)
-            x = away[..., 0]
-            # Places without coordinates are infinitely far, whatever turns are taken away.
-            is_turned = (np.abs(x) > reach) & np.isfinite(x)
-            x -= self.x_turn * np.round(np.where(is_turned, x, 0.0) / self.x_turn)
-        scaled = away / self.ground_scale
-        # Places without coordinates in the CRS of the fit are far outside the image.
+            x = from_offset[..., 0]
+            # No turn brings an infinite x nearer.
+            is_moved = (np.abs(x) > reach) & np.isfinite(x)
+            x -= self.x_turn * np.round(np.where(is_moved, x, 0.0) / self.x_turn)
+        scaled = from_offset / self.ground_scale
         return scaled if np.isfinite(scaled).all() else np.nan_to_num(
             scaled, nan=0.0, posinf=_NO_PLACE, neginf=-_NO_PLACE)
 
@@ -134,13 +132,16 @@ class Scaling:
 
 
 def to_fit_crs(ground: FloatArray, crs: str, fit_crs: str) -> FloatArray:
-    """Return ground coordinates (..., 3) in the CRS a model is fitted in, if any; NaN stays NaN."""
+    """Return ground coordinates (..., 3) in the CRS in which a model is fitted.
+
+    They are the same array if `fit_crs` is "". NaN stays NaN. Places outside that CRS become
+    infinite instead of an error, as maps may have corners there.
+    """
     if not (crs and fit_crs):
         return ground
-    flat = ground.reshape(-1, 3)
-    # Places outside the CRS of the fit become infinite, not an error: maps have corners there.
-    fitted = np.array(transformation_between(crs, fit_crs, strict=False, for_fit=True)(flat))
-    fitted[np.isnan(flat)] = np.nan
+    rows = ground.reshape(-1, 3)
+    fitted = np.array(transformation_between(crs, fit_crs, strict=False, for_fit=True)(rows))
+    fitted[np.isnan(rows)] = np.nan
     return fitted.reshape(ground.shape)
 
 
@@ -149,9 +150,10 @@ def make_scaling(features: FeatureSet) -> Scaling:
 
     Each axis of the ground is shifted to the middle of the features and divided by half of its
     extent, so that the powers of all terms are of one size. Line and sample have one scale, as a
-    pixel is a pixel in both. Longitudes are continued beyond 180 degrees first; heights of hardly
-    any extent count by a part of that of the plane, lest their errors become terms of full size.
-    With `fit_crs` it is that of the coordinates in which the model is fitted.
+    pixel is a pixel in both. Longitudes are continued beyond 180 degrees first. Heights are divided
+    by at least `SHALLOW` of the plane's half extent, so that errors of flat ground do not become
+    terms of full size; blank heights count as 0, and their axis as 1. If features have a `fit_crs`,
+    the scaling is that of their coordinates in it.
     """
     crs_pair = (features.crs, features.fit_crs) if features.fit_crs else ("", "")
     ground = to_fit_crs(features.ground_vertices(), *crs_pair)
@@ -159,34 +161,36 @@ def make_scaling(features: FeatureSet) -> Scaling:
     turn = turn_of(features.fit_crs or features.crs)
     if turn:
         ground = np.column_stack([unwrap_longitudes(ground[:, 0], turn), ground[:, 1:]])
-    # Blank heights take any finite number here; the height axis is then 0 throughout.
     finite = np.where(np.isnan(ground), np.nanmin(ground[:, :2]), ground)
-    blank = bool(np.isnan(ground[:, 2]).any())
-    if blank:
+    has_blank_height = bool(np.isnan(ground[:, 2]).any())
+    # One blank height makes all 0: no model of these features uses heights.
+    if has_blank_height:
         finite[:, 2] = 0.0
     low = finite.min(axis=0)
     high = finite.max(axis=0)
-    half = (high - low) / 2
-    plan = None if blank else plan_of(features.fit_crs or features.crs, finite)
+    half_extents = (high - low) / 2
+    plan = None if has_blank_height else plan_of(features.fit_crs or features.crs, finite)
     if plan is not None:
-        half[2] = max(half[2], SHALLOW * np.ptp(plan, axis=0).max() / 2)
-    middle = (image.max(axis=0) + image.min(axis=0)) / 2
-    image_half = np.ptp(image, axis=0) / 2
-    # One scale for both axes; 1 where all features are at one place.
-    scale = float(image_half.max())
-    gx, gy, gz = ((low + high) / 2).tolist()
-    sx, sy, sz = np.where(half > 0, half, 1.0).tolist()
-    return Scaling((gx, gy, gz), (sx, sy, sz), (float(middle[0]), float(middle[1])),
-                   scale if scale > 0 else 1.0, *crs_pair, turn)
+        half_extents[2] = max(half_extents[2], SHALLOW * np.ptp(plan, axis=0).max() / 2)
+    image_middle = (image.max(axis=0) + image.min(axis=0)) / 2
+    image_scale = float((np.ptp(image, axis=0) / 2).max())
+    # An axis in which all features are at one place has the scale 1.
+    x_offset, y_offset, z_offset = ((low + high) / 2).tolist()
+    x_scale, y_scale, z_scale = np.where(half_extents > 0, half_extents, 1.0).tolist()
+    return Scaling((x_offset, y_offset, z_offset), (x_scale, y_scale, z_scale),
+                   (float(image_middle[0]), float(image_middle[1])),
+                   image_scale if image_scale > 0 else 1.0, *crs_pair, turn)
 
 
 def metres_of(features: FeatureSet, scaling: Scaling) -> FloatArray | None:
     """Return the metres of a scaled step along X, Y and Z, (3,); None for geocentric coordinates.
+
+    If the unit of X and Y is unknown, their steps are in this unit.
     """
     crs = features.fit_crs or features.crs
-    # From the middle of the box one scaled step along each axis, measured in the plane.
-    corners = np.array(scaling.ground_offset) + np.diag(scaling.ground_scale)
-    plan = plan_of(crs, np.concatenate([[scaling.ground_offset], corners]))
+    # The ends of one scaled step along each axis, from the middle of the box.
+    step_ends = np.array(scaling.ground_offset) + np.diag(scaling.ground_scale)
+    plan = plan_of(crs, np.concatenate([[scaling.ground_offset], step_ends]))
     if plan is None:
         return None
     steps = np.linalg.norm(plan[1:3] - plan[0], axis=1)

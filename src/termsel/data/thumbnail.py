@@ -36,22 +36,23 @@ def make_thumbnail(path: Path | str, expected: tuple[int, int] | None = None,
                 hint="Give the image that the points were measured in.")
         refuse_empty_giant(raster)
         # GDAL reads at the lower resolution, from overviews where there are any.
-        small = max(1.0, max(size) / THUMBNAIL_SIDE)
-        shape = (max(1, round(size[0] / small)), max(1, round(size[1] / small)))
+        reduction = max(1.0, max(size) / THUMBNAIL_SIDE)
+        shape = (max(1, round(size[0] / reduction)), max(1, round(size[1] / reduction)))
         # Indices of colours have no mean: the nearest pixel is taken, and its brightness.
-        indices = raster.colorinterp[0] == rasterio.enums.ColorInterp.palette
-        band = raster.read(1, out_shape=shape, masked=True, resampling=(
-            rasterio.enums.Resampling.nearest if indices else rasterio.enums.Resampling.average))
-        if indices:
+        has_palette = raster.colorinterp[0] == rasterio.enums.ColorInterp.palette
+        resampling = (rasterio.enums.Resampling.nearest if has_palette
+                      else rasterio.enums.Resampling.average)
+        band = raster.read(1, out_shape=shape, masked=True, resampling=resampling)
+        if has_palette:
             band = np.ma.array(_palette_brightness(raster.colormap(1),
                                                    int(band.data.max()))[band.data],
                                mask=band.mask)
     values = np.ma.filled(band.astype(np.float64), np.nan)
     finite = values[np.isfinite(values)]
-    # Contrast between the darkest and the brightest 2 %, which are often borders and clouds.
+    # The darkest and the brightest 2 %, often borders and clouds, do not set the contrast.
     low, high = np.percentile(finite, [2, 98]) if finite.size else (0.0, 1.0)
     grey = np.clip((values - low) / max(high - low, 1e-12), 0, 1)
-    # Pale, so that arrows stand out; white where there is nothing.
+    # The picture is pale, so that arrows stand out, and white where there is nothing.
     pixels = np.nan_to_num(110 + 145 * grey, nan=255.0).astype(np.uint8)
     content = tiff_bytes(pixels[None], driver="JPEG", quality=80)
     return f"data:image/jpeg;base64,{base64.b64encode(content).decode()}", size

@@ -34,7 +34,10 @@ class Measurements:
 
     @property
     def points(self) -> Points:
-        """The points, numbered and without roles; they were checked when they were made first."""
+        """The measurements as points with numbers for ids, and without roles or attributes.
+
+        They are not checked again, as they were taken from checked points.
+        """
         image = _measured_rows(self.image, 2)
         return replace_unchecked(
             empty_points(),
@@ -116,10 +119,10 @@ class CentralView:
         `metres` (3,) are the size of a unit of the scaled ground. Without their constants, the
         numerators p and q are the focal lengths along lines and samples times axes of the camera,
         plus the principal point times the denominator d (Abdel-Aziz and Karara 1971). Heights that
-        are wrong together make a view of their own, but seldom that of a camera.
+        are all wrong in the same way fit a projection, too, but seldom one of a camera.
         """
         line, sample, denominator = self.matrix[:, 1:] / metres
-        # Across the view, the principal point has no part.
+        # The products with d do not depend on the principal point.
         across_line = np.cross(line, denominator)
         across_sample = np.cross(sample, denominator)
         focal_line = float(np.linalg.norm(across_line))
@@ -152,25 +155,27 @@ class CentralView:
         return np.asarray(self.shows(ground) & far)
 
     def above_horizon(self, image: FloatArray) -> BoolArray:
-        """Return whether the rays of scaled image places (n, 2) lead away from the ground.
+        """Return a mask (n,) of scaled image places (n, 2) whose rays do not meet level ground.
 
         A level place X, Y seen at an image place is that of the homogeneous solution of H (1, X, Y)
         = t (line, sample, 1), whose first coordinate has the sign of 1 / t: the place is in front
         of the camera where t, its distance, is positive.
         """
         level = self.matrix[:, :3].copy()
+        # "not above 0" is true of NaN, too: a place that is no place is not on the ground.
         homogeneous = np.column_stack([image, np.ones(len(image))]) @ np.linalg.inv(level).T
         return np.asarray(~(homogeneous[:, 0] > 0.0))
 
     def magnification(self, ground: FloatArray) -> FloatArray:
         """Return how far places (n, 3) move in the image by a unit of X and by one of Y, (n, 2).
 
-        Places nearer than the image shows count as the nearest that it shows.
+        Places nearer to the camera than any that the image shows count as the nearest that it
+        shows.
         """
         columns = _projection_columns(ground, self.matrix.shape[1])
         numerators = columns @ self.matrix[:2].T
         denominator = np.maximum(columns @ self.matrix[2], NEARER * self.nearest)[:, None]
-        # With f = a / d: df/dX = (da/dX - f dd/dX) / d.
+        # The image f = a / d has the derivative df/dX = (da/dX - f dd/dX) / d.
         moves = [(self.matrix[:2, axis] - numerators / denominator * self.matrix[2, axis])
                  / denominator for axis in (1, 2)]
         return np.stack([np.linalg.norm(move, axis=1) for move in moves], axis=1)
@@ -187,7 +192,11 @@ def view_of(points: Points) -> CentralView | None:
 
 @lru_cache(maxsize=16)  # each method asks about the same points
 def _view_of(measurements: Measurements) -> CentralView | None:
-    """Return the view of points, None without one; cached, as equal points ask many times."""
+    """Return the central view of the points; None if it does not fit them clearly better.
+
+    It has heights if they show their effect, else it is that of a plane. Many points are
+    represented by MAX_VIEW_POINTS that are spread over all.
+    """
     points = measurements.points
     if len(points) > MAX_VIEW_POINTS:
         even = np.linspace(0, len(points) - 1, MAX_VIEW_POINTS).astype(int)
@@ -203,8 +212,9 @@ def _heights_show(view: CentralView, points: Points) -> bool:
     """Return whether heights explain more of the image than their three unknowns do by chance.
 
     On a plane, a projection would be fitted to the rounding of heights, and could not tell how any
-    other height is seen. With squares S of the projection and S0 of that without heights, f and
-    f + 3 degrees of freedom, (S0 - S) / 3 by S / f is distributed as F where heights do nothing.
+    other height is seen. Let S be the sum of squares of the projection with f degrees of freedom,
+    and S0 that of the one without heights with f + 3. If heights have no effect, (S0 - S) / 3 over
+    S / f has an F distribution.
     """
     from scipy.special import fdtri  # views without heights need not import it
 
@@ -243,8 +253,10 @@ def _projection_columns(ground: FloatArray, size: int) -> FloatArray:
 
 
 def _affine_deviation(columns: FloatArray, image: FloatArray) -> float | None:
-    """Return the standard deviation about an affine transformation; None without redundancy."""
-    # Observations less parameters.
+    """Return the standard deviation of image coordinates about an affine transformation.
+
+    None is returned if there are not more coordinates than parameters.
+    """
     freedom = image.size - 2 * columns.shape[1]
     if freedom <= 0:
         return None
@@ -255,22 +267,25 @@ def _affine_deviation(columns: FloatArray, image: FloatArray) -> float | None:
 def _may_be_clearly_better(columns: FloatArray, image: FloatArray, affine_sigma: float) -> bool:
     """Return False where no projection of points in front of the camera is clearly better.
 
-    Let p be the columns of a point with its image f, and d = d p the denominator, made 1 in the
-    centroid of the points, where it is positive as at each of them. With the other columns centred
-    and at most 1, e their coefficients in d, and r = |e|_1, all d are at most 1 + r, so that
+    Let p be the columns of a point, the first of them 1, with its image f, and let d be the
+    denominator, a linear function of p. It is positive at each point and so in their centroid,
+    where it is made 1. With the other columns centred and divided so that they are at most 1, let
+    e be their coefficients in d, and r = |e|_1. Then all d are at most 1 + r, so that
 
         sum |f - a p / d|^2 >= sum |d f - a p|^2 / (1 + r)^2.
 
-    The least sum for any numerators a is S + (e - e0)'B (e - e0), where columns f and f times the
-    others count without what p explains of them; that is at least S + w (r - |e0|_1)^2 with w the
-    least eigenvalue of B by the number of the others. By Cauchy's inequality no r then brings the
-    quotient below 1 / ((1 + |e0|_1)^2 / S + 1 / w).
+    The least value of the sum on the right for any numerators a is S + (e - e0)'B (e - e0). S, e0
+    and B are those of the adjustment of f by the products of f and the other columns, all without
+    their parts that p explains. It is at least S + w (r - |e0|_1)^2, where w is the least
+    eigenvalue of B over the number of the other columns. By Cauchy's inequality no r then brings
+    the quotient below 1 / ((1 + |e0|_1)^2 / S + 1 / w).
     """
     n, size = columns.shape
     centred_columns = columns[:, 1:] - columns[:, 1:].mean(axis=0)
     extents = np.abs(centred_columns).max(axis=0)
     freedom = 2 * n - (3 * size - 1)
-    if freedom <= 0 or not extents.all():  # undetermined
+    # Too few points, or points on a line, determine no projection.
+    if freedom <= 0 or not extents.all():
         return False
     terms = np.concatenate([columns[:, :1], centred_columns / extents], axis=1)
     products = (image[:, :, None] * terms[:, None]).reshape(n, -1)
@@ -290,9 +305,10 @@ def _may_be_clearly_better(columns: FloatArray, image: FloatArray, affine_sigma:
 
 
 def _fit_projection(columns: FloatArray, points: Points, affine_sigma: float) -> CentralView | None:
-    """Return the projection of least distances; None unless clearly better than an affine one.
+    """Return the projection with the least squares of distances in the image.
 
-    None comes back, too, where the points do not determine it, or some would be behind the camera.
+    None is returned if it is not clearly better than an affine transformation, if the points do not
+    determine it, and if some would be behind the camera.
     """
     matrix = _least_distance_matrix(columns, points.image)
     if matrix is None:
@@ -316,15 +332,17 @@ def _fit_projection(columns: FloatArray, points: Points, affine_sigma: float) ->
 def _least_distance_matrix(columns: FloatArray, image: FloatArray) -> FloatArray | None:
     """Return the matrix (3, k) of the projection of least distances in the image, by Gauss-Newton.
 
-    `columns` (n, k) are 1, X, Y (and Z) of the points. None comes back without redundancy, where
-    the projection is not determined, and where the first solution has points behind the camera.
+    `columns` (n, k) are 1, X, Y (and Z) of the points. None is returned if there are not more image
+    coordinates than unknowns, if the points do not determine the projection, and if the first
+    solution has points behind the camera.
     """
     size = columns.shape[1]
     if image.size <= 3 * size - 1:
         return None
     zero = np.zeros_like(columns)
-    # With p = (1, X, Y, Z) and rows a, b, d of the matrix: a p - line d p = 0 and b p - sample d p
-    # = 0, linear in the matrix up to its size: the last right singular vector.
+    # With p = (1, X, Y, Z) and rows a, b, d of the matrix, a p - line d p = 0 and
+    # b p - sample d p = 0. These equations are linear in the matrix and leave its size free: the
+    # last right singular vector is the solution.
     system = np.concatenate([
         np.concatenate([columns, zero, -image[:, :1] * columns], axis=1),
         np.concatenate([zero, columns, -image[:, 1:] * columns], axis=1)])
@@ -332,24 +350,25 @@ def _least_distance_matrix(columns: FloatArray, image: FloatArray) -> FloatArray
     if values[-2] <= _DETERMINED * values[0]:
         return None
     matrix = vectors[-1].reshape(3, size)
-    below = columns @ matrix[2]
-    matrix = matrix * np.sign(below.sum())
+    # The sign is free, too: denominators are positive in front of the camera.
+    matrix = matrix * np.sign((columns @ matrix[2]).sum())
     if not (columns @ matrix[2] > 0.0).all():
         return None
     residuals = image - _project_with_matrix(matrix, columns)
-    # From there to the least distances in the image, halving steps that do not gain.
+    # Steps from there to the least distances are halved until they bring a gain.
     for _ in range(_PROJECTION_STEPS):
         step = _gauss_newton_step(matrix, columns, residuals)
         for halving in range(_HALVINGS):
             trial = matrix + 0.5**halving * step
-            after = image - _project_with_matrix(trial, columns)
-            if (columns @ trial[2] > 0.0).all() and (after**2).sum() < (residuals**2).sum():
+            trial_residuals = image - _project_with_matrix(trial, columns)
+            squares = (trial_residuals**2).sum()
+            if (columns @ trial[2] > 0.0).all() and squares < (residuals**2).sum():
                 break
         else:
             break
-        gain = 1.0 - (after**2).sum() / (residuals**2).sum()
+        gain = 1.0 - squares / (residuals**2).sum()
         matrix = trial / np.linalg.norm(trial)
-        residuals = after
+        residuals = trial_residuals
         if gain < _GAIN:
             break
     return np.asarray(matrix)
@@ -359,13 +378,14 @@ def _gauss_newton_step(matrix: FloatArray, columns: FloatArray,
                        residuals: FloatArray) -> FloatArray:
     """Return the Gauss-Newton step of a matrix, at right angles to it as its size is free."""
     projected = _project_with_matrix(matrix, columns)
-    below = columns @ matrix[2]
-    # d(a p / d p) = (dp a - (a p / d p) dp d) / (d p), as a row of the design.
-    by = columns / below[:, None]
+    denominators = columns @ matrix[2]
+    # The derivatives of a p / d p are p / (d p) by a and -(a p / d p) p / (d p) by d.
+    quotients = columns / denominators[:, None]
     zero = np.zeros_like(columns)
-    design = np.concatenate([np.concatenate([by, zero, -projected[:, :1] * by], axis=1),
-                             np.concatenate([zero, by, -projected[:, 1:] * by], axis=1),
-                             matrix.reshape(1, -1)])
+    design = np.concatenate([
+        np.concatenate([quotients, zero, -projected[:, :1] * quotients], axis=1),
+        np.concatenate([zero, quotients, -projected[:, 1:] * quotients], axis=1),
+        matrix.reshape(1, -1)])
     right = np.concatenate([residuals.T.ravel(), [0.0]])
     return np.asarray(np.linalg.lstsq(design, right)[0].reshape(matrix.shape))
 

@@ -43,6 +43,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from heapq import heappop, heappush
+from typing import NamedTuple
 
 import numpy as np
 
@@ -373,10 +374,11 @@ def local_courses(points: Points, pixel: float) -> LocalCourses | None:
     system = _means_of(control, groups)
     logs = []
     grids = []
-    for probability, lengths, smoothness, ratios in _prior_covariances(
-            FINE_RATIOS if is_fine else RATIOS):
-        by_ratio = _log_likelihoods(system, within, lengths, smoothness, ratios)     # (t, 2, r, s)
+    for covariance in _prior_covariances(FINE_RATIOS if is_fine else RATIOS):
+        probability, lengths, smoothness, ratios = covariance
+        by_ratio = _log_likelihoods(system, within, covariance)                      # (t, 2, r, s)
         by_noise = np.logaddexp.reduce(by_ratio, axis=2)                               # (t, 2, s)
+        # All trends are as likely beforehand.
         logs.append(np.log(probability / len(by_ratio)) + log_prior + by_noise.sum(axis=1))
         grids.append((lengths, smoothness, ratios, np.exp(by_ratio - by_noise[:, :, None])))
     shares = np.exp(np.array(logs) - np.logaddexp.reduce(logs, axis=None))           # (c, t, s)
@@ -389,14 +391,14 @@ def local_courses(points: Points, pixel: float) -> LocalCourses | None:
                         float(shares.sum(axis=(0, 1)) @ noises**2))
 
 
-def _log_likelihoods(system: System, within: Groups, lengths: tuple[float, float],
-                     smoothness: float, ratios: tuple[float, ...]) -> FloatArray:
+def _log_likelihoods(system: System, within: Groups, covariance: Covariance) -> FloatArray:
     """Return log p(z, ratio | trend, length, s) of all trends and both axes, (t, 2, r, s).
 
     The affine part of the trend may be anything. The part of higher degree has beforehand the
     information of one point (Zellner 1986, with g = n): so the likelihood is that of the affine
     trend, times a factor for what the columns of higher degree explain.
     """
+    _, lengths, smoothness, ratios = covariance
     in_groups = within.correlations(lengths, smoothness)
     correlation = matern_correlations(system.positions, system.positions, lengths, smoothness)
     np.fill_diagonal(correlation, 1.0 / within.sizes + (1.0 - 1.0 / within.sizes) * in_groups)
@@ -512,21 +514,36 @@ def _means_of(control: System, groups: list[IntArray]) -> System:
                    trend=mean(control.trend), residuals=mean(control.residuals))
 
 
-def _prior_covariances(field_ratios: tuple[float, ...],
-                       ) -> Iterator[tuple[float, tuple[float, float], float, tuple[float, ...]]]:
-    """Return probability, lengths, smoothness and ratios of all covariances, at first of none."""
-    yield 1.0 - FIELD_PROBABILITY, LENGTHS[0], SMOOTHNESSES[0], (0.0,)
+class Covariance(NamedTuple):
+    """The form of a field's covariance, and how probable it is beforehand."""
+
+    probability: float
+    lengths: tuple[float, float]  # along lines and samples, scaled
+    smoothness: float
+    ratios: tuple[float, ...]  # standard deviations of the field by that of the noise
+
+
+def _prior_covariances(field_ratios: tuple[float, ...]) -> Iterator[Covariance]:
+    """Yield the covariances of the prior; their probabilities sum to 1.
+
+    The first stands for no field: its only ratio is 0. It is followed by fields that are alike
+    along lines and samples, then by those that differ along them. Each field may have any of the
+    `field_ratios`, its standard deviations by that of the noise.
+    """
+    yield Covariance(1.0 - FIELD_PROBABILITY, LENGTHS[0], SMOOTHNESSES[0], (0.0,))
+    # Of the probability of a field, 1 - UNEQUAL_PROBABILITY goes evenly to all pairs of LENGTHS and
+    # SMOOTHNESSES, and the rest evenly to all fields that differ, swaths among them.
     equal = FIELD_PROBABILITY * (1.0 - UNEQUAL_PROBABILITY) / len(LENGTHS) / len(SMOOTHNESSES)
     for smoothness in SMOOTHNESSES:
         for lengths in LENGTHS:
-            yield equal, lengths, smoothness, field_ratios
+            yield Covariance(equal, lengths, smoothness, field_ratios)
     unequal = (FIELD_PROBABILITY * UNEQUAL_PROBABILITY
                / (len(UNEQUAL_LENGTHS) * len(UNEQUAL_SMOOTHNESSES) + len(SWATH_LENGTHS)))
     for smoothness in UNEQUAL_SMOOTHNESSES:
         for lengths in UNEQUAL_LENGTHS:
-            yield unequal, lengths, smoothness, field_ratios
+            yield Covariance(unequal, lengths, smoothness, field_ratios)
     for lengths in SWATH_LENGTHS:
-        yield unequal, lengths, SWATH_SMOOTHNESS, field_ratios
+        yield Covariance(unequal, lengths, SWATH_SMOOTHNESS, field_ratios)
 
 
 def _affine_columns(ground: FloatArray) -> FloatArray:

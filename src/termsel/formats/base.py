@@ -180,14 +180,15 @@ class Reader(Configurable, ABC):
         error : TermselError
             Its `ids` name the features, its `column` a coordinate, such as "x" or "y2".
         path : pathlib.Path
-            As for `read`.
+            The file that was read.
 
         Returns
         -------
         TermselError
             The same error, with its `file`, and without its `column`.
         """
-        error.column = None  # of a table alone
+        # A coordinate is a column in a table alone, whose reader knows its heading.
+        error.column = None
         return error_in_file(error, path)
 
 
@@ -255,8 +256,11 @@ class Writer(Configurable, ABC):
 
 def error_in_file(error: TermselError, file: Path | None, line: int | None = None,
                   column: str | None = None) -> TermselError:
-    """Return `error` with the place where it was found; line and column stay where not given."""
-    # A copy, since an error may be kept and placed again by another caller.
+    """Return a copy of an error with the place where it was found.
+
+    Line and column stay as they are where none are given. The error itself is not changed, as
+    another caller may keep it and place it elsewhere.
+    """
     placed = copy(error)
     placed.file = file
     placed.line = line or error.line
@@ -270,7 +274,7 @@ def image_of(path: Path, images: Iterable[_Image], asked_for: _Image | None, opt
     Parameters
     ----------
     path : Path
-        Of the file, for messages.
+        The file, for messages.
     images : iterable of str or float
         The name or number of the image of each point.
     asked_for : str, float or None
@@ -354,14 +358,15 @@ def read_data(path: Path) -> bytes:
 
 
 def parse_json(text: str, hint: str) -> Any:
-    """Return the value of a text in JSON; `hint` is shown if it is not JSON.
+    """Return the value of a text in JSON.
 
-    Refused, with the line, is also what is nested too deeply or has numbers of too many digits.
+    Raises TermselError, with `hint`, for a text that is not JSON, with its line, and for one that
+    is nested too deeply or has a number of too many digits.
     """
     try:
         return json.loads(text)
     except json.JSONDecodeError as error:
-        # At its end a text breaks off; what else is wrong was written so.
+        # An error at the end of the text means that the text breaks off.
         is_cut = error.pos >= len(text.rstrip())
         reason = "the file breaks off here" if is_cut else _IN_WORDS.get(error.msg, error.msg)
         raise TermselError(f"this is not JSON: {reason}", line=error.lineno, hint=hint
@@ -399,10 +404,13 @@ _OF_POINTS = (".csv", ".points", ".txt", ".xlsx", ".geojson", ".json", ".gpkg")
 
 
 def _files_of_points_in_words(folder: Path) -> str:
-    """Return a sentence with the command for the files of points in a folder; "" without any."""
+    """Return a sentence with the command for the files of points in a folder.
+
+    "" if it has none, or cannot be read.
+    """
     try:
         counts = Counter(file.suffix.lower() for file in folder.iterdir())
-    except OSError:  # that it is a folder is said all the same
+    except OSError:
         return ""
     ending = max(_OF_POINTS, key=lambda ending: counts[ending])
     if not counts[ending]:
@@ -419,14 +427,13 @@ def read_once(path: Path) -> Iterator[Path]:
 
     Raises TermselError for a pipe that carries more than `MAX_FILE_BYTES`, or cannot be read.
     """
-    # Pipes that no shell has opened are left to readers, which refuse them: nobody may ever write
-    # to them.
+    # A named pipe that no shell has opened is left to the readers, which refuse it: whoever waits
+    # for it may wait for ever.
     if not is_open_pipe(path):
         yield path
         return
     with private_folder() as folder:
         copy = folder / path.name
-        # A pipe can be read once, and several readers look at a file.
         try:
             with path.open("rb") as pipe:
                 content = pipe.read(MAX_FILE_BYTES + 1)
@@ -440,7 +447,6 @@ def read_once(path: Path) -> Iterator[Path]:
         try:
             yield copy
         except TermselError as error:
-            # The user knows the pipe, not the copy.
             raise error_in_file(error,
                                 Path(str(error.file).replace(str(copy), str(path)))) from error
 

@@ -20,17 +20,16 @@ _NO_CRS = "Give a file of WKT, a raster or a layer that has a CRS, or its name, 
 
 
 def stated_crs(stated: str | None) -> str | None:
-    """Return the normal form of a CRS by name or by the file that has it; None for none.
+    """Return the normal form of a CRS that a user states, by name or by the file that has it.
 
-    Raises TermselError where it is neither.
+    None if `stated` is None. Raises TermselError where it is neither a CRS nor a file with one. Not
+    for a CRS within a file, which must never name another file.
     """
     if stated is None:
         return None
-    # A user alone states a CRS so; a CRS within a file never names another file.
     path = Path(stated.strip())
-    # A name that is a file is one; all else, such as "EPSG:25832", is a CRS.
-    # WKT is longer than any name of a file may be.
-    # A string of PROJ may end in the name of a grid, "+geoidgrids=egm96.tif".
+    # A text that is the name of a file is one; all else, such as "EPSG:25832", is a CRS. WKT is
+    # longer than a name may be, and a string of PROJ may end in a name, "+geoidgrids=egm96.tif".
     may_be_file = (max(len(part.encode(errors="replace")) for part in path.parts or ("",)) < 256
                    and "\n" not in stated and bool(path.suffix) and "=" not in stated)
     if may_be_file and is_there(path) and path.is_file():
@@ -50,15 +49,18 @@ def crs_next_to(path: Path) -> str:
     return crs
 
 
-def say_other_crs(path: Path, stated: str) -> None:
-    """Say that the file next to a file has another CRS than the one that is stated for it."""
+def warn_of_other_crs(path: Path, stated: str) -> None:
+    """Warn if the .prj next to a file has another CRS than the one that the user states for it.
+
+    What the user states holds: a .prj that cannot be read is ignored.
+    """
     prj = prj_next_to(path)
     if prj is None:
         return
     try:
         crs = _crs_of_text(prj)
     except TermselError:
-        return  # the user's word holds, whatever that file is
+        return
     if crs != stated:
         log.warning("Warning: %s has the CRS %s, but --crs %s is used.", prj.name,
                     short_crs_name(crs),
@@ -74,7 +76,10 @@ def prj_next_to(path: Path) -> Path | None:
 
 
 def _crs_of_file(path: Path) -> str:
-    """Return the CRS that a text, a vector file or a raster states; refuse one without."""
+    """Return the CRS that a text, a vector file or a raster states.
+
+    Raises TermselError for a file without a CRS, and for one that cannot be read.
+    """
     if path.suffix.lower() in _TEXTS:
         return _crs_of_text(path)
     head = read_head(path, _NO_CRS)

@@ -44,9 +44,9 @@ def places_of(fitted: Fit, heights: tuple[float, float] | None = None) -> FloatA
     `heights` are the lowest and highest of the three, by default those of the control; a model
     without heights is asked at one alone.
     """
-    middle, half = fitted.ground_box()
-    # Least, middle and greatest height of the ground, since the file may ignore heights.
-    low, high = heights or (middle[2] - half[2], middle[2] + half[2])
+    middle, half_extent = fitted.ground_box()
+    # At three heights, as a format may ignore heights, which one level would not show.
+    low, high = heights or (middle[2] - half_extent[2], middle[2] + half_extent[2])
     if fitted.model.uses_height:
         levels: set[float] = {float(low + share * (high - low)) for share in (0.0, 0.5, 1.0)}
     else:
@@ -57,7 +57,10 @@ def places_of(fitted: Fit, heights: tuple[float, float] | None = None) -> FloatA
 
 
 def fit_splines(xy: FloatArray, image: FloatArray) -> Transformation:
-    """Return the thin plate spline from ground to image through GCPs (n, 2), as GDAL does."""
+    """Return a function from ground (m, 2 or 3) to image (m, 2): the thin plate spline of GDAL.
+
+    It goes through the GCPs, whose places are `xy` and `image`, (n, 2) each.
+    """
     from scipy.interpolate import RBFInterpolator
 
     # Scaled, as the kernel r^2 log r of coordinates in metres is ill-conditioned.
@@ -73,10 +76,10 @@ MAP = "map"
 
 def say_deviation(name: str, fitted: Fit, ground: FloatArray, image: FloatArray,
                   ending: str = "") -> float:
-    """Log the largest deviation of a format from the model, as a warning if it is not small.
+    """Log the largest deviation of a format from the model, and return it [px]; 0 if none is known.
 
-    The file puts the positions `ground` (n, 3) at `image` (n, 2); `ending` ends the sentence.
-    Returns the largest deviation [px], 0 where none is known.
+    It is a warning above MAX_SILENT_DEVIATION. `name` is that of the format, whose file puts the
+    positions `ground` (n, 3) at `image` (n, 2); `ending` ends the sentence.
     """
     difference = image - fitted.project(ground)
     finite = np.isfinite(difference).all(axis=1)
@@ -95,7 +98,7 @@ def say_deviation(name: str, fitted: Fit, ground: FloatArray, image: FloatArray,
     is_close = distance[worst] <= MAX_SILENT_DEVIATION
     level = logging.INFO if is_close else logging.WARNING
     beginning = "" if is_close else "Warning: "
-    # A map made by termsel keeps to the model whatever a format can hold.
+    # The map of termsel rectify is the remedy for what a format cannot hold, but not for itself.
     remedy = "" if is_close or name == MAP else " A map by termsel rectify keeps to the model."
     log.log(level, "%s%s: at most %s px%s from the model%s.%s", beginning, name,
             _length_in_words(float(distance[worst])), length, ending, remedy)
@@ -117,10 +120,10 @@ def say_nearest(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,
                 labels: Mapping[str, str], ending: str) -> str | None:
     """Log which transformation through measured GCPs (n, 2) is nearest to the model, and how near.
 
-    Returns its key, or None where there is none.
-
-    `labels` are what the program calls the transformations that it offers, as `QGIS` and
-    `GDALWARP`, the simplest first; `ending` is the rest of the sentence, with ``{}`` for the label.
+    Returns the key of the simplest one that is as near as the nearest; None if the GCPs determine
+    none, or the model shows no ground. `labels` are what a program calls the transformations that
+    it offers, such as `QGIS` and `GDALWARP`, the simplest first; `ending` is the rest of the
+    sentence, with ``{}`` for the label.
     """
     sky = sky_said(fitted)
     if sky:
@@ -147,7 +150,6 @@ def say_nearest(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,
         # A place without a position is infinitely far from the model.
         distances = np.nan_to_num(np.hypot(*(computed - exact).T), nan=np.inf)
         worst[key] = float(distances.max())
-    # The simplest of those that are as near, which the order of the labels shows.
     nearest = next(key for key in labels
                    if worst.get(key, np.inf) <= min(worst.values()) + _ALIKE_PX)
     ignored = ", and ignores heights" if fitted.model.uses_height else ""
@@ -158,18 +160,23 @@ def say_nearest(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,
 
 def _transformation_of_gcps(key: str, xy: FloatArray, image: FloatArray,
                             crs: str) -> Transformation | None:
-    """Return a transformation by least squares of GCPs, or None if they do not determine it."""
+    """Return a function from ground to image by GCPs, or None if they do not determine it.
+
+    `key` says of which kind, such as "similarity" or "polynomial2"; a spline is also None for GCPs
+    above each other, and for more than _SPLINED. `xy` and `image` are (n, 2) each.
+    """
     n = len(xy)
-    # At least two directions of points on either side are needed for any transformation.
-    if not n or min(np.linalg.matrix_rank(at - at.mean(axis=0)) for at in (xy, image)) < 2:
-        return None  # all on a line
+    # GCPs on one line, on the ground or in the image, determine no transformation.
+    ranks = [np.linalg.matrix_rank(places - places.mean(axis=0)) for places in (xy, image) if n]
+    if not n or min(ranks) < 2:
+        return None
     if key == "spline":
         return fit_splines(xy, image) if len(np.unique(xy, axis=0)) == n <= _SPLINED else None
     if key == "similarity":
         return _fit_similarity(xy, image)
     if key == "projective":
         return _fit_projective(xy, image) if n >= 4 else None
-    # Heights of no meaning: GCPs above each other are not the same place.
+    # Heights without a meaning make different places of GCPs above each other.
     points = Points(tuple(map(str, range(n))), image, np.column_stack([xy, np.arange(float(n))]))
     gcps = FeatureSet(points, crs=crs)
     fitted = fit(Polynomial2D(degree=int(key[-1])), gcps, make_scaling(gcps))
@@ -178,17 +185,16 @@ def _transformation_of_gcps(key: str, xy: FloatArray, image: FloatArray,
 
 def _fit_similarity(xy: FloatArray, image: FloatArray) -> Transformation:
     """Return the similarity that fits the ground to the image best on the ground, as in QGIS."""
-    # A similarity is z -> a z + b of complex numbers: a and b that fit the ground best are those of
-    # a straight line through both.
+    # A similarity is z -> a z + b of complex numbers. From image to ground, a = sum conj(p) g /
+    # sum |p|^2 for positions p and g less their means fits best on the ground.
     plan = xy @ [1, 1j]
     pixel = image @ [-1j, 1]  # samples to the right, lines down
-    # Without a constant: both are taken from their means.
-    away = pixel - pixel.mean()
-    turn = np.vdot(away, plan - plan.mean()) / np.vdot(away, away)
+    centred = pixel - pixel.mean()
+    a = np.vdot(centred, plan - plan.mean()) / np.vdot(centred, centred)
 
     def project(ground: FloatArray) -> FloatArray:
-        at = pixel.mean() + (ground[:, :2] @ [1, 1j] - plan.mean()) / turn
-        return np.column_stack([-at.imag, at.real])
+        position = pixel.mean() + (ground[:, :2] @ [1, 1j] - plan.mean()) / a
+        return np.column_stack([-position.imag, position.real])
 
     return project
 
@@ -201,27 +207,26 @@ def _fit_projective(xy: FloatArray, image: FloatArray) -> Transformation:
     before, as Hartley (1997) has it. QGIS minimises the same algebraic error, so that the deviation
     from its transformation can be told.
     """
-    def normalised(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        # Hartley (1997): the centre at 0 and the mean distance sqrt(2), else the system is
-        # ill-conditioned.
+    def normalise(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return homogeneous points (n, 3) about 0, at a mean distance sqrt(2), and the matrix."""
         middle = points.mean(axis=0)
         unit = np.sqrt(2.0) / np.linalg.norm(points - middle, axis=1).mean()
         matrix = np.array([[unit, 0, -unit * middle[0]], [0, unit, -unit * middle[1]], [0, 0, 1]])
         return np.column_stack([points, np.ones(len(points))]) @ matrix.T, matrix
 
-    source, of_image = normalised(image)
-    target, of_ground = normalised(xy)
+    source, of_image = normalise(image)
+    target, of_ground = normalise(xy)
     # Each GCP crosses the ground place that is computed with the one that is known: 0.
     rows = [np.hstack([source, 0 * source, -target[:, :1] * source]),
             np.hstack([0 * source, source, -target[:, 1:2] * source])]
-    # Of the triangle: U of thousands of rows would fill the memory.
+    # The triangle has the singular vectors of the rows, whose own U would fill the memory.
     triangle = np.linalg.qr(np.concatenate(rows), mode="r")
     # The right singular vector of the least singular value solves rows @ h = 0 with |h| = 1 best.
     to_ground = np.linalg.svd(triangle)[2][-1].reshape(3, 3)
     to_image = np.linalg.inv(of_image) @ np.linalg.inv(to_ground) @ of_ground
 
     def project(ground: FloatArray) -> FloatArray:
-        above = np.column_stack([ground[:, :2], np.ones(len(ground))]) @ to_image.T
-        return np.asarray(above[:, :2] / above[:, 2:])
+        homogeneous = np.column_stack([ground[:, :2], np.ones(len(ground))]) @ to_image.T
+        return np.asarray(homogeneous[:, :2] / homogeneous[:, 2:])
 
     return project

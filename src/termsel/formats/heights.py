@@ -136,17 +136,18 @@ class Dem:
         coordinates.
         """
         bounds = self.raster.bounds
-        # Of the corners only, whose order or turn in the ground CRS is not known. Between them the
-        # edges of a reprojected raster may bulge: it is enough to say whether two areas meet.
+        # By the four corners, in any order: between them the edges may bulge in the other CRS, but
+        # the extent only shows whether two areas meet.
         x, y = self.to_raster.transform([bounds.left, bounds.right, bounds.left, bounds.right],
                                         [bounds.bottom, bounds.bottom, bounds.top, bounds.top],
                                         direction="INVERSE")
         return np.array([[min(x), min(y)], [max(x), max(y)]])
 
     def highest(self, corners: FloatArray) -> float:
-        """Return the greatest height in the box around places (n, 2); NaN where there is none.
+        """Return a height that the ground in the box around places (n, 2) hardly exceeds.
 
-        In a large box it is the greatest that is sampled.
+        That is the greatest height there, or in a large box the greatest that is sampled, and a
+        margin for what the vertical datum adds elsewhere. NaN without any height in the box.
         """
         from rasterio.windows import Window
 
@@ -169,7 +170,7 @@ class Dem:
         bounds = self.raster.bounds
         middle = (np.array([bounds.left + bounds.right]) / 2,
                   np.array([bounds.bottom + bounds.top]) / 2)
-        # What the datum adds changes by metres within a raster.
+        # What the datum adds is computed in the middle of the raster, and changes by metres in it.
         return float(self.converted(*middle, finite.max(keepdims=True))[0]
                      + _DATUM_MARGIN / height_unit(self.crs))
 
@@ -200,7 +201,7 @@ class Dem:
         # In the outer half of the outermost pixels, heights are constant across the edge.
         position = np.clip(position[inside], 0, size - 1)
         first = np.minimum(position.astype(np.intp), np.maximum(size - 2, 0))
-        # Pixels are read tile by tile: all positions of a tile together.
+        # Pixels are read tile by tile, once for all positions in a tile.
         tiles, member = np.unique(first // _TILE, axis=0, return_inverse=True)
         order = np.argsort(member.ravel(), kind="stable")
         bounds = np.searchsorted(member.ravel()[order], np.arange(len(tiles) + 1))
@@ -226,11 +227,13 @@ class Dem:
         return heights.reshape(window.height, window.width)
 
     def _read_window(self, first: Any, last: Any) -> FloatArray:
-        """Return the heights from one pixel to another, with one more row and column; NaN for none.
+        """Return the heights from pixel `first` to `last`, and of one more row and column.
+
+        These are needed to interpolate towards them, and left out at the edge of the raster. NaN
+        for pixels without a height.
         """
         from rasterio.windows import Window
 
-        # The pixel after the last one is needed to interpolate towards it.
         rows, columns = (np.minimum(last + 2, self.raster.shape) - first).tolist()
         return self.stored(Window(int(first[1]), int(first[0]), columns, rows))
 
@@ -245,9 +248,10 @@ class Dem:
 
 
 def _interpolate_bilinear(pixels: FloatArray, first: Any, share: FloatArray) -> FloatArray:
-    """Return heights (n,) at shares of a pixel, (n, 2), from the pixels `first`, (n, 2).
+    """Return heights (n,) at positions `first` + `share`, (n, 2) each, in an array of pixels.
 
-    Pixels without any weight may be NaN.
+    `first` are row and column, `share` the parts of a pixel beyond them. Pixels without any weight
+    may be NaN.
     """
     heights = np.zeros(len(first))
     for down in (0, 1):
@@ -263,7 +267,8 @@ def _interpolate_bilinear(pixels: FloatArray, first: Any, share: FloatArray) -> 
 def looks_like_heights(path: Path) -> bool:
     """Return whether a raster looks like a DEM: one georeferenced band of int16, int32 or floats.
 
-    An image that is to be georeferenced has no place on the ground yet, or an RPC or points.
+    An image that is to be georeferenced has no place on the ground yet, or an RPC or points. False
+    for a file that is no raster.
     """
     try:
         with open_raster(path) as raster:
@@ -271,7 +276,7 @@ def looks_like_heights(path: Path) -> bool:
             has_model = raster.rpcs is not None or bool(raster.gcps[0])
             kind = raster.dtypes[0]
             return has_place and not has_model and raster.count == 1 and kind in _HEIGHT_TYPES
-    except TermselError:  # who reads it says why
+    except TermselError:
         return False
 
 
@@ -283,7 +288,7 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
     ----------
     path : pathlib.Path
     crs : str
-        Of the ground coordinates. Heights are converted to its unit, and to its vertical datum
+        CRS of the ground coordinates. Heights are converted to its unit, and to its vertical datum
         where the raster declares another one; without a vertical axis it has ellipsoidal heights
         in metres.
 
@@ -320,7 +325,8 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
         with require_import("heights require", "pyproj", GIS):
             from pyproj import CRS
             from pyproj.exceptions import CRSError
-        # A raster without georeferencing has the identity, which would put pixels at degrees.
+        # Without georeferencing the transformation is the identity, by which pixel numbers would be
+        # taken for coordinates.
         _require_georeferenced(raster, path)
         if raster.count != 1:
             hint = "Choose one, for example with gdal_translate -b."
@@ -330,7 +336,7 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
                                file=path, hint=hint)
         try:
             raster_crs = CRS.from_user_input(raster.crs.to_wkt())
-        except CRSError as error:  # of a building
+        except CRSError as error:  # such as the CRS of a building
             raise TermselError(f"the CRS of this raster cannot be used: {error}", file=path,
                                hint=_PLACED) from error
         if not (raster_crs.is_geographic or raster_crs.is_projected):
@@ -340,7 +346,7 @@ def open_dem(path: Path, crs: str) -> Iterator[Dem]:
         try:
             # x before y on both sides, whatever the order of axes that the CRS states.
             to_raster = plane_transformer(crs, raster_crs)
-        except TermselError as error:  # of the Moon, or of a datum whose grid is missing
+        except TermselError as error:  # such as a CRS of the Moon, or a datum whose grid is missing
             raise TermselError(f"the CRS of this raster cannot be used: {error.what}", file=path,
                                hint=error.hint or _PLACED) from error
         raster_crs = with_declared_datum(raster, raster_crs, path)
@@ -384,7 +390,8 @@ def write_ellipsoidal(surface: Dem, path: Path, bounds: tuple[float, float, floa
                       crs: str) -> None:
     """Write the part of a raster within bounds in a CRS, as ellipsoidal heights in metres.
 
-    They are those that the ground coordinates have there, on the pixels of the raster.
+    The pixels are those of the raster; one of them is written where the bounds meet none. `bounds`
+    are west, south, east and north.
     """
     import rasterio
     from rasterio.errors import WindowError
@@ -456,7 +463,10 @@ def pixels_of(difference: DemDifference, features: FeatureSet, project: Projecti
 
 
 def pixels_by(above: float, features: FeatureSet, project: Projection) -> float:
-    """Return by how much places of control move in the image where heights are `above` [px]."""
+    """Return how far places of control move in the image if they are higher by `above` [px].
+
+    The median; 0 where no place is known. `above` is in the unit of the heights.
+    """
     ground = features.ground_vertices()
     ground = ground[np.isfinite(ground).all(axis=1)]
     with np.errstate(all="ignore"):
@@ -468,14 +478,14 @@ def pixels_by(above: float, features: FeatureSet, project: Projection) -> float:
 def note_on_ellipsoid(features: FeatureSet, project: Projection) -> str:
     """Return that heights of no declared datum count from another ellipsoid than that of WGS84.
 
-    They are those of a raster that declares none, and count from the ellipsoid of the features'
-    CRS. Empty for others, and where both ellipsoids meet.
+    Such heights come from a raster, and are taken to count from the ellipsoid of the features' CRS.
+    "" for other heights, and where the two ellipsoids are within _SAME_ELLIPSOID of each other.
 
     Parameters
     ----------
     features : FeatureSet
     project : callable
-        Image positions of places, by which the effect is said.
+        Takes ground places to image positions, which show the effect in px.
     """
     if not features.heights.endswith(UNDECLARED) or not counts_from_ellipsoid(features.crs):
         return ""
@@ -497,7 +507,7 @@ def say_difference(features: FeatureSet, project: Projection, surface: Dem | flo
                    ) -> HeightCaution | None:
     """Warn where a raster, or one height, contradicts the heights of control, and by how many px.
 
-    Returns what was said, None where nothing contradicts them.
+    Returns the caution of the warning; None where nothing contradicts them.
     """
     if not isinstance(surface, Dem):
         caution = _far_height_note(features, project, surface)
@@ -518,9 +528,10 @@ _LEAST_HILL = 30.0  # metres above 0 of all other heights from which on a 0 is a
 
 
 def _hole_note(features: FeatureSet, project: Projection, surface: Dem) -> HeightCaution | None:
-    """Return that a raster has heights of exactly 0 among such that are all far above or below it.
+    """Return that a raster has heights of exactly 0, and all others far above or all far below it.
 
-    Programs write 0 where they know no height, and not all declare it.
+    Programs write 0 where they know no height, and not all declare it. None where that is not so,
+    and where control lies near 0 itself, as on the sea.
     """
     ground = features.ground_vertices()[:, :2]
     ground = ground[np.isfinite(ground).all(axis=1)]
@@ -531,15 +542,14 @@ def _hole_note(features: FeatureSet, project: Projection, surface: Dem) -> Heigh
     heights = heights[np.isfinite(heights)]
     is_zero = heights == 0.0
     other_heights = heights[~is_zero]
-    # Control on the sea or on a lake knows of it.
     control = features.ground_vertices()[:, 2] * height_unit(features.crs)
     if (np.abs(control) < _LEAST_HILL).any():
         return None
-    # Heights next to a hole are interpolated with its 0: one in twenty may be lower.
     if not is_zero.any() or not len(other_heights):
         return None
     if other_heights.min() < 0.0 < other_heights.max():
         return None
+    # Heights next to a hole are interpolated with its 0: one in twenty may be nearer to 0.
     nearest = float(np.quantile(np.abs(other_heights), 0.05))
     if nearest * height_unit(features.crs) < _LEAST_HILL:
         return None
@@ -555,9 +565,9 @@ def _far_height_note(features: FeatureSet, project: Projection,
                      height: float) -> HeightCaution | None:
     """Return that a height is farther from the control's than these are from each other.
 
-    A height that is given by hand is often in another unit or datum. It is compared with the
-    heights of the control, and counts where a model that uses heights would move by several px.
-    None where there is nothing to say.
+    A height that is given by hand is often in another unit or datum. None if it is not that far, if
+    it moves places by less than FAR_HEIGHT_PIXELS, as under a model that uses no heights, or if the
+    control has no heights.
     """
     heights = features.ground_vertices()[:, 2]
     heights = heights[np.isfinite(heights)]
@@ -565,17 +575,16 @@ def _far_height_note(features: FeatureSet, project: Projection,
         return None
     unit = height_unit(features.crs)
     lowest, highest = float(heights.min()), float(heights.max())
-    beyond = max(lowest - height, height - highest)
-    if beyond <= highest - lowest:
+    distance = max(lowest - height, height - highest)
+    if distance <= highest - lowest:
         return None
     above = height - (highest if height > highest else lowest)
     pixels = pixels_by(above, features, project)
-    # A model of the plane does not see heights.
     if pixels < FAR_HEIGHT_PIXELS:
         return None
     side = "above" if above > 0 else "below"
     return HeightCaution(
-        f"the height {height * unit:,.0f} m is {rounded_size_text(beyond * unit)} m {side} the "
+        f"the height {height * unit:,.0f} m is {rounded_size_text(distance * unit)} m {side} the "
         f"control ({lowest * unit:,.0f} to {highest * unit:,.0f} m): {rounded_size_text(pixels)} "
         "px in the image, where the model was not tested. Give the height of the ground, in the "
         "unit of the control.", pixels)
@@ -588,11 +597,11 @@ def with_heights(features: FeatureSet, dem: Path,
     Parameters
     ----------
     features : FeatureSet
-        Those with heights keep them; the raster is compared with these (`dem_difference`).
+        Features with heights keep them; the raster is compared with these (`dem_difference`).
     dem : Path
         A raster of heights in any CRS, converted to the heights of the features' CRS.
     left_out : collection of str, optional
-        Ids of features that may stay without a height, as nothing is made of them.
+        Ids of features that may stay without a height, such as those that are off.
 
     Returns
     -------
@@ -627,7 +636,7 @@ def with_heights(features: FeatureSet, dem: Path,
             count = "all points"
         else:
             count = f"{len(names)} of {len(features)} {features.word}"
-        error = _without_heights(names, count, ground[still_unknown, :2],
+        error = _no_height_error(names, count, ground[still_unknown, :2],
                                  surface_extent, is_outside, dem)
         if not covers_some:
             error.hint = f"{elsewhere} Give a raster of their area."
@@ -637,7 +646,6 @@ def with_heights(features: FeatureSet, dem: Path,
     statement = (f"{found} of {len(ground)} heights from {make_printable(dem.name)}, "
                  "bilinear; "
                  f"vertical datum: {datum}")
-    # Where all heights are known there is nothing to say, image after image of a batch.
     if unknown.any():
         log.info("Heights: %s.", statement)
     return replace(
@@ -666,7 +674,7 @@ def where_raster_is(surface: Dem, features: FeatureSet) -> str:
         return f"{place}: is it of another place, or have x or y the wrong sign or CRS?"
     xy = features.ground_vertices()[:, :2]
     for zone in _zones_near(middle[0]):
-        # EPSG:326zz is a zone of the north, EPSG:327zz of the south.
+        # EPSG:326zz is zone zz of the north, EPSG:327zz that of the south.
         for hemisphere in "67":
             utm = f"EPSG:32{hemisphere}{zone:02}"
             to_raster = plane_transformer(utm, CRS(surface.raster.crs.to_wkt()))
@@ -692,12 +700,12 @@ def _zones_near(lon: float) -> tuple[int, int, int]:
     return zone + 1, (zone - 1) % 60 + 1, (zone + 1) % 60 + 1
 
 
-def _without_heights(names: Sequence[str], count: str, xy: FloatArray, extent: FloatArray,
+def _no_height_error(names: Sequence[str], count: str, xy: FloatArray, extent: FloatArray,
                      outside: BoolArray, dem: Path) -> TermselError:
-    """Return the error for features for which a raster has no height, by the reason.
+    """Return the error for features, with their names, for which a raster has no height.
 
-    `count` says how many they are, `xy` are vertices without a height, `outside` which of them are
-    off the raster, `extent` the corners of the raster.
+    `count` says in words how many they are, `xy` (n, 2) are vertices without a height, `outside`
+    (n,) which of them are off the raster, `extent` (2, 2) the corners of the raster.
     """
     if not outside.any():
         is_all = count.startswith("all ")

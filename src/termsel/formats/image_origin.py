@@ -57,9 +57,10 @@ _SHOWN = {"2": "mirrored", "3": "turned by 180 degrees", "4": "mirrored upside d
 
 
 def note_on_exif_orientation(image: Path | str) -> None:
-    """Say of an image that viewers turn by its EXIF that pixels count as they are stored.
+    """Note that pixels count as they are stored, if viewers turn the image by its EXIF.
 
-    Half a turn leaves every point within the image and turns its map: nothing else would show.
+    After half a turn every point is still within the image, and its map is turned: nothing else
+    would show that.
     """
     with open_raster(image) as raster:
         shown = _SHOWN.get(with_dataset(raster, _exif_orientation))
@@ -87,9 +88,9 @@ def with_image_origin(features: FeatureSet, choice: str | None, states_own: bool
     states_own : bool
         Whether the format of their file says where it counts from.
     size : tuple of int, optional
-        Lines and samples of the image, where the features do not state it.
+        Lines and samples of the image, where the features do not state them.
     default : str, optional
-        The choice that holds for the format of their file, if nothing else is asked for.
+        The choice for the format of their file, where `choice` is None.
 
     Raises
     ------
@@ -112,8 +113,7 @@ def with_image_origin(features: FeatureSet, choice: str | None, states_own: bool
     if states_own or not len(features):
         return features
     lines = features.image_vertices()[:, 0]
-    # A line above 0 is of an image whose lines count downwards; a few pixels below 0 are just
-    # beyond its edge.
+    # Lines above 0 count downwards; lines a few pixels below 0 are just beyond the upper edge.
     if lines.max() > 0 or lines.min() >= -EDGE_MARGIN:
         return features
     if size is None or lines.min() < -(size[0] - 0.5 + EDGE_MARGIN):
@@ -138,7 +138,11 @@ _LEAST_FRACTIONS = 3
 
 
 def _refuse_fractions(features: FeatureSet, size: tuple[int, int] | None) -> None:
-    """Raise TermselError for lines and samples that all are from 0 to 1."""
+    """Raise TermselError for lines and samples that all are from 0 to 1, as fractions are.
+
+    Fewer than _LEAST_FRACTIONS positions pass: they may be next to the first pixel. Without `size`
+    the message does not say by what to multiply.
+    """
     image = features.image_vertices()
     if len(image) < _LEAST_FRACTIONS or (image < 0.0).any() or (image > 1.0).any():
         return
@@ -156,26 +160,26 @@ def _turn_to_upper_left(features: FeatureSet, origin: str,
     "-corner" where the edge and not the centre of a pixel is 0. Raises TermselError where the
     height of the image is needed and not known.
     """
-    half = 0.5 if origin.endswith(CORNER) else 0.0
+    to_centre = 0.5 if origin.endswith(CORNER) else 0.0
     start = origin.removesuffix(f"-{CORNER}")
     if start == BOTTOM and size is None:
         raise TermselError(f"image_origin={origin} needs the height of the image",
                            hint="Give the image with --image FILE.")
 
-    def turned(image: FloatArray) -> FloatArray:
+    def turn(image: FloatArray) -> FloatArray:
         """Return line and sample, (..., 2), counted from the centre of the upper-left pixel."""
         line, sample = np.moveaxis(image, -1, 0)
         if start == UP:
             line = -line
         elif start == BOTTOM and size is not None:
             # The last line's centre is at size - 1; with corners its outer edge is at size.
-            line = size[0] - 1 + 2 * half - line
-        return np.stack([line - half, sample - half], axis=-1)
+            line = size[0] - 1 + 2 * to_centre - line
+        return np.stack([line - to_centre, sample - to_centre], axis=-1)
 
     points = features.points
     lines = features.lines
-    return features.with_(points=replace(points, image=turned(points.image)),
-                          lines=replace(lines, image=turned(lines.image)))
+    return features.with_(points=replace(points, image=turn(points.image)),
+                          lines=replace(lines, image=turn(lines.image)))
 
 
 def require_inside(features: FeatureSet, size: tuple[int, int] | None,
@@ -196,7 +200,8 @@ def require_inside(features: FeatureSet, size: tuple[int, int] | None,
     if size is not None and (last > np.array(size) - 0.5 + EDGE_MARGIN).any():
         beyond = positions > np.array(size) - 0.5 + EDGE_MARGIN
         if (last[::-1] <= np.array(size) - 0.5 + EDGE_MARGIN).all() and not before.any():
-            # Exchanged they would be a mirror image of the ground: the image itself is turned.
+            # If the image does not mirror the ground, line and sample are not exchanged: then it is
+            # the image that is turned.
             if is_mirrored(features) is False:
                 raise TermselError(
                     f"the points fit an image of {size[1]} lines and {size[0]} samples: they "

@@ -108,7 +108,7 @@ def picture_of(image: Path) -> Picture:
         thematic = _has_classes(image)
         # rasterio has no names of categories and no lookup tables.
         described = _band_descriptions(raster)
-        bands = tuple(_band_element(raster, number, element, thematic)
+        bands = tuple(_band_description(raster, number, element, thematic)
                       for number, element in zip(raster.indexes, described, strict=True))
         return Picture(raster.shape, image, bands, _has_own_mask(raster, image))
 
@@ -121,37 +121,45 @@ def _band_descriptions(raster: Any) -> Sequence[ElementTree.Element]:
 
 
 def _text_of_vrt(raster: Any) -> str:
-    """Return the text of a virtual raster of an open raster."""
+    """Return the text of a VRT of an open raster, into which GDAL writes all that it knows of it.
+    """
     import rasterio
     from rasterio.shutil import copy
 
     with rasterio.MemoryFile(ext=".vrt") as memory:
-        # GDAL writes all that it knows of an image into a VRT.
         copy(raster, memory.name, driver="VRT")
         return str(memory.read().decode("utf-8", errors="replace"))
 
 
-def _band_element(raster: Any, number: int, element: ElementTree.Element, thematic: bool) -> Band:
-    """Return the description of one band for a VRT."""
+def _band_description(raster: Any, number: int, element: ElementTree.Element,
+                      thematic: bool) -> Band:
+    """Return the description of one band for a VRT.
+
+    `element` describes it in GDAL's own VRT; `thematic` says whether the values of the image are
+    known to be classes. A band may say so itself.
+    """
     def text_of(name: str, default: str) -> str:
         return element.findtext(name) or default
 
     table = _used_colours(element.findall("ColorTable/Entry"))
     names = tuple(name.text or "" for name in element.findall("CategoryNames/Category"))
-    # An image of one bit has the type Byte; only this tag shows.
+    # A band of few bits has the type Byte; this tag alone shows how many.
     bits = raster.tags(number, ns="IMAGE_STRUCTURE").get("NBITS", "")
-    classes = thematic or any(names) or raster.tags(number).get("LAYER_TYPE") == "thematic"
+    has_classes = thematic or any(names) or raster.tags(number).get("LAYER_TYPE") == "thematic"
     return Band(
         _DATA_TYPES[raster.dtypes[number - 1]], raster.nodatavals[number - 1],
         raster.colorinterp[number - 1].name, source=number, table=table, categories=names,
-        thematic=classes, description=text_of("Description", ""), unit=text_of("UnitType", ""),
+        thematic=has_classes, description=text_of("Description", ""), unit=text_of("UnitType", ""),
         scale=float(text_of("Scale", "1")), offset=float(text_of("Offset", "0")),
         bits=int(bits) if bits.isdecimal() else None)
 
 
 def _used_colours(entries: Sequence[ElementTree.Element]) -> tuple[Colour, ...]:
-    """Return the colours up to the last one in use: of black entries at the end, one remains."""
-    # GDAL fills a table up to 256 entries, mostly with black. The first of these may be meant.
+    """Return the colours of a table without those that GDAL added at its end.
+
+    GDAL fills tables up to 256 entries, mostly with black. Of black entries at the end the first
+    one stays, as it may be a colour of the image.
+    """
     used = len(entries)
     while used > 1 and _colour_entry(
             entries[used - 2]) == _colour_entry(entries[used - 1]) == _BLACK:
@@ -182,13 +190,14 @@ def _has_own_mask(raster: Any, image: Path) -> bool:
     from rasterio.enums import MaskFlags
 
     flags = raster.mask_flag_enums
-    # No flag: the band has a mask that is neither of the dataset nor made of nodata or alpha.
-    of_bands = [not kinds for kinds in flags]
-    if any(of_bands):
+    # A band without flags has a mask that is neither of the dataset nor made of nodata or alpha.
+    have_own_masks = [not kinds for kinds in flags]
+    if any(have_own_masks):
         log.warning("Warning: the bands of %s have masks of their own; that of the first band is "
                     "taken for all.", image)
-    return any(of_bands) or any(MaskFlags.per_dataset in kinds and MaskFlags.alpha not in kinds
-                                for kinds in flags)
+    has_dataset_mask = any(MaskFlags.per_dataset in kinds and MaskFlags.alpha not in kinds
+                           for kinds in flags)
+    return any(have_own_masks) or has_dataset_mask
 
 
 def expand_colours(picture: Picture) -> Picture:
@@ -201,14 +210,13 @@ def expand_colours(picture: Picture) -> Picture:
         if not band.category:
             bands.append(band)
             continue
-        # Indices cannot be interpolated; colours can.
         table = np.array(band.table or GREY_OF_BITS)
         if band.nodata is not None and 0 <= band.nodata < len(table):
             table[int(band.nodata), 3] = 0
         # One band instead of three where red, green and blue are the same.
-        grey = bool((table[:, :3] == table[:, :1]).all())
-        names = ["gray"] if grey else ["red", "green", "blue"]
-        columns = [0] if grey else [0, 1, 2]
+        is_grey = bool((table[:, :3] == table[:, :1]).all())
+        names = ["gray"] if is_grey else ["red", "green", "blue"]
+        columns = [0] if is_grey else [0, 1, 2]
         if (table[:, 3] < 255).any() and not any(any_band.alpha for any_band in picture.bands):
             names.append("alpha")
             columns.append(3)

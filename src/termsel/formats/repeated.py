@@ -47,13 +47,12 @@ def is_averaging() -> bool:
 def average_repeated(ids: Sequence[str], image: FloatArray, ground: FloatArray,
                      sigma: FloatArray | None,
                      roles: Sequence[str]) -> tuple[IntArray, FloatArray, FloatArray | None]:
-    """Return a row for each of m places on the ground, in order, with the means of rows in use.
+    """Return the first row, mean position and deviations of each of m places on the ground.
 
-    These are the number of its first row in use, (m,), its mean image position, (m, 2), and the
-    standard deviations of that, (m, 2), None without `sigma`. Rows with the role "off" take no
-    part, and stay as they are.
-
-    Raises TermselError for different roles at one place: one of them would be lost.
+    Places are in the order of their first rows that are in use, (m,). The others are the mean image
+    position (m, 2) of the rows there, and its standard deviations (m, 2), None without `sigma`.
+    Rows with the role "off" take no part, and each is a place of its own. Raises TermselError for
+    different roles at one place: one of them would be lost.
     """
     is_off = np.array([role == "off" for role in roles])
     first_rows: list[int] = []
@@ -72,7 +71,7 @@ def average_repeated(ids: Sequence[str], image: FloatArray, ground: FloatArray,
         first_rows.append(used[0])
         means[used[0]] = image[used].mean(axis=0)
         if sigma is not None and deviations is not None:
-            # Of independent measurements: sqrt(sum of squares) / number.
+            # The mean of n independent measurements has sqrt(sum sigma^2) / n.
             deviations[used[0]] = np.sqrt((sigma[used] ** 2).sum(axis=0)) / len(used)
         if len(used) > 1:
             repeated.append(used)

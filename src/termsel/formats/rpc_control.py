@@ -45,7 +45,10 @@ def control_group(rpc: Rpc) -> list[str]:
 
 
 def control_lines(rpc: Rpc) -> list[str]:
-    """Return the lines of a _RPC.TXT that say it."""
+    """Return the lines of a _RPC.TXT that name the control an RPC was fitted to; [] without any.
+
+    They are a note, the number of features, and digests of these.
+    """
     items = control_items(rpc)
     if not items:
         return []
@@ -60,7 +63,8 @@ def control_lines(rpc: Rpc) -> list[str]:
 def mark_error(error: float, count: int) -> float:
     """Return a stated error with digits that say how many control features an RPC was fitted to.
 
-    As it is for a vendor's RPC, whose count is 0.
+    The mark and the count come after the digits of the error itself. The error is returned as it is
+    for a count of 0, that of a vendor's RPC.
     """
     if not count:
         return error
@@ -95,7 +99,10 @@ def _error_and_count(error: float) -> tuple[float, int]:
 
 
 def with_control(rpc: Rpc, items: Mapping[str, str]) -> Rpc:
-    """Return an RPC with the control that its file names among all its entries."""
+    """Return an RPC with the control that its file names among all its entries.
+
+    The RPC is returned as it is if the file names none.
+    """
     count = items.get(_COUNT, "").strip(' "')
     if not count.isdecimal():
         return rpc

@@ -79,9 +79,9 @@ def read_rpc(path: Path | str) -> Rpc:
     path : path-like
         RPB, _RPC.TXT, DIMAP version 1 to 3, DigitalGlobe or EnMAP XML, JSON of rpcm, YAML of
         Orthority, VRT or PAM (.aux.xml), or an image with an RPC in its tags or in a file next to
-        it, which GDAL reads (extra `gis`); or the result.json of a run that was given an RPC. Of a
-        file with several RPCs, FILE#NAME is that of a band or an image; of several bands that in
-        the middle is taken else.
+        it, which GDAL reads (extra `gis`); or the result.json of a run that was given an RPC. In a
+        file with several RPCs, FILE#NAME is the one of a band or an image. Without a name, that of
+        the middle one of several bands is taken.
 
     Returns
     -------
@@ -131,9 +131,9 @@ def has_rpc(image: Path | str) -> bool:
 def read_delivered_rpc(image: Path | str) -> Rpc | None:
     """Return the RPC that an image came with, inside it or next to it; None without one.
 
-    An RPC that termsel fitted to control points, and that was exported next to the image, does not
-    count: the points that it was fitted to would seem to test it. Then the vendor's RPC that it
-    hides comes back, if there is one, and a warning is logged.
+    An RPC that termsel fitted to control points, and that was exported next to the image, is not
+    returned: the points that it was fitted to would seem to test it. The vendor's RPC that it hides
+    is returned in its place, or None without one, and a warning is logged.
 
     Raises
     ------
@@ -149,7 +149,7 @@ def read_delivered_rpc(image: Path | str) -> Rpc | None:
     rpc_by_name = {file.name: file_rpc for file, file_rpc in _rpcs_beside(path)}
     exported_name = next((name for name, file_rpc in rpc_by_name.items()
                           if file_rpc.control_count and file_rpc == rpc), path.name)
-    # What GDAL prefers may hide the file of the vendor.
+    # The vendor's RPC may also be in the tags of the image itself.
     rpc_by_name.update(_rpc_within(path))
     delivered = next((file_rpc for file_rpc in rpc_by_name.values()
                       if not file_rpc.control_count), None)
@@ -200,17 +200,17 @@ def size_with_rpc(rpc: Any) -> tuple[int, int] | None:
 
 def with_rpc(features: FeatureSet, rpc: Rpc | Path | str,
              image_part: ImagePart | None = None) -> FeatureSet:
-    """Return features with the RPC of their image, and with the size of an image given for it.
+    """Return features with the RPC of their image, and with its size where `rpc` is an image.
 
-    Where their image is an `image_part` of the one that the RPC is for, the RPC becomes that of the
-    part, and the size stays as it is.
+    The size stays as it is where the features state one. Where their image is an `image_part` of
+    the one that the RPC is for, the RPC becomes that of the part, and the size stays, too.
     """
     if isinstance(rpc, Rpc):
         return replace(features, rpc=rpc if image_part is None else image_part.rpc(rpc))
     path, _ = _file_and_name(Path(rpc))
     size = features.image_size
     full_rpc = read_rpc(rpc)
-    # A run refuses features that the RPC was fitted to, or says itself that they are off.
+    # A run itself tells features that the RPC was fitted to: no note is needed for these.
     if full_rpc.control_count and not makers_of(full_rpc, features):
         note_use(full_rpc)
     if image_part is not None:
@@ -256,7 +256,7 @@ def _rpc_of_head(path: Path, head: bytes, rpc_name: str) -> Rpc:
     text = read_text(path)
     entries = {name: (value, line) for name, value, line in _parse_entries(text)}
     gdal_names = {rpb: name for name, rpb in (RPB_NAMES | ERROR_NAMES).items()}
-    # Text of names and values may be an .RPB or GDAL's own; all names become those of GDAL.
+    # Names of an .RPB become those of GDAL, which a _RPC.TXT has.
     items = {}
     for name, (value, line) in entries.items():
         item = gdal_names.get(name, name)
@@ -332,7 +332,7 @@ def _choose_rpc(items_of: Mapping[str, Items], name: str, *, bands: bool = False
     rpcs = {band: from_items(items) for band, items in items_of.items()}
     middle = names[len(names) // 2]
     difference = largest_difference(rpcs, middle)
-    # Bands that see the same are no choice.
+    # Bands that see the same place need no choice.
     if difference > _SAME_PLACE:
         log.warning("Note: the file has an RPC for each of %d bands. That of band %s is taken; "
                     "others see places up to %.2g px from there. FILE#BAND takes another.",
@@ -343,7 +343,7 @@ def _choose_rpc(items_of: Mapping[str, Items], name: str, *, bands: bool = False
 def _error_for_unknown_form(path: Path, text: str, root: str = "") -> TermselError:
     """Return the error for a file in which no RPC is read: it may have one in another form."""
     kind = f"this XML <{root}>" if root else "this file"
-    # What has some of an RPC's names is one in a form not known; all else is another file.
+    # Some names of an RPC are in the text if it is one of an unknown form.
     if not _TRACES.search(text):
         return TermselError(f"{kind} has no RPC in a form that termsel reads", file=path,
                             hint=f"Expected {KNOWN}.")
@@ -359,13 +359,15 @@ _TRACES = re.compile(
 
 
 def _parse_entries(text: str) -> Iterator[tuple[str, str, int]]:
-    """Yield name, value and line of the entries of an RPB or a _RPC.TXT."""
-    last_parenthesis = text.rfind(")")  # looked for once, as many may be open
+    """Yield name, value and line of the entries of an RPB or a _RPC.TXT.
+
+    The text is gone through once, however many lines or parentheses it has.
+    """
+    last_parenthesis = text.rfind(")")
     line = 1
     entry_start = 0
     value_end = 0
     while name := _KEY.search(text, value_end):
-        # Lines are counted on from the last entry, so that the whole text is gone through once.
         line += text.count("\n", entry_start, name.start(1))
         entry_start = name.start(1)
         # Values follow "=" or ":"; those in parentheses may span lines.
@@ -391,9 +393,10 @@ def from_items(items: Mapping[str, str]) -> Rpc:
         return _number_of_item(words[0], name)
 
     def coefficients_of(name: str) -> tuple[float, ...]:
-        """Return the 20 coefficients of one polynomial; TermselError where there are not as many.
+        """Return the 20 coefficients of one polynomial, from one item or from an item for each.
+
+        Raises TermselError where there are more or fewer.
         """
-        # 20 numbers in one item, or an item each.
         if name not in items:
             return tuple(number_of(f"{name}_{i + 1}") for i in range(N_COEFFICIENTS))
         if "(" in items[name] and ")" not in items[name]:
@@ -425,9 +428,13 @@ def _error_or_none(error: float | None) -> float | None:
 
 
 def _number_of_item(text: str, name: str, line: int | None = None) -> float:
-    """Return a text as a number; TermselError, with the item and its line, for what is none."""
+    """Return a text as a number.
+
+    Raises TermselError, with the name of the item and its line, for a text that is none.
+    """
+    # Python alone reads 1_000 as a number.
     try:
-        return float(text.replace("_", "?"))  # Python reads 1_000, no other program does
+        return float(text.replace("_", "?"))
     except ValueError:
         if "," in text:
             hint = "Write a decimal point."
@@ -457,7 +464,6 @@ def _rpc_from_xml(path: Path, name: str) -> Rpc:
     except ElementTree.ParseError as error:
         raise TermselError(f"this XML cannot be read: {error}", file=path,
                            line=error.position[0], hint=_INCOMPLETE) from error
-    # Vendors have their own trees; other forms are known by their names.
     if root.tag == "Dimap_Document":
         return _rpc_from_dimap(root)
     if items_of_bands := rpcs_of_xml(root):
@@ -480,13 +486,16 @@ def _rpc_from_xml(path: Path, name: str) -> Rpc:
 
 
 def _root_of_xml(content: bytes) -> ElementTree.Element:
-    """Return the root of XML in any encoding that Python knows."""
-    # The parser of Python knows few encodings of several bytes.
+    """Return the root of XML in any encoding that Python knows.
+
+    Raises ParseError, LookupError or UnicodeError for XML that cannot be read.
+    """
     try:
         return ElementTree.fromstring(content)
     except ElementTree.ParseError:
         raise
-    except ValueError:  # of several bytes, such as GB2312, which the parser itself has not
+    # The parser itself lacks encodings of several bytes, such as GB2312.
+    except ValueError:
         encoding = _ENCODING.search(content[:200])
         if encoding is None:
             raise
@@ -571,7 +580,7 @@ def write_rpc(rpc: Rpc, path: Path | str) -> None:
 
 def rpb_text(rpc: Rpc) -> str:
     """Return the text of an RPB file; numbers keep all their digits."""
-    # Vendors write these keys, and some readers look for them.
+    # Some readers look for these keys, which vendors write.
     lines = ['satId = "";', 'bandId = "";', 'SpecId = "RPC00B";', "BEGIN_GROUP = IMAGE"]
     for name, value in _values_by_gdal_name(rpc).items():
         rpb = (ERROR_NAMES | RPB_NAMES)[name]
@@ -603,7 +612,8 @@ def rpc_items(rpc: Rpc) -> dict[str, str]:
 def _values_by_gdal_name(rpc: Rpc) -> dict[str, float | tuple[float, ...]]:
     """Return the numbers of an RPC by GDAL's names, in the order of `ERROR_NAMES` and `RPB_NAMES`.
 
-    Those have latitude before longitude.
+    In that order latitude comes before longitude. Errors that are not known are `_UNKNOWN`, and
+    have the mark of the control that the RPC was fitted to.
     """
     (line, sample) = rpc.image_offset
     (line_scale, sample_scale) = rpc.image_scale

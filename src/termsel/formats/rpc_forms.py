@@ -46,14 +46,16 @@ _UNKNOWN_VALUES = ("none", "null", "~", "")
 
 
 def rpcs_of_tree(tree: object) -> dict[str, Items]:
-    """Return the RPCs in nested dictionaries, each by the name that they have there."""
+    """Return the items of each RPC in nested dictionaries, by the name of its image or band.
+
+    The name is that of the nearest key above it; all keys where several have one name.
+    """
     rpcs: dict[str, Items] = {}
     for path, values in _find_dictionaries(tree, ()):
         items = _items_by_gdal_name(values)
         if items.keys() >= _IS_RPC:
-            # The nearest key above that says more than "rpc" names the image or band.
+            # A key "rpc" names no image.
             name = next((key for key in reversed(path) if key.lower() != "rpc"), "")
-            # Where one name stands for several, all keys distinguish them.
             rpcs[name if name not in rpcs else "/".join(path)] = items
     return rpcs
 
@@ -101,7 +103,7 @@ def tree_of_json(text: str) -> object:
 def tree_of_yaml(text: str) -> dict[str, Any]:
     """Return dictionaries of the YAML that Orthority writes: blocks of keys, and lists.
 
-    Lists are in brackets, or have an item a line after a dash. Nothing where it is of another kind.
+    Lists are in brackets, or have an item a line after a dash. {} for a text of another kind.
     """
     tree: dict[str, Any] = {}
     levels: list[tuple[int, dict[str, Any]]] = [(-1, tree)]
@@ -110,8 +112,8 @@ def tree_of_yaml(text: str) -> dict[str, Any]:
     for line in _whole_lines(text):
         if line.lstrip().startswith("- "):
             if parent.get(key) == {}:
+                # The key seemed to begin a block of keys, but begins a list.
                 parent[key] = []
-                # What was taken for a block of keys is a list.
                 levels.pop()
             if not isinstance(parent.get(key), list):
                 return {}
@@ -122,8 +124,8 @@ def tree_of_yaml(text: str) -> dict[str, Any]:
         if not colon or not key or text_of_value[:1].strip():
             return {}
         indent = len(name) - len(name.lstrip(" "))
-        # Deeper blocks end where a line is indented as they are, or less.
         value = text_of_value.strip()
+        # A line that is indented no more than a block ends it.
         while levels[-1][0] >= indent:
             levels.pop()
         parent = levels[-1][1]
@@ -138,18 +140,21 @@ def tree_of_yaml(text: str) -> dict[str, Any]:
 
 
 def largest_difference(rpcs: Mapping[str, Rpc], name: str) -> float:
-    """Return the largest distance between an RPC's image positions and those of others [px]."""
+    """Return the largest distance between the image positions of one RPC and of the others [px].
+
+    It is that within the box of ground and image in which the RPC `name` is valid; 0 where no
+    distance is known.
+    """
     rpc = rpcs[name]
     # A lattice over the cube within which an RPC is valid: offset +- scale along each axis.
     steps = np.array(list(product(np.linspace(-1.0, 1.0, 5), repeat=3)))
     ground = steps * rpc.ground_scale + rpc.ground_offset
     image = rpc.project(ground)
-    # Outside of its cube an RPC means nothing.
     inside = (np.abs(image - rpc.image_offset) <= rpc.image_scale).all(axis=1)
     visible_ground = ground[inside]
-    away = [np.linalg.norm(other_rpc.project(visible_ground) - image[inside], axis=1)
-            for other_rpc in rpcs.values()]
-    return float(np.nanmax(away, initial=0.0))
+    distances = [np.linalg.norm(other_rpc.project(visible_ground) - image[inside], axis=1)
+                 for other_rpc in rpcs.values()]
+    return float(np.nanmax(distances, initial=0.0))
 
 
 def _whole_lines(text: str) -> Iterator[str]:
@@ -174,9 +179,9 @@ def _find_dictionaries(tree: object, path: tuple[str, ...],
                        ) -> Iterator[tuple[tuple[str, ...], dict[str, Any]]]:
     """Yield the dictionaries of a tree, with the keys that lead to them.
 
-    Raises TermselError for a tree that is more than `DEEPEST` levels deep.
+    Raises TermselError for a tree that is more than `DEEPEST` levels deep: a small file can nest
+    without end.
     """
-    # A file can nest without end and still be small.
     if len(path) > DEEPEST:
         raise TermselError("the file is nested too deeply for one of RPCs",
                            hint="Give the file of the RPC.")

@@ -37,9 +37,6 @@ _INTEGER_LIMIT = 2**63
 def read_toml(file: Path, kind: str, hint: str) -> tuple[dict[str, Any], str]:
     """Return the table of a file in TOML, and its text.
 
-    Refused is what is not TOML, with line and column, and what no program can make use of: keys or
-    values that are nested without end, numbers of more than 64 bits, text with a NUL character.
-
     Parameters
     ----------
     file : Path
@@ -47,6 +44,12 @@ def read_toml(file: Path, kind: str, hint: str) -> tuple[dict[str, Any], str]:
         What the file should be, such as "a study file".
     hint : str
         What to do where it is not.
+
+    Raises
+    ------
+    TermselError
+        For a file that is not TOML, with line and column, and for one with keys or values that are
+        nested without end, numbers of more than 64 bits, or text with a NUL character.
     """
     text = read_text(file)
     endless = TermselError(f"this is not {kind}: its keys or numbers have no end", file=file,
@@ -65,7 +68,8 @@ def read_toml(file: Path, kind: str, hint: str) -> tuple[dict[str, Any], str]:
         reason, _, position = str(error).rpartition(" (at ")
         numbers = list(map(int, re.findall(r"\d+", position)))
         line, column = numbers if len(numbers) == 2 else (text.count("\n") + 1, None)
-        # A list that never ends is said where it begins, not where the file ends.
+        # tomllib reports a list that never ends at the end of the file; the user looks for its
+        # beginning.
         if reason == "Unclosed array":
             line, column = _opening_line(text), None
             reason = "the list that begins here has no closing bracket"
@@ -97,9 +101,12 @@ def _opening_line(text: str) -> int:
 
 
 def _values_of_table(table: Mapping[str, Any], endless: TermselError) -> Iterator[tuple[str, Any]]:
-    """Yield keys and all else within a table, each with the key that it is under."""
+    """Yield the keys and values at any depth of a table, each with the key that it is under.
+
+    A key is yielded under itself. Raises `endless` for a table more than `_DEEPEST` levels deep.
+    """
+    # A stack, as a file could exhaust recursion.
     pending: list[tuple[str, Any, int]] = [("", table, 0)]
-    # A stack, not recursion, which a file could exhaust.
     while pending:
         key, value, depth = pending.pop()
         if depth > _DEEPEST:

@@ -57,7 +57,6 @@ def metres_of_band(raster: Any, crs: CRS, path: Path) -> float:
     Raises TermselError for a unit that is no length, units that differ, and where x and y are in
     feet and nothing says whether heights are.
     """
-    # The unit of the band is about its numbers; that of the axis is of the CRS.
     stated = (raster.units[0] or "").strip()
     of_band = unit_of_word(stated) if stated else None
     if stated and of_band is None:
@@ -75,12 +74,12 @@ def metres_of_band(raster: Any, crs: CRS, path: Path) -> float:
                 hint="Correct one of them: gdal_edit.py -units states the unit of the band.")
         return size
     # Heights of a map in feet are as often in feet as in metres.
-    in_feet = unit_of_size(float(axes[0].unit_conversion_factor)) if crs.is_projected else METRE
-    if of_band is None and in_feet in WORDS and in_feet != METRE:
+    plane_unit = unit_of_size(float(axes[0].unit_conversion_factor)) if crs.is_projected else METRE
+    if of_band is None and plane_unit in WORDS and plane_unit != METRE:
         raise TermselError(
             f"it is not stated whether the heights of this raster are in metres or, like x and "
             "y, in "
-            f"{WORDS[in_feet]}", file=path,
+            f"{WORDS[plane_unit]}", file=path,
             hint="State the unit of its band: gdal_edit.py -units m, or -units us-ft.")
     return UNITS[of_band or METRE]
 
@@ -150,20 +149,21 @@ def to_datum_of(crs: str, raster_crs: CRS, path: Path) -> Heights | None:
                  f"{_advice_if_same_heights(crs, raster_crs)}"
         ) from error
 
-    # PROJ gives infinity where a grid has no value.
-    def heights(ground: FloatArray) -> FloatArray:
+    def convert_heights(ground: FloatArray) -> FloatArray:
+        """Return the heights (n,) at x, y and heights (n, 3); NaN where a grid has no value."""
+        # PROJ gives infinity there.
         converted = convert(ground)[:, 2]
         return np.where(np.isfinite(ground).all(axis=1) & np.isfinite(converted), converted,
                         np.nan)
 
-    return heights
+    return convert_heights
 
 
 def require_grid(to_datum: Heights, middle: tuple[float, float], path: Path) -> None:
-    """Raise TermselError where PROJ may fetch a grid of heights, and has no value of it.
+    """Raise TermselError where PROJ may fetch a grid of heights, and has no value at a place.
 
-    `middle` is a place of the raster, x and y in its CRS. Without the network PROJ says by itself
-    what it lacks.
+    `middle` is a place of the raster, x and y in its CRS. Where PROJ must not use the network it
+    raises an error of its own if it lacks the grid.
     """
     from pyproj.network import is_network_enabled
 
@@ -184,12 +184,15 @@ def _heights_in_words(crs: str) -> str:
 
 
 def _advice_if_same_heights(crs: str, raster_crs: CRS) -> str:
-    """Return advice to state the raster's heights for the control; "" if they are stated."""
+    """Return advice to state the vertical CRS of the raster for the control, too.
+
+    "" if the control states one, or that of the raster has no code.
+    """
     vertical_crs = _vertical_part(raster_crs)
     number = None if vertical_crs is None else vertical_crs.to_epsg()
     if not height_reference(crs).startswith("not stated") or number is None:
         return ""
-    # Only a code can be completed by a second one.
+    # A code can be written together with a second one; for any other CRS "EPSG:n" stands.
     plane = re.fullmatch(r"EPSG:(\d+)", crs)
     return (" If the control has the same heights as the raster, state it when you run termsel: "
             f"--crs {crs if plane else 'EPSG:n'}+{number}.")
@@ -210,10 +213,12 @@ def _vertical_part(crs: CRS) -> CRS | None:
 
 
 def _surface_of_heights(crs: CRS) -> tuple[str, str]:
-    """Return the surface that heights are above: "geoid" or "ellipsoid", and its name."""
+    """Return the surface that heights are above: "geoid" or "ellipsoid", and the name of its datum.
+
+    Two CRSs whose heights have one datum have one surface.
+    """
     vertical = _vertical_part(crs)
     if vertical is not None:
-        # Two geoids are two surfaces; two CRSs of one geoid are one.
         return "geoid", str(vertical.datum.name if vertical.datum else vertical.name)
     geodetic = crs.geodetic_crs
     return "ellipsoid", "" if geodetic is None else str(geodetic.datum.name if geodetic.datum
@@ -252,9 +257,12 @@ def _is_number(value: str) -> bool:
 
 
 def _datum_of(words: tuple[str, ...]) -> str | None:
-    """Return the datum that consecutive words name, by the longest name; None if none do."""
+    """Return the datum that consecutive words name, by the longest name; None if none do.
+
+    A code of EPSG, or "ellipsoidal".
+    """
     codes = _vertical_names()
-    # "navd 88 height" before "navd".
+    # The longest name first: "navd 88 height" before "navd".
     for count in range(min(len(words), _LONGEST_NAME), 0, -1):
         for name in _join_words(words, count):
             code = codes.get(_OTHER_NAMES.get(name, name))

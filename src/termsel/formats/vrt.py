@@ -96,7 +96,6 @@ def vrt_text(
     rows = [f'<VRTDataset rasterXSize="{samples}" rasterYSize="{lines}">']
     for domain, items in (domains or {}).items():
         rows.append(f"  <Metadata domain={xml_attribute(domain)}>" if domain else "  <Metadata>")
-        # XML of any text: a description may have quotes and angles.
         rows += [f"    <MDI key={xml_attribute(key)}>{xml_text(value)}</MDI>"
                  for key, value in items.items()]
         rows.append("  </Metadata>")
@@ -129,7 +128,7 @@ def _name_in_vrt(image: Path, folder: Path) -> str:
 
     Raises TermselError for a name that XML cannot hold.
     """
-    # What is in an archive has no way from a folder.
+    # A file in an archive has no name that is relative to a folder.
     name = str(gdal_name(image)) if str(image).startswith("/vsi") else relative_name(image, folder)
     if not is_xml_text(name):
         raise TermselError("the name of this image has control characters, or is not UTF-8, which "
@@ -143,7 +142,6 @@ def _description_xml(band: Band) -> list[str]:
     lines = [f"<{name}>{xml_text(value)}</{name}>" for name, value in elements.items() if value]
     if band.nodata is not None:
         lines.append(f"<NoDataValue>{band.nodata!r}</NoDataValue>")
-    # Left out where they change nothing, as GDAL does.
     if (band.scale, band.offset) != (1.0, 0.0):
         lines += [f"<Offset>{band.offset!r}</Offset>", f"<Scale>{band.scale!r}</Scale>"]
     lines.append(f"<ColorInterp>{band.colour_in_vrt}</ColorInterp>")
@@ -165,11 +163,11 @@ def _source_xml(name: str, number: str, size: tuple[int, int], lookup: Sequence[
     Parameters
     ----------
     name : str
-        Of the source, relative to the folder of the VRT or absolute.
+        Name of the source, relative to the folder of the VRT or absolute.
     number : str
-        Of the band in the source; "mask,1" for its mask.
+        Number of the band in the source; "mask,1" for its mask.
     size : tuple of int
-        Lines and samples, all of which are taken.
+        Lines and samples of the source, all of which are taken.
     lookup : sequence of int
         What each value of the source becomes, from 0 on; () to leave them as they are.
     """
@@ -190,9 +188,9 @@ def _source_xml(name: str, number: str, size: tuple[int, int], lookup: Sequence[
 
 def relative_name(path: Path, folder: Path) -> str:
     """Return the name of a file as seen from a folder; absolute if it is on another drive."""
-    # A file that is a link is named itself: the other's name may be one that GDAL does not take.
+    # A link keeps its own name: GDAL may not take the name of the file that it leads to.
     file = path.parent.resolve() / path.name
     try:
         return os.path.relpath(file, folder.resolve())
-    except ValueError:  # on another drive
+    except ValueError:
         return str(file)

@@ -52,20 +52,20 @@ _MOST_HEIGHTS, _FEW_HEIGHTS = 0.9, 0.1  # shares of heights in them
 
 
 def with_z_unit(features: FeatureSet, stated: str | None, dem: Path | None = None) -> FeatureSet:
-    """Return features whose CRS states the unit of z, as it is asked, declared or told.
+    """Return features whose heights are in the unit of their CRS.
 
-    A DEM or an RPC shows it where one unit alone agrees with it. Independent points say nothing
-    here. Raises TermselError where z may be in feet or in metres and nothing shows; for a unit that
-    plane coordinates without a CRS cannot have; for kilometres where the CRS is in feet.
+    The unit of z is the one `stated`, else the one that the CRS or the name of the column declares.
+    Else a DEM or an RPC shows it, if one unit alone agrees with that; independent points are not
+    used for it. Features without heights, or without a CRS, are returned as they are. Raises
+    TermselError where z may be in feet or in metres and nothing shows which; for a unit that plane
+    coordinates without a CRS cannot have; for kilometres where the CRS is in feet.
     """
     if stated is not None:
         return _convert_to_asked_unit(features, stated)
     heights = features.ground_vertices()[:, 2]
-    # Without any height, or without a CRS, there is nothing to convert.
     if features.crs == LOCAL or not np.isfinite(heights).any():
         return features
     declared = height_axis_unit(features.crs)
-    # The CRS declares it: nothing is guessed against that.
     if declared is not None:
         unit = unit_of_size(declared)
         return features if unit in (None, METRE) else replace(features, z_unit=WORDS[str(unit)])

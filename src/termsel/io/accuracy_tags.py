@@ -64,14 +64,15 @@ class Prediction:
 def prediction_of(result: Result) -> Prediction | None:
     """Return the accuracy that a result predicts; None where it predicts none.
 
-    None also where the points were computed, or are a lattice: they do not show how well anybody
-    measures in the image.
+    None also where the points were computed, or are the lattice of a product: they do not show how
+    well anybody measures in the image.
     """
     expected = expected_rmse(result)
     if expected is None or are_computed(result) or lattice_of(result) is not None:
         return None
     points = len(result.fit.control.points)
-    # An image of a block shares its control with others: its own cross-validation would not say it.
+    # An image of a block shares its control with others, which its own cross-validation would not
+    # take into account.
     if result.shared_sigma is not None:
         method = ("by the adjustment of the block that the image is part of, from the scatter of "
                   "its control and ties")
@@ -90,11 +91,13 @@ _HARMLESS = 1 / 3
 
 
 def accuracy_tags(result: Result, heights: HeightCaution | None = None) -> dict[str, str]:
-    """Return tags of a TIFF: accuracy as predicted or of the run on independent points; date.
+    """Return the tags of a TIFF that state its accuracy, the program and the date, by name.
 
-    The first figure is the surer one, as in the summary. A final fit has used the independent
-    points too, so theirs is the accuracy of the fit before. Where a caution on the `heights` of
-    the map stands, it is among the tags, and no figure is that the map does not have.
+    The accuracy is that predicted, and that measured at independent points; the surer of the two
+    comes first, as in the summary. A final fit has used the independent points too, so that theirs
+    is the accuracy of the fit before. A caution on the `heights` of the map is among the tags. If
+    its effect is not small against the accuracy, no figures are stated, as the map does not have
+    them.
     """
     # One time for both tags, which different readers take.
     written_at = datetime.now(UTC)
@@ -125,7 +128,6 @@ def accuracy_tags(result: Result, heights: HeightCaution | None = None) -> dict[
     stated = "by independent check points, used in no choice" + (
         f" of this run; an earlier result showed {accuracy.spent_count} of them"
         if accuracy.spent_count else "")
-    # As in the summary, the surer of both figures is said first.
     if is_prediction_surer(result):
         tags["ACCURACY_STATED"] = f"{predicted}; below {stated}"
         tags |= _tags_of_prediction(prediction_of(result))

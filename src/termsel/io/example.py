@@ -71,17 +71,17 @@ evaluations = 200
 def write_example(folder: Path) -> None:
     """Write the files to a new folder, completely or not at all.
 
-    Raises TermselError if the folder exists or cannot be written; without the extra ``gis``.
+    Half an example would fail in the middle of a tutorial. Raises TermselError if the folder exists
+    or cannot be written, and if the extra ``gis`` is not installed.
     """
     require_rasterio()
     to_map = transformation_between(CRS, MAP_CRS)
-    # A new folder as a whole: half an example would fail in the middle of a tutorial.
     with new_folder(folder) as new:
         points = _write_scene(new)
         _write_other_forms(new, points, to_map(points.ground))
         _write_matches(new, to_map)
         _write_places(new)
-        _control_features(new)
+        _write_control_features(new)
         _write_batch(new / "images")
         _write_sheets(new / "maps")
         (new / "study.toml").write_text(_STUDY, encoding="utf-8")
@@ -94,7 +94,7 @@ def _write_scene(folder: Path) -> Points:
     """Write the image, its heights, control and vendor's RPC; return the control points."""
     pixels, points = picture_and_points()
     (folder / "scene.tif").write_bytes(tiff_bytes(pixels[None]))
-    # Some 20 m on the ground, wider than the scene.
+    # Pixels of some 20 m on the ground [deg], and so many that the raster is wider than the scene.
     step, n = 0.0002, 520
     west = LON - n / 2 * step
     north = LAT + n / 2 * step
@@ -118,10 +118,9 @@ def _write_qgis_points(path: Path, ground: FloatArray, image: FloatArray, crs: s
     """Write points as QGIS saves them, from ground (x, y) and image (line, sample)."""
     from pyproj import CRS as Known
 
-    # Of QGIS: px from the corner of the first pixel, to the right and upwards.
+    # QGIS counts px from the corner of the first pixel, to the right and upwards.
     _write_rows(path, [
         (f"{x:.3f}", f"{y:.3f}", f"{sample + 0.5:.3f}", f"{-line - 0.5:.3f}", 1, 0, 0, 0)
-        # Half a pixel from the centre to the corner, and lines upwards.
         for (x, y), (line, sample) in zip(ground.tolist(), image.tolist(), strict=True)],
         f"#CRS: {Known(crs).to_wkt()}",
         "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual")
@@ -135,7 +134,7 @@ def _write_matches(folder: Path, to_map: Callable[[FloatArray], FloatArray]) -> 
     ground positions (n, 3) to the map. Wrong matches are off by 8 to 40 px in line and in sample.
     """
     west, top = _write_ortho(folder / "ortho.tif", to_map)
-    # A seed, so that the pages can quote what comes out.
+    # A fixed seed, so that the pages can quote what comes out.
     rng = np.random.default_rng(5)
     ground = ground_of_corners()[rng.permutation(len(ground_of_corners()))[:120]]
     image = SENSOR.project(ground) + rng.normal(0.0, 0.3, (len(ground), 2))
@@ -180,7 +179,7 @@ def _write_ortho(path: Path, to_map: Callable[[FloatArray], FloatArray]) -> tupl
 def _write_places(folder: Path) -> None:
     """Write ground places and image positions, to be projected and located."""
     rng = np.random.default_rng(6)
-    # Within the image, not at its edge, where no control is near.
+    # Not at the edge of the image, where no control is near.
     image = rng.uniform(0.05, 0.95, (17, 2)) * SIZE
     positions = SENSOR.locate(image, 1800.0).round(6)
     ground = np.column_stack([positions, example_terrain()(positions).round(2)]).tolist()
@@ -192,16 +191,16 @@ def _write_places(folder: Path) -> None:
                 "id,line,sample")
 
 
-def _control_features(folder: Path) -> None:
-    """Write points, lines and areas of the scene ikonos-hamedan."""
+def _write_control_features(folder: Path) -> None:
+    """Write points, lines, roads and areas of the scene ikonos-hamedan."""
     scene = kept_features("termsel.simulate", "ikonos-hamedan")
     truth = scene_truth("ikonos-hamedan")
     write_points_csv(scene.points, folder / "points.csv", CRS)
     write_lines_csv(scene.lines, folder / "lines.csv", CRS)
     _write_roads(folder, scene.lines)
     # Squares about six of the points, corners in order.
-    half = 0.0006 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-    positions = (half + scene.points.ground[5:11, None, :2]).reshape(-1, 2)
+    square = 0.0006 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])  # deg
+    positions = (square + scene.points.ground[5:11, None, :2]).reshape(-1, 2)
     ground = np.column_stack([positions, truth.terrain(positions)])
     image = truth.sensor.project(ground).round(2)
     (folder / "areas.csv").write_text(table_text(

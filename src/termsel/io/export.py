@@ -43,8 +43,9 @@ def _options_of_other_formats(writer: type[Writer]) -> set[str]:
 def as_exported(result: Result, final: bool | None) -> Result:
     """Return the result with the fit that is exported (see `Result.as_exported`).
 
-    Which fit that is, and that none fits the points, is logged when the export has succeeded.
-    `final` is None for the fit to all points where there is one, else for which of both to take.
+    With `final` True that is the fit to all points, with False the other one, and with None the fit
+    to all points if there is one. Which fit it is, and a warning if it does not fit the points, are
+    logged when the export has succeeded.
     """
     if does_nothing_fit(result):
         log.warning("Warning: no model fits these %s: their RMSE is %s px. What is made of this "
@@ -62,12 +63,11 @@ def as_exported(result: Result, final: bool | None) -> Result:
 
 
 def _files_left_alone(writer: Writer, result: Result, path: Path) -> list[Path]:
-    """Return files next to one that is not there, which have the content that they would get.
+    """Return the further files of an export to `path` that have the content they would get.
 
-    Writers of several files write that of the name last. So an export that was killed leaves such
-    files, and can be repeated; a file of other content is somebody's own.
+    Writers of several files write that of `path` last, which is not there yet. So an export that
+    was killed leaves such files, and can be repeated; a file of other content is somebody's own.
     """
-    # Only where the main file is missing: a complete export is never replaced unasked.
     siblings = [file for file in writer.files(path) if file != path and is_there(file)]
     if not siblings:
         return []
@@ -85,7 +85,7 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     ----------
     result : Result
     to : str
-        As in ``termsel list writers``.
+        The name of a format that ``termsel list writers`` shows.
     path : path-like
     overwrite : bool
         Whether an existing file may be replaced, such as a vendor's RPC.
@@ -138,14 +138,14 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
                     known.sentence())
     if mirrored := note_on_turned(result.features):
         log.warning("Warning: %s", mirrored)
-    # What may not be replaced, but for what an export that was killed has left.
+    # Files that an export which was killed has left may be replaced without being asked for.
     files = set(writer.files(path))
     if not overwrite and not is_there(path):
         files -= set(_files_left_alone(writer, result, path))
     require_replaceable(files, reads=writer.options.values(), overwrite=overwrite, beside=False)
+    # A link is followed only under the name that the user typed.
     for file in files - {path}:
-        refuse_link(file)  # only the first has a name that somebody typed
-    # The writer is left to make it whole or not at all.
+        refuse_link(file)
     writer.write(result, path)
     if IMAGE in writer.declared_options and writer.options["image"] is None:
         log.warning("Warning: %s has no pixels: give the image with --image FILE.", path.name)

@@ -75,13 +75,12 @@ def clip_grid(grid: MapGrid, bounds: tuple[float, float, float, float], crs: str
     from rasterio.warp import transform_bounds
 
     west, south, east, north = transform_bounds(horizontal_crs(crs), grid.crs, *bounds)
-    # Of the inverse of the grid's affine map: columns and rows of two opposite corners.
+    # The inverse of the grid's affine map takes two opposite corners to columns and rows.
     first_column, first_row = ~grid.transform @ (west, north)
     last_column, last_row = ~grid.transform @ (east, south)
     first = max(int(np.floor(first_column)), 0), max(int(np.floor(first_row)), 0)
     last = (min(int(np.ceil(last_column)), grid.samples),
             min(int(np.ceil(last_row)), grid.lines))
-    # The parts do not overlap.
     if last[0] <= first[0] or last[1] <= first[1]:
         raise TermselError("the image shows nothing within the bounds of the map",
                            hint="Give other bounds.")
@@ -90,9 +89,9 @@ def clip_grid(grid: MapGrid, bounds: tuple[float, float, float, float], crs: str
 
 
 def map_crs(result: Result, crs: str | None) -> str:
-    """Return the CRS of a map: the one given, that of control in metres, or the zone of UTM.
+    """Return the CRS of a map: the one given, without it that of `_metric_crs`.
 
-    Raises TermselError if that is no CRS of a map.
+    Raises TermselError if the control has no CRS, and for one that a map cannot have.
     """
     if normalise(result.features.crs) == LOCAL:
         raise TermselError("a map requires a CRS, but the result has plane coordinates without "
@@ -111,9 +110,12 @@ def map_crs(result: Result, crs: str | None) -> str:
 
 
 def _metric_crs(result: Result) -> str:
-    """Return the CRS of the control if it is in metres, else the zone of UTM, or a polar one."""
+    """Return the CRS of the control if it is in metres, else the zone of UTM, or a polar one.
+
+    On another body than the Earth a transverse Mercator projection takes the place of UTM.
+    """
     control_crs = result.features.crs
-    # None: nobody knows the unit.
+    # A unit that is not known (None) is taken for the metre.
     if not is_geographic(control_crs) and metres_per_unit(control_crs) in (1.0, None):
         return horizontal_crs(control_crs)
     geodetic = transformation_between(control_crs, geodetic_of(control_crs))
@@ -122,12 +124,12 @@ def _metric_crs(result: Result) -> str:
     geodetic_positions[:, 0] = unwrap_longitudes(geodetic_positions[:, 0])
     if is_polar(geodetic_positions):
         return polar_crs(control_crs, float(np.median(geodetic_positions[:, 1])))
-    _say_wide(geodetic_positions)
+    _warn_of_wide_area(geodetic_positions)
     lon, lat, _ = geodetic(result.fit.ground_box()[0][None])[0]
     return metric_crs(control_crs, float(lon), float(lat))
 
 
-def _say_wide(positions: FloatArray) -> None:
+def _warn_of_wide_area(positions: FloatArray) -> None:
     """Warn where an area is too wide for a zone of UTM, given longitudes and latitudes [deg]."""
     # The scale of a transverse Mercator projection grows from its meridian as 1 + d^2 / 2, where d
     # is the distance from it in radii of the Earth: difference of longitudes times cos(latitude).
@@ -148,12 +150,12 @@ def _unit_of_crs(crs: str) -> str:
 
 def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
                   dem: Path | str | None, height: float) -> tuple[MapGrid, float]:
-    """Return the pixels of a map that shows the image, and the share of the image on it.
+    """Return the pixels of a map that shows the image, and the share of the image on it, 0 to 1.
 
-    The ground has the heights of the raster `dem`, else the one given. The size of a pixel is by
-    default that of the image on the ground [units of the CRS]. Raises TermselError if no part of
-    the image is on the map, or if the map would have fewer than 16 or more than 30,000 px along a
-    side and the image does not.
+    The ground has the heights of the raster `dem`, or without one is level at `height`. The size of
+    a pixel, `resolution`, is by default that of the image on the ground [units of the CRS]. Raises
+    TermselError if no part of the image is on the map, or if the map would have fewer than 16 or
+    more than 30,000 px along a side and the image does not.
     """
     from affine import Affine
 
@@ -164,47 +166,31 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
     line_spacing = np.linalg.norm(np.diff(outline, axis=0), axis=-1)
     sample_spacing = np.linalg.norm(np.diff(outline, axis=1), axis=-1)
     if np.isnan(line_spacing).all() or np.isnan(sample_spacing).all():
-        if dem is None:
-            at_height = "" if height is None else f" at the height {height:g}"
-            remedy = "Do not use it: choose another model, or measure more."
-            if height is not None:
-                remedy = ("Give the height of the ground (--height H). If it is right, choose "
-                          "another model, or measure more.")
-            raise TermselError("the model gives no ground position anywhere in the image"
-                               f"{at_height}", hint=remedy)
-        control = result.fit.control
-        with open_dem(Path(dem), control.crs) as surface:
-            where = where_raster_is(surface, control)
-            covers_some = surface.covers(control.ground_vertices()[:, :2]).any()
-        if covers_some:
-            raise TermselError("this raster of heights has no data in the area of the image",
-                               file=dem, hint="Give one with heights there, or --height H.")
-        raise TermselError(f"this raster of heights does not cover the image, which is around "
-                           f"{place_of(control)}", file=dem,
-                           hint=f"{where} Give a raster of that area.")
+        raise _no_ground_error(result, dem, height)
     (first_line, first_sample), (last_line, last_sample) = result.fit.image_box()
-    # The spacing of the nodes, by the number of pixels between two of them.
-    pixels = [np.nanmedian(line_spacing) * (_OUTLINE - 1) / max(last_line - first_line, 1.0),
-              np.nanmedian(sample_spacing) * (_OUTLINE - 1) / max(last_sample - first_sample, 1.0)]
+    # Pixels on the ground: the spacing of nodes by the number of pixels between two of them.
+    pixel_sizes = [
+        np.nanmedian(line_spacing) * (_OUTLINE - 1) / max(last_line - first_line, 1.0),
+        np.nanmedian(sample_spacing) * (_OUTLINE - 1) / max(last_sample - first_sample, 1.0)]
     # The finer direction decides, so that no detail of the image is lost.
-    of_image = min(pixels)
-    # In an oblique view pixels far away are many times larger than near ones.
-    sizes = line_spacing[np.isfinite(line_spacing)]
-    if sizes.max() > _UNEVEN * sizes.min():
-        # An oblique view: as many pixels as the image has on the ground that the map shows.
-        of_image = _pixel_of_equal_count(outline,
-                                         (last_line - first_line) * (last_sample - first_sample))
+    image_pixel = min(pixel_sizes)
+    spacings = line_spacing[np.isfinite(line_spacing)]
+    # In an oblique view pixels far away are many times larger than near ones. There the map gets as
+    # many pixels as the image has on the ground that it shows.
+    if spacings.max() > _UNEVEN * spacings.min():
+        image_pixel = _pixel_of_equal_count(
+            outline, (last_line - first_line) * (last_sample - first_sample))
     # Two digits, as a resolution is a choice and no measurement.
-    of_image = float(f"{of_image:.2g}")
+    image_pixel = float(f"{image_pixel:.2g}")
     if resolution is None:
-        resolution = of_image
+        resolution = image_pixel
     # Edges on multiples of the pixel size, so that maps of neighbouring images fit together.
     low = np.floor(placed.min(axis=0) / resolution) - 1
     high = np.ceil(placed.max(axis=0) / resolution) + 1
     width, lines = high - low
     fewest_pixels, most_pixels = _USUAL
     map_sides = (high - low).tolist()
-    image_sides = (np.ptp(placed, axis=0) / of_image).tolist()
+    image_sides = (np.ptp(placed, axis=0) / image_pixel).tolist()
     # An image may have such sides itself; a map that alone has them mixes up degrees and metres.
     is_tiny = min(map_sides) < fewest_pixels <= min(image_sides)
     is_huge = max(map_sides) > most_pixels >= max(image_sides)
@@ -212,7 +198,7 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
         raise TermselError(f"with pixels of {resolution:g} {unit}s the map would have {lines:.0f} "
                            f"lines and {width:.0f} samples",
                            hint=f"Give --res in the units of the map, {unit}s: a pixel of the "
-                                f"image is {of_image:.2g} {unit}s." + (
+                                f"image is {image_pixel:.2g} {unit}s." + (
                                     "" if is_tiny else " Or the edge of the CRS runs through the "
                                     "image: give another --crs."))
     west = low[0] * resolution
@@ -223,20 +209,48 @@ def grid_of_image(result: Result, crs: str, resolution: float | None = None, *,
     return grid, share_seen
 
 
+def _no_ground_error(result: Result, dem: Path | str | None, height: float | None) -> TermselError:
+    """Return the error for an image of which the model, or the raster `dem`, shows no ground.
+
+    Without a raster the reason is the model, or the `height` of the ground; else the raster, which
+    covers another area, or has no data in that of the image.
+    """
+    if dem is None:
+        at_height = "" if height is None else f" at the height {height:g}"
+        remedy = "Do not use it: choose another model, or measure more."
+        if height is not None:
+            remedy = ("Give the height of the ground (--height H). If it is right, choose "
+                      "another model, or measure more.")
+        return TermselError("the model gives no ground position anywhere in the image"
+                            f"{at_height}", hint=remedy)
+    control = result.fit.control
+    with open_dem(Path(dem), control.crs) as surface:
+        where = where_raster_is(surface, control)
+        covers_some = surface.covers(control.ground_vertices()[:, :2]).any()
+    if covers_some:
+        return TermselError("this raster of heights has no data in the area of the image",
+                            file=dem, hint="Give one with heights there, or --height H.")
+    return TermselError(f"this raster of heights does not cover the image, which is around "
+                        f"{place_of(control)}", file=dem,
+                        hint=f"{where} Give a raster of that area.")
+
+
 def sees_all(result: Result, grid: MapGrid, height: float) -> bool:
     """Return whether all places of a map, at a height, are in front of the camera."""
-    # The edges included: the sky begins there.
+    # Places at the edges of the map are among those tried, as the sky begins there.
     samples, lines = np.meshgrid(np.linspace(0.0, grid.samples, _OUTLINE),
                                  np.linspace(0.0, grid.lines, _OUTLINE))
     x, y = grid.transform @ (samples.ravel(), lines.ravel())
-    turn = plane_transformer(grid.crs, horizontal_crs(result.features.crs))
-    ground = np.column_stack([*turn.transform(x, y), np.full(len(x), height)])
+    to_control_crs = plane_transformer(grid.crs, horizontal_crs(result.features.crs))
+    ground = np.column_stack([*to_control_crs.transform(x, y), np.full(len(x), height)])
     is_known = np.isfinite(ground).all(axis=1)
     return not result.fit.unseen(ground[is_known]).any()
 
 
 def footprint_of(result: Result, surface: Dem | float) -> FloatArray:
-    """Return the ground (n, 3) of a grid of image places, in the CRS of the control; NaN for none.
+    """Return the ground (n, 3) that a grid over the image shows, in the CRS of the control.
+
+    NaN for places of the image that show no ground, or ground at which the model does not hold.
     """
     (first_line, first_sample), (last_line, last_sample) = result.fit.image_box()
     # From the outer edges of the outermost pixels.
@@ -265,12 +279,15 @@ def _pixel_of_equal_count(outline: FloatArray, pixels: float) -> float:
 
 def _outline_on_map(
         result: Result, dem: Path | str | None, height: float, target: str) -> FloatArray:
-    """Return where on the map a grid of image places is, shape (_OUTLINE, _OUTLINE, 2)."""
+    """Return x and y on the map of a grid over the image, shape (_OUTLINE, _OUTLINE, 2).
+
+    NaN where the image shows no ground, or the CRS `target` has no place for it.
+    """
     control_crs = result.features.crs
     with surface_of(dem, control_crs, height) as surface:
         ground = footprint_of(result, surface)
-    turn = plane_transformer(horizontal_crs(control_crs), target)
-    x, y = turn.transform(ground[:, 0], ground[:, 1])
+    to_map = plane_transformer(horizontal_crs(control_crs), target)
+    x, y = to_map.transform(ground[:, 0], ground[:, 1])
     positions = np.stack([x, y], axis=-1)
     is_placed = np.isfinite(positions).all(axis=1)
     positions[~is_placed] = np.nan

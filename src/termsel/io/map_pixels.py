@@ -94,11 +94,13 @@ class MapPixels:
 
     @property
     def bits(self) -> int | None:
-        """Bits of a pixel where a byte holds several pixels; None elsewhere."""
+        """Bits of a pixel where a byte holds several pixels; None elsewhere.
+
+        As few as hold the pixels of the image and the value of no data.
+        """
         if len(self.picture.bands) > 1 or not self.category:
             return None
         stored = self.picture.bands[0].bits
-        # As few as hold the pixels of the image and the value of no data.
         for bits in (1, 2, 4):
             if stored is not None and bits >= stored and (self.nodata or 0) < 2**bits:
                 return bits
@@ -122,7 +124,8 @@ def map_pixels(picture: Picture, resampling: str | None, nodata: float | None) -
         If the resampling is not known or would mix classes, or if pixels cannot hold the value.
     """
     picture, resampling = _prepare_for_resampling(picture, resampling)
-    # Of several bands of transparency the last is used, and drawn last; the others are left out.
+    # Of several bands of transparency the last is used; it comes last in the picture that is
+    # warped. The others are treated as colours.
     alpha = [index for index, band in enumerate(picture.bands) if band.alpha][-1:]
     colours = [index for index in range(len(picture.bands)) if index not in alpha]
     if not colours:
@@ -157,15 +160,19 @@ def map_pixels(picture: Picture, resampling: str | None, nodata: float | None) -
 
 
 def _unused_index(picture: Picture) -> int | None:
-    """Return an index that no pixel has, beyond the table if possible; None without one."""
+    """Return an index of the colour table that no pixel has, to mark where the map has no data.
+
+    None if pixels have all indices, if the picture is not a file, or if its type has no table.
+    """
     band = picture.bands[0]
-    used = np.zeros(2 ** (16 if band.type == "UInt16" else 8), dtype=bool)
     if picture.path is None or band.type not in _WITH_TABLE:
         return None
+    is_used = np.zeros(2**16 if band.type == "UInt16" else 2**8, dtype=bool)
     with open_raster(picture.path) as raster:
         for _, window in raster.block_windows(band.source):
-            used[raster.read(band.source, window=window).ravel()] = True
-    unused = np.flatnonzero(~used)
+            is_used[raster.read(band.source, window=window).ravel()] = True
+    unused = np.flatnonzero(~is_used)
+    # Past the end of the table if possible: such an index takes no colour from the image's own.
     past_table = unused[unused >= len(band.table)]
     candidates = past_table if len(past_table) else unused
     return int(candidates[0]) if len(candidates) else None
@@ -198,12 +205,12 @@ def _prepare_for_resampling(picture: Picture, resampling: str | None) -> tuple[P
     if not picture.category:
         return picture, resampling or "bilinear"
     # Indices of a table are names, not amounts: between red and blue is no index of violet.
-    mixed = (resampling or "nearest") != "nearest"
+    mixes_pixels = (resampling or "nearest") != "nearest"
     bands = [band for band in picture.bands if band.category]
-    if mixed and any(band.thematic for band in bands):
+    if mixes_pixels and any(band.thematic for band in bands):
         raise TermselError(f"the pixels of this image are classes, which {resampling} would mix",
                            file=picture.path, hint="Leave --resampling out, for nearest.")
-    if mixed:
+    if mixes_pixels:
         log.warning("Note: the map has the colours of the image's table instead of its indices, as "
                     "%s mixes pixels; without --resampling it keeps them.", resampling)
         return expand_colours(picture), str(resampling)
@@ -235,24 +242,25 @@ def warp(raster: Any, output: Path, grid: MapGrid, spec: MapPixels, *, tags: Map
     Parameters
     ----------
     raster : rasterio.DatasetReader
-        The VRT of `made.picture`, with georeferencing unless positions are given.
+        The VRT of `spec.picture`, with georeferencing unless positions are given.
     output : pathlib.Path
     grid : MapGrid
     spec : MapPixels
     tags : mapping
-        Of the map.
+        The tags of the map.
     progress : callable, optional
+        Called with the share that is finished, 0 to 1.
     positions : MapPositions, optional
         Where the pixels of the map are in the image; by default GDAL's warper computes that.
     **options
-        Of GDAL's transformer.
+        Options of GDAL's transformer.
     """
     from rasterio._err import CPLE_BaseError
     from rasterio.errors import RasterioError
 
     lost = 0
 
-    def pixels(window: Any, transform: Any) -> tuple[Values, Mask]:
+    def warp_tile(window: Any, transform: Any) -> tuple[Values, Mask]:
         """Return the values of a tile of the map, and where it has any.
 
         They are (bands, lines, samples) and (lines, samples). Raises TermselError where the image
@@ -281,7 +289,7 @@ def warp(raster: Any, output: Path, grid: MapGrid, spec: MapPixels, *, tags: Map
         in_order = spec.order == tuple(range(len(tile)))
         return tile if in_order else tile[list(spec.order)], visible
 
-    write_cog(output, _profile_of_map(grid, spec), pixels, describe=lambda tiled: _describe(
+    write_cog(output, _profile_of_map(grid, spec), warp_tile, describe=lambda tiled: _describe(
         tiled, spec, tags), progress=progress,
         masked=spec.masked, nearest=spec.category, bits=spec.bits)
     if lost:
@@ -304,15 +312,15 @@ def _unreadable_source(image: Path | None, error: Exception) -> TermselError:
 
 
 def _interpolate_tile(raster: Any, spec: MapPixels, positions: FloatArray) -> tuple[Values, Mask]:
-    """Return a tile of the map, alpha last, and where it shows the image, from its positions.
+    """Return a tile of the map (bands, lines, samples), alpha last, and where it shows the image.
 
-    `positions` (lines, samples, 2) are where the pixels of the tile are in the image, NaN where
-    nowhere. Only the window of the image that they need is read; where that would be too large, the
-    tile is made in two halves. `spec` says how pixels are resampled and which value stands for
-    none.
+    `positions` (lines, samples, 2) are line and sample in the image of the pixels of the tile, NaN
+    for pixels that are not in it. Only the window of the image that they need is read; where that
+    would be too large, as under a map much coarser than the image, the tile is made in two halves.
+    `spec` says how pixels are resampled and which value stands for no data.
     """
-    colours = len(spec.empty)
-    bands = colours + spec.alpha
+    n_colours = len(spec.empty)
+    bands = n_colours + spec.alpha
     shape = positions.shape[:2]
     empty = np.array([0.0 if value is None else value for value in spec.empty] + [0.0] * spec.alpha)
     window = _window_of(raster, spec, positions)
@@ -322,7 +330,6 @@ def _interpolate_tile(raster: Any, spec: MapPixels, positions: FloatArray) -> tu
         return tile, np.zeros(shape, dtype=bool)
     size = window.width * window.height * bands * spec.dtype.itemsize
     if size > _LARGEST_PART and max(shape) > 1:
-        # Of a map that is much coarser than the image, a tile is made in two halves.
         axis = int(np.argmax(shape))
         halves = [_interpolate_tile(raster, spec, half)
                   for half in np.array_split(positions, 2, axis)]
@@ -331,29 +338,33 @@ def _interpolate_tile(raster: Any, spec: MapPixels, positions: FloatArray) -> tu
     values, has_data = _pixels_and_mask(raster, spec, window)
     image_window = ImageWindow(values, has_data, window.row_off, window.col_off)
     tile, has_value = resample_pixels(image_window, positions, spec.resampling, raster.shape, empty)
-    # As gdalwarp has it: what is no data in some bands counts in the others.
-    visible = np.asarray(has_value[:colours].any(axis=0))
+    # As gdalwarp does: a pixel that has no data in some bands is visible by the others.
+    visible = np.asarray(has_value[:n_colours].any(axis=0))
     if spec.alpha:
         visible &= tile[-1] != 0
     return tile, visible
 
 
 def _window_of(raster: Any, spec: MapPixels, positions: FloatArray) -> Any:
-    """Return the window of an image that positions need; None where they need none."""
+    """Return the window of an image that resampling at positions needs; None if all are outside."""
     from rasterio.windows import Window
 
     lines, samples = raster.shape
     low, high = extent_of_positions(positions, lines, samples)
     if not (low <= high).all():
         return None
-    around = np.ceil(reach(spec.resampling, positions)).astype(int)
-    first = np.maximum(np.floor(low).astype(int) - around, 0)
-    last = np.minimum(np.ceil(high).astype(int) + around + 1, [lines, samples])
+    margin = np.ceil(reach(spec.resampling, positions)).astype(int)
+    first = np.maximum(np.floor(low).astype(int) - margin, 0)
+    last = np.minimum(np.ceil(high).astype(int) + margin + 1, [lines, samples])
     return Window(int(first[1]), int(first[0]), int(last[1] - first[1]), int(last[0] - first[0]))
 
 
 def _pixels_and_mask(raster: Any, spec: MapPixels, window: Any) -> tuple[Values, Mask]:
-    """Return pixels (bands, lines, samples) of a window, alpha last, and which of them are data."""
+    """Return pixels (bands, lines, samples) of a window, alpha last, and which of them are data.
+
+    A pixel is data in a band unless it has the band's value for no data, is masked, or is wholly
+    transparent.
+    """
     bands = list(range(1, len(spec.empty) + spec.alpha + 1))
     values = np.ascontiguousarray(raster.read(bands, window=window).astype(spec.dtype, copy=False))
     has_data = np.ones(values.shape, dtype=bool)
@@ -384,9 +395,9 @@ def _warp_tile(raster: Any, spec: MapPixels, shape: tuple[int, int], crs: str, t
 
     colours = len(spec.empty)
     tile = np.zeros((colours + 1, *shape), dtype=spec.dtype)
-    # As gdalwarp has it: what is no data in some bands counts in the others. Only where RPCs are
-    # named does rasterio let GDAL compute every pixel's place rather than interpolate along lines,
-    # which does not hold in relief.
+    # PARTIAL is as gdalwarp does: a pixel that has no data in some bands is visible by the others.
+    # Only where RPCs are named does rasterio let GDAL compute every pixel's place rather than
+    # interpolate along lines, which does not hold in relief.
     warp_options = {"dst_crs": crs, "dst_transform": transform, "dst_alpha": colours + 1,
                     "src_alpha": colours + 1 if spec.alpha else 0, "rpcs": raster.rpcs,
                     "resampling": Resampling[spec.resampling], "UNIFIED_SRC_NODATA": "PARTIAL",
@@ -401,11 +412,14 @@ def _warp_tile(raster: Any, spec: MapPixels, shape: tuple[int, int], crs: str, t
         if empty is not None and colours > 1 and spec.resampling in _NEGATIVE_WEIGHTS:
             # Where a band has no data at a pixel's own place and others do, the warper divides by
             # a sum of weights near zero: 65,535 came of data up to 20,000.
-            own = np.zeros_like(tile)
+            nearest_tile = np.zeros_like(tile)
             nearest = warp_options | {"resampling": Resampling.nearest}
-            reproject(every_band, own, src_nodata=empty, **nearest)
-            without = np.isnan(own) if np.isnan(empty) else own == tile.dtype.type(empty)
-            tile[:-1][without[:-1]] = empty
+            reproject(every_band, nearest_tile, src_nodata=empty, **nearest)
+            if np.isnan(empty):
+                is_empty = np.isnan(nearest_tile)
+            else:
+                is_empty = nearest_tile == tile.dtype.type(empty)
+            tile[:-1][is_empty[:-1]] = empty
     else:
         visible = np.zeros(shape, dtype=bool)
         for number, empty in enumerate(spec.empty, 1):
@@ -416,9 +430,10 @@ def _warp_tile(raster: Any, spec: MapPixels, shape: tuple[int, int], crs: str, t
 
 
 def _move_off_nodata(tile: Values, visible: Mask, spec: MapPixels) -> int:
-    """Move visible values that equal the map's no-data value by the least step.
+    """Move visible values that equal the map's no-data value by the least step, in place.
 
-    Categories cannot be moved: returned is how many of their pixels are lost, else 0.
+    The values of categories are not moved: the pixels that have that value are lost. Returns how
+    many these are, and 0 otherwise.
     """
     if spec.nodata is None or np.isnan(spec.nodata):
         return 0

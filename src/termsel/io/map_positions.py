@@ -72,7 +72,9 @@ class MapPositions:
     _rng: Any = field(default_factory=lambda: np.random.default_rng(0), init=False)
 
     def of_tile(self, shape: tuple[int, int], transform: Any) -> FloatArray:
-        """Return line and sample of the pixels of a tile, (lines, samples, 2); NaN for none.
+        """Return line and sample in the image of the pixels of a tile, (lines, samples, 2).
+
+        NaN for pixels that the image does not show, or whose height is not known.
 
         Parameters
         ----------
@@ -87,7 +89,7 @@ class MapPositions:
             return np.full((*shape, 2), np.nan)
         levels = self._height_levels(
             float(heights[has_height].min()), float(heights[has_height].max()))
-        sampled = self._try_positions(has_height)
+        sampled = self._draw_pixels(has_height)
         plan = self._ground_of_pixels(sampled.astype(np.float64) + 0.5, transform)
         exact = self._image_positions(np.column_stack([plan, heights[tuple(sampled.T)]]))
         # The step is halved until the largest error at the sampled pixels is below `CLOSE_PX`; it
@@ -104,8 +106,11 @@ class MapPositions:
             return self._position_each_pixel(shape, transform, heights)
         return positions
 
-    def _try_positions(self, has_height: NDArray[np.bool_]) -> NDArray[np.intp]:
-        """Return lines and samples (m, 2) of some pixels of a tile whose height is known."""
+    def _draw_pixels(self, has_height: NDArray[np.bool_]) -> NDArray[np.intp]:
+        """Return lines and samples (m, 2) of random pixels of a tile whose height is known.
+
+        At most TRIED of them, some of which may be the same.
+        """
         with_height = np.argwhere(has_height) if has_height.mean() < 0.5 else None
         if with_height is not None:
             return np.asarray(with_height[self._rng.integers(0, len(with_height), TRIED)])
@@ -131,7 +136,10 @@ class MapPositions:
 
     def _position_each_pixel(self, shape: tuple[int, int], transform: Any,
                              heights: FloatArray) -> FloatArray:
-        """Return the model's own positions of all pixels, (lines, samples, 2), where it bends."""
+        """Return the positions of all pixels, (lines, samples, 2), each computed by the model.
+
+        They are for tiles where the model bends too much to be interpolated.
+        """
         lines, samples = np.indices(shape)
         pixels: FloatArray = np.column_stack([lines.ravel(), samples.ravel()]) + np.float64(0.5)
         positions = np.empty((len(pixels), 2))
@@ -143,15 +151,17 @@ class MapPositions:
         return positions.reshape(*shape, 2)
 
     def _image_positions(self, ground: FloatArray) -> FloatArray:
-        """Return line and sample (n, 2) of places on the ground; NaN where a map shows none."""
+        """Return line and sample (n, 2) of places (n, 3) on the ground.
+
+        NaN for places that are not known, behind a pole of the model, or far outside the image: the
+        model would compute nonsense.
+        """
         positions = np.full((len(ground), 2), np.nan)
-        # Places behind a pole of the model, or far outside the image, would be given positions that
-        # are nonsense.
-        needed = np.isfinite(ground).all(axis=1) & self._is_near(ground[:, :2])
-        needed[needed] = self.fitted.holds(ground[needed])
-        if needed.any():
+        is_valid = np.isfinite(ground).all(axis=1) & self._is_near(ground[:, :2])
+        is_valid[is_valid] = self.fitted.holds(ground[is_valid])
+        if is_valid.any():
             with np.errstate(all="ignore"):
-                positions[needed] = self.fitted.project(ground[needed])
+                positions[is_valid] = self.fitted.project(ground[is_valid])
         return positions
 
     def _is_near(self, plan: FloatArray) -> NDArray[np.bool_]:
@@ -162,7 +172,11 @@ class MapPositions:
 
     @cached_property
     def _hull(self) -> tuple[FloatArray, FloatArray]:
-        """Normals (k, 2) and offsets (k,) of a convex polygon around the image on the ground."""
+        """Normals (k, 2) and offsets (k,) of a convex polygon around the image on the ground.
+
+        A place x is inside where n . x <= offset for all normals n. The polygon has a margin of
+        _NODE_MARGIN times its extent.
+        """
         from scipy.spatial import ConvexHull  # takes long to import
 
         corners = self.footprint[np.isfinite(self.footprint[:, :2]).all(axis=1), :2]
@@ -197,8 +211,8 @@ class MapPositions:
 
         PROJ is asked at nodes of a coarse grid alone, as positions in the raster and the offset of
         its datum are smooth between; the heights of the ground, which are not, are interpolated in
-        the raster for each pixel. Where the tile needs no part of the raster that can be cut out,
-        each pixel is asked by itself.
+        the raster for each pixel. Where the part of the raster below the tile is too large to be
+        read at once, each pixel is looked up by itself.
         """
         surface = self.surface
         if not isinstance(surface, Dem):
@@ -216,7 +230,7 @@ class MapPositions:
         if window is None:
             return self._height_of_each_pixel(shape, transform)
         pixels, first = window
-        # What the datum adds is smooth, unlike the ground.
+        # What the datum adds to a height of 0, at each node.
         zeros = np.zeros(len(x))
         added = surface.converted(x, y, zeros)
         # Slope and offset of the height above the ellipsoid by the height that the raster stores,
@@ -312,10 +326,9 @@ def _positions_between(nodes: Any, levels: Any, heights: Any, step: int, positio
         down = i / step - row
         for j in range(positions.shape[1]):
             column = min(j // step, nodes.shape[2] - 2)
-            # Height as a polynomial through the levels: L_k(h) = product over m of (h - h_m) / (h_k
-            # - h_m).
             right = j / step - column
             height = heights[i, j]
+            # Weights of the levels: L_k(h) = product over m of (h - h_m) / (h_k - h_m).
             for k in range(count):
                 weight = 1.0
                 for m in range(count):
@@ -348,10 +361,11 @@ _between = compile_lazily(_positions_between)
 
 def _bilinear_heights(pixels: Any, nodes: Any, step: int, size: Any, first: Any, slope: float,
                       heights: Any) -> None:
-    """Fill `heights` (lines, samples) from the pixels of a raster.
+    """Fill `heights` (lines, samples) of a tile from the pixels of a raster.
 
-    Nodes (rows, columns, 3) have line and sample in `pixels`, and what the datum adds. The raster
-    goes from `-first` to `size`; in the outer half of its outermost pixels heights are constant.
+    Nodes (rows, columns, 3), every `step` pixels of the tile, have line and sample in `pixels`, and
+    what the datum adds to the pixels times `slope`. The raster goes from `-first` to `size`; in the
+    outer half of its outermost pixels heights are constant.
     """
     rows = pixels.shape[0]
     columns = pixels.shape[1]

@@ -48,8 +48,8 @@ class Plan:
         return table_text(self.crs, list(COLUMNS), [[name] for name in self.ids], self.values)
 
 
-def _say_size(fitted: Fit) -> None:
-    """Say so where an RPC alone shows the size of the image, so that places may be outside it."""
+def _warn_of_unknown_size(fitted: Fit) -> None:
+    """Warn that places may be outside the image, if only its RPC shows how large it is."""
     features = fitted.control
     if features.image_size is None and features.rpc is not None and "rpc" in fitted.model.options:
         (first_line, first_sample), (last_line, last_sample) = fitted.image_box()
@@ -67,7 +67,7 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
     read or has no place in the image, or the uncertainty of the model is not known.
     """
     fitted = result.fit
-    _say_size(fitted)
+    _warn_of_unknown_size(fitted)
     scene = scene_grid(fitted, GRID)[1]
     scene = scene[np.isfinite(scene).all(axis=1)]
     if candidates is None:
@@ -98,12 +98,11 @@ def plan(result: Result, count: int, candidates: Path | None = None) -> Plan:
                            hint="Give positions in the CRS of the control, inside the scene.")
     if candidates is not None and not is_seen.all():
         _say_unseen([ids[number] for number in np.flatnonzero(~is_seen)])
-    # Places that the image does not show cannot be measured.
     numbers = np.flatnonzero(is_seen)
     # The scene itself where all of it is seen, so that its figures are computed once.
     choices = scene if positions is scene and is_seen.all() else positions[numbers]
     ranking = rank_places(fitted, choices, scene, count)
-    # What all places have in common no further point lessens.
+    # What all images of a block share is lessened by no further point.
     shared = float(np.linalg.norm(result.shared_sigma or 0.0))
     best_positions = positions[numbers[ranking.order]]
     if np.isnan(fitted.control.ground_vertices()[:, 2]).any():
@@ -125,7 +124,7 @@ def _say_unseen(unseen: list[str]) -> None:
 
 
 def _say_measured(names: Sequence[str], positions: FloatArray, control: FloatArray) -> None:
-    """Say which places (n, 3) are those of control points (p, 3)."""
+    """Warn which places (n, 3), with their names, are those of control points (p, 3) already."""
     measured_places = {tuple(place) for place in control[:, :2].tolist()}
     measured = [name for name, place in zip(names, positions[:, :2].tolist(), strict=True)
                 if tuple(place) in measured_places]

@@ -67,83 +67,40 @@ def project_table(
     The CSV is headed id,line,sample,x,y,z,uncertainty_line,uncertainty_sample,outside: standard
     deviations of what the model predicts (`termsel.Fit.sigma`), and how far a place is outside the
     control that the model was fitted to (`termsel.fitting.extrapolation.distance_outside_control`).
-    Warned is of points without a place, by name and with the reason where it is known, and of those
-    outside. Raises TermselError for tables that cannot be read, a CRS other than that of the
-    control, and heights that are missing.
+    The warnings name points without a place, with the reason where it is known, and those far
+    outside the control. Raises TermselError for tables that cannot be read, a CRS other than that
+    of the control, and heights that are missing.
     """
-    model = result.fit.model
     crs = result.fit.control.crs
     if dem is not None and height is not None:
         raise TermselError("--dem and --height exclude each other", hint="Give one of them.")
     if height is not None and not np.isfinite(height):
         raise TermselError(f"the height of the ground cannot be {height}",
                            hint="Give a finite number.")
-    if inverse:
-        try:
-            by_table = model.uses_height and dem is None and height is None
-            names = ["line", "sample", "z"] if by_table else ["line", "sample"]
-            table = _read_table(path, columns, *names, layer=layer, flat=by_table)
-        except TermselError as error:
-            if (error.code == "column-missing"
-                    and _has_columns(path, columns, "x", "y", layer=layer)):
-                error.hint = ("These are ground positions: leave --inverse out for their positions "
-                              "in the image.")
-            elif error.code == "column-missing":
-                error.hint = f"{error.hint} Name them: --columns line=NAME,sample=NAME."
-            raise
-        ids = table.ids()
-        image = table.stack("line", "sample")
-        heights = _heights_on_ground(table, crs, path) if by_table else None
-        if model.uses_height and not by_table and _has_columns(path, columns, "z", layer=layer):
-            log.warning("Note: the heights z of %s are not used, as %s is given.", path.name,
-                        "--height" if dem is None else "--dem")
-        with surface_of(dem, crs, 0.0 if height is None else height) as surface:
-            if heights is None:
-                say_difference(result.features, result.project, surface)
-            ground = result.locate(image, surface if heights is None else heights)
-            if (isinstance(surface, Dem) and not np.isfinite(ground).any()
-                    and _is_elsewhere(surface, result.fit.control.ground_vertices())):
-                raise TermselError("this raster of heights does not cover the control, which is "
-                                   f"around {place_of(result.fit.control)}", file=dem,
-                                   hint="Give a raster of that area.")
-        if dem is None and height is None and heights is None:
-            ground[:, 2] = np.nan
-    else:
-        try:
-            ids, ground = read_ground(result, path, columns, dem, height, layer)
-        except TermselError as error:
-            if error.code == "image-alone":
-                error.hint = ("These are image positions: add --inverse, with --dem FILE or "
-                              "--height H, for ground positions.")
-            elif error.code == "column-missing":
-                error.hint = f"{error.hint} Name them: --columns x=NAME,y=NAME" + (
-                    ",z=NAME. Without z: --dem FILE or --height H." if model.uses_height else ".")
-            elif error.code == "height-missing" and error.line is None:
-                error.hint = f"{error.hint} Name a column of heights: --columns z=NAME."
-            raise
-        with np.errstate(all="ignore"):
-            image = result.project(ground)
-        image[~np.isfinite(image)] = np.nan
+    to_other_positions = _locate_points if inverse else _project_points
+    ids, image, ground = to_other_positions(result, path, columns, dem, height, layer)
     with np.errstate(all="ignore"):
         sigma = result.sigma(ground)
     sigma[~np.isfinite(sigma)] = np.nan
     control = _control_ground(result)
     # Longitudes by whole turns next to the control, so that distances are those on the ground.
-    near = ground.copy()
+    ground_near_control = ground.copy()
     if turn := turn_of(crs):
         lon = control[:, 0]
-        near[:, 0] = nearest_longitudes(ground[:, 0], float(lon.min() + lon.max()) / 2, turn)
-    distances = distance_outside_control(control, near)
+        ground_near_control[:, 0] = nearest_longitudes(
+            ground[:, 0], float(lon.min() + lon.max()) / 2, turn)
+    distances = distance_outside_control(control, ground_near_control)
+    # Two points, or points in a line, enclose no area.
     encloses = bool(np.isfinite(distance_outside_control(control, control[:1])[0]))
-    if not encloses:  # two points, or points in a line
+    if not encloses:
         distances[:] = np.nan
     values = np.column_stack([image, ground, sigma, distances])
-    # Heights may be unknown; line, sample, x and y of what was found are not.
+    # Line, sample, x and y; heights may be unknown.
     missed: BoolArray = np.asarray(np.isnan(values[:, :4]).any(axis=1))
     header = ["id", "line", "sample", "x", "y", "z", "uncertainty_line",
               "uncertainty_sample", "outside"]
     text = table_text(crs, header, [[name] for name in ids], values)
-    # Places that no image of such a view shows, which is no fault of the model.
+    # The view itself, and not a fault of the model, is why there is no position.
     hidden = missed & (result.exported.above_horizon(image) if inverse else
                        np.isfinite(ground[:, :2]).all(axis=1) & result.exported.unseen(ground))
     off_image = _are_off_image(result, image) & missed & ~hidden if inverse else missed & False
@@ -156,6 +113,73 @@ def project_table(
     if known is not None and has_other_lines and missed.any():
         warnings.append(known.sentence())
     return text, warnings
+
+
+def _locate_points(result: Result, path: Path, columns: str, dem: Path | None,
+                   height: float | None, layer: str | None,
+                   ) -> tuple[list[str], FloatArray, FloatArray]:
+    """Return ids, image positions (n, 2) of a table, and the ground positions (n, 3) seen there.
+
+    The ground is the raster `dem`, level at `height`, or at the heights z of the table; heights of
+    a model without them are NaN. Arguments and errors are those of `project_table`.
+    """
+    model = result.fit.model
+    crs = result.fit.control.crs
+    by_table = model.uses_height and dem is None and height is None
+    names = ["line", "sample", "z"] if by_table else ["line", "sample"]
+    try:
+        table = _read_table(path, columns, *names, layer=layer, flat=by_table)
+    except TermselError as error:
+        if error.code == "column-missing" and _has_columns(path, columns, "x", "y", layer=layer):
+            error.hint = ("These are ground positions: leave --inverse out for their positions "
+                          "in the image.")
+        elif error.code == "column-missing":
+            error.hint = f"{error.hint} Name them: --columns line=NAME,sample=NAME."
+        raise
+    image = table.stack("line", "sample")
+    heights = _heights_on_ground(table, crs, path) if by_table else None
+    if model.uses_height and not by_table and _has_columns(path, columns, "z", layer=layer):
+        log.warning("Note: the heights z of %s are not used, as %s is given.", path.name,
+                    "--height" if dem is None else "--dem")
+    with surface_of(dem, crs, 0.0 if height is None else height) as surface:
+        if heights is None:
+            say_difference(result.features, result.project, surface)
+        ground = result.locate(image, surface if heights is None else heights)
+        if (isinstance(surface, Dem) and not np.isfinite(ground).any()
+                and _is_elsewhere(surface, result.fit.control.ground_vertices())):
+            raise TermselError("this raster of heights does not cover the control, which is "
+                               f"around {place_of(result.fit.control)}", file=dem,
+                               hint="Give a raster of that area.")
+    if dem is None and height is None and heights is None:
+        ground[:, 2] = np.nan
+    return table.ids(), image, ground
+
+
+def _project_points(result: Result, path: Path, columns: str, dem: Path | None,
+                    height: float | None, layer: str | None,
+                    ) -> tuple[list[str], FloatArray, FloatArray]:
+    """Return ids, image positions (n, 2), and the ground positions (n, 3) of a table.
+
+    NaN for image positions that the model does not compute. Arguments and errors are those of
+    `project_table`.
+    """
+    try:
+        ids, ground = read_ground(result, path, columns, dem, height, layer)
+    except TermselError as error:
+        if error.code == "image-alone":
+            error.hint = ("These are image positions: add --inverse, with --dem FILE or "
+                          "--height H, for ground positions.")
+        elif error.code == "column-missing":
+            uses_height = result.fit.model.uses_height
+            error.hint = f"{error.hint} Name them: --columns x=NAME,y=NAME" + (
+                ",z=NAME. Without z: --dem FILE or --height H." if uses_height else ".")
+        elif error.code == "height-missing" and error.line is None:
+            error.hint = f"{error.hint} Name a column of heights: --columns z=NAME."
+        raise
+    with np.errstate(all="ignore"):
+        image = result.project(ground)
+    image[~np.isfinite(image)] = np.nan
+    return ids, image, ground
 
 
 def _heights_on_ground(table: Table, crs: str, path: Path) -> FloatArray:
@@ -196,7 +220,7 @@ def _are_off_image(result: Result, image: FloatArray) -> BoolArray:
 def _projection_warnings(missed: Sequence[str], hidden: Sequence[str], off_image: Sequence[str],
                          far: Sequence[str], *, encloses: bool, inverse: bool,
                          has_other_lines: bool) -> Iterator[str]:
-    """Yield clauses on points that were not projected or located, or only far outside.
+    """Yield clauses on points that were not projected or located, and on those far outside.
 
     Parameters
     ----------
@@ -250,10 +274,10 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
     ----------
     result : Result
         Its model says whether heights are needed, its control the CRS.
-    path, columns, layer : optional
-        As for `project_table`.
+    path, columns, layer
+        The arguments of `project_table`.
     dem, height : optional
-        Where heights that are blank come from, a raster or one number.
+        The raster or the number from which blank heights are taken.
 
     Raises
     ------
@@ -263,10 +287,11 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
     model = result.fit.model
     crs = result.fit.control.crs
     names = ("x", "y", "z") if model.uses_height else ("x", "y")
-    fills = dem is not None or height is not None
+    fills_heights = dem is not None or height is not None
     if height is not None:
         refuse_void(height)
-    if dem is not None and not is_there(dem):  # also where no height is blank
+    # A raster that is missing is refused even where no height is blank.
+    if dem is not None and not is_there(dem):
         raise no_such_file_error(dem)
     try:
         table = _read_table(path, columns, *names, layer=layer, flat=model.uses_height)
@@ -281,7 +306,7 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
             error.code = "lines"
             error.hint = f"These are lines, and points are needed: a table id,{','.join(names)}."
         raise
-    _require_crs_and_heights(table, crs, path, model.uses_height, fills)
+    _require_crs_and_heights(table, crs, path, model.uses_height, fills_heights)
     try:
         refuse_other_units(table.named_units(), crs)
     except TermselError as error:
@@ -290,18 +315,18 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
     if IN_DEGREES in crs and not table.crs and not table.named_units():
         log.warning("Warning: the control was not in degrees, but this table is read as degrees. "
                     "If it is in gons (grads), name its columns x_gon and y_gon.")
-    # Heights that are missing altogether have no column.
+    # There may be no column of heights.
     present = [name for name in names if name in table.columns]
     ground[:, :len(present)] = table.stack(*present)
     ids = table.ids()
     _require_crs_of_control(ids, ground, crs, path)
     if not model.uses_height:
-        if fills:
+        if fills_heights:
             log.warning("Note: the model does not use heights, so %s is not used.",
                         "--height" if dem is None else "--dem")
         return ids, ground
     blank = np.flatnonzero(np.isnan(ground[:, 2]))
-    if fills and not blank.size:
+    if fills_heights and not blank.size:
         log.warning("Note: all points have heights, so %s is not used.",
                     "--height" if dem is None else "--dem")
     elif blank.size and dem is not None:
@@ -318,10 +343,11 @@ def read_ground(result: Result, path: Path, columns: str = "", dem: Path | None 
 
 
 def _require_crs_and_heights(table: Table, crs: str, path: Path, uses_height: bool,
-                             fills: bool) -> None:
+                             fills_heights: bool) -> None:
     """Raise TermselError for a table in another CRS than the control, without heights, or both.
 
-    `fills` says whether heights are given otherwise, for a model that uses them.
+    A model that `uses_height` needs a column of them, unless a raster or a number
+    `fills_heights`.
     """
     problems = []
     remedies = []
@@ -331,7 +357,7 @@ def _require_crs_and_heights(table: Table, crs: str, path: Path, uses_height: bo
         remedies.append("Transform the points to the CRS of the control" + (
             f": gdaltransform -s_srs {names[0]} -t_srs {names[1]} does it, a point in each line."
             if all(name.startswith("EPSG:") for name in names) else "."))
-    lacks_heights = uses_height and not fills and "z" not in table.columns
+    lacks_heights = uses_height and not fills_heights and "z" not in table.columns
     if lacks_heights:
         problems.append("there is no column for z, and the model requires heights")
         remedies.append(GIVE_HEIGHTS)
@@ -353,7 +379,7 @@ def _require_crs_of_control(ids: Sequence[str], ground: FloatArray, crs: str, pa
 
     `ids` and `ground` (n, 3) are of the points of the file `path`, which the error names.
     """
-    # Ranges and swapped columns are checked as of features; image positions play no part in that.
+    # Ranges and swapped columns are checked as those of features, with any image positions.
     try:
         places = FeatureSet(Points(tuple(ids), np.zeros((len(ids), 2)), ground), crs=crs)
     except TermselError as error:
@@ -387,12 +413,12 @@ def _read_table(path: Path, columns: str, *coordinates: str, layer: str | None,
     ----------
     path : Path
     columns : str
-        What the user says of the headings, as of --columns.
+        The value of --columns, which says which heading stands for which coordinate.
     *coordinates : str
-        Those whose columns the table must have: "x", "y", "z", "line", "sample", or
+        The coordinates whose columns the table must have: "x", "y", "z", "line", "sample", or
         those of a table of lines, such as "x1".
     layer : str or None
-        That of a vector file or spreadsheet; None for the first that has points.
+        The layer of a vector file or sheet of a spreadsheet; None for the first that has points.
     flat : bool
         Whether heights may be missing.
 
@@ -404,9 +430,9 @@ def _read_table(path: Path, columns: str, *coordinates: str, layer: str | None,
     accepted = LINES | COORDINATES
     aliases = _ID | {name: (*accepted[name], *_OF_QGIS.get(name, ())) for name in coordinates}
     table = table_of_places(path, aliases, parse_columns(columns), layer=layer, flat=flat)
-    # None of a file that is no vector file.
     if table is not None:
         return table
+    # The file is no vector file, but text or a spreadsheet.
     with read_once(path) as file:
         return replace(read_table(file, aliases, columns=columns, layer=layer, flat=flat),
                        path=path)

@@ -49,7 +49,7 @@ from termsel.formats.base import (
     read_text,
     utf16_error,
 )
-from termsel.formats.crs_files import crs_next_to, prj_next_to, say_other_crs, stated_crs
+from termsel.formats.crs_files import crs_next_to, prj_next_to, stated_crs, warn_of_other_crs
 from termsel.formats.heights import with_heights
 from termsel.formats.image_origin import (
     IMAGE_ORIGIN,
@@ -185,8 +185,7 @@ def read(
     >>> features.ids
     ('A', 'B')
     """
-    # Options of packages, such as the camera of termsel-cameras, are taken apart from those of the
-    # readers.
+    # Options are those of packages, such as the camera of termsel-cameras, or of the readers.
     given_options = {key: value for key, value in options.items() if value is not None}
     of_packages = {option.name: given_options.pop(option.name) for option in read_options()
                    if option.name in given_options} if given_options else {}
@@ -273,7 +272,7 @@ def _options_of_image(path: Path, image: Path, readers: Sequence[type[Reader]],
     image_options: dict[str, Any] = {}
     if "image_name" not in options:
         options_by_part = {name.casefold(): part for name, part in reader.parts(path).items()}
-        # Metashape calls the camera of DJI_1.JPG DJI_1.
+        # A part may have the name of the image without its ending, as with Metashape.
         name = image.name.casefold()
         stem = name.rpartition(".")[0]
         image_options |= options_by_part.get(name) or options_by_part.get(stem) or {}
@@ -292,7 +291,10 @@ def read_options() -> tuple[Option, ...]:
 
 
 def refuse_misspelt(options: Iterable[str]) -> None:
-    """Refuse an option that begins as those of reading do, such as camera_, and is none."""
+    """Raise TermselError for an option that begins as those of reading do and is none of them.
+
+    So camera_fokal is refused, as there is camera_focal.
+    """
     names = [option.name for option in read_options()]
     for key in options:
         group, _, further = key.partition("_")
@@ -318,9 +320,10 @@ def parts_of(path: Path, format: str | None = None, **options: Any) -> dict[str,
 
 def features_of(source: Any, crs: CrsLike | None = None,
                 columns: str | Mapping[str, Any] | None = None) -> FeatureSet:
-    """Return features, points or lines or both, from a FeatureSet, a file or a table, as `read`.
+    """Return features, points or lines or both, from a FeatureSet, a file or a table.
 
-    A FeatureSet is returned as it is. `crs` and `columns` say what a file or table does not.
+    A FeatureSet is returned as it is; files and tables are read as `read` does. `crs` and `columns`
+    say what a file or table does not.
 
     Raises
     ------
@@ -388,11 +391,14 @@ def _with_rpc_and_heights(features: FeatureSet, dem: Path | str | None,
 
 
 def readers_of(paths: Sequence[Path], formats: Sequence[str]) -> list[type[Reader]]:
-    """Return the readers to ask about files: those of plugins only where they are needed."""
+    """Return the readers to ask about files: the built-in ones, or all with those of plugins.
+
+    Looking for plugins takes longer than reading a table. Plugins are not looked for where built-in
+    readers recognise every file, and every format in `formats` is theirs.
+    """
     built_in_readers: list[type[Reader]] = [
         entry.object for entry in built_in().entries("readers")]
     names = {reader.name for reader in built_in_readers}
-    # Looking for plugins takes longer than reading a table: most files need none.
     are_recognised = names.issuperset(formats)
     for path in dict.fromkeys(paths):
         if not are_recognised:
@@ -425,7 +431,7 @@ def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any],
     table_path = Path("the table")
     measured = replace(features, crs=_agreed_crs({table_path: features}, _stated_crs(crs)))
     _require_crs(measured, [table_path], "columns" not in options and swapped is None)
-    _say_misspelt(table_path, measured)
+    _warn_of_misspelt(table_path, measured)
     refuse_other_units(measured.named_units, measured.crs, are_heights_open=True)
     check_ground(without_off(measured), z_unit)
     _say_doubts(measured)
@@ -434,11 +440,11 @@ def _read_frame(frame: Any, crs: str | None, options: Mapping[str, Any],
 
 def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None = None,
                 options: Mapping[str, Any] | None = None) -> Reader:
-    """Return the first reader that recognises the content of a file.
+    """Return the reader that recognises the content of a file (see `_reader_that_recognises`).
 
     `format` names the reader to use, whatever the content looks like. Each reader takes the options
     it declares. Raises TermselError if there is no such reader, an option does not accept its
-    value, the file is missing, empty, a folder or not readable, or no reader recognises it.
+    value, the file is missing, empty or not readable, or no reader recognises the file or folder.
     """
     usable = []
     # A reader gets its own options alone: those of others are no fault of this file.
@@ -450,18 +456,18 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
     if format is not None and not named:
         raise unknown_name_error("file format", format, [reader.name for reader in usable])
     if is_there(path) and path.is_dir():
-        for_folders = [reader for reader in named or usable if reader.folders]
-        of_folder = _reader_that_recognises(path, b"", for_folders)
-        if of_folder is not None:
-            return of_folder
+        readers_of_folders = [reader for reader in named or usable if reader.folders]
+        folder_reader = _reader_that_recognises(path, b"", readers_of_folders)
+        if folder_reader is not None:
+            return folder_reader
         _refuse_own_folder(path)
     # Also where a format is named: a file that is missing or empty is said to be so first.
     head = read_head(path, EXPECTED)
     if named:
         return named[0]
-    recognising = _reader_that_recognises(path, head, usable)
-    if recognising is not None:
-        return recognising
+    reader = _reader_that_recognises(path, head, usable)
+    if reader is not None:
+        return reader
     # No reader knows the content: what it seems to be decides what helps, the surest first.
     if any(name in head for name in (b"LINE_NUM_COEFF", b"lineNumCoef", b"Global_RFM")):
         raise TermselError("this file contains an RPC and no control points", file=path,
@@ -484,7 +490,10 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
 
 
 def _refuse_own_folder(path: Path) -> None:
-    """Raise TermselError for a folder that termsel wrote, with the command that reads it."""
+    """Raise TermselError for a folder that termsel wrote, with the command that shows it.
+
+    Other folders pass.
+    """
     for name, noun, command in (("result.json", "result", "termsel report"),
                                 (JOURNAL, "study", "termsel compare --status"),
                                 ("block.json", "block", "termsel report")):
@@ -497,9 +506,9 @@ def _refuse_own_folder(path: Path) -> None:
 def _refuse_other_content(path: Path, head: bytes) -> None:
     """Raise TermselError for a web page, other XML, GeoJSON of other geometry, and damaged JSON.
 
-    No reader recognises the file, and a general message would help nobody: what it is shows in its
-    first bytes, `head`. A failed download is a web page, metadata of an image are JSON or XML, and
-    GeoJSON may have polygons. Nothing is raised where nothing shows.
+    No reader recognises the file, and a general message would help nobody: its first bytes, `head`,
+    may show what it is. A failed download is a web page, metadata of an image are JSON or XML, and
+    GeoJSON may have polygons. Files of any other content pass.
     """
     text = head.decode("utf-8-sig", errors="replace").lstrip()
     if path.suffix.lower() == ".toml":
@@ -551,8 +560,7 @@ def _reader_that_recognises(path: Path, head: bytes, readers: Sequence[Reader]) 
     built_in_reader = next((reader for reader in readers
                             if is_own(type(reader)) and reader.sniff(path, head)), None)
     claims: list[Reader] = []
-    # Every reader of a plugin is asked: one that fails, or recognises noise as well, takes no file
-    # of another.
+    # A reader that fails is passed over, so that it keeps no file from the others.
     for reader in readers:
         if is_own(type(reader)):
             continue
@@ -569,9 +577,9 @@ def _reader_that_recognises(path: Path, head: bytes, readers: Sequence[Reader]) 
         return built_in_reader
     if len(claims) < 2:
         return claims[0] if claims else None
-    choosy_readers = [reader for reader in claims if not _recognises_noise(reader, path)]
-    if len(choosy_readers) == 1:
-        return choosy_readers[0]
+    selective_readers = [reader for reader in claims if not _recognises_noise(reader, path)]
+    if len(selective_readers) == 1:
+        return selective_readers[0]
     raise TermselError(
         f"several readers recognise this file: {', '.join(map(name_of, claims))}", file=path,
         hint="Choose one: " + " or ".join(f"--format {reader.name}" for reader in claims) + ".")
@@ -601,10 +609,10 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
     `origin` turns image coordinates of formats that leave open where they count from; `swapped`
     says which coordinates the files have exchanged, `z_unit` in what unit heights are.
 
-    Raises TermselError as `find_reader`; if the content is invalid; if no file's reader has such an
-    option; if a file holds no features of its kind, or others that were not asked for; if the CRS
-    is not known or stated twice and differently; if coordinates cannot be in it; if features of two
-    kinds have one id.
+    Raises TermselError if no reader can be found (`find_reader`); if the content is invalid; if no
+    file's reader has an option that is given; if a file holds no features of its kind, or others
+    that were not asked for; if the CRS is not known, or is stated twice and differently; if
+    coordinates cannot be in it; if features of two kinds have one id.
     """
     read_with = partial(_features_of_files, points, lines, areas=areas, readers=list(readers),
                         formats=formats, either=either, origin=origin, swapped=swapped,
@@ -614,11 +622,13 @@ def read_features(points: Path | None, lines: Path | None, *, areas: Path | None
     except TermselError as error:
         if error.guesses:
             if "--set" in error.options:
-                turned = partial(read_with, origin=partial(with_image_origin, choice=UP, size=None))
+                # The guesses take lines as counted upwards, which this option would state.
+                read_guess = partial(read_with,
+                                     origin=partial(with_image_origin, choice=UP, size=None))
             else:
-                turned = read_with
+                read_guess = read_with
             error = keep_readable_guesses(error, partial(
-                _fitness_of_columns, turned, crs, options or {}))
+                _fitness_of_columns, read_guess, crs, options or {}))
         columns = error.options.get("--columns", "?")
         # A message proposes all that is still missing. Where the same columns were given already,
         # or some are not known, nothing else would be asked next.
@@ -702,7 +712,7 @@ def _features_of_files(points: Path | None, lines: Path | None, *, areas: Path |
     _refuse_idle(options, reader_of)
     sets = _read_each_file(reader_of, origin, swapped, is_format_named=bool(formats))
     for path, features in sets.items():
-        _say_misspelt(path, features)
+        _warn_of_misspelt(path, features)
         if reader_of[path].areas or path == areas:
             _check_areas(path, reader_of[path], path == areas and path not in (points, lines))
             continue
@@ -771,9 +781,9 @@ def _read_each_file(reader_of: Mapping[Path, Reader], origin: Origin | None, swa
 def _say_doubts(features: FeatureSet) -> None:
     """Warn of coordinates that the CRS can have and that are nevertheless likely to be wrong.
 
-    That is where a column names another CRS, where only some of the coordinates fit the CRS, and
-    where axes look swapped. A projection that stretches lengths is noted. Features that are off
-    raise no doubt.
+    They are if a column names another CRS, if only some of the coordinates fit the CRS, or if axes
+    look swapped. A projection that stretches lengths is noted. Features that are off are not
+    looked at.
     """
     features_in_use = without_off(features)
     if crs_doubt := note_on_other_crs(features_in_use):
@@ -786,7 +796,7 @@ def _say_doubts(features: FeatureSet) -> None:
     note_on_scale(features_in_use)
 
 
-def _say_misspelt(path: Path, features: FeatureSet) -> None:
+def _warn_of_misspelt(path: Path, features: FeatureSet) -> None:
     """Warn of columns that take no part in the fit and have nearly the name of one that does."""
     points = features.points
     lines = features.lines
@@ -807,7 +817,7 @@ def _say_misspelt(path: Path, features: FeatureSet) -> None:
 def _check_areas(path: Path, reader: Reader, asked_for: bool) -> None:
     """Raise TermselError where a file of areas is given as another one, or another one as areas.
 
-    `asked_for` says whether the file was given as areas, and not as points or lines.
+    `asked_for` says whether the file was given as areas alone, and not also as points or lines.
     """
     if not reader.areas:
         raise TermselError("this is a file of points or lines, not of areas", file=path,
@@ -912,7 +922,7 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
         crs = features.crs or ("" if stated else crs_next_to(path))
         if not crs:
             if stated:
-                say_other_crs(path, stated)
+                warn_of_other_crs(path, stated)
             continue
         try:
             declared = normalise(crs)

@@ -102,9 +102,10 @@ def rectify(
         Raster of heights. Its vertical datum is that of the control where it declares none, else
         it is converted to that.
     height : float, optional
-        Of the ground, where no raster is given; that of the middle of the control by default.
+        Height of the ground, where no raster is given; by default that of the middle of the
+        control.
     crs : str, int or CRS, optional
-        Of the map, as for `termsel.read`; by default that of the control where it is in metres,
+        CRS of the map, as for `termsel.read`; by default that of the control where it is in metres,
         else the zone of UTM, or on another body than the Earth a transverse Mercator projection.
     resolution : float, optional
         Size of a pixel of the map [units of its CRS]; that of the image on the ground by default.
@@ -160,7 +161,7 @@ def rectify(
         if value is not None and not np.isfinite(value):
             raise TermselError(f"the {name} of a map cannot be {value}", hint="Give a number.")
     target = map_crs(result, None if crs is None else crs_text(crs))
-    # In this order: names and numbers first, then files, then long work.
+    # Names and numbers were checked first; now come files, and then long work.
     result = as_exported(result, final)
     picture = picture_for(result, image)
     with open_raster(image) as raster:
@@ -190,7 +191,7 @@ def rectify(
                 crs_note = ""
             else:
                 crs_note = f" ({zone}as the control is not in metres; --crs names another)"
-            _say(result, grid, crs_note, share, dem)
+            _log_map(result, grid, crs_note, share, dem)
             say_stand_in(result.fit, grid.crs)
             warp(raster, output, grid, pixels, tags=accuracy_tags(result, caution),
                  progress=progress, positions=positions, **options)
@@ -208,7 +209,8 @@ def _write_source(result: Result, picture: Picture, vrt: Path, surface: Dem | fl
     rpc_fit = None
     if sees_all(result, grid, level) and _shift_over_wgs84(result, grid) <= _DATUM_PX:
         rpc_fit = _usable_rpc(result)
-    # GDAL looks longitudes up in the raster as they are, and finds none of 290 degrees.
+    # GDAL looks a longitude up in the raster as it is, and would find nothing in a raster whose
+    # longitudes go on beyond 180 degrees.
     if rpc_fit is None or (isinstance(surface, Dem) and surface.is_beyond_180):
         log.info("Positions in the image are computed on a grid of the map, and interpolated.")
         write_text(vrt, vrt_text(picture, vrt.parent))
@@ -233,7 +235,7 @@ def _write_source(result: Result, picture: Picture, vrt: Path, surface: Dem | fl
 def _shift_over_wgs84(result: Result, grid: MapGrid) -> float:
     """Return how far a map by an RPC is off at most, as RPCs take positions in WGS84 [px of map].
 
-    It is 0 where PROJ goes the same way from the CRS of the control to WGS84 as from that of the
+    It is 0 if PROJ goes the same way from the CRS of the control to WGS84 as from that of the
     map, there and back.
     """
     control_crs = result.features.crs
@@ -251,7 +253,7 @@ def _shift_over_wgs84(result: Result, grid: MapGrid) -> float:
 def _say_heights(result: Result, surface: Dem | float) -> HeightCaution | None:
     """Warn where the heights of the ground contradict the control, or a level leaves out relief.
 
-    Returns the caution with the larger effect, None where there is none.
+    Returns the caution that has the larger effect; None if there is neither.
     """
     level = _say_level(result, surface)
     difference = say_difference(result.features, result.project, surface)
@@ -260,7 +262,10 @@ def _say_heights(result: Result, surface: Dem | float) -> HeightCaution | None:
 
 
 def _say_level(result: Result, surface: Dem | float) -> HeightCaution | None:
-    """Warn how far heights of the control are off a level ground, if no raster is given."""
+    """Warn how far the map is off because the ground is taken as level; return the caution.
+
+    None if a raster of heights is given, or if the model uses no heights.
+    """
     if isinstance(surface, Dem) or not result.fit.model.uses_height:
         return None
     log.warning("Warning: without a raster of heights (--dem) the ground is taken as level, at the "
@@ -278,12 +283,12 @@ def _say_level(result: Result, surface: Dem | float) -> HeightCaution | None:
 
 
 def _usable_rpc(result: Result) -> RpcFit | None:
-    """Return the RPC of a result, or None if it is too far from the model."""
+    """Return the RPC next to the fit of a result; None if there is none, or it is too far off."""
     try:
-        # Why there is no RPC matters only to those who look for it.
         rpc_fit = closest_rpc(result.fit)
     except TermselError as error:
-        log.debug("%s.", error.what)  # what the map lacks is said when it is written
+        # The map is made in another way: why there is no RPC matters only to a developer.
+        log.debug("%s.", error.what)
         return None
     # A map is a box, and shows ground beyond the part of an oblique image that the RPC follows.
     return rpc_fit if rpc_fit.worst <= GOOD and not rpc_fit.excluded_part else None
@@ -293,9 +298,13 @@ _SYMBOLS = {"metre": "m", "degree": "degrees", "foot": "ft", "US survey foot": "
 """What a line calls the units of a CRS, in which a pixel has a size."""
 
 
-def _say(result: Result, grid: MapGrid, crs_note: str, share: float,
-         dem: Path | str | None) -> None:
-    """Log size and CRS of the map, and which share of the image it shows."""
+def _log_map(result: Result, grid: MapGrid, crs_note: str, share: float,
+             dem: Path | str | None) -> None:
+    """Log size and CRS of the map, and which share of the image it shows, 0 to 1.
+
+    `crs_note` follows the CRS in the message. Warns if the map seems mirrored; if it lacks a part
+    of the image, for which `dem` may be a reason; or if the model is of some lines alone.
+    """
     known = result.fit.model.known_image()
     if known is not None and known.lines is not None:
         log.warning("Warning: %s. The map shows no others.", known.sentence())

@@ -25,12 +25,13 @@ _ENDINGS = {"CSV": (".csv", ".txt"), "JSON": (".json",)}
 def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
                         overwrite: bool = False, makes_folder: bool = False,
                         written_as: str | None = None, beside: bool = True) -> None:
-    """Refuse to replace a file that is read, any other without permission, or what cannot be.
+    """Raise TermselError unless all files may be written.
 
-    For commands, before long work: nobody should learn after it that there is no such folder.
-    However a name is spelt (relative, through links, in another case where the disk ignores it),
-    the file counts. So do the sources of a VRT, and the files with RPCs, georeferences and pyramids
-    next to an image.
+    A file may not be written if the command reads it, if it exists and may not be replaced, or if
+    the system does not allow it. Commands ask before long work: nobody should learn after it that
+    there is no such folder. A file that is read counts however its name is spelt (relative, through
+    links, in another case where the disk ignores it). The sources of a VRT are read, too, and so
+    are the files with RPCs, georeferences and pyramids next to an image.
 
     Parameters
     ----------
@@ -58,7 +59,7 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
     Raises
     ------
     TermselError
-        Naming the file.
+        For the first file at fault, which it names.
 
     Examples
     --------
@@ -83,10 +84,10 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
 
 def _refuse_read(files: Iterable[Path], reads: Iterable[Path]) -> None:
     """Raise TermselError for a file that is read, under whatever name."""
-    read = list(reads)
+    sources = list(reads)
     for file in files:
-        # The same file under another name is found by its device and number.
-        for source in read:
+        # samefile compares device and number, which are the same under any name.
+        for source in sources:
             if file.samefile(source):
                 alias = "" if str(source) == str(file) else f", as {source}"
                 raise TermselError(f"this command reads this file{alias}, and would replace it",
@@ -105,8 +106,8 @@ def _refuse_other_ending(file: Path, written_as: str) -> None:
 def _require_writable(file: Path, makes_folder: bool) -> None:
     """Refuse the name of a file that cannot be written: no folder, no permission, another kind.
 
-    Asked before long work: where the folder is made by the command itself, the first one above it
-    that exists must allow that.
+    With `makes_folder` the command makes the folder itself, if the first one above it that exists
+    allows that.
     """
     # Through links, as the file behind them is the one that is written.
     target = Path(os.path.realpath(file))
@@ -116,7 +117,6 @@ def _require_writable(file: Path, makes_folder: bool) -> None:
                            hint="Give the name of a file to write.")
     folder = target.parent
     if makes_folder:
-        # The folder itself is made, if the first one above it that exists allows it.
         folder = next(parent for parent in target.parents if os.path.lexists(parent))
     if not folder.is_dir():
         if os.path.lexists(folder):
@@ -133,11 +133,11 @@ def _require_writable(file: Path, makes_folder: bool) -> None:
 
 
 def _files_in_use(reads: Iterable[object], beside: bool) -> Iterator[Path]:
-    """Yield the files that are there, with those of results and the sources of VRTs.
+    """Yield the paths among `reads` that exist, and all files that are read with them.
 
-    Those `beside` an image are among them if asked for.
+    These are the files in folders of results, the sources of VRTs to the end of the chain, and if
+    `beside` those that GDAL takes with an image. What is no path is ignored.
     """
-    # To the end of the chain: a VRT of a VRT, a folder of results.
     waiting = [Path(read) for read in reads if isinstance(read, str | Path)]
     visited: set[Path] = set()
     while waiting:
@@ -150,7 +150,6 @@ def _files_in_use(reads: Iterable[object], beside: bool) -> Iterator[Path]:
             waiting += files_of_result(path)
             continue
         if beside:
-            # GDAL reads these files with the image.
             names = [*(path.with_suffix(end) for end in _NEXT_TO),
                      *(path.with_name(path.stem + end) for end in _AFTER),
                      *(path.with_name(path.name + end) for end in _APPENDED)]
@@ -161,9 +160,8 @@ def _files_in_use(reads: Iterable[object], beside: bool) -> Iterator[Path]:
 
 
 def _is_vrt(path: Path) -> bool:
-    """Return whether a file is a virtual raster, by its beginning."""
+    """Return whether a path is a file that begins as a virtual raster; False if unreadable."""
     if not path.is_file():
-        # A folder has no content to look into.
         return False
     try:
         with path.open("rb") as file:

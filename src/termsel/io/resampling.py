@@ -71,12 +71,11 @@ def resample_pixels(window: ImageWindow, positions: FloatArray, resampling: str,
     values = np.empty((bands, *positions.shape[:2]), dtype=window.values.dtype)
     values[:] = empty.astype(window.values.dtype)[:, None, None]
     visible = np.zeros(values.shape, dtype=bool)
-    # Sums of whole numbers are rounded, and kept in the range of their type.
-    integral = window.values.dtype.kind in "iu"
-    # A value below or above the range would wrap around.
+    # Means of whole numbers are rounded; a value outside the range of the type would wrap around.
+    is_integral = window.values.dtype.kind in "iu"
     low = -np.inf
     high = np.inf
-    if integral:
+    if is_integral:
         low = float(np.iinfo(window.values.dtype).min)
         high = float(np.iinfo(window.values.dtype).max)
     # Where pixels of the map are larger than those of the image, kernels are widened by as much.
@@ -88,7 +87,7 @@ def resample_pixels(window: ImageWindow, positions: FloatArray, resampling: str,
     fill = _fill_complex if window.values.dtype.kind == "c" else _fill
     fill(window.values, window.has_data, window.line, window.sample,
          np.ascontiguousarray(positions), kernel, RADII[kernel], stretch[0], stretch[1],
-         size[0], size[1], integral, low, high, values, visible)
+         size[0], size[1], is_integral, low, high, values, visible)
     return values, visible
 
 
@@ -105,12 +104,16 @@ def extent_of_positions(
     The largest are below the least where there are none.
     """
     bounds = np.array([np.inf, np.inf, -np.inf, -np.inf])
-    _bounds(positions, lines, samples, bounds)
+    _widen_bounds(positions, lines, samples, bounds)
     return bounds[:2], bounds[2:]
 
 
-def _bounds_inside(positions: Any, lines: int, samples: int, bounds: Any) -> None:
-    """Widen `bounds` (4,) to all positions (n, m, 2) inside an image."""
+def _widen_bounds(positions: Any, lines: int, samples: int, bounds: Any) -> None:
+    """Widen `bounds` in place to all positions (n, m, 2), line and sample, inside an image.
+
+    `bounds` (4,) are the least line and sample, then the largest. Arrays are `Any`, as the function
+    is compiled.
+    """
     for i in range(positions.shape[0]):
         for j in range(positions.shape[1]):
             line = positions[i, j, 0]
@@ -123,11 +126,15 @@ def _bounds_inside(positions: Any, lines: int, samples: int, bounds: Any) -> Non
                 bounds[3] = max(bounds[3], sample)
 
 
-_bounds = compile_lazily(_bounds_inside)
+_widen_bounds = compile_lazily(_widen_bounds)
 
 
 def _stretch(positions: FloatArray) -> FloatArray:
-    """Return the pixels of the image in a step on the map, along lines and samples, (2,)."""
+    """Return how many pixels of the image a step of one pixel on the map covers, (2,).
+
+    Along lines and along samples of the image: the root of the sum of squares over both directions
+    of the map. 0 where no neighbouring positions (n, m, 2) are known.
+    """
     squares = np.zeros(2)
     for axis in (0, 1):
         # Every eighth position is enough: neighbouring tiles are alike.
@@ -145,9 +152,10 @@ def _kernel_weight(distance: float, kernel: int, stretch: float) -> float:
     the area. `stretch` is how many pixels of the image one of the map covers, by which the kernel
     is widened so that nothing is skipped.
     """
-    if kernel == 5:  # the part of the pixel that lies in the interval
-        half = 0.5 * stretch
-        return max(min(distance + 0.5, half) - max(distance - 0.5, -half), 0.0)
+    # The part of the pixel that lies in an interval of `stretch` pixels.
+    if kernel == 5:
+        half_interval = 0.5 * stretch
+        return max(min(distance + 0.5, half_interval) - max(distance - 0.5, -half_interval), 0.0)
     x = abs(distance) / stretch
     # Triangle: 1 - |x|.
     if kernel == 1:
@@ -257,8 +265,10 @@ def _filled_complex(pixels: Any, has_data: Any, first_line: int, first_sample: i
                     kernel: int, radius: float, stretch_line: float, stretch_sample: float,
                     lines: int, samples: int, integral: bool, low: float, high: float, values: Any,
                     visible: Any) -> None:
-    """Fill both parts of complex pixels."""
-    # Kernels are real, so that both components are interpolated alike.
+    """Fill a tile of complex pixels: real and imaginary parts each as `_fill_pixels` does.
+
+    So they can be, as kernels are real.
+    """
     for component in range(2):
         component_pixels = pixels.real.copy() if component == 0 else pixels.imag.copy()
         component_values = np.zeros(values.shape, dtype=component_pixels.dtype)

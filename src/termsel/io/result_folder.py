@@ -65,13 +65,12 @@ def names_of(features: FeatureSet) -> tuple[str, ...]:
 
 @contextmanager
 def lock_output_folder(folder: Path, *, overwrite: bool = False) -> Iterator[None]:
-    """Make the folder and keep other processes out of it, before a long search begins.
+    """Make the folder unless it is there, and keep other processes out of it during the block.
 
-    Raises TermselError for a folder that cannot be made or written to, that another process is at
-    work in, is that of a study, or has a result that may not be replaced, or files that would be
-    replaced and are not those of a result.
+    Raises TermselError for a folder that cannot be made or written to; in which another process is
+    at work; that is the folder of a study; or that has a result that may not be replaced, or files
+    that would be replaced and are not those of a result.
     """
-    # The folder may be there: only a result or a study in it is refused.
     make_folder(folder)
     if not os.access(folder, os.W_OK | os.X_OK):
         raise TermselError(f"cannot write to the folder {folder}", hint="Choose another --out.")
@@ -148,7 +147,10 @@ def write_result(result: Result, folder: Path | str) -> None:
 
 
 def _contents_by_file(result: Result) -> dict[str, str]:
-    """Return the text of each file of a result by its name, the record last."""
+    """Return the text of each file of a result by its name, the record last.
+
+    There is a table of points and one of lines only for a result that has any.
+    """
     points = result.features.points
     lines = result.features.lines
     crs = result.features.crs
@@ -215,12 +217,12 @@ def read_result(folder: Path | str) -> Result:
     Parameters
     ----------
     folder : path-like
-        As given to ``--out``.
+        The folder that ``--out`` named.
 
     Returns
     -------
     Result
-        As the run returned it.
+        The result that the run returned.
 
     Raises
     ------
@@ -257,7 +259,7 @@ def read_result(folder: Path | str) -> Result:
                         path.with_name(" or ".join(files)))
         with options_of_file(Path(folder) / RECORD):
             return result_from(record, features)
-    # The file that was read is named where nothing nearer is.
+    # An error that names no file is one of the record.
     except TermselError as error:
         raise (error if error.file is not None else error_in_file(error, path)) from error
 
@@ -279,7 +281,6 @@ def _no_result_error(folder: Path, path: Path) -> TermselError:
     if folder.is_file():
         return TermselError("this is a file, expected the folder of a result", file=folder,
                             hint="Give the folder that termsel run --out DIR wrote.")
-    # A block has a folder for each image, a study one within `images`.
     names = results_within(folder)
     if names:
         return TermselError("there is no result here, but in folders within it", file=folder,
@@ -298,7 +299,7 @@ def _read_features(folder: Path, record: Record) -> FeatureSet:
     data = record.data
     counts = data.counts
     normalise(data.crs)
-    # By the record: an earlier result in the same folder may have left a file that this has not.
+    # The record says which tables there are: one that it does not count is of an earlier result.
     point_count = counts.control + counts.check + counts.independent + counts.off
     lines_path = _path_of_file(folder, LINES)
     points_path = _path_of_file(folder, POINTS)
@@ -312,7 +313,6 @@ def _read_features(folder: Path, record: Record) -> FeatureSet:
                           noise=data.noise, heights=data.heights or "",
                           fit_crs=record.scaling.fit_crs,
                           rpc=None if data.rpc is None else Rpc.from_numbers(data.rpc))
-    # Roles are in both the table and the record: a changed table is noticed.
     observations = observations_by_role(features)
     roles = {"control": observations.control.ids, "check": observations.check.ids,
              "independent": observations.independent.ids, "off": observations.off}

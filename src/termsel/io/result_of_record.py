@@ -61,7 +61,11 @@ def _clause_on_other_version(content: dict[str, Any]) -> str:
 
 @np.errstate(over="ignore", invalid="ignore")  # of coefficients or places such as 1e300
 def result_from(record: Record, features: FeatureSet) -> Result:
-    """Return the result of a record and its features, each point with its role."""
+    """Return the result of a record and its features, each point with its role.
+
+    Raises TermselError where the record does not fit the features, or the installed model is
+    another one than that of the run.
+    """
     observations = observations_by_role(features)
     model = _model_of_selection(record)
     fitted = _fit_of_selection(record, model, observations)
@@ -78,7 +82,7 @@ def _model_of_selection(record: Record) -> SensorModel:
     Raises TermselError where the model that is installed lacks a term of the record.
     """
     model_type = _model_type(record.plugins.get("model"), record.model)
-    # A plugin may have changed its options since: that is said by its own error.
+    # Raises an error of its own where a plugin has changed its options since.
     declared: SensorModel = model_type(**record.options.model)
     model = declared.with_parameters(record.selection.parameters)
     if unknown := [name for name in record.coefficients if name not in model.terms]:
@@ -89,19 +93,20 @@ def _model_of_selection(record: Record) -> SensorModel:
 
 
 def _fit_of_selection(record: Record, model: SensorModel, observations: Observations) -> Fit:
-    """Return the fit of the selection: of the control, or of all it was made with."""
+    """Return the fit of the selection, whose coefficients and figures are those of the record.
+
+    A search selects among the control. auto fits to control and check points with twins merged,
+    which the record then lists.
+    """
     control = observations.control
     how = record.estimation
     if how.features is None:
-        # A search selects among the control; auto fits to control and check points with twins
-        # merged.
         used = np.isin(control.ids, record.selection.features)
     else:
         joint = observations.together
         control = _merge_listed_points(joint, set(joint.ids), how.features)
         used = np.ones(len(control), dtype=bool)
     scaling = Scaling.from_numbers(record.scaling)
-    # Coefficients are taken as they are, so that nothing is fitted again.
     fitted = fit_of_record(
         model, control, scaling, used, coefficients=record.coefficients,
         deviations=record.standard_deviations, figures=record.adjustment, how=how,
@@ -184,13 +189,16 @@ def _model_type(plugin: PluginRecord | None, name: str) -> type[SensorModel]:
 
 
 def _refuse_other_model(record: Record, fitted: Fit, observations: Observations) -> None:
-    """Refuse a model that has changed since the run, as another version of a plugin may have."""
+    """Raise TermselError for a model that has changed since the run, as a plugin's may have.
+
+    Each RMSE of the record must be that of the fit, computed again. One that is computed in another
+    way, such as leave-one-out, is not compared.
+    """
     current_rmse = rmse_by_role(fitted, observations)
-    # Leave-one-out of what auto chose is told by what it predicts, not here.
     for role, rmse in record.rmse.by_role.items():
         current = current_rmse.get(role)
         total = number(rmse.total)
-        # Computed again from the features: rounding of the file is far below 1e-3.
+        # Coordinates in the tables are rounded, which changes an RMSE by far less than 1e-3.
         if rmse.n and current is not None and not np.isclose(
                 total, current.total, rtol=1e-3, atol=1e-6, equal_nan=True):
             raise TermselError(

@@ -24,19 +24,19 @@ def with_spent(result: Result, folder: Path) -> Result:
     """Return a result that says which earlier results showed its independent points.
 
     These are the result in the folder, which is about to be replaced, and those in the folders
-    next to it. A result with the same fit spends nothing. A result that was never written leaves
-    no trace.
+    next to it, which are usually of the same data. A result with the same fit spends no points; one
+    that was never written leaves no trace. The result is returned as it is if it has no accuracy,
+    or if none of its points were shown.
     """
     if result.accuracy is None:
         return result
-    # What makes a fit: the same one over again does not spend its points twice.
     independent = _independent_points(result.features.points)
     this_fit = _fit_of(result)
     shown_points = set[str]()
     names = set[str]()
-    # Results next to each other are usually of the same data.
     for file in sorted(folder.resolve().parent.glob(f"*/{RECORD}")):
-        with suppress(TermselError):  # another program's, or damaged
+        # A file of this name may be another program's, or be damaged.
+        with suppress(TermselError):
             record = record_from(parse_json(read_text(file), AGAIN))
             another_fit = _fit_of(record) != this_fit
             earlier = _spent_before(record)
@@ -46,7 +46,7 @@ def with_spent(result: Result, folder: Path) -> Result:
             points = PointsCsv().read(file.with_name(POINTS)).points
             shared = independent & _independent_points(points)
             ids = {name for name, *_ in shared}
-            # What an earlier result knew of its points holds for these, even if that one is gone.
+            # An earlier result names results before it, which may be gone by now.
             if before := ids & earlier.keys():
                 shown_points |= before
                 names.update(*(earlier[point] for point in before))
@@ -55,18 +55,18 @@ def with_spent(result: Result, folder: Path) -> Result:
                 names.add(file.parent.name)
     if not shown_points:
         return result
-    named = tuple(sorted(names))
-    single = len(shown_points) == 1
+    results_named = tuple(sorted(names))
+    is_single = len(shown_points) == 1
     of_all = "" if len(shown_points) == len(independent) else f" of {len(independent)}"
     plural = "s" if len(independent) > 1 else ""
     note = (f"{len(shown_points)}{of_all} independent check point{plural} "
-            f"{'is' if single else 'are'} no longer independent: {'it' if single else 'they'} "
-            "already assessed another fit, in "
-            f"{first_names_in_words(named)}. A fit that is chosen by them looks better than it "
-            "is. Compare fits by selection points or by the predicted RMSE, or measure new "
+            f"{'is' if is_single else 'are'} no longer independent: "
+            f"{'it' if is_single else 'they'} already assessed another fit, in "
+            f"{first_names_in_words(results_named)}. A fit that is chosen by them looks better "
+            "than it is. Compare fits by selection points or by the predicted RMSE, or measure new "
             "independent check points.")
     spent = tuple(name for name in result.features.points.ids if name in shown_points)
-    accuracy = structs.replace(result.accuracy, spent_by=named, spent=spent)
+    accuracy = structs.replace(result.accuracy, spent_by=results_named, spent=spent)
     return result.with_(notes=(*result.notes, note), accuracy=accuracy)
 
 
@@ -95,7 +95,6 @@ def _fit_of(record: Record) -> tuple[Any, ...]:
     """
     selection = record.selection
     if record.strategy is not None:
-        # Auto fits to all control, so that its selection of features says nothing.
         selection = structs.replace(selection, features=(), n_features=0)
     return (record.model, as_plain_data(selection), record.estimation.estimator,
             record.estimation.options,

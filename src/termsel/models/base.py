@@ -139,14 +139,14 @@ class SensorModel(Configurable, ABC):
         ----------
         scaling : Scaling
         crs : str
-            Of the ground coordinates.
+            The CRS of the ground coordinates.
 
         Raises
         ------
         TermselError
             If the model is not valid at this place.
         """
-        # Preparing twice changes nothing, so that what the model caches is kept.
+        # The same object, so that what the model caches is kept.
         if (self.scaling, self.crs) == (scaling, crs):
             return self
         # A copy: the same model may be fitted to several images at once.
@@ -161,7 +161,7 @@ class SensorModel(Configurable, ABC):
         Parameters
         ----------
         parameters : mapping
-            Values by name; those that are no option of the model are left out.
+            Values by name; names that are no option of the model are ignored.
 
         Raises
         ------
@@ -207,7 +207,7 @@ class SensorModel(Configurable, ABC):
         return None
 
     def sensor_figures(self, coefficients: FloatArray) -> tuple[SensorFigure, ...]:
-        """Return what the coefficients say of the sensor: of a camera its place and its angles.
+        """Return what the coefficients say of the sensor, such as the place and angles of a camera.
 
         Results show and record them. Empty, the default, where the terms stand for no sensor.
 
@@ -253,10 +253,10 @@ class SensorModel(Configurable, ABC):
         """
 
     def start(self, features: FeatureSet) -> FloatArray | None:
-        """Return where a fit begins, of a model whose image positions are not linear in its terms.
+        """Return coefficients with which a fit begins, if positions are not linear in the terms.
 
         From there `linearised` is iterated in steps that never increase the sum of squares. A model
-        with a solution of its own returns that: the fit then ends at once.
+        that computes the solution by itself returns that: the fit then ends at once.
 
         Parameters
         ----------
@@ -266,8 +266,8 @@ class SensorModel(Configurable, ABC):
         Returns
         -------
         ndarray, shape (k,), or None
-            Of all terms; those that are not selected are set to 0. None, the default, where the
-            solution of `equations` is the start.
+            One for each term; those of terms that are not selected are set to 0. None, the default,
+            where the fit begins with the solution of `equations`.
         """
         return None
 
@@ -337,8 +337,8 @@ class SensorModel(Configurable, ABC):
         Returns
         -------
         Interpolation or None
-            None for a model without one, which is the default, and where the points do not
-            suffice.
+            None for a model that does not predict so, which is the default, and where the points
+            are too few or lie so that they determine no prediction.
         """
         return None
 
@@ -404,8 +404,8 @@ class SensorModel(Configurable, ABC):
 
 
 def require_heights(model: SensorModel, features: FeatureSet) -> None:
-    """Raise TermselError for features without height for a model that uses it, and name them."""
-    # Named all at once, so that a user can add them in one go.
+    """Raise TermselError for features without height if the model uses it; it names the first five.
+    """
     missing = features.without_height()
     if model.uses_height and missing:
         raise TermselError(

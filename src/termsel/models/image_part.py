@@ -126,9 +126,10 @@ def part_of(offset: str | None, scale: float | str | None) -> ImagePart | None:
 
 
 def recognise_part(predicted: FloatArray, measured: FloatArray) -> ImagePart | None:
-    """Return the part that explains where an RPC sees points, and where they were measured.
+    """Return the part of an RPC's image that this image is, if points show that it is one.
 
-    Shapes (n, 2) [px]. None where the RPC is near, where the points are too few, or where no part
+    `predicted` are the positions of points by the RPC, `measured` those in the image, both (n, 2)
+    [px]. None where they are near each other, where the points are too few, or where no part
     explains most of them. A shift of the RPC itself looks like another place where the part begins.
     So the place is rounded, and the correction of the RPC finds the remaining pixels, with their
     uncertainty. Medians let less than half of the points be blunders.
@@ -140,7 +141,7 @@ def recognise_part(predicted: FloatArray, measured: FloatArray) -> ImagePart | N
             or np.median(np.linalg.norm(predicted - measured, axis=1)) < _FAR_PX):
         return None
     # Ratios of distances do not depend on where the part begins, so the factor comes first.
-    factor = _factor(predicted, measured)
+    factor = _ratio_of_distances(predicted, measured)
     scale = _nearest_simple_factor(factor) if abs(factor - 1.0) > _REDUCED else 1.0
     start = np.median(predicted + 0.5 - scale * (measured + 0.5), axis=0)
     # Less than what vendors' RPCs are off is a shift of the RPC; more is where the part begins.
@@ -149,17 +150,20 @@ def recognise_part(predicted: FloatArray, measured: FloatArray) -> ImagePart | N
     else:
         start = np.zeros(2)
     image_part = ImagePart((float(start[0]), float(start[1])), scale)
-    # The rest about its median: a shift is for the correction, only scatter speaks against the
-    # part.
+    # Offsets count about their median: a shift is left to the correction, and only scatter speaks
+    # against the part.
     offsets = image_part.places(predicted) - measured
     scatter = float(np.median(np.linalg.norm(offsets - np.median(offsets, axis=0), axis=1)))
-    wide = float(np.linalg.norm(np.ptp(measured, axis=0)))
-    is_explained = scatter < max(_MEASURED, _EXPLAINED_SHARE * wide / 2)
-    return image_part if is_explained and wide > _FAR_PX else None
+    diagonal = float(np.linalg.norm(np.ptp(measured, axis=0)))
+    is_explained = scatter < max(_MEASURED, _EXPLAINED_SHARE * diagonal / 2)
+    return image_part if is_explained and diagonal > _FAR_PX else None
 
 
-def _factor(predicted: FloatArray, measured: FloatArray) -> float:
-    """Return the median ratio of distances between points in both images."""
+def _ratio_of_distances(predicted: FloatArray, measured: FloatArray) -> float:
+    """Return the median ratio of distances between points, predicted by measured.
+
+    Of many points _MAX_PAIRED_POINTS are paired. It is 1 where all were measured at one place.
+    """
     sample = np.linspace(0, len(predicted) - 1, min(len(predicted), _MAX_PAIRED_POINTS)).astype(int)
     pairs = np.array(list(combinations(sample.tolist(), 2)))
     first = pairs[:, 0]

@@ -35,11 +35,14 @@ class Interpolating(Polynomial):
 
     def predict(self, coefficients: FloatArray, control: FeatureSet,
                 ground: FloatArray) -> FloatArray:
-        """Return image positions by the control points (see `SensorModel.predict`)."""
+        """Return image positions by the control points (see `SensorModel.predict`).
+
+        Where these determine no interpolation, positions are those of the terms.
+        """
         interpolation = self.interpolation(control)
         if interpolation is None:
             return self.project(coefficients, ground)
-        # Whatever the coefficients, as the spline takes up any affine function.
+        # The same for every set of coefficients, which have no influence on the interpolation.
         image = interpolation.predict(ground)
         return np.broadcast_to(image, (*coefficients.shape[:-1], *image.shape)).copy()
 

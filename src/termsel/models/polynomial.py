@@ -160,7 +160,7 @@ class Helmert2D(SensorModel):
     def _design_rows(self, ground: FloatArray) -> FloatArray:
         """Return the rows of line and sample over all terms, shape (n, 2, 4)."""
         x, y = (ground[:, :2] * plane_units(self)).T
-        # Where Y already counts downwards its sign is that of the lines.
+        # Y of a mirrored map counts downwards, as lines do.
         y = -y if self.options["mirrored"] else y
         # Columns: shift of lines, shift of samples, cos, sin, as in the equations above.
         ones = np.ones_like(x)

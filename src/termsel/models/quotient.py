@@ -142,9 +142,10 @@ class RationalModel(SensorModel):
 
     @cached_property
     def _layout(self) -> tuple[tuple[str, slice, int, tuple[str, ...]], ...]:
-        """Return of each block its name, columns among the terms, axis and names of terms.
+        """Return the name of each block, its columns among the terms, its axis and its term names.
 
-        Blocks of numerators and denominators stand in one row of terms, in the order of `_LAYOUT`.
+        Blocks of numerators and denominators stand in one row of terms, in the order of `_LAYOUT`,
+        without those that the model does not have.
         Raises PluginFault for a model that names more or fewer columns than it has, or two alike.
         """
         # The columns at any one place show how many there are.
@@ -181,7 +182,10 @@ class RationalModel(SensorModel):
                                for _, _, axis, names in self._layout])
 
     def _columns(self, ground: FloatArray) -> Columns:
-        """Return the columns of each block at places, with which terms they are of."""
+        """Return the columns of each block at places (n, 3), with their slice among the terms.
+
+        Raises PluginFault for a model that has another number of columns at other places.
+        """
         blocks = self.blocks(ground)
         columns_by_block = {}
         for block, span, _, names in self._layout:
@@ -255,9 +259,9 @@ class RationalModel(SensorModel):
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
         """Return the equations of points and lines about a solution (Gauss-Newton), or None.
 
-        Only for lines with separate denominators, and where the model is `weighted`. In all other
-        cases None keeps the linear equations that the literature solves: points alone, and lines
-        with polynomials or a shared denominator.
+        There are such equations for lines with separate denominators, and for all features of a
+        model that is `weighted`. In all other cases None keeps the linear equations that the
+        literature solves: points alone, and lines with polynomials or a shared denominator.
         """
         if not self.weighted and (not len(features.lines) or self.exact_for_lines):
             return None
@@ -285,22 +289,24 @@ class RationalModel(SensorModel):
 
     def least_distances(self, points: Points, systems: tuple[IndependentPart, ...],
                         terms: BoolArray, used: BoolArray | None) -> FloatArray:
-        """Return the least squares of distances in the image, of selections of terms (p, k).
+        """Return the coefficients (p, k) of the least squares of distances in the image.
 
-        Points (p, n) are all in use by default. The search begins at the `first_terms`.
+        They are of p selections of `terms` (p, k), with points in use as in `used` (p, n), by
+        default all. `systems` are the linear equations. Their solution for the `first_terms`, if
+        the model names some, is where the search begins.
         """
-        # Rows of line and sample in turn, over all terms.
-        flat = terms.shape[1]
-        rows = np.ones((len(terms), len(points)), dtype=bool) if used is None else used
+        n_terms = terms.shape[1]
+        is_in_use = np.ones((len(terms), len(points)), dtype=bool) if used is None else used
         columns = self._columns(points.ground)
-        above = self._axis_rows(columns, np.zeros_like(points.image)).reshape(-1, flat)
-        # With images of -1 the denominators' columns come as they are, next to the numerators'.
-        all_columns = self._axis_rows(columns, -np.ones_like(points.image)).reshape(-1, flat)
+        # Rows of line and sample in turn, over all terms. Images of 0 leave out the columns of
+        # denominators, and with images of -1 they come as they are, next to those of numerators.
+        numerators = self._axis_rows(columns, np.zeros_like(points.image)).reshape(-1, n_terms)
+        all_columns = self._axis_rows(columns, -np.ones_like(points.image)).reshape(-1, n_terms)
         # Points that are not in use have no weight; each has two rows.
-        weights = np.where(np.repeat(rows, 2, axis=1), weights_of(points).ravel(), 0.0)
+        weights = np.where(np.repeat(is_in_use, 2, axis=1), weights_of(points).ravel(), 0.0)
         first = self.first_terms
         start, _ = solve_parts(systems, terms if first is None else terms & first, used)
-        quotients = Quotients(above, all_columns - above, points.image.ravel(), weights)
+        quotients = Quotients(numerators, all_columns - numerators, points.image.ravel(), weights)
         return solve_least_distances(quotients, systems, terms, start)
 
     @property
@@ -411,8 +417,9 @@ def pole_margin(control: Points) -> float:
 def guard_points(control: FeatureSet, check: Points, wider: float = 1.0) -> FloatArray:
     """Return scaled ground points, (g, 3), at which denominators must stay positive.
 
-    They are a grid over the box around control and check features, without those that no image of
-    such a view shows, and the features themselves. The box is made `wider` about its middle.
+    They are the features themselves, of very many an even choice, and a grid over the box around
+    them; all are moved apart by the factor `wider` about the middle of the box. In an oblique view
+    points that are not in front of the camera are left out.
     """
     vertices = np.concatenate([control.ground_vertices(), check.ground])
     axes = np.eye(3)
@@ -422,7 +429,7 @@ def guard_points(control: FeatureSet, check: Points, wider: float = 1.0) -> Floa
     # The grid spans the box around all features along these axes.
     low = (vertices @ axes).min(axis=0)
     high = (vertices @ axes).max(axis=0)
-    if len(vertices) > GUARDED:  # an even choice over the scene
+    if len(vertices) > GUARDED:
         even = np.linspace(0, len(vertices) - 1, GUARDED).astype(int)
         vertices = vertices[spatial_order(vertices[:, :2])[even]]
     grid = (low + high) / 2 + _GRID * (high - low) / 2
@@ -431,7 +438,6 @@ def guard_points(control: FeatureSet, check: Points, wider: float = 1.0) -> Floa
     if wider != 1.0:
         middle = (guard.max(axis=0) + guard.min(axis=0)) / 2
         guard = middle + wider * (guard - middle)
-    # Of an oblique view only what lies in front of the camera.
     view = view_of(control.points)
     if view is not None:
         guard = np.concatenate([vertices, guard[view.shows(guard)]])
@@ -441,7 +447,10 @@ def guard_points(control: FeatureSet, check: Points, wider: float = 1.0) -> Floa
 
 def pole_violation(model: SensorModel, coefficients: FloatArray, ground: FloatArray,
                    margin: float = POLE_MARGIN) -> FloatArray:
-    """Return how far denominators fall below a margin, shape (p,); 0 is safe."""
+    """Return how far denominators fall below a margin, shape (p,), at most LARGEST_SHORTFALL.
+
+    0 is safe, and is returned for a model without denominators. `coefficients` (p, k) are p sets.
+    """
     below = model.denominators(coefficients, ground)
     if below is None:
         return np.zeros(len(coefficients))

@@ -52,8 +52,10 @@ class Term:
     exponents: Exponent | str
 
     def __post_init__(self) -> None:
-        """Make powers of a label such as "X2Y"; raises ValueError as the class says."""
-        # ValueError, not TermselError: terms are made by programs.
+        """Turn a label such as "X2Y" into powers.
+
+        Raises ValueError, and not TermselError, as terms are made by programs.
+        """
         if self.axis not in AXES:
             raise ValueError(f"axis {self.axis!r} of a term is not one of {', '.join(AXES)}")
         if isinstance(self.exponents, str):

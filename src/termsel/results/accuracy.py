@@ -38,16 +38,16 @@ def accuracy_of(record: Record) -> str:
 
 
 def accuracy_lines(record: Record) -> list[str]:
-    """Return the accuracy in one to four short lines: the surer figure first.
+    """Return what is known of the accuracy in one to four short lines.
 
-    There are up to two figures: the RMSE at independent check points, measured but of few, and the
-    prediction by cross-validation. The second line says whether both agree, further ones why either
-    may mislead. Points of a lattice and points that were computed have words of their own, as an
-    RMSE of theirs is no accuracy.
+    There are up to two figures: the RMSE measured at independent check points, which may be few,
+    and the RMSE that cross-validation predicts. The surer one comes first, the second line says
+    whether they agree, and further lines say why either may mislead. Where points were computed, or
+    are the lattice of a product, an RMSE is no accuracy, and the lines say so.
     """
     accuracy = record.accuracy
     if lattice_of(record) is not None and accuracy is None:
-        return _interpolation_sentence(record)
+        return _interpolation_lines(record)
     if are_computed(record):
         return [agreement_of_computed(record)]
     # The prediction must be of the fit that the points measured; that of the exported one has seen
@@ -112,8 +112,11 @@ def agreement_of_computed(record: Record) -> str:
             "cannot be estimated")
 
 
-def _interpolation_sentence(record: Record) -> list[str]:
-    """Return how well a model interpolates between the points of a lattice, or meets them."""
+def _interpolation_lines(record: Record) -> list[str]:
+    """Return how well a model interpolates between the points of a lattice, or meets them.
+
+    In one or two lines, the last of which says that the accuracy of the product is not known.
+    """
     expected = expected_rmse(record)
     # A lattice says how its own geometry is, not where the ground is.
     unknown = "the points were computed, so the accuracy of the product is not known"
@@ -173,9 +176,10 @@ def _rmse_at_check_points(accuracy: Accuracy) -> str:
 
 
 def are_places_wrong(record: Record) -> bool:
-    """Return whether independent points contradict a model next to coordinates that cannot be.
+    """Return whether the RMSE at independent check points is one of wrong coordinates.
 
-    Their RMSE is that of zeros, of another zone or of minutes, which no place on the map has.
+    So it is where the points read have coordinates that cannot all be places (zeros, another zone,
+    minutes for degrees), and the RMSE is beyond what chance allows for the predicted one.
     """
     read = record.data.read
     predicted = expected_rmse(record)
@@ -225,7 +229,6 @@ def reused_points_in_words(accuracy: Accuracy) -> str:
     """
     reused = accuracy.spent_count
     n = accuracy.image.n
-    # Below a half the new points outweigh those that were seen.
     if not reused or 2 * reused < n:
         return ""
     return "these points" if reused == n else f"{reused} of these points"

@@ -67,7 +67,7 @@ def result_document(record: Record, view: View | None = None, picture: str = "",
     picture : str
         The image, smaller, as a data URL.
     further : tuple of Section
-        Those of plugins.
+        The sections of plugins, which come last.
     """
     # The strategy auto answers, whatever the problem; without one asked for there is none.
     title = record.data.source if record.strategy else f"{record.data.source}: {record.problem}"
@@ -94,11 +94,13 @@ _ON_A_PAGE = {": --verbose": " below", "; --verbose lists them": ", listed below
 
 
 def _first_screen_lines(record: Record, view: View | None) -> Iterator[Fact]:
-    """Yield the first screen; a page, which shows all else below, names no option for it."""
+    """Yield the facts of the first screen, for a page where there is a `view`.
+
+    Where the screen names an option that shows more, a page refers to what it shows further down.
+    """
     for fact in first_screen(record):
         text = fact.text
         if view is not None:
-            # What a page shows further down, the screen shows by an option.
             for on_screen, on_page in _ON_A_PAGE.items():
                 text = text.replace(on_screen, on_page)
         yield Fact(text, fact.label)
@@ -208,9 +210,9 @@ def _predicts_fit_to_all(record: Record) -> bool:
 
 def _independent_rmse(record: Record, accuracy: Accuracy) -> Iterator[str]:
     """Yield the RMSE at independent check points, and whether they are still independent."""
-    yield _rmse_on(accuracy)
+    yield _rmse_sentence(accuracy)
     if record.accuracy_without is not None:
-        yield f"Without {outliers_in_words(record)}: {_rmse_on(record.accuracy_without)}"
+        yield f"Without {outliers_in_words(record)}: {_rmse_sentence(record.accuracy_without)}"
     reused = accuracy.spent_count
     n = accuracy.image.n
     # Points that assessed an earlier fit helped to choose this one, if only by what was tried next.
@@ -219,7 +221,7 @@ def _independent_rmse(record: Record, accuracy: Accuracy) -> Iterator[str]:
         yield f"{points} already assessed another fit; this RMSE may be optimistic."
 
 
-def _rmse_on(accuracy: Accuracy) -> str:
+def _rmse_sentence(accuracy: Accuracy) -> str:
     """Return the RMSE of independent points with its interval in a sentence."""
     image = accuracy.image
     ground = accuracy.ground
@@ -230,20 +232,23 @@ def _rmse_on(accuracy: Accuracy) -> str:
             f"(90 % interval {rounded_size_text(low)} to {rounded_size_text(high)} px).")
 
 
-def _errors_table(accuracy: Accuracy, of: str) -> Iterator[Block]:
-    """Yield the errors of independent points as a table, with figures of standards."""
+def _errors_table(accuracy: Accuracy, caption_end: str) -> Iterator[Block]:
+    """Yield the errors of independent points as a table, then sentences on their distribution.
+
+    Figures by standards come last, with the reason where a standard gives none. The caption of the
+    table begins with the number of points.
+    """
     image = accuracy.image
     ground = accuracy.ground
     rows = [("in the image", *_distance_texts(image, "px", image.line, image.sample))]
-    shapes = [*_error_shape(image, "px", {"line": image.line, "sample": image.sample})]
+    shapes = [*_sentences_on_shape(image, "px", {"line": image.line, "sample": image.sample})]
     if ground:
         rows.append(("on the ground", *_distance_texts(ground, "m", ground.x, ground.y)))
-        shapes += _error_shape(ground, "m", {"x": ground.x, "y": ground.y})
-    yield TableBlock(f"{count_in_words(image.n, 'independent check point')}{of}",
+        shapes += _sentences_on_shape(ground, "m", {"x": ground.x, "y": ground.y})
+    yield TableBlock(f"{count_in_words(image.n, 'independent check point')}{caption_end}",
                      ("", "RMSE", "line or x", "sample or y", "maximum", "CE90"), rows)
     yield from shapes
-    # Standards set conditions, such as a number of points; where these are not met, the reason is
-    # given.
+    # Standards set conditions, such as a number of points, which may not be met.
     for standard, title, meaning in (
             (accuracy.nssda, "NSSDA", "horizontal accuracy at 95 % confidence"),
             (accuracy.asprs, "ASPRS 2024", "RMSE, survey error excluded")):
@@ -252,28 +257,34 @@ def _errors_table(accuracy: Accuracy, of: str) -> Iterator[Block]:
                Detail(f"{title}: no figure ({standard.reason})."))
 
 
-def _error_shape(of: InImage | OnGround, unit: str, rmse: dict[str, float]) -> Iterator[Block]:
-    """Yield the mean errors, and whether the errors are normal; openly if it is unexpected."""
-    if of.mean is None:
+def _sentences_on_shape(errors: InImage | OnGround, unit: str,
+                        rmse: dict[str, float]) -> Iterator[Block]:
+    """Yield the mean errors, and whether the errors are normal; nothing if no mean is known.
+
+    `rmse` is the RMSE by axis. A sentence is a detail unless it shows a bias, or errors that are
+    not normal.
+    """
+    if errors.mean is None:
         return
-    means = dict(zip(rmse, of.mean, strict=True))
+    means = dict(zip(rmse, errors.mean, strict=True))
     figures = ", ".join(f"{axis} {'+' if mean > 0 else ''}{rounded_size_text(mean)} {unit}"
                         for axis, mean in means.items())
     sentence = f"Mean error: {figures}."
     # A mean of n errors scatters by rmse / sqrt(n): beyond 2.576 of that, 1 % of means are by
     # chance.
-    far = [axis for axis, mean in means.items()
-           if abs(mean) > _FAR_DEVIATIONS * of.n**-0.5 * rmse[axis] > 0]
-    if far:
-        yield f"{sentence} The bias of {' and '.join(far)} is significant."
+    biased_axes = [axis for axis, mean in means.items()
+                   if abs(mean) > _FAR_DEVIATIONS * errors.n**-0.5 * rmse[axis] > 0]
+    if biased_axes:
+        yield f"{sentence} The bias of {' and '.join(biased_axes)} is significant."
     else:
         yield Detail(sentence)
-    if of.normal:
-        ground = isinstance(of, OnGround)  # nothing new, as they are those in the image
-        test = "The same test on the ground" if ground else "Test of normality (Shapiro, Wilk)"
-        chances = [f"{axis} {p:.2g}" for axis, p in zip(rmse, of.normal, strict=True)]
+    if errors.normal:
+        on_ground = isinstance(errors, OnGround)
+        test = "The same test on the ground" if on_ground else "Test of normality (Shapiro, Wilk)"
+        chances = [f"{axis} {p:.2g}" for axis, p in zip(rmse, errors.normal, strict=True)]
         sentence = f"{test}: p of {', '.join(chances)}."
-        if min(of.normal) < _UNLIKELY and not ground:
+        # Errors on the ground are those in the image, transformed: they say nothing new.
+        if min(errors.normal) < _UNLIKELY and not on_ground:
             yield f"{sentence} These errors are not normal; the intervals allow for it."
         else:
             yield Detail(sentence)
@@ -281,19 +292,25 @@ def _error_shape(of: InImage | OnGround, unit: str, rmse: dict[str, float]) -> I
 
 def _prediction_sentence(
         predicted: Predicted, *, exported: bool = False, lattice: bool = False) -> str:
-    """Return the predicted RMSE with its interval in a sentence."""
-    # Whether the points to come are known decides what the prediction is about.
-    if predicted.points:
-        of = f"at {count_in_words(predicted.points, 'independent check point')}"
+    """Return the predicted RMSE with its interval in a sentence.
+
+    It says what the prediction is about: the independent check points of the data, if there are
+    any, else new points; with `lattice`, places between the points of a product's lattice; with
+    `exported`, the refit to all points.
+    """
+    if lattice:
+        scope = "between the points of the lattice"
+    elif predicted.points:
+        scope = f"at {count_in_words(predicted.points, 'independent check point')}"
     else:
-        of = "of new points within the control area"
-    of = "between the points of the lattice" if lattice else of
-    of += ", for the exported fit to all points" * exported
+        scope = "of new points within the control area"
+    if exported:
+        scope += ", for the exported fit to all points"
     if predicted.pixel:
         metres = f", {rounded_size_text(predicted.rmse * predicted.pixel)} m on the ground"
     else:
         metres = ""
-    return (f"Predicted RMSE {of}: {rounded_size_text(predicted.rmse)} px{metres} "
+    return (f"Predicted RMSE {scope}: {rounded_size_text(predicted.rmse)} px{metres} "
             f"({100 * predicted.level:.0f} % interval {rounded_size_text(predicted.low)} to "
             f"{rounded_size_text(predicted.high)} px).")
 
@@ -365,8 +382,8 @@ def _table_of_fits(record: Record) -> TableBlock:
             rows.append((f"  {LEAVE_ONE_OUT}", "", _rmse_as_cell(rmse.leave_one_out), *[""] * 4))
             keys.append(name)
     header = ("fit", "terms", "control", "selection", "interval", "independent check", "interval")
-    # A role that no feature has takes no column.
-    empty = [first for first in (3, 5) if all(row[first] in ("-", "") for row in rows)]
+    # Column 3 is the RMSE of selection points, 5 that of independent ones; their intervals follow.
+    empty = [column for column in (3, 5) if all(row[column] in ("-", "") for row in rows)]
     shown_columns = [i for i in range(len(header)) if i not in empty and i - 1 not in empty]
     return TableBlock("RMSE [px], with 90 % intervals" if len(shown_columns) > 3 else "RMSE [px]",
                       tuple(header[i] for i in shown_columns),
@@ -399,7 +416,6 @@ def _answer_on_bad_points(record: Record, view: View | None) -> Iterator[Block]:
         return
     yield from chart_block(view, "worst", bars.bars_of_worst(view))
     on_ground: dict[str, float] = {}
-    # A line has two vertices on the ground: the larger residual counts.
     for row in view.on_ground:
         if row["metres"] is not None:
             on_ground[row["id"]] = max(row["metres"], on_ground.get(row["id"], 0.0))
@@ -416,7 +432,10 @@ def _answer_on_bad_points(record: Record, view: View | None) -> Iterator[Block]:
 
 
 def _answer_on_weak_places(view: View | None) -> Iterator[Block]:
-    """Yield the answer to "Where is it weak?"; nothing without the features."""
+    """Yield the answer to "Where is it weak?"; nothing without a `view`, which has the features.
+
+    The standard deviation is shown as a chart and a table, or the reason why it is not known.
+    """
     if view is None:
         return
     # Without redundancy nothing shows how certain the model is.

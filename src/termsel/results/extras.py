@@ -125,7 +125,6 @@ def figure_of_result(measure: Measure, result: Any) -> float | None:
 
     Raises PluginFault, naming the plugin, for a figure that is no number.
     """
-    # A fault is named with its plugin; the study goes on without the figure.
     with attribute_errors_to(measure.compute, "compute"):
         computed = measure.compute(result)
         value = float(computed)

@@ -89,13 +89,16 @@ _DIMENSIONS = {"poly2d": "2-D", "poly3d": "3-D"}
 
 
 def first_screen(record: Record) -> list[Fact]:
-    """Return the facts of the first screen; one more line is left for the command that follows."""
+    """Return the facts of the first screen; one more line is left for the command that follows.
+
+    The facts are shortened until they and the first warning fit; further warnings are shown as far
+    as there is room.
+    """
     warnings = _urgent_warnings_and_notes(record)
-    # Room for the first warning is kept before the facts are: it must be seen.
+    # The first warning must be seen; of further ones a line says how many there are.
     reserved = _lines_of_first(warnings)
     room = SCREEN_LINES - 1 - reserved - (1 if len(warnings) > 1 else 0)
     facts = _brief_facts(record, brief=0)
-    # Facts become shorter step by step, until they fit.
     for brief in (1, 2, 3):
         if sum(map(_lines_of_fact, facts)) > room:
             facts = _brief_facts(record, brief)
@@ -104,10 +107,10 @@ def first_screen(record: Record) -> list[Fact]:
 
 
 def _brief_facts(record: Record, brief: int) -> list[Fact]:
-    """Return all facts but cautions, briefly.
+    """Return all facts but cautions, the shorter the larger `brief` is.
 
-    That is (1) without second lines, (2) counting outliers, or (3) also without comparisons and
-    the search.
+    0 gives them in full, 1 leaves out the second lines of a topic, 2 also counts the outliers in
+    place of naming them, and 3 also leaves out comparisons and the search.
     """
     compared: list[str] = []
     if record.feasible and brief < 3 and not are_places_wrong(record):
@@ -123,7 +126,7 @@ def _brief_facts(record: Record, brief: int) -> list[Fact]:
         compared = compared[:1]
         search = search[:1]
     outliers = _outlier_count_line(record) if brief >= 2 else outlier_lines(record)
-    return [*_facts_on_data(record, brief), Fact(""), Fact(_model_lines(record), "Model"),
+    return [*_facts_on_data(record, brief), Fact(""), Fact(_model_in_words(record), "Model"),
             *_label_facts("Accuracy", accuracy_lines(record)), *_label_facts("Outliers", outliers),
             *_label_facts("Compared", compared), *_label_facts("Search", search)]
 
@@ -150,7 +153,7 @@ def _facts_on_data(record: Record, brief: int) -> Iterator[Fact]:
     data = record.data
     names = ", ".join(PurePath(name).name for name in data.source.split(", "))
     read = data.read or _read_by_earlier_versions(record)
-    # None of a kind is no word.
+    # A kind that the file does not have is not named.
     features = ", ".join(count_in_words(number, noun) for number, noun in (
         (read.points, "point"), (read.lines, "line")) if number)
     if read.lattice is not None:
@@ -167,7 +170,7 @@ def _facts_on_data(record: Record, brief: int) -> Iterator[Fact]:
     origin = f"; image coordinates from {read.image_origin}" if read.image_origin else ""
     opening = f"{cut(names, _SOURCE)}: {features}{heights}"
     end = f", {crs}{image_in_file}{unit}{origin}"
-    # What a bending model follows may be relief.
+    # Without heights a model that bends may follow the relief in place of the image.
     may_be_relief = read.without_height and record.model in _BENDING and data.crs != LOCAL
     hint = " (--dem adds them)" if may_be_relief else ""
     yield Fact(f"{opening}{hint}{end}" if len(f"{opening}{hint}{end}") <= _FULL_WIDTH
@@ -188,7 +191,7 @@ def roles_of(record: Record) -> str:
     """Return how many features have which role, in the words of the field."""
     counts = record.data.counts
     independent = _number_in_words(counts.independent, "independent check point")
-    # Nobody named them: the reader of the figures must know who did.
+    # termsel itself set all of them aside: whoever reads the figures must know.
     if record.data.read and 0 < counts.independent == record.data.read.set_aside:
         if counts.independent > 1:
             points = "independent check points"
@@ -226,7 +229,7 @@ def model_title(record: Record) -> str:
     strategy = record.strategy
     if strategy is None:
         return _title_by_degree(record.model, record.options.model.get("degree"))
-    if shift := _shift_of(record):
+    if shift := _shift_in_words(record):
         return f"vendor RPC plus {shift}"
     # So few points in a plane decide nothing: what is called a cubic polynomial is mostly affine.
     if record.model == "field" and record.selection.n_features < SPLINE_MAX_POINTS:
@@ -240,7 +243,10 @@ def model_title(record: Record) -> str:
 
 
 def _title_by_degree(model: str, degree: object) -> str:
-    """Return the name of a model in words, with its degree if it is a polynomial."""
+    """Return the name of a model in words, with its degree if it is a polynomial.
+
+    A model that has neither words nor an integer degree keeps its own name, such as "tps".
+    """
     if model == "rfm":
         return "rational function model"
     if model not in _DIMENSIONS or not isinstance(degree, int):
@@ -252,28 +258,30 @@ def _title_by_degree(model: str, degree: object) -> str:
     return f"{polynomial} of degree {degree}"
 
 
-def _shift_of(record: Record) -> str:
-    """Return the correction of a vendor's RPC in the middle of the control; "" for other models.
+def _shift_in_words(record: Record) -> str:
+    """Return the shift that corrects a vendor's RPC in the middle of the control, in px.
 
-    The constants of the correction are in the scaled units of the image.
+    "" for a model without a constant in either axis, which only the affine correction of an RPC
+    has, and for a correction whose coefficients are all 0.
     """
-    # Only the affine correction has a constant in either axis; terms are scaled, pixels are not.
     coefficients = record.coefficients
     if record.data.rpc is None or not {"line.bias:1", "sample.bias:1"} <= coefficients.keys():
         return ""
-    if not any(coefficients.values()):  # a correction that is a local field, and no constant
+    # All are 0 where the correction is a local field, and no constant.
+    if not any(coefficients.values()):
         return ""
+    # Coefficients are in the scaled units of the image.
     line = coefficients["line.bias:1"] * record.scaling.line_scale
     sample = coefficients["sample.bias:1"] * record.scaling.sample_scale
     return f"shift at the control ({line:+.2f}, {sample:+.2f} px in line, sample)"
 
 
-def _model_lines(record: Record) -> str:
+def _model_in_words(record: Record) -> str:
     """Return the model, and how it was chosen or selected.
 
-    For the automatic choice that is among how many methods, and whether the chosen one is the best
-    of them; for a search how many of the terms and features on offer are selected, and by which
-    solver.
+    For the automatic choice the text says among how many methods, and whether the chosen one is the
+    best of them; for a search, how many of the terms and features on offer are selected, and by
+    which solver, or over how many selections the terms are stable.
     """
     title = model_title(record)
     strategy = record.strategy
@@ -284,7 +292,7 @@ def _model_lines(record: Record) -> str:
         best = min(figures, key=lambda name: figures[name], default="") == strategy.chosen
         if len(figures) > 1 and record.predicted is not None:
             how = f" ({'best of' if best else 'chosen among'} {len(figures)} in cross-validation)"
-        elif strategy.reason.endswith(ALL_TERMS_IN_USE) and not _shift_of(record):
+        elif strategy.reason.endswith(ALL_TERMS_IN_USE) and not _shift_in_words(record):
             how = f", all {record.offered.n_terms} terms"
         else:
             how = ""
@@ -292,7 +300,7 @@ def _model_lines(record: Record) -> str:
         return f"{title}{how}{_fit_crs_in_words(record)}{rpc}"
     selection = record.selection
     offered = record.offered
-    # What the search could select, though it did not, was on offer; what was rejected before, not.
+    # Blunders that were rejected before the search were not on offer to it.
     excluded = 0 if were_selectable(record) else sum(
         outlier.excluded and outlier.role == "control" for outlier in record.outliers)
     n_features = max(offered.n_features - excluded, selection.n_features)
@@ -300,8 +308,9 @@ def _model_lines(record: Record) -> str:
             f"{share_in_words(selection.n_features, n_features)} {record.data.counts.word}")
     if record.stability:
         return f"{text}; stable over {record.stability.repeats} selections"
-    everything = (selection.n_terms, selection.n_features) == (offered.n_terms, offered.n_features)
-    return text if everything else f"{text}, selected by {_solver_text(record)}"
+    is_all_in_use = (selection.n_terms == offered.n_terms
+                     and selection.n_features == offered.n_features)
+    return text if is_all_in_use else f"{text}, selected by {_solver_text(record)}"
 
 
 def _fit_crs_in_words(record: Record) -> str:
@@ -330,8 +339,8 @@ def share_in_words(selected: int, offered: int) -> str:
 def outlier_lines(record: Record) -> list[str]:
     """Return the worst outliers of each kind: rejected, in use, and independent check points.
 
-    Each line names the worst few with their errors. Where nothing contradicts the others it says
-    so, and why this may mean little; points of a lattice are never tested.
+    Each line names the worst few with their errors. Where no feature contradicts the others, the
+    only line says so, and why this may mean little; points of a lattice are never tested.
     """
     # An outlier that is in use weakens the model, one that was rejected does not.
     rejected, used, independent = groups = _group_outliers(record)
@@ -359,10 +368,12 @@ def outlier_lines(record: Record) -> list[str]:
 
 
 def _outlier_count_line(record: Record) -> list[str]:
-    """Return how many outliers there are in one line, which takes the place of `outlier_lines`."""
+    """Return how many outliers there are in one line, which takes the place of `outlier_lines`.
+
+    Those lines come back themselves where they take one line anyway, or where there is no outlier.
+    """
     rejected, used, independent = _group_outliers(record)
     named = outlier_lines(record)
-    # Where the names take one line, a count saves none.
     height = sum(map(_lines_of_fact, _label_facts("Outliers", named)))
     if height == 1 or not any((rejected, used, independent)):
         return named
@@ -455,17 +466,18 @@ def _comparison_with_rival(record: Record, rival: BaselineRow) -> Iterator[str]:
 
     Many independent points compare both models best. Few are a matter of chance, so that the errors
     in cross-validation count. A search is held against the automatic choice, the choice against its
-    best rival, and the sentence ends with what to do.
+    best rival, and the sentence ends with what to do. Nothing is yielded where the RMSE of either
+    is not known. A corrected RPC is also compared with the RPC as it was delivered.
     """
     strategy = record.strategy
     by_held_out = strategy is not None and not _points_compare_better(record)
-    # One point is not predicted by others: what stands for its error is that of the bare RPC.
+    # A single point is predicted by no other: only the RPC as delivered can be compared there.
     if by_held_out and record.predicted is None:
-        if _shift_of(record):
+        if _shift_in_words(record):
             yield from _rmse_as_delivered(record)
         return
     if strategy is not None and by_held_out:
-        # Of both the model alone: the prediction of the whole choice is larger than either.
+        # Those of both models alone: the prediction of the whole choice is larger than either.
         own_rmse = next((row.predicted for row in strategy.candidates
                          if row.name == strategy.chosen), None)
         rival_rmse = rival.predicted
@@ -476,7 +488,7 @@ def _comparison_with_rival(record: Record, rival: BaselineRow) -> Iterator[str]:
     if own_rmse is None or rival_rmse is None:
         return
     # Another correction of the same RPC is nearly the chosen one.
-    if _shift_of(record) and rival.name.startswith(_RPC) and rival.name != AS_DELIVERED:
+    if _shift_in_words(record) and rival.name.startswith(_RPC) and rival.name != AS_DELIVERED:
         yield from _rmse_as_delivered(record)
         return
     name = "automatic choice without a search" if strategy is None else label_of(rival.name)
@@ -493,8 +505,8 @@ def _comparison_with_rival(record: Record, rival: BaselineRow) -> Iterator[str]:
     else:
         verdict = "better; leave out the search"
     if by_held_out:
-        # The prediction above is of the whole choice, repeated; this one is of the model alone. It
-        # may be the same as either of the others.
+        # The screen states the prediction of the whole choice, repeated. The RMSE of this model
+        # alone is added where it reads differently from that and from the rival's.
         own_text = rounded_size_text(own_rmse)
         rival_text = rounded_size_text(rival_rmse)
         if record.predicted is None:
@@ -505,7 +517,7 @@ def _comparison_with_rival(record: Record, rival: BaselineRow) -> Iterator[str]:
         yield f"{name} {rival_text} px in leave-one-out{own}: {verdict}"
     else:
         yield f"{name} {rounded_size_text(rival_rmse)} px: {verdict}"
-    if _shift_of(record) and rival.name != AS_DELIVERED:
+    if _shift_in_words(record) and rival.name != AS_DELIVERED:
         yield from _rmse_as_delivered(record)
 
 
@@ -526,7 +538,11 @@ def _points_compare_better(record: Record) -> bool:
 
 
 def _conventional_rmse(record: Record, row: BaselineRow) -> Iterator[str]:
-    """Yield the RMSE of the fit of all terms to all control features."""
+    """Yield the RMSE of the conventional fit, of all terms to all control, at independent points.
+
+    Nothing if that is not known or is the record's own fit. The text says what the record's fit
+    lacks: "all 24 points" if it left out features, else "all 12 terms".
+    """
     total = row.rmse.independent.total
     if total is None or not row.determined or record.solver == row.name:
         return
@@ -540,14 +556,13 @@ def _conventional_rmse(record: Record, row: BaselineRow) -> Iterator[str]:
 
 
 def _facts_on_search(record: Record) -> Iterator[str]:
-    """Yield the proof, if there is one, and the size of the Pareto front.
+    """Yield what is proven of the selection, if anything is, and the size of the Pareto front.
 
-    A proof that a solver merely claims is left out here: the details say who claims it. Without a
-    proof it is the gap that remains, where that means anything.
+    That is the optimum, that nothing is feasible, or the gap to the optimum. A proof that a solver
+    merely claims is left out here: the details say who claims it.
     """
     certificate = record.certificate
     if certificate is not None and not certificate.claimed_by:
-        # A claim of another program is not repeated as a proof.
         subsets = amount_in_words(certificate.subsets, "subset")
         if certificate.optimal:
             if record.solver in _PROVING:
@@ -561,6 +576,7 @@ def _facts_on_search(record: Record) -> Iterator[str]:
             yield (f"optimality gap {percent_text(certificate.gap)}; --solver exact finds the "
                    "optimum")
         elif isinstance(certificate.gap, float):
+            # A gap of more than the bound itself tells nothing of the selection.
             if certificate.gap > 1.0:
                 yield "not proven: no selection is excluded yet, for lack of time"
             else:
@@ -573,7 +589,7 @@ def _facts_on_search(record: Record) -> Iterator[str]:
 
 
 def _urgent_warnings_and_notes(record: Record) -> list[str]:
-    """Return urgent warnings, then each note that the lines above do not say already."""
+    """Return urgent warnings, then each note that neither they nor the facts say already."""
     accuracy = record.accuracy
     reused = accuracy is not None and bool(reused_points_in_words(accuracy))
     heights = _caution_on_heights(record)
@@ -595,11 +611,11 @@ def _urgent_warnings_and_notes(record: Record) -> list[str]:
 
 
 def _caution_on_heights(record: Record) -> str:
-    """Return that the heights of the DEM are not those of the control, or ""."""
+    """Return that the heights of the DEM are not those of the control; "" without that doubt."""
     doubt = record.data.read.height_doubt if record.data.read else ""
     if not doubt:
         return ""
-    # A note says the same, and what it does to a map in px.
+    # The note of the result that begins alike also says what it does to a map in px.
     opening = doubt.partition("; ")[0]
     return next((note for note in record.notes if note.startswith(opening)), doubt)
 
@@ -618,8 +634,8 @@ def _why_rpc_unused(record: Record) -> str:
 def _fitting_cautions(warnings: Sequence[str], room: int) -> Iterator[Fact]:
     """Yield the most urgent warnings that fit into `room` lines, and how many more there are.
 
-    A warning that does not fit as a whole is given by its first sentence. That of the first one is
-    never cut: half a caution says nothing.
+    A warning that does not fit as a whole is given by its first sentence. The first warning is
+    shown whatever the room: at least its first sentence.
     """
     label = "Caution"
     for i, warning in enumerate(warnings):
@@ -627,7 +643,6 @@ def _fitting_cautions(warnings: Sequence[str], room: int) -> Iterator[Fact]:
         space = room - (1 if remaining > 1 else 0)
         texts = [warning.removesuffix("."), _first_sentence_of(warning)]
         facts = [Fact(text, label) for text in texts]
-        # The first warning is shown whatever the room.
         largest = max(space, _lines_of_fact(facts[-1]) if i == 0 else 0)
         fitting = [fact for fact in facts if _lines_of_fact(fact) <= largest]
         if not fitting:
@@ -663,10 +678,10 @@ def _is_shown(note: str) -> bool:
 def _urgent_warnings(record: Record) -> Iterator[str]:
     """Yield warnings that come before any figure, the costliest mistake first.
 
-    Each is what the screen has room for; the notes of the result say more. A warning of data comes
-    before one of figures, as with wrong coordinates all figures are those of other places.
+    Each is what the screen has room for; the notes of the result say more. The first is that no
+    selection is feasible. Warnings of data come before those of figures, as with wrong coordinates
+    all figures are those of other places.
     """
-    # In the order of how much a wrong answer would cost.
     if not record.feasible and NO_FIGURE in record.judgement:
         yield (f"do not use this fit: the criterion {NO_FIGURE} for any selection that was found. "
                "Choose another (--criterion); if it is your own, its score() gives NaN or infinity")
@@ -710,17 +725,20 @@ def _urgent_warnings(record: Record) -> Iterator[str]:
 
 
 def _caution_on_known_camera(record: Record) -> str:
-    """Return that cameras of which nothing is stated fit clearly better than the stated one; or "".
+    """Return that a camera of which nothing is stated fits clearly better than the stated one.
 
-    A focal length alone is that of a lens without distortion, which bends all of the image.
+    "" where none does. The caution asks for the distortion where none is stated: a focal length
+    alone means a lens without distortion.
     """
     strategy = record.strategy
     if strategy is None or strategy.chosen != KNOWN_CAMERA:
         return ""
     figures = {row.name: row.predicted for row in strategy.candidates if row.predicted is not None}
-    free = {name: figures[name] for name in figures if name in BY_NAME and BY_NAME[name].central}
-    best = min(free, key=lambda name: free[name], default="")
-    if not best or figures.get(KNOWN_CAMERA, 0.0) <= CHANCE * free[best]:
+    free_cameras = {name: figures[name] for name in figures
+                    if name in BY_NAME and BY_NAME[name].central}
+    best = min(free_cameras, key=lambda name: free_cameras[name], default="")
+    # CHANCE is the ratio of two such figures that differ by chance.
+    if not best or figures.get(KNOWN_CAMERA, 0.0) <= CHANCE * free_cameras[best]:
         return ""
     distortion = str(record.options.model.get("distortion") or "")
     if any(float(number) for number in distortion.split(",") if number):
@@ -729,7 +747,7 @@ def _caution_on_known_camera(record: Record) -> str:
         remedy = ("does the lens distort? State it with --set camera_distortion=K1,K2, or check "
                   "the focal length")
     return (f"{BY_NAME[best].title}, of which nothing is stated, has "
-            f"{rounded_size_text(free[best])} px in leave-one-out, the camera as stated "
+            f"{rounded_size_text(free_cameras[best])} px in leave-one-out, the camera as stated "
             f"{rounded_size_text(figures[KNOWN_CAMERA])} px: {remedy}")
 
 
@@ -739,7 +757,7 @@ def next_step_for_user(record: Record, folder: str = "") -> str:
     `folder` is where the result was written, "" if it was not.
     """
     read = record.data.read
-    # What look like blunders may come from these.
+    # Wrong coordinates come first: points may look like blunders for no other reason.
     if read and read.mixed:
         return "Next: correct the coordinates, then run again"
     if read and read.doubt:
@@ -751,7 +769,8 @@ def next_step_for_user(record: Record, folder: str = "") -> str:
     # A command that is complete is better than advice.
     if off and len(off) <= _LONGEST_OPTION:
         return f"Next: run again with {off}"
-    # Of a map whose projection was chosen the fit is in that projection.
+    # Points alone without heights look like those of a map; a fit in another CRS than that of the
+    # data is in a projection that was found already.
     is_like_a_map = (read is not None and not read.lines and read.without_height == read.points
                      and record.data.fit_crs == record.data.crs)
     if is_like_a_map and is_geographic(record.data.crs) and does_nothing_fit(record):

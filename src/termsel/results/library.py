@@ -43,10 +43,10 @@ def read_library() -> str:
         checksum, _, data = cached.read_bytes().partition(b"\n")
         if checksum == _checksum_of_library(data):
             return data.decode()
-    # In a script of a page this would end the script.
+    # The library lies within a script of the page, which "</script" would end.
     text = drawing_bundle(f"window.{EMBED} = vegaEmbed;").replace(
         "</script", "<\\/script")
-    # A page is written all the same where the folder of the module cannot be written to.
+    # A page does not depend on the cache.
     with suppress(OSError, TermselError):
         _CACHE_FOLDER.mkdir(exist_ok=True)
         data = text.encode()

@@ -25,8 +25,8 @@ _sent = False
 def offline_chart(chart: Any) -> Any:
     """Return a chart that shows itself in a notebook without a connection.
 
-    It remains an Altair chart. So does what is made of it by its methods, such as ``properties``.
-    Who enables a renderer of Altair gets that one.
+    It remains an Altair chart, and so do the charts that its methods make of it, such as
+    ``properties``. Where the user has enabled a renderer of Altair, that one shows it.
     """
     # A shallow copy, whose class alone differs: the chart of the user stays as it is.
     copied = chart.copy(deep=False)
@@ -39,9 +39,10 @@ def offline_chart(chart: Any) -> Any:
 def _offline_class(kind: Any) -> type:
     """Return the class of a chart that notebooks show without a connection."""
     def bundle(self: Any, *args: Any, **kwds: Any) -> Any:
-        """Return an object's chart as HTML and text, or by the Altair renderer that the user chose.
+        """Return the chart as HTML and text by MIME type, or as Altair shows it.
+
+        As Altair does where the user has chosen a renderer of it, or vl-convert is not installed.
         """
-        # Who has chosen a renderer of Altair gets that.
         if require_altair().renderers.active != "default" or find_spec("vl_convert") is None:
             return kind._repr_mimebundle_(self, *args, **kwds)
         return {"text/html": html_of(self), "text/plain": repr(self)}
@@ -51,7 +52,11 @@ def _offline_class(kind: Any) -> type:
 
 
 def html_of(chart: Any) -> str:
-    """Return a chart as HTML for the output of a cell."""
+    """Return a chart as HTML for the output of a cell of a notebook.
+
+    The first one in a process also has the library that draws it, megabytes long, which a notebook
+    needs once.
+    """
     global _sent
     spec = chart.to_dict()
     # The picture stands for the chart where scripts do not run, as on a page of a repository.
@@ -61,7 +66,6 @@ def html_of(chart: Any) -> str:
     element = f"termsel-{uuid4().hex}"
     # Nothing in the data may end the script.
     content = make_drawable(json.dumps(spec, allow_nan=False)).replace("<", "\\u003c")
-    # The interpreter is megabytes long: a notebook needs it once.
     scripts = "" if _sent else f"<script>{read_library()}</script>"
     _sent = True
     return (f'<div id="{element}"><img alt="{escape(str(description))}" '

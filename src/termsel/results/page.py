@@ -87,7 +87,10 @@ def render_page(document: Document) -> str:
 
 
 def _share_data(specs: dict[str, Any]) -> dict[str, Any]:
-    """Return charts that name their data, and all data once: charts share many."""
+    """Return charts that name their data, under "charts", and all data once, under "data".
+
+    Charts share much of their data. `specs` are Vega-Lite specifications by the name of the chart.
+    """
     data: dict[str, Any] = {}
     charts = {}
     for name, spec in specs.items():
@@ -101,7 +104,6 @@ def _blocks_html(blocks: Iterable[Block], specs: dict[str, Any]) -> Iterator[str
 
     The specifications of charts are added to `specs`.
     """
-    # groupby takes neighbours together, so that figures in a row share it.
     for kind, group in groupby(blocks, type):
         if kind is Fact:
             yield _facts_html([block for block in group if isinstance(block, Fact)])
@@ -145,8 +147,10 @@ def _block_html(block: Block, specs: dict[str, Any]) -> str:
 
 
 def _chart_as_html(figure: Figure, specs: dict[str, Any]) -> str:
-    """Return the place of a chart as HTML, and keep its specification."""
-    # Charts are drawn by the browser from their specification, which is at the end of the page.
+    """Return an empty element for a chart as HTML, and put the chart's specification into `specs`.
+
+    The browser draws it there from its specification, which is at the end of the page.
+    """
     specs[figure.name] = with_theme(figure.chart).to_dict()
     ratio = figure.chart.width / figure.chart.height if figure.keeps_ratio else 0
     return (f'<figure id="{_escape_html(figure.name)}"><h3>{_escape_html(figure.title)}</h3>'
@@ -164,7 +168,8 @@ def _table_as_html(table: TableBlock) -> str:
     if table.pictures:
         heads.insert(1, '<th scope="col" class="words">residuals</th>')
     choice = f' data-choice="{_escape_html(table.choice)}"' if table.choice else ""
-    # On a narrow screen text beside numbers, or many columns, would leave it.
+    # A table with text beside numbers, or with many columns, is wider than a narrow screen, which
+    # shows it as a list.
     is_listed = bool(table.pictures or ' class="words"' in classes
                      or sum(column != ' class="beyond"' for column in classes) > MOST_COLUMNS)
     listed = ' class="listed"' if is_listed else ""

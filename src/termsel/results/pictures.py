@@ -90,13 +90,13 @@ def with_margins(svg: str) -> str:
 
     A browser without Helvetica takes another font, in which long labels reach beyond the drawing.
     """
-    def widened(found: re.Match[str]) -> str:
-        width = float(found["width"]) + LEFT + RIGHT
-        height = found["height"]
-        return (f'{found["head"]}width="{width:g}" height="{height}" '
+    def widen(size: re.Match[str]) -> str:
+        width = float(size["width"]) + LEFT + RIGHT
+        height = size["height"]
+        return (f'{size["head"]}width="{width:g}" height="{height}" '
                 f'viewBox="{-LEFT} 0 {width:g} {height}"><rect x="{-LEFT}" width="{width:g}" ')
 
-    return _SIZE.sub(widened, svg, count=1)
+    return _SIZE.sub(widen, svg, count=1)
 
 
 def drawing_bundle(snippet: str) -> str:

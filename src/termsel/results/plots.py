@@ -171,9 +171,8 @@ def chart_block(view: View | None, name: str, drawn: Any = None) -> Iterator[Fig
     name : str
         One of `KINDS`.
     drawn : altair.Chart, optional
-        The chart, where it is another than that of its kind.
+        The chart; by default the kind draws it.
     """
-    # What a view lacks, such as a front, has no figure, and a report no gap.
     if view is not None and not why_chart_missing(view, name):
         kind = KINDS[name]
         yield Figure(name, kind.title, kind.caption(view),
@@ -196,7 +195,7 @@ def styled_chart(view: View, name: str) -> Any:
     """
     require_altair()
     kind = kind_of(name)
-    # Asked for by name: then it is an error, and no gap.
+    # A report leaves a gap, but here the user asked for the chart by its name.
     if why := kind.missing(view):
         names = ", ".join(kind.name for kind in KINDS.values() if not kind.missing(view))
         raise TermselError(f"this result has no chart {name}: {why}",
@@ -249,6 +248,7 @@ def require_picture(path: Path) -> None:
     Raises
     ------
     TermselError
+        If the suffix is not one of `FORMATS`, such as .svg.
     """
     if path.suffix.lower() not in FORMATS:
         kind = path.suffix or "a file without a suffix"
@@ -264,12 +264,12 @@ def save(drawn: Any, path: Path) -> None:
     ----------
     drawn : altair.Chart
     path : pathlib.Path
-        Its suffix says which.
+        Its suffix says which of these it is.
 
     Raises
     ------
     TermselError
-        If the suffix is another, the file cannot be written, or as `picture`.
+        If the suffix is another, the chart cannot be drawn, or the file cannot be written.
     """
     require_picture(path)
     write_bytes(path, draw_picture(drawn, path.suffix.lower()))

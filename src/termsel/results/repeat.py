@@ -17,13 +17,13 @@ def repeating_command(record: Record) -> str:
     """Return the command that repeats a run in the folder of its result.
 
     The points and lines there have their roles, heights and the size of their image, and the record
-    has the vendor's RPC, so that the files they came from are not needed.
-    `why_not_by_command` shows the runs that no command can repeat.
+    has the vendor's RPC, so that the files they came from are not needed. For some runs there is no
+    such command: `reason_for_no_command` says why, and is asked first.
     """
     return " \\\n    ".join(["termsel run", *_command_arguments(record)])
 
 
-def why_not_by_command(record: Record) -> str:
+def reason_for_no_command(record: Record) -> str:
     """Return why no command repeats a run; "" if one does."""
     own_classes = [f"{role} {plugin.class_}" for role, plugin in record.plugins.items()
                    if plugin.class_]
@@ -43,7 +43,6 @@ def _command_arguments(record: Record) -> Iterator[str]:
     named.
     """
     counts = record.data.counts
-    # The problem stands first, as all else depends on it.
     yield f"--problem {shlex.quote(_full_name(record, 'problem'))}"
     if counts.control or counts.check or counts.independent or counts.off:
         yield "--points points.csv"
@@ -55,9 +54,10 @@ def _command_arguments(record: Record) -> Iterator[str]:
     if record.strategy:
         yield "--strategy auto"
     else:
-        # A solver that is named takes what its paper says; that of the problem leaves it open.
-        named = record.solver != Recipe.solver or None not in record.options.solver.values()
-        for part_of_run in ("model", "solver", "criterion") if named else ("model", "criterion"):
+        # A solver that a command names takes the options of its paper; the default one that a
+        # problem brings has some of them open, as None.
+        is_named = record.solver != Recipe.solver or None not in record.options.solver.values()
+        for part_of_run in ("model", "solver", "criterion") if is_named else ("model", "criterion"):
             yield f"--{part_of_run} {shlex.quote(_full_name(record, part_of_run))}"
     yield from _settings_of_run(record)
     yield f"--seed {record.seed}"

@@ -77,10 +77,10 @@ def checksum_of_certificate(content: Mapping[str, Any]) -> str:
 def checksum_of_attributes(features: FeatureSet) -> str | None:
     """Return a checksum of the columns of attributes, None where there are none.
 
-    It is not part of `checksum_of_features`: results of the same control are told by that, whatever
-    else its files say of it.
+    It is not part of `checksum_of_features`, which is the same for the same control whatever else
+    its files say of it.
     """
-    # By name and value, points before lines, so that their order in a file does not matter.
+    # By the name of the column, points before lines.
     columns = []
     for content in (features.points, features.lines):
         columns.append({name: cells.tolist() for name, cells in content.attributes.items()})
@@ -145,14 +145,15 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
     @classmethod
     def of(cls, record: Record, *, fit: Fit, features: FeatureSet, residuals: Residuals,
            final: Fit | None = None, files: Mapping[str, str] | None = None) -> Result:
-        """Return the result that a record and the fits that it is of make.
+        """Return the result with the values of a record, and with the fits that it describes.
 
         Parameters
         ----------
         record : Record
-            Its checksums are left out: those of what is written are in `Result.record`.
+            Its checksums are left out: those of the files that are written are in
+            `Result.record`.
         fit, final, features, residuals, files
-            As the attributes.
+            As the attributes of those names.
 
         Raises
         ------
@@ -166,7 +167,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
                    files=files or {})
 
     def with_(self, **changes: Any) -> Result:
-        """Return the result with other values of some attributes.
+        """Return a copy of the result with other values of some attributes, given by name.
 
         Examples
         --------
@@ -235,18 +236,17 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         TermselError
             If the final fit is asked for and there is none.
         """
-        # Nothing to choose between: the only fit is exported.
         if self.final is None:
             if final:
                 raise TermselError("this result has no fit to all points (--final)",
                                    hint="Leave --final out: only the automatic choice makes such a "
                                         "fit, where there are independent check points.")
             return self
-        # The other fit is exported, and the final one forgotten.
         if final is False:
             return self.with_(final=None, final_fit=None, exports="selection")
         observations = observations_by_role(self.features)
-        # Of independent points, the outliers stay out of the final fit; twins of others are in it.
+        # The final fit also uses the independent points but for outliers. Points that were merged
+        # with a twin count as used.
         in_use = set(observations.independent.ids) - {outlier.id for outlier in self.outliers}
         residuals = residuals_of(restrict_to_control(self.final, observations), observations,
                                  self.outliers,
@@ -279,7 +279,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
     def locate(self, image: ArrayLike, height: ArrayLike | Surface) -> FloatArray:
         """Return the ground points seen at image points, by the exported fit.
 
-        Of several places at which a ray meets a surface it is the first, which hides the others.
+        Of several places at which a ray meets a surface the first is returned: it hides the others.
 
         Parameters
         ----------
@@ -291,7 +291,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         Returns
         -------
         ndarray, shape (n, 3)
-            In the CRS of the control; NaN where there is none.
+            X, Y and Z in the CRS of the control; NaN where the ray meets no ground.
         """
         return self.exported.locate(image, height)
 
@@ -368,7 +368,6 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         verbose : bool
             Whether to return all of it, as summary.txt has it: every table, term and proof.
         """
-        # The first screen fits into a terminal; summary.txt has every table and proof.
         if not verbose:
             return text_of_blocks(first_screen(self))
         return text_of(result_document(self.record, further=further_sections(self)), titled=False)

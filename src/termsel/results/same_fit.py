@@ -34,9 +34,10 @@ from termsel.models.quotient import guard_points, pole_margin, pole_violation
 
 
 def numbers_of(fitted: Fit) -> dict[str, Any]:
-    """Return the fields of a record that say something of one fit, by the name of the field.
+    """Return the fields of a record that describe a fit, by the name of the field.
 
-    A result may have a second fit, to all points; see `final_fit` for the fields of that one.
+    They are those of the fit to the control, or of a fit that takes its place. The record of a
+    further fit, to all points, is made by `final_fit`.
     """
     lines = fitted.control.take(fitted.used).lines
     return {
@@ -66,7 +67,7 @@ def final_fit(final: Fit | None, predicted: Predicted | None) -> FinalFit | None
 
 def fit_record(fitted: Fit) -> FitRecord:
     """Return how the coefficients of a fit were found."""
-    # Held-out errors are those of the features it was made with, twins merged.
+    # The fit may state features that were merged with twins; held-out errors are of the merged.
     original = fitted.original or fitted
     errors = None if original.stored_held_out is None else original.stored_held_out.errors
     held_out = None if errors is None else errors.tolist()
@@ -94,9 +95,12 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
                   by_plugin: Estimator | None = None) -> Fit:
     """Return the fit that a record describes, of the features in use among the control.
 
-    The estimator is that of a plugin's method, `by_plugin`, where it has the name in the record.
-    Refuses a name that no estimator has, and errors held out that are not those of the features in
-    use.
+    Coefficients and figures are those of the record; only the correlations of least squares are
+    computed again. `used` (n,) are the control features in use, `deviations` the standard
+    deviations of the coefficients, `how` the estimator, its trace and its held-out errors. The
+    estimator of a plugin's method, `by_plugin`, is taken if the record names it. Raises
+    TermselError for a name that no estimator has, and for held-out errors that are more or fewer
+    than those of the features in use.
     """
     if by_plugin is not None and by_plugin.name == how.estimator:
         estimator = by_plugin
@@ -121,6 +125,8 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
                                f"expected {len(in_use.vertex_feature)}",
                                hint="Copy the whole folder again, or repeat the run.")
         held_out = HeldOut.of(errors, in_use)
+    # JSON has no NaN: a trace that is not known is stored as None, which stands for least squares
+    # in a fit.
     if trace is None and not estimator.least_squares:
         trace = np.nan
     # The figures of the record, whatever the rounding of this machine.
@@ -145,21 +151,22 @@ def fit_of_selection(model: SensorModel, control: FeatureSet, scaling: Scaling, 
                      used: BoolArray, check: Points, iterated: bool | None = None) -> Fit:
     """Return the fit of a selection of terms and features, as a run makes it.
 
-    Where the iteration for lines under separate denominators ends with a pole in the scene, the
-    solution it began with, which the search judged, is taken: of the scene that control and check
-    points span. `iterated` says whether the iteration was taken, where it is known.
+    Lines under separate denominators are fitted by iteration. With `iterated` True the last step is
+    returned, with False the first, which the search judged. With None it is the last, or the first
+    if the last has a pole in the scene of control and `check` points.
     """
     fitted = LeastSquares(iterated is not False).fit(model, control, scaling, terms, used)
-    # Where it is not said which, the last step is taken, or the first if the last has a pole.
     if iterated is None and has_pole(fitted, check):
         return LeastSquares(False).fit(model, control, scaling, terms, used)
     return fitted
 
 
 def has_pole(fitted: Fit, check: Points) -> bool:
-    """Return whether a denominator falls short somewhere in the scene of control and check."""
+    """Return whether a denominator of a fit is below `pole_margin` somewhere in the scene.
+
+    The scene is the box around control and `check` points, which `guard_points` samples.
+    """
     scaling = fitted.scaling
-    # Poles are looked for where a denominator may fall: at the control, check points, between.
     control = scaling.features(fitted.control)
     return bool(pole_violation(
         fitted.model, fitted.adjustment.coefficients[None],

@@ -21,9 +21,10 @@ from termsel.results.view import View
 
 
 def blocks_on_selection(record: Record, view: View | None, picture: str) -> Iterator[Block]:
-    """Yield the selection, its search or choice, and proofs of it.
+    """Yield how the selection was found and what is proven of it, then its figures and names.
 
-    The picture is the image, smaller, as a data URL.
+    Charts and their tables are for a page, which has a `view`; `picture` is the image there,
+    smaller, as a data URL. Names of features and terms are listed where some were not selected.
     """
     if record.strategy:
         yield from _choice_table(record, record.strategy, view)
@@ -164,7 +165,7 @@ def _certificate_sentence(certificate: Certificate, exact: str) -> str:
     be above the optimum, in percent of it. Counts and limits are part of the sentence, since the
     proof holds for selections of that space alone.
     """
-    # In words: how many subsets were decided, of which space, under which limit.
+    # Such as "all selections of up to 12 terms", whose limit is "up to 12 terms".
     decided = f"{amount_in_words(certificate.subsets, 'subset')} enumerated"
     proven = f"{decided}, {certificate.space}"
     _, _, limit = certificate.space.partition("selections of ")
@@ -178,7 +179,7 @@ def _certificate_sentence(certificate: Certificate, exact: str) -> str:
             how.append(f"{amount_in_words(certificate.bounded)} of them fathomed by bounds")
         return (f"Proven: no selection{capped} has a better criterion "
                 f"({', '.join(how if limit else [*how, certificate.space])})")
-    # A proof of the optimum that is not this selection: how far it is from it.
+    # The optimum is proven, and it is another selection than this one.
     if isinstance(certificate.optimum, float):
         if not isinstance(certificate.gap, float):
             return (f"The proven optimum is {certificate.optimum:.4g}, below this ({proven}); "
@@ -197,10 +198,13 @@ def _certificate_sentence(certificate: Certificate, exact: str) -> str:
 
 
 def _front_and_proofs(record: Record, view: View | None, picture: str) -> Iterator[Block]:
-    """Yield the front, or the best so far of each size, and proofs of their members."""
+    """Yield the front, or the best so far of each size, and proofs of their members.
+
+    Nothing for a record that has neither.
+    """
     front = record.front
     by_size = record.by_size
-    # Without a front, sizes that are better than all smaller ones are one.
+    # The best selections of sizes that beat all smaller sizes form a front, too.
     members: Sequence[Member | SizeRow] = front or [row for row in by_size if row.better]
     if not members:
         return
@@ -225,7 +229,7 @@ def _table_of_members(record: Record, members: Sequence[Member | SizeRow]) -> Ta
 
     Its columns are the objectives, the RMSE at selection points (unless that is an objective) and
     at independent check points, what is proven of the size (if anything is proven of any), and the
-    names of the terms. The member that the record's selection is, is marked.
+    names of the terms or features. The member with the record's own selection is marked.
     """
     size, *further = members[0].objectives
     names = size.removeprefix("n_")

@@ -26,30 +26,31 @@ def proven_in_words(row: SizeRow) -> str:
 
 
 def sentences_on_sizes(by_size: Sequence[SizeRow], criterion: str) -> Iterator[str]:
-    """Yield sentences on sizes that are no better than a smaller one by the criterion.
+    """Yield sentences on sizes whose best known selection is no better than one of fewer members.
 
-    They say of which sizes this is proven, and of which it is not.
+    One sentence names the sizes of which it is proven that there is no better one, and one those of
+    which it is not. `criterion` is the name of the objective; `by_size` are in ascending order.
     """
-    settled = []
-    open_ = []
+    proven_sizes = []
+    open_sizes = []
     best_value = float("inf")
     words = noun_of_members(by_size)
     for row in by_size:
         size = int(row.objectives[size_of(row)] or 0)
         value = row.objectives[criterion]
-        # Sizes are in ascending order, so that a bound above the best value of fewer decides.
+        # What is no better than the best of fewer members is decided by a bound above that.
         if row.better and value is not None:
             best_value = value
         elif row.bound is not None and row.bound >= best_value - _TIE * abs(best_value):
-            settled.append(size)
+            proven_sizes.append(size)
         else:
-            open_.append(size)
-    if settled:
-        yield (f"Proven: the best selection of {_ranges_in_words(settled)} {words} is no better "
-               "than that of fewer.")
-    if open_:
-        yield (f"Not proven: a selection of {_ranges_in_words(open_)} {words} may still be better "
-               "than that of fewer.")
+            open_sizes.append(size)
+    if proven_sizes:
+        yield (f"Proven: the best selection of {_ranges_in_words(proven_sizes)} {words} is no "
+               "better than that of fewer.")
+    if open_sizes:
+        yield (f"Not proven: a selection of {_ranges_in_words(open_sizes)} {words} may still be "
+               "better than that of fewer.")
 
 
 def recommended_member(members: Sequence[Member | SizeRow],
@@ -72,15 +73,17 @@ def noun_of_members(members: Sequence[Member | SizeRow]) -> str:
 
 
 def _ranges_in_words(sizes: Sequence[int]) -> str:
-    """Return numbers as text, three or more in a row by their ends."""
-    rows: list[list[int]] = []
-    # Runs of consecutive sizes.
+    """Return ascending numbers as text, such as "2, 3 and 5 to 9".
+
+    Three or more numbers without a gap are given by the first and the last of them.
+    """
+    runs: list[list[int]] = []
     for size in sizes:
-        if rows and size == rows[-1][-1] + 1:
-            rows[-1].append(size)
+        if runs and size == runs[-1][-1] + 1:
+            runs[-1].append(size)
         else:
-            rows.append([size])
+            runs.append([size])
     words: list[str] = []
-    for row in rows:
-        words += map(str, row) if len(row) < 3 else [f"{row[0]} to {row[-1]}"]
+    for run in runs:
+        words += map(str, run) if len(run) < 3 else [f"{run[0]} to {run[-1]}"]
     return " and ".join([", ".join(words[:-1]), words[-1]] if words[1:] else words)

@@ -18,7 +18,7 @@ STEP = 9
 
 
 def convergence_table(view: View) -> TableBlock:
-    """Return a table of the search with a row for each generation, evenly spaced ones of many.
+    """Return a table of the search, with a row for each of MAX_GENERATION_ROWS generations at most.
 
     For a solver with empires a column counts the empires that are left.
     """
@@ -54,8 +54,7 @@ def term_table(view: View) -> TableBlock:
 
 
 def correlation_table(view: View) -> TableBlock:
-    """Return the pairs of coefficients that correlate most."""
-    # By size, whatever the sign.
+    """Return the PAIRS pairs of coefficients that correlate most, whatever the sign."""
     pairs = sorted(view.correlations, key=lambda row: -abs(row["correlation"]))
     return TableBlock(
         "Pairs of coefficients that correlate most", ("term", "and term", "correlation"),
@@ -64,9 +63,9 @@ def correlation_table(view: View) -> TableBlock:
 
 
 def sigma_table(view: View) -> TableBlock:
-    """Return the standard deviation at places all over the image."""
+    """Return the standard deviation [px] at places all over the image, at the middle of cells."""
     cells = view.sigma
-    # Every ninth line and column of the map: a table of all would be hundreds of rows.
+    # Every STEP-th line and column of the map: a table of all would have hundreds of rows.
     rows = sorted({cell["line"] for cell in cells})[::STEP]
     columns = sorted({cell["sample"] for cell in cells})[::STEP]
     return TableBlock("Standard deviation across the image", (

@@ -28,12 +28,12 @@ _LABEL = 10
 
 
 def text_of(document: Document, *, with_details: bool = True, titled: bool = True) -> str:
-    """Return the document of a result or a study as text, with or without its details.
+    """Return the document of a result or a study as text.
 
-    `titled` is whether it begins with the title, and not with the facts.
+    `titled` is whether it begins with the title, and not with the facts. `with_details` is whether
+    it has what --verbose adds, the blocks of `Detail`. Figures have no text.
     """
     lines = [document.title, *_wrap_text(document.subtitle)] if titled else []
-    # Details are what --verbose adds; figures have no text.
     lines += _lines_of_blocks(_blocks_shown(document.facts, with_details))
     for section in document.sections:
         if blocks := list(_blocks_shown(section.blocks, with_details)):
@@ -76,7 +76,6 @@ def _lines_of_blocks(blocks: Iterable[Block], *, all_rows: bool = False) -> Iter
         elif isinstance(block, Note):
             yield from _wrap_text(f"{block.label}: {block.text}", 4)
         elif isinstance(block, Fact) and block.label:
-            # A fact of the first screen: its label has a column of its own.
             yield from textwrap.wrap(block.text, _WIDTH, initial_indent=block.label.ljust(_LABEL),
                                      subsequent_indent=" " * _LABEL, break_on_hyphens=False)
         elif isinstance(block, Fact):
@@ -111,8 +110,11 @@ def _lines_of_table(table: TableBlock, *, all_rows: bool) -> Iterator[str]:
 
 
 def _align_rows(rows: Sequence[Sequence[str]], are_words: Iterable[bool]) -> Iterator[str]:
-    """Yield rows in columns: words begin at the left, numbers end at the right."""
-    # A column is as wide as its widest cell, unless that is a list of names.
+    """Yield rows as lines of columns: words begin at the left, numbers end at the right.
+
+    `are_words` says of each column whether it has words.
+    """
+    # As wide as the widest cell, but a list of names in one row would push the others away.
     widths = [min(max(map(len, column)), _WIDEST_COLUMN) for column in zip(*rows, strict=True)]
     are_words = list(are_words)
     for row in rows:

@@ -73,7 +73,7 @@ def with_theme(chart: Any, title: str = "", look: str = "") -> Any:
 
 
 def dark_style() -> str:
-    """Return the rules of a page that give charts the colours of a dark one on the screen."""
+    """Return the rules of style by which charts of a page have dark colours on a dark screen."""
     rules = []
     for light, dark in DARK.items():
         for attribute in ("fill", "stroke"):
@@ -131,7 +131,10 @@ def role_legend() -> Any:
 
 
 def spread_scale(values: list[float], *, zero: bool) -> tuple[Any, str]:
-    """Return the scale of values, logarithmic where they differ by a power of ten, and its name.
+    """Return the scale of values, and the end of the title of its axis, which names it.
+
+    It is logarithmic, and the title ends in ", logarithmic", where all values are positive and the
+    largest is more than 12 times the least; else it is linear, and the end is "".
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ def are_alike(first: float, second: float) -> bool:
 
 def verdict_on_choice(own_rmse: float, rival_rmse: float, rival: str,
                       gains: Mapping[str, float | None], *, at_points: bool = False) -> str:
-    """Return in a few words how the model that was chosen compares with a rival.
+    """Return in a few words how the RMSE of a rival compares with that of the chosen model.
 
     `gains` says of all models that it was chosen among how much better than it they predict
     left-out points, each by the standard error of the difference. The RMSE are those of left-out
@@ -78,19 +78,19 @@ def times_in_words(ratio: float) -> str:
 def label_of(name: str) -> str:
     """Return what tables and charts call a fit without a search: a baseline or a candidate of auto.
     """
-    # What no method is called: the fits that stand for comparison only.
     method = BY_NAME.get(name)
     if method is not None:
         return method.label
+    # The fit without blunders is made for comparison only and is of no method.
     words = {WITHOUT_BLUNDERS: "outliers removed"}
     return words.get(name, name.replace("-", " ").replace("rpc", "RPC"))
 
 
 def fits_of(record: Record) -> Iterator[tuple[str, bool, int, RmseByRole]]:
-    """Yield this result, then all fits without a search.
+    """Yield the label and figures of this result, then those of all fits without a search.
 
-    Of each the label, whether it was fitted to the check points too, its number of terms, and its
-    RMSE.
+    The figures are whether the fit was also made to the selection points, its number of terms, and
+    its RMSE by role.
     """
     # The strategy auto fits to control and check points together, a search to control alone.
     yield THIS, bool(record.strategy), record.selection.n_terms, record.rmse
@@ -121,13 +121,13 @@ TESTABLE_RATIO = 10.0
 
 
 def off_option(record: Record) -> str:
-    """Return the --off option for blunders, if any is in use or independent; "" else.
+    """Return the option --off that leaves blunders out of the next run.
 
-    It names rejected ones as well: the next run gives roles anew, and would have them as
+    "" where all of them, but those that are merely possible, were rejected in this run. Otherwise
+    it names the rejected ones as well: the next run gives roles anew, and would have them as
     independent check points. It also names what this run was asked to leave out, since the option
     of the next run replaces that of this one.
     """
-    # A possible blunder is no reason to leave a point out; it is shown, and stays.
     wrong = [outlier for outlier in record.outliers if outlier.certainty != "possible"]
     if all(outlier.excluded for outlier in wrong):
         return ""
@@ -176,7 +176,10 @@ def outliers_in_words(record: Record) -> str:
 
 
 def size_of_errors(record: Record) -> float:
-    """Return the RMSE that features which took no part have, or are predicted to have [px]."""
+    """Return the RMSE that features which took no part have, or are predicted to have [px].
+
+    The smaller one where both are known, and 0 where neither is.
+    """
     sizes = []
     if record.predicted:
         sizes.append(record.predicted.rmse)
@@ -206,7 +209,10 @@ def are_too_few_to_test(test: BlunderTest, errors: float) -> bool:
 
 
 def _none_detected_in_words(test: BlunderTest | None, errors: float) -> str:
-    """Return that no outlier was detected, and how large one may be, given the size of errors."""
+    """Return that no outlier was detected, or can be, and how large one may be that was not.
+
+    `errors` is the size of the errors of features that took no part [px].
+    """
     if test is None:
         return "Outliers were not tested."
     if test.limit is None or are_too_few_to_test(test, errors):

@@ -20,7 +20,7 @@ from termsel.fitting.figures import residuals_of
 from termsel.fitting.fit import Fit
 from termsel.fitting.residuals import Residual, Residuals
 from termsel.fitting.scene import errors_on_ground, scene_grid
-from termsel.results.repeat import repeating_command, why_not_by_command
+from termsel.results.repeat import reason_for_no_command, repeating_command
 
 Row = dict[str, Any]
 
@@ -71,9 +71,12 @@ class View:
 
     @cached_property
     def in_image(self) -> list[Row]:
-        """Residuals with their places in the image: line, sample, dl, ds [px]."""
+        """Residuals (`dl`, `ds`) with their places (`line`, `sample`) in the image [px].
+
+        Those of features that the fit does not project are left out.
+        """
         rows = []
-        # Rows of charts are kept short: a page holds thousands.
+        # Numbers have few digits, as a page holds thousands of rows.
         for r, (line, sample) in zip(self._drawn_residuals, self._image_positions, strict=True):
             if np.isfinite([line, sample, r.distance]).all():
                 rows.append({**self._row_of(r), "line": _shorten_number(line),
@@ -104,28 +107,31 @@ class View:
 
     @cached_property
     def worst(self) -> list[Row]:
-        """Features by their largest residual, the largest first."""
+        """Features by the largest residual of their vertices, the largest first.
+
+        Where residuals are too many to be drawn, only those of the LARGEST_RESIDUALS largest.
+        """
         largest: dict[str, Row] = {}
-        # A feature of several vertices has the largest of their residuals.
-        for i in self._residuals_by_length[:None if self._drawn_residuals is self.residuals
-                                           else LARGEST_RESIDUALS]:
+        are_all_drawn = self._drawn_residuals is self.residuals
+        for i in self._residuals_by_length[:None if are_all_drawn else LARGEST_RESIDUALS]:
             if np.isfinite(self.residuals[i].distance):
                 largest.setdefault(self.residuals[i].id, self._row_of(self.residuals[i]))
         return list(largest.values())
 
     @cached_property
     def lines(self) -> list[Row]:
-        """Control lines as measured in the image: line, sample, line2, sample2 [px].
+        """Control lines as measured in the image: `line`, `sample`, `line2`, `sample2` [px].
 
-        `role` is "control" of those in use, "rejected" of blunders, else "left out".
+        `role` is "control" for a line in use, "rejected" for a blunder that is not, and "left out"
+        for others; `blunder` is True for a line that is listed among the outliers, in use or not.
         """
         lines = self.features.lines
         selected = set(self.record.selection.features)
         blunders = {outlier.id for outlier in self.record.outliers}
         rows = []
         for name, ((l1, s1), (l2, s2)) in zip(lines.ids, lines.image.tolist(), strict=True):
-            role_unused = "rejected" if name in blunders else "left out"
-            role = "control" if name in selected else role_unused
+            role_out_of_use = "rejected" if name in blunders else "left out"
+            role = "control" if name in selected else role_out_of_use
             rows.append({"id": name, "role": role, "blunder": name in blunders,
                          "line": _shorten_number(l1), "sample": _shorten_number(s1),
                          "line2": _shorten_number(l2), "sample2": _shorten_number(s2)})
@@ -155,7 +161,10 @@ class View:
 
     @cached_property
     def sigma(self) -> list[Row]:
-        """Standard deviation of the fit in cells of the image: its ends and sigma [px]."""
+        """Standard deviation of the fit (`sigma`) in cells of the image, with their ends [px].
+
+        A cell reaches from `line` to `line2` and from `sample` to `sample2`.
+        """
         image, ground = scene_grid(self.fit, SIGMA_SIDE, SMOOTH, self.image_box)
         # What all images of a block share adds to what this one has: variances add.
         sigma = np.linalg.norm(np.hypot(self.fit.sigma(ground),
@@ -179,20 +188,20 @@ class View:
 
     @cached_property
     def hull(self) -> list[Row]:
-        """Corners of the control's convex hull, the first repeated: i, line, sample [px].
+        """Corners of the control's convex hull in order, the first repeated: `line`, `sample` [px].
 
-        None of places on one straight line.
+        `i` is the number of the corner in this order. Empty for control on one straight line.
         """
-        around = convex_hull(self._control_in_image)
-        return [{"i": i, "line": float(self._control_in_image[v, 0]),
-                 "sample": float(self._control_in_image[v, 1])}
-                for i, v in enumerate(around + around[:1])]
+        corners = convex_hull(self._control_in_image)
+        return [{"i": i, "line": float(self._control_in_image[corner, 0]),
+                 "sample": float(self._control_in_image[corner, 1])}
+                for i, corner in enumerate(corners + corners[:1])]
 
     @cached_property
     def correlations(self) -> list[Row]:
         """Correlations of coefficients in use, a row for each pair: one, other, correlation.
 
-        Empty where the fit is none by least squares, so that there are no correlations.
+        Empty for a fit by another estimator than least squares, which has no correlations.
         """
         matrix = self.fit.adjustment.correlations
         if matrix is None or not self.fit.estimator.least_squares:
@@ -254,7 +263,7 @@ class View:
     @cached_property
     def no_command(self) -> str:
         """Why no command repeats the run; "" where one does."""
-        return why_not_by_command(self.record)
+        return reason_for_no_command(self.record)
 
     @cached_property
     def _ground(self) -> FloatArray:
@@ -291,9 +300,10 @@ class View:
 
     @cached_property
     def _image_positions(self) -> list[list[float]]:
-        """Line and sample of each residual [px]: of points as measured, of lines as computed."""
-        # Points were measured; of lines only the ground is known, so that the model shows where it
-        # is seen.
+        """Line and sample of each drawn residual [px], measured for points, computed for lines.
+
+        The vertices of a line on the ground were not measured in the image: the fit projects them.
+        """
         measured = dict(zip(self.features.points.ids, self.features.points.image.tolist(),
                             strict=True))
         computed_positions = self.fit.project(self._drawn_residuals.ground).tolist()

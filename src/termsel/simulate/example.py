@@ -49,11 +49,15 @@ def ground_of_corners() -> FloatArray:
 
 
 def picture_and_points() -> tuple[np.ndarray, Points]:
-    """Return the image, of bytes (lines, samples), and every other corner as measured in it."""
+    """Return the image, of bytes (lines, samples), and every other corner as measured in it.
+
+    The further corners are left for checks of a result.
+    """
     brightness = render(SENSOR, example_terrain(), BOARD)
     rng = np.random.default_rng(0)
-    pixels = np.clip(brightness + rng.normal(0.0, 2.0, brightness.shape), 1, 255).astype(np.uint8)
-    # Only every other corner: the rest are for whoever wants to check the result.
+    noisy = brightness + rng.normal(0.0, 2.0, brightness.shape)
+    # From 1, as 0 stands for no data.
+    pixels = np.clip(noisy, 1, 255).astype(np.uint8)
     ground = ground_of_corners()[::2]
     image = SENSOR.project(ground) + rng.normal(0.0, EXAMPLE_NOISE, (len(ground), 2))
     return pixels, Points(tuple(f"C{i}" for i in range(len(ground))), np.round(image, 3),
@@ -61,7 +65,7 @@ def picture_and_points() -> tuple[np.ndarray, Points]:
 
 
 def vendor_rpc() -> Rpc:
-    """Return an RPC of the image that is off by `VENDOR`."""
+    """Return an RPC of the image that is off by `VENDOR` [px], as a vendor delivers it."""
     # A virtual grid in image and height, as vendors make their RPCs from.
     axes = (np.linspace(0, SIZE[0], 9), np.linspace(0, SIZE[1], 9), np.linspace(LOW, HIGH, 5))
     grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)

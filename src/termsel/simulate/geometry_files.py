@@ -119,7 +119,7 @@ def read_geometry(path: Path | str) -> Pushbroom:
     Raises
     ------
     TermselError
-        If the file cannot be read, and as `geometry_from`.
+        If the file cannot be read, is not a geometry, or lacks a field or has an invalid one.
 
     Examples
     --------

@@ -77,14 +77,17 @@ def kept_text(name: str) -> str:
 
 
 def bytes_to_keep(features: FeatureSet) -> bytes:
-    """Return features as bytes that `kept_features` reads, every number with all its digits."""
+    """Return features as bytes that `kept_features` reads, every number with all its digits.
+
+    Heights that are not known become 0, as JSON has no NaN. Features must have an image size and a
+    noise, and neither an RPC nor standard deviations: the file has no place for these.
+    """
     points = features.points
     lines = features.lines
     assert features.image_size is not None
     assert features.noise is not None
     assert features.rpc is None
     assert points.sigma is None
-    # JSON has no NaN.
     ground = np.where(np.isnan(points.ground), 0.0, points.ground)
     stored = _Features(
         features.crs, features.image_size, features.noise,

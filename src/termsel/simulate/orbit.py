@@ -76,12 +76,15 @@ def pushbroom_at(
                            hint="Choose an inclination nearer to 90 deg.")
     # sin(latitude) = sin(inclination) sin(argument); past 90 deg the pass descends.
     argument = 180 - float(np.degrees(np.arcsin(ratio)))
+    # Both scales are approximate, with 7000 m/s over the ground; they are made exact at the end.
     sensor = Pushbroom(altitude, inclination, 0.0, argument, *image_size,
                        ifov=gsd / altitude, line_period=gsd / 7000,
                        roll=Angle((float(roll),)), pitch=Angle((float(pitch),)),
                        refraction=refraction)
 
     def positions_seen(candidate: Pushbroom) -> FloatArray:
+        """Return longitude and latitude of the centre, and of the next pixels below and beside it.
+        """
         line, sample = candidate.centre
         return candidate.locate([[line, sample], [line + 1, sample], [line, sample + 1]], height)
 

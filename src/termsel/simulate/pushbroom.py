@@ -144,7 +144,7 @@ class Pushbroom:
         return (line - self.centre[0]) * self.line_period
 
     def exposure(self, time: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return exposure stations and rotations from the camera to Earth-fixed axes.
+        """Return the positions of the scanner, and its rotations from camera to Earth-fixed axes.
 
         Parameters
         ----------
@@ -216,7 +216,7 @@ class Pushbroom:
             line = line + step
             before = along_track
             along_track, sample = self._view_coordinates(target, up, ground[:, 2], line)
-            # Steps of a few nano-px do not determine the slope, so the last slope is kept.
+            # Steps below 1e-4 px do not determine the slope, so the last slope is kept.
             np.divide(along_track - before, step, out=slope, where=np.abs(step) > 1e-4)
             step = -along_track / slope
         # A root beyond the horizon is a view through the Earth.
@@ -269,18 +269,18 @@ class Pushbroom:
                    ) -> FloatArray:
         """Return the points where rays of image points meet the terrain, shape (n, 3).
 
-        Longitude, latitude [deg] and ellipsoidal height [m], of line and sample [px], shape (n, 2);
-        `start` is the first approximation of the height [m].
+        These are longitude, latitude [deg] and ellipsoidal height [m]. `image` (n, 2) are line and
+        sample [px], `start` is the first approximation of the height [m]. In each of the `rounds`
+        the ray is met at the height of the terrain below the last position.
         """
         height = np.full(len(image), start)
-        # The height at the last position is that of the next one, until both agree.
         for _ in range(rounds):
             position = self.locate(image, height)
             height = terrain(position)
         return np.column_stack([position, height])
 
     def off_nadir(self, line: float | None = None) -> float:
-        """Return the angle between the middle detector's ray and the Earth's centre [deg].
+        """Return the angle between the ray of the middle detector and the Earth's centre [deg].
 
         Parameters
         ----------
@@ -295,7 +295,11 @@ class Pushbroom:
 
     def _view_coordinates(self, target: FloatArray, up: FloatArray, height: FloatArray,
                           line: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the along-track camera coordinate of targets at `line`, and their sample, (n,)."""
+        """Return the along-track camera coordinate of targets and their sample [px], (n,) each.
+
+        Both are those while `line` (n,) is exposed. Targets (n, 3) are Earth-fixed [m], `up` (n, 3)
+        the unit verticals and `height` (n,) the heights [m] there.
+        """
         station, rotation = self.exposure(self.time(line))
         if self.refraction:
             target = target + _refraction(target, up, height, station)

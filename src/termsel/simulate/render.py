@@ -34,8 +34,9 @@ def render(sensor: Pushbroom, terrain: Heights, pattern: Pattern, *, oversample:
            ) -> FloatArray:
     """Return the image a scanner takes of a pattern on the terrain, shape (n_lines, n_samples).
 
-    It is the brightness in the units of the pattern. Each pixel is the mean over its area, of
-    `oversample` rays along either side; shading of the terrain is not modelled.
+    It is the brightness in the units of the pattern. Each pixel is the mean of oversample^2 rays,
+    spread over its area; shading of the terrain is not modelled. The ground is computed at the
+    nodes of a mesh of `_MESH` px, and interpolated between them by cubic splines.
     """
     lines, samples = (np.arange(-_MARGIN, -(-size // _MESH) + _MARGIN + 1) * _MESH
                       for size in (sensor.n_lines, sensor.n_samples))
@@ -48,10 +49,10 @@ def render(sensor: Pushbroom, terrain: Heights, pattern: Pattern, *, oversample:
     fine_line, fine_sample = (
         (np.arange(size)[:, None] + offsets).ravel() / _MESH + _MARGIN
         for size in (sensor.n_lines, sensor.n_samples))
-    # In meshes, from the first one outside of the image.
+    # In units of the mesh, which begins `_MARGIN` nodes before the image.
     mesh_position = np.meshgrid(fine_line, fine_sample, indexing="ij")
     position = np.stack([map_coordinates(ground[..., axis], mesh_position, order=3).ravel()
                          for axis in (0, 1)], axis=-1)
-    # (line, part of it, sample, part of it)
-    bright = pattern(position).reshape(sensor.n_lines, oversample, sensor.n_samples, oversample)
-    return np.asarray(bright.mean(axis=(1, 3)))
+    # Axes: line, its part, sample, its part.
+    by_part = pattern(position).reshape(sensor.n_lines, oversample, sensor.n_samples, oversample)
+    return np.asarray(by_part.mean(axis=(1, 3)))

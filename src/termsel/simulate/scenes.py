@@ -139,7 +139,7 @@ def scene_truth(
     Parameters
     ----------
     name, seed, n_lines, wrong_lines
-        As of `simulate_scene`.
+        The values that `simulate_scene` was given.
 
     Returns
     -------
@@ -148,7 +148,7 @@ def scene_truth(
     Raises
     ------
     TermselError
-        As `simulate_scene`.
+        For an unknown name, a negative number or seed, or more mismatched lines than lines.
 
     Examples
     --------
@@ -175,7 +175,10 @@ def _scene_of_name(name: str) -> Scene:
 
 
 def _line_counts(scene: Scene, n_lines: int | None, wrong: int | None) -> tuple[int, int]:
-    """Return the numbers of lines and of mismatched ones; refuse what cannot be."""
+    """Return the numbers of lines and of mismatched lines, by default those of the scene.
+
+    Raises TermselError for a negative number, and for more mismatched lines than lines.
+    """
     n_lines = scene.lines if n_lines is None else n_lines
     if wrong is None:
         wrong = round(n_lines * scene.wrong_lines / scene.lines) if scene.lines else 0
@@ -256,7 +259,7 @@ def _role_counts(scene: Scene, count: int) -> tuple[int, int, int]:
 @lru_cache(maxsize=16)  # studies and tests ask for a scene again and again
 def _noise_free_features(name: str, seed: int | None, roles: tuple[int, int, int],
                          n_lines: int) -> tuple[Points, Lines]:
-    """Return points and lines free of noise; cached, as studies and tests repeat them.
+    """Return points and lines free of noise.
 
     `roles` are the numbers of control, check and independent points.
     """
@@ -284,7 +287,6 @@ def _noise_free_points(scene: Scene, rng: Generator, numbers: tuple[int, int, in
     roles = np.array([role for _, role in sorted(role_order)])
     extent = np.array(scene.image_size) - 1.0
     image = np.empty((count, 2))
-    # The first two control points lie at the lowest and the highest place.
     at_extremes = np.flatnonzero(roles == 0)[:2]
     image[at_extremes] = extremes[:len(at_extremes)]
     placed, *of_role = (_Placed(np.empty((number, 2))) for number in (count, *numbers))
@@ -292,8 +294,8 @@ def _noise_free_points(scene: Scene, rng: Generator, numbers: tuple[int, int, in
         of_same = of_role[roles[i]]
         if i not in at_extremes:
             candidates = extent * rng.uniform(_EDGE, 1 - _EDGE, (_CANDIDATES, 2))
-            # Best candidate (Mitchell 1991) over all points and over those of its role, which are
-            # three times as sparse.
+            # Points of one role are three times as sparse: their distances are sqrt(3) times those
+            # of all.
             clearance = np.minimum(placed.away(candidates), of_same.away(candidates) / np.sqrt(3))
             image[i] = candidates[clearance.argmax()]
         placed.add(image[i])
@@ -312,9 +314,10 @@ class _Placed:
         self._in_tree = 0
 
     def add(self, position: FloatArray) -> None:
-        """Take one more place."""
+        """Add a place (2,)."""
         self._places[self._count] = position
         self._count += 1
+        # The tree is made anew for every `_LATEST` places; later ones are searched one by one.
         if self._count - self._in_tree == _LATEST:
             from scipy.spatial import cKDTree
 
@@ -352,13 +355,12 @@ def _noise_free_lines(scene: Scene, rng: Generator, count: int) -> Lines:
     azimuth = rng.uniform(0, 2 * np.pi, count)
     length = scene.gsd * np.exp(rng.uniform(np.log(40), np.log(400), count))
     # Half of the length, as an angle at the centre of the Earth; a degree of longitude is shorter.
-    half = np.degrees(length / 2 / SEMI_MAJOR)
-    step = np.column_stack([half * np.sin(azimuth) / np.cos(np.radians(scene.lat)),
-                            half * np.cos(azimuth)])
+    half_length = np.degrees(length / 2 / SEMI_MAJOR)
+    step = np.column_stack([half_length * np.sin(azimuth) / np.cos(np.radians(scene.lat)),
+                            half_length * np.cos(azimuth)])
     ends = np.stack([middle - step, middle + step], axis=1)
     ground = np.dstack([ends, terrain(ends.reshape(-1, 2)).reshape(-1, 2)])
-    # The image line is measured at two places of the ground line other than its vertices, in either
-    # order.
+    # Where the image line is measured, by the length of the ground line, in either order.
     fractions = np.column_stack([rng.uniform(-0.2, 0.3, count), rng.uniform(0.7, 1.2, count)])
     swap = rng.random(count) < 0.5
     fractions[swap] = fractions[swap, ::-1]
@@ -373,9 +375,11 @@ def _pick_mismatched(rng: Generator, n_lines: int, wrong: int) -> IntArray:
 
 
 def _displace_lines(image: FloatArray, rng: Generator, wrong: int) -> FloatArray:
-    """Return image lines (n, 2, 2) of which `wrong` are moved sideways."""
+    """Return image lines (n, 2, 2) of which `wrong` are moved across themselves by some pixels.
+
+    So they are as if a neighbouring street had been taken for each.
+    """
     picked = _pick_mismatched(rng, len(image), wrong)
-    # Across the line, by some pixels to either side: as if a neighbouring street had been taken.
     direction = image[picked, 1] - image[picked, 0]
     sideways = np.column_stack([-direction[:, 1], direction[:, 0]])
     sideways /= np.linalg.norm(direction, axis=1, keepdims=True)

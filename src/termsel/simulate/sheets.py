@@ -40,7 +40,10 @@ def _map_positions(sheet: int, image: FloatArray) -> FloatArray:
 
 
 def _scan_positions(sheet: int, ground: FloatArray) -> FloatArray:
-    """Return the pixels of map positions: the inverse of `_map_positions`, by iteration."""
+    """Return line and sample (n, 2) [px] of map positions (n, 2) on the scan of a sheet.
+
+    It inverts `_map_positions` by iteration.
+    """
     corner = np.array(_sheet_corner(sheet))
     offsets = np.column_stack([corner[1] - ground[:, 1], ground[:, 0] - corner[0]])
     image = offsets / _PIXEL + _PAPER_MARGIN
@@ -68,6 +71,7 @@ def sheet_and_points(sheet: int) -> tuple[np.ndarray, FloatArray, FloatArray]:
     fields = (np.floor(right / GRID_SPACING) + np.floor(down / GRID_SPACING)) % 2
     to_grid = np.minimum(np.abs(right - GRID_SPACING * np.round(right / GRID_SPACING)),
                          np.abs(down - GRID_SPACING * np.round(down / GRID_SPACING)))
+    # Dark lines of the grid between fields of two shades; the margin of the paper is brighter.
     shades = np.where(to_grid < _PIXEL, 60, np.where(fields, 205, 225))
     scan = np.where(inside, shades, 240).reshape(SHEET_SIZE).astype(np.uint8)
 
@@ -75,7 +79,7 @@ def sheet_and_points(sheet: int) -> tuple[np.ndarray, FloatArray, FloatArray]:
     columns = np.arange(0, FRAME[0] + 1, GRID_SPACING)
     rows = np.arange(0, FRAME[1] + 1, GRID_SPACING)
     crossings = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-    chosen = crossings[rng.permutation(len(crossings))[:_CROSSINGS]]
-    ground = np.array((west, north)) + chosen * (1.0, -1.0)
+    measured_crossings = crossings[rng.permutation(len(crossings))[:_CROSSINGS]]
+    ground = np.array((west, north)) + measured_crossings * (1.0, -1.0)
     image = _scan_positions(sheet, ground) + rng.normal(0.0, _SHEET_NOISE, ground.shape)
     return scan, ground, image.round(3)

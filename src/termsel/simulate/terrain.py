@@ -66,8 +66,8 @@ class Terrain:
 
         Parameters
         ----------
-        place : ndarray, shape (n, 2)
-            Longitude and latitude [deg].
+        position : ndarray, shape (n, 2)
+            Longitude and latitude of the places [deg].
         low, high : float
             Ellipsoidal heights [m].
 
@@ -92,20 +92,22 @@ def hilly_terrain(seed: int, lon: float, lat: float, extent: tuple[float, float]
                   ) -> Terrain:
     """Return terrain with regional hills of unit size, to be scaled by `Terrain.between`.
 
-    The seed draws the direction of slope and hills, and the waves. `extent` is the width to the
-    east and to the north [m] about the centre [deg], `relief` the root mean square of the local
-    relief [m], of wavelengths of a sixth to a third of the extent, which no low polynomial fits.
+    The seed draws the direction of slope and hills, and the waves. `extent` are the widths to the
+    east and to the north [m] about the centre `lon`, `lat` [deg]. `relief` is the root mean square
+    of the local relief [m], whose waves are a sixth to a third of the extent long, so that no
+    polynomial of low degree fits it.
     """
     rng = np.random.default_rng(seed)
     scale = (float(np.degrees(extent[0] / 2 / (SEMI_MAJOR * np.cos(np.radians(lat))))),
              float(np.degrees(extent[1] / 2 / SEMI_MAJOR)))
-    # Wave lengths of 0.35 to 0.7 of half the extent, directions spread evenly but for chance.
-    number = 2 * np.pi / rng.uniform(0.35, 0.7, _WAVES)
+    # Wavelengths of 0.35 to 0.7 of half the extent, directions spread evenly but for chance.
+    wave_number = 2 * np.pi / rng.uniform(0.35, 0.7, _WAVES)
     direction = np.pi * (np.arange(_WAVES) + rng.random(_WAVES)) / _WAVES
     phase = rng.uniform(0, 2 * np.pi, _WAVES)
     turn = float(rng.uniform(0, 2 * np.pi))
     waves = np.column_stack([np.full(_WAVES, relief * np.sqrt(2 / _WAVES)),
-                             number * np.cos(direction), number * np.sin(direction), phase])
+                             wave_number * np.cos(direction), wave_number * np.sin(direction),
+                             phase])
     # A high, a basin opposite and a lower rise between, all nearly as wide as the scene.
     hills = [(rise, 0.55 * np.cos(turn + off), 0.55 * np.sin(turn + off), radius)
              for rise, off, radius in ((1.0, 0.0, 0.9), (-0.8, 2.6, 0.8), (0.3, 4.4, 0.8))]

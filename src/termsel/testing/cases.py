@@ -72,13 +72,12 @@ def require(condition: object, message: str) -> None:
 def require_refused(call: Callable[[], object], path: Path, content: str, unnoticed: str) -> None:
     """Require that a call raises a TermselError that names a file.
 
-    `content` says what is wrong with the file, `unnoticed` that nothing was raised; both are for
-    the message. Raises AssertionError otherwise.
+    The message of the AssertionError, where it does not, has `content`, what is wrong with the
+    file, and where nothing is raised `unnoticed`, what happens instead.
     """
     try:
         call()
     except TermselError as error:
-        # A user of many files must learn which one is meant.
         require(str(path) in str(error), f"the error on {content} does not name the file: {error}; "
                                          "raise TermselError(..., file=path)")
         return
@@ -95,11 +94,10 @@ def assemble(
 ) -> tuple[Check, ...]:
     """Return one check for each function; it runs the function on every case.
 
-    Expected failures are names of checks that are known to fail, with the reason. Such a check
-    succeeds if the plugin fails as predicted, and fails if it does not, so that the list stays
-    correct. One of a check that does not exist is refused.
+    A check has the name of its function. Expected failures are the names of checks that are known
+    to fail, with the reason. Such a check succeeds if the plugin fails as predicted, and fails if
+    it does not, so that the list stays correct. Raises TermselError for the name of no check.
     """
-    # The name of the function is that of the check, in messages and exceptions.
     named = {function.__name__: function for function in functions}
     reasons = dict(expected_failures or {})
     for name in reasons:
@@ -119,37 +117,40 @@ def run_all(checks: Iterable[Check]) -> None:
             check.run()
         except AssertionError as failure:
             failures.append(failure)
-    # All failures are told at once: one run shows an author all that is to be done.
     if failures:
         raise AssertionError("\n".join(str(failure) for failure in failures)) from failures[0]
 
 
 def _run(name: str, function: Callable[[Any], None], cases: tuple[Case, ...],
          reason: str | None) -> None:
-    """Run a check with its cases; AssertionError where it fails, or was expected to and does not.
+    """Run a check with its cases, until one fails.
+
+    Raises AssertionError where the check fails, or where it was expected to fail, for a `reason`,
+    and does not.
     """
     try:
-        # One case that fails is enough, also where a failure is expected.
         for case in cases:
             _run_case(name, function, case)
     except AssertionError:
         if reason is None:
             raise
-        # An expected failure that does not happen any more must not hide a later one.
         return
+    # An expected failure that no longer happens must not stay in the list, and hide a later one.
     if reason is not None:
         raise AssertionError(f"{name}: this check passes and was expected to fail ({reason}); "
                              "remove it from expected_failures")
 
 
 def _run_case(name: str, function: Callable[[Any], None], case: Case) -> None:
-    """Run a check with one case, within its time; an AssertionError names both."""
+    """Run a check with one case, made anew; an AssertionError names both.
+
+    A check fails by any exception, by a RuntimeWarning, and if it takes more than LIMIT seconds.
+    """
     try:
         # The user of the plugin would see a warning such as "divide by zero".
         with warnings.catch_warnings(), without_guards():
             warnings.simplefilter("error", RuntimeWarning)
-            # Made anew for each check: what one check leaves behind in an object is no fault of the
-            # next.
+            # What one check leaves behind in an object is not held against it in the next check.
             call_within(LIMIT, lambda: function(case.make()))
     except AssertionError as failure:
         raise AssertionError(f"{name}: {case.label}: {failure}") from failure
@@ -174,7 +175,7 @@ def label_with_options(item: type[Configurable] | Configurable, options: Mapping
 
 def declaration_check(kind: str, item_of: Callable[[Any], Any] = lambda subject: subject,
                       ) -> Callable[[Any], None]:
-    """Return the check of a thing's declaration, given how a case's subject has the thing."""
+    """Return the check of a thing's declaration; `item_of` gets the thing from a case's subject."""
     def declaration(subject: Any) -> None:
         """It has a name and a docstring or summary; its options are documented and parse."""
         check_declaration(kind, item_of(subject))
@@ -185,12 +186,11 @@ def declaration_check(kind: str, item_of: Callable[[Any], Any] = lambda subject:
 def check_declaration(kind: str, item: Any) -> None:
     """Require what the hooks require, a one-line summary, and options that parse.
 
-    The kind is a plural, such as "models"; the thing a class, as a hook returns it, or an object.
-
-    Raises AssertionError where it does not have them.
+    `kind` is a plural, such as "models", and `item` a class, as a hook returns it, or an object.
+    Raises AssertionError for a declaration that lacks something.
     """
     try:
-        # The very test by which a hook is refused, so that what passes here is accepted there.
+        # The same test by which a hook is refused, so that what passes here is accepted there.
         KINDS[kind].require_returned(type(item) if isinstance(item, Configurable) else item)
     except TypeError as error:
         raise AssertionError(f"the hook termsel_{kind} would be refused: it {error}") from error
@@ -198,7 +198,7 @@ def check_declaration(kind: str, item: Any) -> None:
             f"summary), whose first line `termsel list {kind}` shows")
     options = getattr(item, "declared_options", ())
     names = [option.name for option in options]
-    # Of two options of one name --set could only reach one.
+    # --set could reach only one of two options of a name.
     require(len(set(names)) == len(names), f"an option is declared twice: {', '.join(names)}")
     for option in options:
         require(option.doc.strip(), f"option {option.name!r} has no doc; `termsel describe` "
@@ -215,9 +215,10 @@ def check_declaration(kind: str, item: Any) -> None:
 
 def require_unchanged(arrays: Mapping[str, NDArray[Any]], method: str,
                       call: Callable[[], object]) -> None:
-    """Require that a call of a method leaves arrays as they are, which are named for the message.
+    """Require that a call of a method leaves arrays as they are.
+
+    `arrays` are given by their names in the message of the AssertionError.
     """
-    # Copies, as a change in place would be in both.
     before = {name: array.copy() for name, array in arrays.items()}
     call()
     for name, array in arrays.items():
@@ -225,15 +226,14 @@ def require_unchanged(arrays: Mapping[str, NDArray[Any]], method: str,
 
 
 def through_pickle(item: Subject) -> Subject:
-    """Return a copy through pickle, as in another process.
+    """Return a copy through pickle, as studies send what they run to other processes.
 
     Raises
     ------
     AssertionError
-        If it cannot be sent there.
+        If the thing cannot be pickled.
     """
     try:
-        # Studies send what they run to other processes.
         copy: Subject = pickle.loads(pickle.dumps(item))
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise AssertionError(f"it cannot be sent to another process: {error}; define the class or "

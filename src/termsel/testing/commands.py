@@ -34,7 +34,7 @@ def invoke(*words: object) -> Result:
 
     from termsel.cli.main import cli
 
-    # Exceptions pass: a traceback says more to the author of a test than an exit code.
+    # An exception passes, as its traceback says more to the author of a test than an exit code.
     return CliRunner().invoke(cli, [str(argument) for argument in words], catch_exceptions=False)
 
 

@@ -111,8 +111,7 @@ def subset_score_agrees(criterion: Criterion) -> None:
         return
     for seed in range(SETS):
         problem = SelectionProblem(_random_inputs(criterion, seed), terms=True, features=False)
-        # All selections, so that the optimum needs no search.
-        # 2^k rows: k is at most 4 terms for each axis here.
+        # All 2^8 selections of 4 terms for each axis, so that the optimum needs no search.
         genes = np.array(list(product((False, True), repeat=problem.genome.size)))
         evaluation = problem.evaluate(genes)
         feasible = evaluation.violation == 0
@@ -154,7 +153,10 @@ def _term_masks() -> BoolArray:
 
 
 def _noisy_fits(masks: BoolArray) -> Fits:
-    """Return least-squares fits of an affine scene with noise, as from a problem."""
+    """Return least-squares fits of an affine scene with noise, one for each term mask, (p, k).
+
+    A problem makes them as it does in a search, and a criterion that records them gets them out.
+    """
     model = _model_of_terms()
     rng = seeded_generator()
     affine = {"1": 0.1, "X": 0.5, "Y": 0.4, "Z": 0.2}
@@ -162,17 +164,21 @@ def _noisy_fits(masks: BoolArray) -> Fits:
     truth = np.array([affine.get(Term.parse(name).column, 0.0) for name in model.terms])
     # Control and selection points of one scene, with independent noise.
     control, check = (imaged_features(model, truth, rng, points=40) for _ in range(2))
-    noisy = [Points(f.points.ids, f.points.image + rng.normal(0.0, NOISE_PX / PIXELS, (40, 2)),
-                    f.points.ground) for f in (control, check)]
+    noise = NOISE_PX / PIXELS
+    noisy = [Points(features.points.ids,
+                    features.points.image + rng.normal(0.0, noise, (40, 2)),
+                    features.points.ground) for features in (control, check)]
     recorder = _Recorder()
     inputs = ProblemData(model, control.with_(points=noisy[0]), noisy[1], PIXELS, recorder)
-    # A problem makes the fits as a search would; the recorder keeps them.
     SelectionProblem(inputs, terms=True, features=False).evaluate(masks)
     return recorder.seen[-1]
 
 
 def _random_inputs(criterion: Criterion, seed: int) -> ProblemData:
-    """Return few points whose image positions an affine model explains in part."""
+    """Return the inputs of a problem of few points, which an affine model explains but for noise.
+
+    The noise is large against the terms, so that the best selections differ from seed to seed.
+    """
     model = Polynomial3D(degree=1)
     rng = np.random.default_rng(seed)
     control, check = (imaged_features(model, rng.normal(0.0, 0.5, len(model.terms)), rng, points=n)

@@ -41,9 +41,12 @@ class Subject:
         return [control for control in controls if self.method.declines(control) is None]
 
     def fits(self) -> list[tuple[FitData, Fit]]:
-        """Return the fits to all features that determine it."""
+        """Return the controls that determine the method, each with the fit to it.
+
+        Raises AssertionError if none does.
+        """
         fitted = []
-        # A candidate may accept features and find later that they do not determine it.
+        # A method may accept features, and find only in the fit that they do not determine it.
         for control in self.controls():
             try:
                 fitted.append((control, self.method.fit(control)))
@@ -64,7 +67,7 @@ def declaration(subject: Subject) -> None:
             "\"a cubic polynomial\"")
     require(isinstance(candidate.max_features, numbers.Real) and candidate.max_features > 0,
             f"max_features is {candidate.max_features!r}; expected a number of features above 0")
-    # The choice would wait for itself.
+    # A choice fits what a method contains and needs before the method: it would wait for itself.
     require(candidate.name not in (*candidate.contains, *candidate.needs),
             "it contains or needs itself")
 
@@ -91,7 +94,7 @@ def fits(subject: Subject) -> None:
         require(isinstance(fitted, Fit), f"fit() returned {type(fitted).__name__}, no Fit")
         require(isinstance(getattr(fitted.estimator, "name", None), str),
                 "its estimator has no name, by which a stored result is read again")
-        # A blunder must be left out by the method as a whole, or be in the fit.
+        # Blunders are left out before a method is fitted: it may leave out no feature itself.
         require(fitted.control.ids == control.features.ids,
                 "the fit has other control features than fit() was given")
         image = fitted.project(control.features.ground_vertices())
@@ -116,16 +119,15 @@ def holds_out(subject: Subject) -> None:
         require(squares.shape == (len(control),) and (squares >= 0).all(),
                 f"held_out() gives squares of shape {squares.shape}; expected "
                 f"({len(control)},), none below 0")
-        # Refits take long with many features, and lines have no error as points have.
+        # Refits take long with many features, and the error of a line is not that of a point.
         if len(control.features.lines) or len(control) > 2 * HELD_OUT:
             continue
         errors = _held_out_squares(subject.method, control)
         if errors is None:
             continue
-        # Root of the mean square over the same features on both sides.
         stated = float(np.sqrt(np.mean(squares[:len(errors)])))
         repeated = float(np.sqrt(np.mean(errors)))
-        # Only too good a figure is refused: a careful one costs nothing but a choice.
+        # A figure that is too large makes nobody trust the method more than it deserves.
         require(stated > repeated / AGREE,
                 f"held_out() says an RMSE of {stated:.3g} px, and fits without each point give "
                 f"{repeated:.3g} px: what is chosen by it would be too good to be true")
@@ -135,8 +137,7 @@ def repeats(subject: Subject) -> None:
     """The same features give the same fit again, in another process too."""
     for control, fitted in subject.fits():
         for copy in (subject.method, through_pickle(subject.method)):
-            # An equal fit gives the same coefficients to the last bit: the same operations in the
-            # same order.
+            # To the last bit, as the same operations are done in the same order.
             refit = copy.fit(control)
             require(np.array_equal(refit.adjustment.coefficients, fitted.adjustment.coefficients),
                     "fit() of the same features differs from one call or process to the "
@@ -170,7 +171,10 @@ SUITE = Suite((declaration, declines, nearly, fits, holds_out, repeats, describe
 
 
 def _held_out_squares(method: Method, control: FitData) -> np.ndarray | None:
-    """Return squared errors of the first points under fits without them; None without a fit."""
+    """Return the squared errors of the first points, each under the fit without it.
+
+    At most HELD_OUT points; None if the method is not determined without one of them.
+    """
     points = control.features.points
     squares = []
     for left_out in range(min(HELD_OUT, len(points))):

@@ -86,7 +86,6 @@ def linearisation(model: SensorModel) -> None:
     From its start, or the solution of `equations`, a fit to points that it computed converges.
     """
     features, truth, _ = make_experiment(model, 1, 0)
-    # Points that the model computed, so that the solution is known.
     points = features.points
     terms = np.ones(len(truth), bool)
     used = np.ones(len(features), bool)
@@ -123,7 +122,6 @@ def exact_recovery(model: SensorModel) -> None:
     features, truth, ground = make_experiment(model, 1, 0)
     _require_recovered(model, features, truth, ground, "points")
     points = features.points
-    # With weights the exact solution is the same.
     sigma = seeded_generator().uniform(0.5, 2.0, (len(points), 2))
     weighted = Points(points.ids, points.image, points.ground, sigma)
     _require_recovered(model, features.with_(points=weighted), truth, ground,
@@ -134,13 +132,14 @@ def recovery_from_lines(model: SensorModel) -> None:
     """Fitted to lines it computed itself, it computes points correctly."""
     if not any(len(features.lines) for features in accepted_scenes(model)):
         return
-    # With a denominator for each axis, the equations of lines hold to first order and so does this.
-    # Then lines need approximate image positions of their vertices.
-    separate = _has_separate_denominators(model)
-    # Of other models than a RationalModel, lines alone may not suffice.
+    # With a denominator for each axis the equations of lines hold to first order only, as they need
+    # approximate image positions of the vertices: small coefficients keep the error small.
+    is_first_order = _has_separate_denominators(model)
+    # Lines alone suffice for a RationalModel, but may not for other models.
     points = 0 if isinstance(model, RationalModel) else 1
-    features, truth, ground = make_experiment(model, points, 1, shrink=0.1 if separate else 1.0)
-    if not separate:
+    features, truth, ground = make_experiment(model, points, 1,
+                                              shrink=0.1 if is_first_order else 1.0)
+    if not is_first_order:
         _require_recovered(model, features, truth, ground, "lines")
         return
     image = model.project(truth, ground)
@@ -158,7 +157,7 @@ def recovery_from_lines(model: SensorModel) -> None:
 def translation(model: SensorModel) -> None:
     """A shift of all image coordinates shifts its prediction by as much."""
     features, truth, ground = make_experiment(model, 1, 0)
-    # Different in line and sample, so that an exchange of both is seen.
+    # Different in line and sample, so that the check fails if a model exchanges them.
     shift = np.array([0.1, -0.05])
     points = features.points
     moved = features.with_(points=Points(points.ids, points.image + shift, points.ground))
@@ -195,7 +194,8 @@ def fit(model: SensorModel) -> None:
         errors = np.abs(fitted.project(scaling.unscaled(ground)) - image)
         return float(errors.max() / scaling.image_scale)
 
-    # In another scaling sines and radial bases are other functions, as polynomials are not.
+    # `fit` has a scaling of its own, in which a model with sines or radial bases has other
+    # functions than those of project() above. Polynomials are the same.
     if error_of(exact) > EXACT:
         exact = exact.estimator.fit(exact.model.prepared(scaling, model.crs), exact.control,
                                     scaling, exact.terms, exact.used)
@@ -217,8 +217,7 @@ def fit(model: SensorModel) -> None:
             noisy_fit.terms, np.ones(len(points) - 1, dtype=bool))
         expected = refit.errors(noisy_fit.control.points.take(~is_used))[0]
         off = np.hypot(*(expected - (left_out[i].line, left_out[i].sample)))
-        # An error without a point is that of a refit, but for rounding and the noise of the
-        # scaling.
+        # Relative to the error, and to the noise where that is small by chance.
         require(off <= REPEATED * (np.hypot(*expected) + NOISE * scaling.image_scale),
                 f"leave_one_out of fit() is {off:.2g} px from a fit without the point; do "
                 "the equations of a point depend on other points?")
@@ -234,10 +233,9 @@ def _require_recovered(model: SensorModel, features: FeatureSet, truth: FloatArr
 
 
 def _has_separate_denominators(model: SensorModel) -> bool:
-    """Return whether line and sample have denominators of their own."""
+    """Return whether line or sample have a denominator of their own; False for other models."""
     if not isinstance(model, RationalModel):
         return False
-    # A column in a denominator of its own couples a term with one axis only.
     blocks = model.blocks(np.zeros((1, 3)))
     return any(block is not None and block.shape[1]
                for block in (blocks.line_denominator, blocks.sample_denominator))

@@ -55,7 +55,7 @@ def term_names(model: SensorModel) -> None:
     twice = sorted({name for name in terms if terms.count(name) > 1})
     require(not twice, f"terms must have different names; several are called {', '.join(twice)}")
     model.equations(accepted_scenes(model)[-1])
-    # A result names its terms, and a twin must understand them.
+    # A stored result names its terms, which an equal model must understand.
     twin = _equal_model(model)
     require(model.terms == terms and twin.terms == terms,
             "terms must be the same names in the same order whenever they are asked for; results "
@@ -64,7 +64,6 @@ def term_names(model: SensorModel) -> None:
 
 def axis(model: SensorModel) -> None:
     """It declares for each term whether it acts on the line (0), the sample (1) or both (2)."""
-    # 0 line, 1 sample, 2 both.
     codes = np.asarray(model.axis)
     k = len(model.terms)
     require(codes.shape == (k,),
@@ -124,11 +123,10 @@ def batch_project(model: SensorModel) -> None:
     def predict(coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         return model.predict(coefficients, control, ground)
 
-    # A model without a denominator has none to compare.
     for name, method in (("project", model.project), ("denominators", model.denominators),
                          ("predict", predict)):
         joint = method(sets, ground)
-        if joint is None:
+        if joint is None:  # a model without denominators
             continue
         require(np.shape(joint) == (2, 3, 11, 2), f"{name}() of coefficients of shape "
                 f"{sets.shape} and 11 ground points must have shape (2, 3, 11, 2), not "
@@ -203,7 +201,6 @@ def height(model: SensorModel) -> None:
     features = accepted_scenes(model)[-1]
     ground = random_ground(seeded_generator(), 50)
     coefficients = random_coefficients(model, seeded_generator())
-    # The same features with other heights.
     flat = features.with_(points=replace(features.points,
                                          ground=flatten_heights(features.points.ground)),
                           lines=replace(features.lines,
@@ -239,12 +236,19 @@ def residual_weights(model: SensorModel) -> None:
 def cases(model: type[SensorModel] | SensorModel, *,
           options: Iterable[Mapping[str, Any]] | None = None,
           place: tuple[Scaling, str] = PLACE) -> list[Case]:
-    """Return a model with each of its options, prepared for a place."""
-    # An object has its options; of a class all choices are tried.
-    cls, own_options = (model, None) if isinstance(model, type) else (type(model), [model.options])
-    option_sets = next((o for o in (options, own_options) if o is not None), _option_choices(cls))
-    return [Case(label_with_options(cls, o), partial(_make_model, cls, o, place))
-            for o in option_sets]
+    """Return a case for each set of options of a model, which is prepared for a place.
+
+    The sets are those of `options`, else that of the model if it is an object. A class is checked
+    with its default options, and with every other choice of each option that has choices.
+    """
+    cls = model if isinstance(model, type) else type(model)
+    option_sets: Iterable[Mapping[str, Any]]
+    if options is not None:
+        option_sets = options
+    else:
+        option_sets = _option_choices(cls) if isinstance(model, type) else [model.options]
+    return [Case(label_with_options(cls, option_set), partial(_make_model, cls, option_set, place))
+            for option_set in option_sets]
 
 
 SUITE = Suite((

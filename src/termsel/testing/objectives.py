@@ -86,7 +86,11 @@ SUITE = Suite((declaration_check("objectives"), figure_each, control_kinds, dete
 
 
 def _extreme_selections(points: int = 14, lines: int = 0) -> list[PopulationSelection]:
-    """Return selections of none, all and some, from problems of terms and of features."""
+    """Return populations of selections of none, all and some, of terms and of features.
+
+    Two problems make them, as an objective may look at terms or at features, and an objective that
+    records them gets them out.
+    """
     model = Affine()
     rng = seeded_generator()
     truth = random_coefficients(model, rng)
@@ -94,7 +98,6 @@ def _extreme_selections(points: int = 14, lines: int = 0) -> list[PopulationSele
     check: Points = imaged_features(model, truth, rng, points=10).points
     recorded: list[PopulationSelection] = []
 
-    # A problem makes the selections; an objective that records them gets them out.
     def record(selected: PopulationSelection) -> FloatArray:
         recorded.append(selected)
         return np.zeros(len(selected.terms))
@@ -102,7 +105,6 @@ def _extreme_selections(points: int = 14, lines: int = 0) -> list[PopulationSele
     recorder = Objective("recorder", "Records.", record)
     inputs = ProblemData(model, control, check, 1000.0, CheckRmse(), {}, objectives=(recorder,))
     for terms in (True, False):
-        # Two problems, as an objective may look at terms or at features.
         problem = SelectionProblem(inputs, terms=terms, features=not terms)
         size = problem.genome.size
         problem.evaluate(np.concatenate([np.zeros((1, size)), np.ones((1, size)),

@@ -13,8 +13,9 @@ from termsel.testing.writers import example_results
 def shown(section: ReportSection) -> None:
     """It makes blocks that texts and pages can show, or nothing, of every result."""
     for result in example_results():
-        list(section.blocks(result))  # raises what it raises
-        # A section that raises is shown as a note with the reason, which is no pass.
+        # An exception of the section itself makes this check fail.
+        list(section.blocks(result))
+        # Blocks that cannot be shown become a note with the reason.
         for block in section_of(section, result).blocks:
             require(getattr(block, "label", "") != "Not shown",
                     f"blocks() cannot be shown: {getattr(block, 'text', '')}")
@@ -31,7 +32,6 @@ def figure(measure: Measure) -> None:
 def same_again(item: ReportSection | Measure) -> None:
     """The same result gets the same answer, here and in another process, and stays as it is."""
     for result in example_results():
-        # The whole content: a section may hold on to any part of it.
         before = result.to_json()
         first = _answer_of(item, result)
         for copy in (item, through_pickle(item)):

@@ -67,10 +67,10 @@ def one_by_one(problem: Problem) -> None:
 def neighbours_alike(problem: Problem) -> None:
     """Neighbours of an individual have their own evaluation, but for rounding."""
     for start in _valid_individuals(problem)[:3]:
-        # The first neighbour stands for all: they differ from the start by one step.
-        around = next(iter(neighbour_batches(start, problem.genome)), None)
-        if around is not None:
-            _require_equal(problem.evaluate(around), problem.evaluate_near(around, start),
+        # The first batch stands for all: each neighbour differs from the start by one step.
+        neighbours = next(iter(neighbour_batches(start, problem.genome)), None)
+        if neighbours is not None:
+            _require_equal(problem.evaluate(neighbours), problem.evaluate_near(neighbours, start),
                            "evaluate_near() differs from evaluate()", 1e-6)
 
 
@@ -102,7 +102,7 @@ def searched(problem: Problem) -> None:
     """A random search of 300 evaluations finds something feasible, which can be decoded."""
     if len(problem.objectives) > RandomSearch.max_objectives:
         return
-    # A random search, as a solver that is clever could hide what is missing.
+    # A cleverer solver could hide that genome.random or genome.repair miss a condition.
     best = search(problem, RandomSearch(), evaluations=300)
     require(best.violation == 0, "no individual of 300 random ones is feasible; let genome.random "
             "and genome.repair know the conditions")

@@ -37,17 +37,18 @@ __all__ = [
     "Counted",
     "Toy",
     "Watched",
-    "bound",
+    "bounded_problem",
     "hopeless_problem",
     "least_objective",
-    "narrow",
+    "narrow_problem",
+    "problem_of_twelve_terms",
     "problem_of_two_aims",
     "trap_problem",
-    "twelve_terms",
     "typed_problem",
 ]
 
 SIZE = 12
+"""Genes of a problem, by default: as many as a 2-D polynomial of second degree has terms."""
 
 Judge = Callable[[BoolArray], tuple[FloatArray, FloatArray]]
 
@@ -89,7 +90,7 @@ class Watched(ProblemAround):
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
         """Return the evaluation of genes, whose type, shape and rules must be kept."""
-        # Before the evaluation, so that a wrong gene is not judged at all.
+        # Before the evaluation, which may fail in another way with such genes.
         require_genes(self.genome, genes, "evaluate() got")
         self.calls += 1
         if self.before is not None:
@@ -118,7 +119,10 @@ class Counted(ProblemAround):
 
 
 def require_genes(genome: Genome, genes: object, who: str) -> None:
-    """Require a population that keeps type, shape, forced genes and cardinality; `who` sent it."""
+    """Require a population that keeps type, shape, forced genes and cardinality.
+
+    `who` begins the message of the AssertionError, with a verb, such as "evaluate() got".
+    """
     fault = genome.fault(genes)
     require(fault is None, f"{who} {fault}")
     assert isinstance(genes, np.ndarray)
@@ -127,20 +131,27 @@ def require_genes(genome: Genome, genes: object, who: str) -> None:
             "are on; send them through problem.genome.repair()")
 
 
-def twelve_terms() -> SelectionProblem:
+def problem_of_twelve_terms() -> SelectionProblem:
     """Return the choice among the 12 terms of a 2-D polynomial of second degree.
 
     Half of the terms are needed, and noise makes the others harmful; `least_objective` enumerates
     all 4096 selections.
     """
     model = Polynomial2D(degree=2)
+    # With this seed the best of all selections has just the needed terms.
     rng = np.random.default_rng(9)
-    truth = rng.choice([-0.3, 0.3], SIZE) * (np.arange(SIZE) % 2 == 0)
-    # Every other term is needed: 0.3 is six times the noise.
-    control, check = (imaged_features(model, truth, rng, points=12).points for _ in range(2))
-    noisy = Points(control.ids, control.image + rng.normal(0.0, 0.05, (12, 2)), control.ground)
-    return SelectionProblem(ProblemData(model, FeatureSet(noisy), check, 100.0, CheckRmse()),
-                            terms=True, features=False)
+    noise = 0.05
+    is_needed = np.arange(SIZE) % 2 == 0
+    # Six times the noise, so that a needed term shows.
+    truth = rng.choice([-0.3, 0.3], SIZE) * is_needed
+    n_points = 12
+    control, check = (imaged_features(model, truth, rng, points=n_points).points for _ in range(2))
+    noisy = Points(control.ids, control.image + rng.normal(0.0, noise, (n_points, 2)),
+                   control.ground)
+    # Any number would do: it only multiplies the objective.
+    pixels_per_unit = 100.0
+    data = ProblemData(model, FeatureSet(noisy), check, pixels_per_unit, CheckRmse())
+    return SelectionProblem(data, terms=True, features=False)
 
 
 def trap_problem(size: int = 2 * SIZE) -> Toy:
@@ -152,7 +163,6 @@ def trap_problem(size: int = 2 * SIZE) -> Toy:
     pattern = np.arange(size) % 2 == 0
 
     def judge(genes: BoolArray) -> tuple[FloatArray, FloatArray]:
-        # All but two genes of the pattern must be right; the cost rewards every wrong one.
         different = (genes != pattern).sum(axis=1).astype(np.float64)
         return size - different[:, None], np.maximum(different - 2, 0.0)
 
@@ -165,7 +175,7 @@ def hopeless_problem(size: int = SIZE) -> Toy:
         np.full((len(genes), 1), WORST), 1.0 + genes.sum(axis=1)))
 
 
-def bound() -> Toy:
+def bounded_problem() -> Toy:
     """Return a problem with forced genes, and with bounds on how many are on.
 
     Of segment "a", 2 to 4 of 8 genes are on, a1 always and a2 never; of segment "b" exactly 3
@@ -202,7 +212,10 @@ class Even(CustomSegment):
 
 
 def typed_problem(types: Iterable[type[AnySegment]]) -> Toy:
-    """Return a problem with a segment of each type: the sum of the squares of all genes."""
+    """Return a problem with a segment of each type, whose cost is the sum of squares of all genes.
+
+    Of each `Bits` and `Subset` the first label is forced on and the second off.
+    """
     genomes: dict[type[AnySegment], AnySegment] = {
         Bits: Bits("bits", numbered_names("b", 6), 2, 4),
         Integers: Integers("integers", numbered_names("i", 2), (-2, 0), (3, 100)),
@@ -212,7 +225,6 @@ def typed_problem(types: Iterable[type[AnySegment]]) -> Toy:
         Subset: Subset("subset", numbered_names("s", 8), 3),
         CustomSegment: Even("even", numbered_names("e", 3))}
     segments = [genomes[kind] for kind in types]
-    # Of `Bits` and a `Subset` one label is forced on and one off.
     switched = [segment for segment in segments if isinstance(segment, Bits | Subset)]
     genome = Genome(segments, on=[segment.labels[0] for segment in switched],
                     off=[segment.labels[1] for segment in switched])
@@ -220,7 +232,7 @@ def typed_problem(types: Iterable[type[AnySegment]]) -> Toy:
         (genes.astype(np.float64)**2).sum(axis=1, keepdims=True), np.zeros(len(genes))))
 
 
-def narrow(size: int, on: tuple[str, ...] = ()) -> Toy:
+def narrow_problem(size: int, on: tuple[str, ...] = ()) -> Toy:
     """Return the problem of switching few genes on, some or all of them forced on."""
     return Toy(Genome([Bits("terms", numbered_names("g", size))], on=on),
                lambda genes: (_count_off(genes), np.zeros(len(genes))))
@@ -229,10 +241,9 @@ def narrow(size: int, on: tuple[str, ...] = ()) -> Toy:
 def least_objective(problem: Problem) -> float:
     """Return the least first objective of the feasible selections of a small problem."""
     genome = problem.genome
-    # All selections that keep forced genes and cardinality are evaluated.
-    # Row i has the binary digits of i: all bit patterns of the genome.
-    everything = (np.arange(2**genome.size)[:, None] >> np.arange(genome.size)) & 1 > 0
-    evaluation = problem.evaluate(everything[genome.keeps(everything)])
+    # Row i has the binary digits of i, so that all selections are among the rows.
+    selections = (np.arange(2**genome.size)[:, None] >> np.arange(genome.size)) & 1 > 0
+    evaluation = problem.evaluate(selections[genome.keeps(selections)])
     return float(evaluation.objectives[evaluation.violation == 0, 0].min())
 
 

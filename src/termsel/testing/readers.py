@@ -71,7 +71,6 @@ def sniffs_example(example: Example) -> None:
 def sniffs_anything(example: Example) -> None:
     """It returns False for bytes without meaning, and never raises."""
     with TemporaryDirectory() as folder:
-        # Bytes without meaning, of which a reader that guesses would make points.
         for content, description in _noise_content():
             path = _write_example(example, folder, content)
             try:
@@ -131,8 +130,6 @@ def line_ends(example: Example) -> None:
     """Text is read the same with line ends of Unix or Windows, without a last, and with a BOM.
 
     Nothing is required of a reader of binary files.
-
-    Raises AssertionError otherwise.
     """
     if example.text is None:
         return
@@ -199,9 +196,12 @@ def _require_refused(example: Example, content: bytes, description: str) -> None
 
 def _read_or_refuse(example: Example, folder: str, content: bytes, description: str,
                     ) -> FeatureSet | None:
-    """Return the features read, or None if a TermselError names the file."""
+    """Return the features read from other content, or None if a TermselError names the file.
+
+    Raises AssertionError for any other exception.
+    """
     path = _write_example(example, folder, content)
-    # Whatever was raised is judged by the second call, which says what is wrong.
+    # If it raises, the reader is called again by a function that judges the exception.
     with suppress(Exception):
         return example.reader.read(path)
     _require_file_refused(example, path, description)

@@ -33,17 +33,18 @@ def flatten_heights(ground: FloatArray) -> FloatArray:
 def random_coefficients(model: SensorModel, rng: np.random.Generator) -> FloatArray:
     """Return coefficients (k,) that give a model a finite image within [-1, 1], without poles.
 
-    They are near 0; those of a model with a start within 0.1 of it, for an image of half that size
-    with north above.
-
-    Raises AssertionError where there are none.
+    They lie within 1 of 0, or within 0.1 of the start of a model that has one; that start is for an
+    image of half the size of the ground, with north above. Raises AssertionError where no such
+    coefficients are found.
     """
     ground = random_ground(rng, 500)
     change = rng.uniform(-1.0, 1.0, len(model.terms))
-    start = model.start(FeatureSet(Points(
-        # Coefficients about the start of a model that is not linear; about 0 of one that is.
-        numbered_names("p", 500), 0.5 * ground[:, 1::-1] * [-1.0, 1.0], ground)))
-    middle, change = (0.0, change) if start is None else (start, 0.1 * change)
+    north_up = 0.5 * ground[:, 1::-1] * [-1.0, 1.0]
+    start = model.start(FeatureSet(Points(numbered_names("p", 500), north_up, ground)))
+    middle: FloatArray | float = 0.0
+    if start is not None:
+        middle = start
+        change = 0.1 * change
     for _ in range(60):
         coefficients = middle + change
         # Copies, so that a model that changes its inputs fails only in that check.
@@ -52,7 +53,7 @@ def random_coefficients(model: SensorModel, rng: np.random.Generator) -> FloatAr
         if (np.isfinite(image).all() and np.abs(image).max() <= 1.0
                 and (below is None or below.min() > LEAST_DENOMINATOR)):
             return coefficients
-        # Smaller ones, until there is neither a pole nor a place outside of [-1, 1].
+        # With smaller changes poles, and places outside of [-1, 1], disappear.
         change *= 0.8
     raise AssertionError("project() gives no finite image within [-1, 1] of ground points within "
                          "[-1, 1], however small the coefficients, or near the start")
@@ -60,12 +61,15 @@ def random_coefficients(model: SensorModel, rng: np.random.Generator) -> FloatAr
 
 def imaged_features(model: SensorModel, coefficients: FloatArray, rng: np.random.Generator, *,
                     points: int = 0, lines: int = 0) -> FeatureSet:
-    """Return so many control points and lines whose image coordinates the model computes itself."""
+    """Return control whose image coordinates the model computes itself, in scaled coordinates.
+
+    `points` and `lines` are how many there are of each.
+    """
     ground = random_ground(rng, points)
     middle = rng.uniform(-0.7, 0.7, (lines, 1, 3))
-    # Lines of different directions, of at least a tenth of the scene.
-    half = rng.uniform(0.1, 0.3, (lines, 1, 3)) * rng.choice([-1.0, 1.0], (lines, 1, 3))
-    vertices = np.concatenate([middle - half, middle + half], axis=1)
+    # Lines of different directions, each at least a tenth of the scene long.
+    half_line = rng.uniform(0.1, 0.3, (lines, 1, 3)) * rng.choice([-1.0, 1.0], (lines, 1, 3))
+    vertices = np.concatenate([middle - half_line, middle + half_line], axis=1)
     ends = model.project(coefficients, vertices.reshape(-1, 3)).reshape(-1, 2, 2)
     # The ground vertices of a line lie on the image line, but the image points that define it are
     # elsewhere along it.
@@ -81,8 +85,8 @@ def make_experiment(model: SensorModel, points: int, lines: int, shrink: float =
                     ) -> tuple[FeatureSet, FloatArray, FloatArray]:
     """Return features, the coefficients they were computed with, and other ground points.
 
-    There are points or not, and lines or not, 1 or 0; each kind has enough to determine all terms
-    twice over. The coefficients are shrunk by a factor.
+    `points` and `lines` are 1 or 0, whether there are any; there are enough of either to determine
+    all terms twice over. Random coefficients are multiplied by `shrink`.
     """
     rng = seeded_generator()
     truth = random_coefficients(model, rng) * shrink
@@ -93,7 +97,7 @@ def make_experiment(model: SensorModel, points: int, lines: int, shrink: float =
 
 
 def accepted_scenes(model: SensorModel) -> list[FeatureSet]:
-    """Return features of the kinds of control that the model accepts, the fullest last.
+    """Return features of each mix of points and lines that the model accepts, in order of `MIXES`.
 
     Raises AssertionError where the model accepts none.
     """

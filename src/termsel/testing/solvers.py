@@ -51,7 +51,7 @@ def generations_hold(trial: Trial) -> None:
     Yielded generations do not change when the solver continues.
     """
     problem = trial.posed(trial.problem())
-    limit: list[tuple[Generation, Any, Evaluation]] = []
+    yielded: list[tuple[Generation, Any, Evaluation]] = []
     for expected, generation in enumerate(trial.few(problem)):
         require(isinstance(generation, Generation),
                 f"generations() must yield Generation, not {type(generation).__name__}")
@@ -69,10 +69,10 @@ def generations_hold(trial: Trial) -> None:
                 and np.allclose(evaluation.objectives, true.objectives)
                 and np.allclose(evaluation.violation, true.violation),
                 f"the evaluation of generation {expected} is not that of its genes")
-        limit.append((generation, genes.copy(),
-                      Evaluation(evaluation.objectives.copy(), evaluation.violation.copy())))
-    require(limit, "generations() must yield at least one generation")
-    for generation, genes, evaluation in limit:
+        yielded.append((generation, genes.copy(),
+                        Evaluation(evaluation.objectives.copy(), evaluation.violation.copy())))
+    require(yielded, "generations() must yield at least one generation")
+    for generation, genes, evaluation in yielded:
         require(np.array_equal(generation.genes, genes)
                 and np.array_equal(generation.evaluation.objectives, evaluation.objectives)
                 and np.array_equal(generation.evaluation.violation, evaluation.violation),
@@ -84,7 +84,8 @@ def chance_from_rng_alone(trial: Trial) -> None:
     """The same seed gives the same search; global random states are neither used nor changed."""
     with global_states_kept():
         runs = []
-        # Global states differ between the two runs, so that whoever draws from them is seen.
+        # Global states differ between the two runs: a solver that draws from them searches
+        # otherwise in the second.
         for seed in (1, 2):
             random.seed(seed)
             np.random.seed(seed)
@@ -111,8 +112,8 @@ def any_problem(trial: Trial) -> None:
     A solver that needs more refuses with a TermselError, and has this check among its expected
     failures; the others then omit such problems.
     """
-    for problem in (problems.bound(
-            ), problems.narrow(1), problems.trap_problem(), problems.hopeless_problem()):
+    for problem in (problems.bounded_problem(), problems.narrow_problem(1),
+                    problems.trap_problem(), problems.hopeless_problem()):
         try:
             next(trial.few(problem), None)
         except TermselError as error:
@@ -121,7 +122,8 @@ def any_problem(trial: Trial) -> None:
 
 def genome_kept(trial: Trial) -> None:
     """It sends and yields only bool genes that keep forced genes and cardinality."""
-    problem = Watched(problems.bound() if trial.takes(problems.bound()) else trial.problem())
+    bounded = problems.bounded_problem()
+    problem = Watched(bounded if trial.takes(bounded) else trial.problem())
     for generation in trial.few(problem, 20):
         require_genes(problem.genome, generation.genes, f"generation {generation.index} has")
     require(problem.calls, "it evaluated nothing")
@@ -141,8 +143,8 @@ def typed_genomes(trial: Trial) -> None:
 
 def narrow_genomes(trial: Trial) -> None:
     """It handles a single gene, and genes that are all forced."""
-    for problem in (problems.narrow(1), problems.narrow(2, on=("g1",)),
-                    problems.narrow(2, on=("g1", "g2"))):
+    for problem in (problems.narrow_problem(1), problems.narrow_problem(2, on=("g1",)),
+                    problems.narrow_problem(2, on=("g1", "g2"))):
         if not trial.takes(problem):
             continue
         result = trial.search(problem, evaluations=200)
@@ -178,23 +180,23 @@ def generation_budget(trial: Trial) -> None:
 def errors_pass(trial: Trial) -> None:
     """An exception of an evaluation leaves the solver at once, as the budget requires.
 
-    Raises AssertionError for a solver that hides it, or goes on.
+    That is how a spent budget ends a search: nothing may be evaluated after it.
     """
-    raised: list[int] = []
+    was_raised = False
 
-    def before(call: int) -> None:
-        # After an exception nothing may be evaluated: the budget is spent.
-        if raised:
+    def stop_second_call(call: int) -> None:
+        nonlocal was_raised
+        if was_raised:
             raise _Runaway
         if call == 2:
-            raised.append(call)
+            was_raised = True
             raise _Stop
 
     hides = "which hides the end of the budget; let it pass"
     try:
-        for _ in trial.few(Watched(trial.problem(), before), 20):
-            require(not raised, f"an exception of evaluate() is caught, {hides}")
-        require(not raised, f"an exception of evaluate() is caught, {hides}")
+        for _ in trial.few(Watched(trial.problem(), stop_second_call), 20):
+            require(not was_raised, f"an exception of evaluate() is caught, {hides}")
+        require(not was_raised, f"an exception of evaluate() is caught, {hides}")
     except _Stop:
         pass
     except _Runaway:
@@ -203,10 +205,7 @@ def errors_pass(trial: Trial) -> None:
 
 
 def closes(trial: Trial) -> None:
-    """Its iterator can be closed before, between and after generations, and then stops.
-
-    Raises AssertionError otherwise.
-    """
+    """Its iterator can be closed before, between and after generations, and then stops."""
     for count in (0, 1, 3):
         problem = Watched(trial.problem())
         running = trial.solver.generations(trial.posed(problem), np.random.default_rng(1))
@@ -214,7 +213,6 @@ def closes(trial: Trial) -> None:
         if close is None:
             raise AssertionError("generations() must be a generator, a method with `yield`, whose "
                                  "iterator can be closed")
-        # The generator is closed where a run would: before, between and after generations.
         for _ in islice(running, count):
             pass
         calls = problem.calls
@@ -229,16 +227,19 @@ def closes(trial: Trial) -> None:
 
 def interruptible(trial: Trial) -> None:
     """Ctrl-C ends the search with the best found so far."""
-    raised: list[int] = []
+    was_raised = False
 
-    def before(call: int) -> None:
+    def interrupt(call: int) -> None:
+        nonlocal was_raised
+        # The third call, so that there are two evaluations whose best is to be kept. A solver that
+        # ends before it passes.
         if call == 3:
-            raised.append(call)
+            was_raised = True
             raise KeyboardInterrupt
 
-    problem = Watched(trial.problem(), before)
+    problem = Watched(trial.problem(), interrupt)
     result = trial.search(problem, generations=20)
-    require(result.interrupted == bool(raised),
+    require(result.interrupted == was_raised,
             "it catches KeyboardInterrupt, so that the run does not know it was interrupted")
     require((result.violation, float(result.objectives[0])) == problem.best,
             "after Ctrl-C the result is not the best found until then")
@@ -264,7 +265,6 @@ def feasible_first(trial: Trial) -> None:
     """It seeks feasible individuals, even where infeasible ones have better objectives."""
     if not trial.takes(problems.trap_problem()):
         return
-    # Ends as soon as it is found, since the rest of the budget shows nothing.
     result = trial.search_until(lambda progress: progress.violation == 0, problems.trap_problem(),
                                 evaluations=GENEROUS)
     require(result.violation == 0,
@@ -315,7 +315,7 @@ def objectives_respected(trial: Trial) -> None:
 
 
 def cases(solver: type[Solver] | Solver, *, options: Iterable[Mapping[str, Any]] | None = None,
-          problem: Callable[[], Problem] = problems.twelve_terms) -> list[Case]:
+          problem: Callable[[], Problem] = problems.problem_of_twelve_terms) -> list[Case]:
     """Return a solver with each of its options, and the problem of most checks."""
     cls, own_options = (solver, {}) if isinstance(solver, type) else (type(solver), solver.options)
     return [Case(label_with_options(cls, o), partial(Trial, cls(**o), problem))

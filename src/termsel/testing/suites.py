@@ -97,7 +97,7 @@ def checks(thing: Any, *, expected_failures: Mapping[str, str] | None = None,
     kind = _plural_of_kind(thing)
     suite: Suite = SUITES[kind] if kind in SUITES else import_module(thing.suite).SUITE
     try:
-        # The arguments are looked at before the checks are made, so that a mistake is told at once.
+        # A mistake in the arguments is told now, and not when the first check makes its cases.
         signature(suite.cases).bind(thing, **about)
     except TypeError as error:
         raise TermselError(f"the checks of {_plural_of_kind(thing)}: {error}",
@@ -116,7 +116,10 @@ def check(thing: Any, *, expected_failures: Mapping[str, str] | None = None, **a
     Raises
     ------
     AssertionError
-        Naming every check that fails, and what is wrong.
+        If a check fails. The message has a paragraph for each that does: its name, and what is
+        wrong.
+    TermselError
+        As `checks` raises it.
 
     Examples
     --------

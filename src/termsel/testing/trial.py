@@ -60,14 +60,16 @@ class Trial:
 
     def search_until(self, reached: Callable[[Progress], bool], problem: Problem, *,
                      seed: int = 1, evaluations: int) -> SearchResult:
-        """Search as a run does, and end as after Ctrl-C if more would not show more."""
-        # Later generations must not be able to undo what was reached.
-        def end(progress: Progress) -> None:
+        """Search as a run does, and end as after Ctrl-C once `reached` is true of the progress.
+
+        The rest of the budget would show nothing more.
+        """
+        def end_if_reached(progress: Progress) -> None:
             if reached(progress):
-                # The end of a search from outside is Ctrl-C.
                 raise KeyboardInterrupt
 
-        return self.search(problem, seed=seed, evaluations=evaluations, observers=[end])
+        return self.search(problem, seed=seed, evaluations=evaluations,
+                           observers=[end_if_reached])
 
 
 def global_states() -> tuple[Any, ...]:

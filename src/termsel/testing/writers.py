@@ -93,7 +93,6 @@ def unwritable_path(export: Export) -> None:
         with TemporaryDirectory() as folder:
             _require_write_refused(export, result, Path(folder) / "missing" / export.filename,
                                    "a path in a folder that does not exist")
-            # A folder in the way of the file.
             occupied = Path(folder) / export.filename
             occupied.mkdir()
             _require_write_refused(export, result, occupied, "a path where there is a folder")
@@ -180,7 +179,6 @@ def example_results() -> tuple[Result, ...]:
                             crs="EPSG:4979", image_size=size)
     plane = FeatureSet(Points(ids, image, 4000.0 * points.ground), crs="local", image_size=size)
     results = []
-    # Two kinds of results: degrees with heights, and a plane without a CRS.
     for problem, features in (("rfm-terms", geographic), ("poly-terms", plane)):
         task = prepare(problem, features=features, solver="random", options={"population": 50})
         results.append(result_of_search(task, search(task.problem, task.solver, generations=1)))
@@ -209,7 +207,7 @@ def _require_tidy(path: Path) -> None:
 
 @contextmanager
 def _file_size_limited(size: int) -> Iterator[None]:
-    """Limit the size of files of this process [byte] meanwhile."""
+    """Limit the size of the files that this process writes [byte] during a block."""
     import resource
 
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)

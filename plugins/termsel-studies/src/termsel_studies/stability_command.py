@@ -49,8 +49,8 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
     from termsel_studies import frequencies as module
 
     # All that can be refused is refused before the searches, which take long.
-    exported = run_settings.exported()
-    page = run_settings.page()
+    export_files = run_settings.export_files()
+    page = run_settings.report_file()
     features, options = run_settings.read()
     problem = run_settings.problem or problem_for(features, run_settings.dataset)
     _claim_folder(run_settings)
@@ -73,10 +73,10 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
                 _options_of_fit(problem, run_settings, run_settings.options, unstable)))
         if run_settings.out is not None:
             settings = _options_of_fit(problem, run_settings, options, unstable)
-            _write(repeated, (exported, page), problem, run_settings, features, settings)
+            _write(repeated, (export_files, page), problem, run_settings, features, settings)
     else:
         _write_frequencies(repeated, run_settings.out)
-        if exported or page:
+        if export_files or page:
             raise TermselError("the stable terms alone are no model, so nothing is exported",
                                hint="Lower --threshold.")
     if repeated.interrupted:
@@ -176,7 +176,7 @@ def _write(repeated: Stability, outputs: tuple[Mapping[str, Path], Path | None],
     from termsel.toolkit.files import RECORD, STABILITY
     from termsel.toolkit.models import TermFrequencies
 
-    exported, page = outputs
+    export_files, page = outputs
     assert run_settings.out is not None
     fitted = run(problem, features=features, dataset=run_settings.dataset,
                  source=run_settings.source,
@@ -189,4 +189,4 @@ def _write(repeated: Stability, outputs: tuple[Mapping[str, Path], Path | None],
         files={**fitted.files, STABILITY: json_text(content)})
     write_result(result, run_settings.out)
     say_written([run_settings.out / STABILITY, run_settings.out / RECORD])
-    run_settings.write(result, exported, page)
+    run_settings.write(result, export_files, page)

@@ -188,7 +188,9 @@ class RunOptions:
     options: dict[str, str] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Parse the settings; TermselError for options that exclude each other or require another.
+        """Parse the settings, and check the options before any file is read.
+
+        Raises TermselError for options that exclude each other or require another.
         """
         _refuse_options_of_command(self.settings)
         # The class is frozen; this one field follows from the others.
@@ -197,7 +199,6 @@ class RunOptions:
             projection_candidates=None if self.candidates is None else str(self.candidates),
             off=",".join(self.off) or None,
             role=",".join(self.role) or None, then=self.then))
-        # What excludes each other is refused here, before anything is read.
         if self.dataset is not None and self.files:
             raise TermselError("--dataset cannot be combined with files",
                                hint="Give --dataset NAME, or --points FILE and --lines FILE.")
@@ -253,8 +254,11 @@ class RunOptions:
                 "evaluations": self.evaluations, "seconds": self.seconds,
                 "patience": self.patience}
 
-    def exported(self) -> dict[str, Path]:
-        """Return the file in ``--out`` of each format; refuse those that may not be replaced."""
+    def export_files(self) -> dict[str, Path]:
+        """Return the file in ``--out`` of each format of ``--export``; none without ``--out``.
+
+        Raises TermselError for an unknown format, and for a file that may not be replaced.
+        """
         from termsel.io.export import writer_of
         from termsel.io.replacing import require_replaceable
 
@@ -269,8 +273,11 @@ class RunOptions:
                             makes_folder=True)
         return files
 
-    def page(self) -> Path | None:
-        """Return the page of ``--report``; None if it is not asked for."""
+    def report_file(self) -> Path | None:
+        """Return the page of ``--report`` in ``--out``; None if it is not asked for.
+
+        Raises TermselError if altair is not installed, or if the page may not be replaced.
+        """
         from termsel.io.replacing import require_replaceable
         from termsel.results.theme import require_altair
 
@@ -281,23 +288,22 @@ class RunOptions:
                             makes_folder=True)
         return self.out / REPORT
 
-    def write(self, result: Result, exported: Mapping[str, Path], page: Path | None) -> None:
-        """Write a result in the formats of ``--export``, by their files, and its page."""
+    def write(self, result: Result, export_files: Mapping[str, Path], page: Path | None) -> None:
+        """Write a result in the formats of ``--export``, each to its file, and its page, if any."""
         from termsel.io.export import export
 
-        for to, file in exported.items():
+        for to, file in export_files.items():
             say_written(export(result, to, file, overwrite=self.overwrite))
         if page is not None:
             result.report(page, overwrite=self.overwrite)
             say_written([page])
 
     def read(self) -> tuple[FeatureSet | None, dict[str, str]]:
-        """Return the features of the files, None without files, and the options that remain.
+        """Return the features of the files, None without files, and the options for the run.
 
-        All options that are not of the command line itself stand under --set, whosever they are.
-        Those of reading and of the readers of these files are taken out here; the others are for
-        the run. Raises TermselError for an option that is given twice, or that is nearly the name
-        of one.
+        Options under --set are those of reading, of the readers of these files or of the run. The
+        first two are taken out here, as their names say what they are for. Raises TermselError for
+        an option that is given twice or is misspelt, and for files that cannot be read.
         """
         from termsel.io.read import read, read_options, readers_of, refuse_misspelt
         from termsel.plugins.registry import registry
@@ -310,7 +316,6 @@ class RunOptions:
         if not self.files:
             return None, options
         self._require_correction()
-        # Options of reading stand under --set with all others; their names distinguish them.
         of_reading = {option.name: options.pop(option.name) for option in read_options()
                       if option.name in options} if options else {}
         refuse_misspelt(options)
@@ -319,7 +324,6 @@ class RunOptions:
         accepted: set[str] = set()
         for reader in readers_of(self.files, self.formats):
             accepted |= {option.name for option in reader.declared_options}
-        # Options of readers are theirs alone.
         of_readers = {key: options.pop(key) for key in list(options) if key in accepted}
         for key in of_readers:
             if arguments.get(key) is not None:
@@ -330,19 +334,25 @@ class RunOptions:
                     **{**arguments, **of_readers}), options
 
     def _require_correction(self) -> None:
-        """Refuse an RPC that somebody names, and that no installed package corrects."""
+        """Refuse --rpc where no installed package corrects an RPC, and nothing else uses it.
+
+        A problem, model, method or solver that the user names may use it.
+        """
         from termsel.plugins.registry import registry
 
-        # An image may have an RPC that nobody asked for; a model may have one as an option.
-        asked = (self.problem, self.model, self.method, self.solver)
-        if self.rpc is None or any(name is not None for name in asked):
+        users = (self.problem, self.model, self.method, self.solver)
+        if self.rpc is None or any(name is not None for name in users):
             return
         if missing := registry().missing("rpc-gcps"):
             raise TermselError(f"{self.rpc}: no installed package corrects an RPC", hint=missing)
 
     def command(self, problem: str, solver: str, criterion: str,
                 settings: Mapping[str, str]) -> str:
-        """Return a command that runs another method on the same data, with all of ``--set``."""
+        """Return a command that runs another search on the same data.
+
+        It has the given problem, solver and criterion, the model and data of these options, and
+        `settings` as the values of ``--set``.
+        """
         from termsel.core.files.drivers import remote_allowed
 
         words = ["termsel", "run", "--problem", problem]
@@ -365,25 +375,27 @@ _COMMENTS = 20
 
 
 def with_files(files: Sequence[Path], arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments, with files named without an option: image, RPC, lines or points.
+    """Return the arguments with each of `files`, given without an option, under the option for it.
+
+    These are the image, RPC, heights, lines or points. An image that is given so, without any
+    points, lines, areas, data set or problem, is also taken for the file of points: those that it
+    holds.
 
     Raises
     ------
     TermselError
-        If two files are of one kind.
+        If two files are of one kind, or one is a page.
     """
     options = dict(arguments)
     for path in files:
         if path.suffix.lower() in PAGES:
             raise _page_error(path, is_report=bool(arguments["reports"]))
-        # A table is known by its content, other files by their ending.
         kind = _kind_of(path)
         if kind == "image" and options["dem"] is None and _holds_heights(path):
             kind = "dem"
         if options[kind] is not None:
             raise _two_of_one_kind_error(kind, options[kind], path)
         options[kind] = path
-    # Of an image alone, the control points are those that it holds.
     names = ("points", "lines", "areas", "dataset", "problem")
     if (options["image"] is not None and not any(options[name] for name in names)
             and arguments["image"] is None):
@@ -405,7 +417,11 @@ def _page_error(path: Path, is_report: bool) -> TermselError:
 
 
 def _two_of_one_kind_error(kind: str, first: Path, second: Path) -> TermselError:
-    """Return the error for two files of one kind."""
+    """Return the error for two files of one kind.
+
+    Its remedy is for a likely reason: a folder, a file given twice, an id that was taken for a
+    file, or points of several images.
+    """
     for path in (first, second):
         if path.is_dir():
             return TermselError("this is a folder, and a run takes files", file=path,
@@ -440,7 +456,11 @@ def _holds_heights(path: Path) -> bool:
 
 
 def _kind_of(path: Path) -> str:
-    """Return which option a file is for, by its name, and of a table by its header."""
+    """Return which option a file is for: "image", "rpc", "lines" or "points".
+
+    Images and RPCs are known by their names, lines by the header of their table. Whatever else it
+    is, and what cannot be read, is for "points", whose reader says what is wrong with it.
+    """
     suffix = path.suffix.lower()
     if suffix in RASTERS | _SCENES:
         return "image"
@@ -451,18 +471,26 @@ def _kind_of(path: Path) -> str:
             # Comments, such as that of the CRS, come before the header.
             first_lines = [file.readline(1000).lower() for _ in range(_COMMENTS)]
             header = next((line for line in first_lines if line[:1] != "#"), "")
-    except OSError:  # the reader says what is wrong with it
+    except OSError:
         return "points"
     return "lines" if "line1" in header else "points"
 
 
 def parse_settings(settings: tuple[str, ...], **named: str | None) -> dict[str, str]:
-    """Return the options of ``--set KEY=VALUE``, with those that commands have as their own.
+    """Return the options of ``--set KEY=VALUE``, with those for which a command has an option.
+
+    Parameters
+    ----------
+    settings : tuple of str
+        The values of ``--set``.
+    **named : str or None
+        The values of the command's own options; None where one is not given.
 
     Raises
     ------
     TermselError
-        For a setting that is not of the form KEY=VALUE, and for a key that is given twice.
+        For a setting that is not of the form KEY=VALUE, for a key that is given twice, and where a
+        setting and the command's own option differ.
     """
     options: dict[str, str] = {}
     for setting in settings:
@@ -473,7 +501,6 @@ def parse_settings(settings: tuple[str, ...], **named: str | None) -> dict[str, 
         if key.strip() in options:
             raise TermselError(f"--set {key.strip()} is given twice", hint="Give it once.")
         options[key.strip()] = value.strip()
-    # --set key=value and the option of its own may say the same, not different things.
     for key, stated in named.items():
         if stated is not None and options.setdefault(key, stated) != stated:
             raise TermselError(f"{key} is given twice", hint="Give it once.")

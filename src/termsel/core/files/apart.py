@@ -54,8 +54,8 @@ def call_apart(work: Callable[..., Answer], path: Path, *arguments: Any) -> Answ
     Raises
     ------
     TermselError
-        As the function does; if the file is no regular one, or it takes more memory or time than
-        files of its size do.
+        Where the function raises it; if the file is no regular one, or if the call takes more
+        memory or time than a file of that size should.
     """
     require_regular(path)
     state = path.stat() if path.is_file() else None
@@ -66,11 +66,12 @@ def call_apart(work: Callable[..., Answer], path: Path, *arguments: Any) -> Answ
     seconds = _SECONDS + _SECONDS_A_BYTE * size
     helper = _vector_helper(allowed_drivers(), remote_allowed())
     question = (work.__module__, work.__name__, (path, *arguments), memory, seconds)
-    # Several readers look at a file before one reads it.
+    # Several readers look at a file before one reads it: what was too much once is not tried again.
     file_state = (str(path.absolute()), size, state and state.st_mtime_ns)
     if file_state in _too_much:
         raise _too_much[file_state]
     try:
+        # The limit is one of processor time; on a busy machine that takes longer.
         answer = helper.ask(question, 10 * seconds)
     except ProcessEndedError:
         answer = MemoryError()
@@ -102,9 +103,10 @@ def _vector_helper(drivers: tuple[str, ...], remote: bool) -> Helper:
 
 @contextmanager
 def answer_channel(drivers: tuple[str, ...], remote: bool) -> Iterator[BinaryIO]:
-    """Yield where a new process writes its answers; GDAL may use the drivers, and read elsewhere.
+    """Yield the file to which a new process writes its answers, in place of stdout.
 
-    Ctrl-C is for the process that asks.
+    In the block GDAL may use the `drivers`, and read from servers if `remote`. Ctrl-C is left to
+    the process that asks.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with os.fdopen(os.dup(1), "wb") as answers, ExitStack() as stack:
@@ -122,8 +124,8 @@ def serve(drivers: tuple[str, ...] = (), remote: bool = False) -> None:
     """Answer the questions that come on stdin, in a new process.
 
     It runs until stdin ends. Each question has a function by name, its arguments, and limits of
-    memory and time, so that a hostile file ends this process and not the program. What the user can
-    correct is an answer, as are values.
+    memory and time, so that a hostile file ends this process and not the program. An answer is the
+    value of the function, or the TermselError or MemoryError that it raised.
     """
     with answer_channel(drivers, remote) as answers:
         while True:

@@ -31,7 +31,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         raise TermselError("this is a folder, expected a file" if target.is_dir() else
                            "this is not an ordinary file and cannot be replaced", file=path,
                            hint="Give the name of a file to write.")
-    # Before long work, and with the name as given.
+    # Checked before the block, which may take long; the message has the name as it was given.
     if not os.access(target.parent, os.W_OK | os.X_OK):
         why = "no permission" if os.path.isdir(target.parent) else "there is no such folder"
         raise _cannot_write(path, why)
@@ -47,7 +47,10 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
 
 
 def put_in_place(file: Path, target: Path) -> None:
-    """Replace a file, no link, by a synced one on this disk, which takes its permissions."""
+    """Replace `target` by `file`, which takes its owner and permissions, in one step.
+
+    Both are on one disk, `file` was synced to it, and `target` is no link; it may be missing.
+    """
     with suppress(FileNotFoundError):
         before = target.stat()
         if sys.platform != "win32":
@@ -106,19 +109,22 @@ _PREFIX = ".termsel-"
 def private_folder(parent: Path | None = None) -> Iterator[Path]:
     """Yield a new folder that only this user can read, and remove it at the end.
 
-    The parent is by default the system's folder for temporary files.
+    Parameters
+    ----------
+    parent : pathlib.Path, optional
+        Where it is made; by default in the system's folder for temporary files.
 
     Raises
     ------
     TermselError
-        If no folder can be made in the system's.
+        If no folder can be made in the system's folder.
     OSError
         If none can be made in `parent`.
     """
     try:
         folder = _make_folder(Path(gettempdir()) if parent is None else parent)
     except OSError as error:
-        # Who names a parent says what could not be written there.
+        # A caller that names a parent knows what could not be written there, and says so.
         if parent is not None:
             raise
         raise TermselError(
@@ -135,8 +141,9 @@ def private_folder(parent: Path | None = None) -> Iterator[Path]:
 def new_folder(folder: Path) -> Iterator[Path]:
     """Yield a private folder that becomes `folder` in the end, completely or not at all.
 
-    Whoever fails or is interrupted within leaves nothing behind, neither half a folder nor the
-    private one. Raises TermselError where the name is taken, or its parent is missing or full.
+    A block that fails or is interrupted leaves nothing behind, neither half a folder nor the
+    private one. Raises TermselError where the name is taken, or the folder above it is missing, a
+    file or cannot be written to.
     """
     if os.path.lexists(folder):
         raise TermselError("this folder exists already" if folder.is_dir() else
@@ -148,8 +155,7 @@ def new_folder(folder: Path) -> Iterator[Path]:
                            "the folder above this one does not exist", file=folder,
                            hint="Make it first, or name another folder.")
     try:
-        # On the same disk, so that the rename is one step: the folder is there completely or not at
-        # all.
+        # On the same disk, where a rename is one step.
         with private_folder(folder.absolute().parent) as unfinished:
             yield unfinished
             unfinished.chmod(0o755)
@@ -186,7 +192,7 @@ def _machine_word() -> str:
 
 
 def _is_running(process: int) -> bool:
-    """Return whether a process still exists."""
+    """Return whether a process still exists; True where that cannot be told."""
     if sys.platform == "win32":  # os.kill would end it; what is left there stays
         return True
     try:

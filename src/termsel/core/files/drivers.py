@@ -182,9 +182,9 @@ def skipped_drivers() -> str:
 def program_environment(before: Mapping[str, str]) -> dict[str, str]:
     """Return the variables under which another program opens a stranger's file by its GDAL.
 
-    Its drivers and requests are refused as those of termsel are.
+    They are those in `before`, with others that refuse drivers and requests as termsel does.
     """
-    # A host in no_proxy would be asked without the proxy that refuses all.
+    # A host in no_proxy would be asked without the proxy that refuses all requests.
     environment = {key: value for key, value in before.items()
                    if key.casefold() != "no_proxy"} | gdal_options() | {
         "GDAL_SKIP": skipped_drivers()}
@@ -193,11 +193,13 @@ def program_environment(before: Mapping[str, str]) -> dict[str, str]:
 
 @contextmanager
 def without_exceptions() -> Iterator[None]:
-    """Take out the variables by which curl asks some hosts without a proxy, for all threads."""
+    """Take out the variables by which curl asks some hosts without a proxy, during a block.
+
+    All threads of the process do without them. Nothing is changed where servers are allowed.
+    """
     if remote_allowed():
         yield
         return
-    # The environment is of the process: other threads do without them, too.
     lifted = {key: os.environ.pop(key) for key in ("no_proxy", "NO_PROXY") if key in os.environ}
     try:
         yield
@@ -221,22 +223,23 @@ def drivers_are_off() -> bool:
 
 @contextmanager
 def keep_own_drivers_only() -> Iterator[None]:
-    """Turn the other drivers off for good, in a process of termsel, while GDAL is being loaded.
+    """Turn the drivers that termsel does not use off for good, if GDAL is loaded in the block.
 
-    In a program or notebook of the user, GDAL stays as it is.
+    That is done in processes of termsel; in a program or notebook of the user GDAL stays as it is.
     """
     if not _own_process:
         yield
         return
-    # GDAL reads them once, when it registers its drivers.
+    # GDAL reads these variables once, when it registers its drivers.
     before = {key: os.environ.get(key) for key in ("GDAL_SKIP", "OGR_SKIP", "GDAL_CACHEMAX")}
     os.environ["GDAL_SKIP"] = os.environ["OGR_SKIP"] = skipped_drivers()
-    # By default GDAL takes a twentieth of the machine's memory.
+    # In MB; by default GDAL takes a twentieth of the machine's memory.
     os.environ.setdefault("GDAL_CACHEMAX", "256")
     try:
         yield
     finally:
         for key, value in before.items():
+            # GDAL reads this one when it first opens a raster, after the block.
             if key == "GDAL_CACHEMAX":
                 continue
             if value is None:

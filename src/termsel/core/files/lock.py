@@ -25,15 +25,16 @@ _HELD = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
 @contextmanager
 def lock_folder(folder: Path,
                 hint: str = "Wait for it, or choose another --out.") -> Iterator[None]:
-    """Hold the lock of a folder; the system takes it away from a process that ends.
+    """Hold the lock of a folder during a block; the system takes it away from a process that ends.
 
-    Raises TermselError if another process holds it: which one, on which machine and since when; if
-    there is a link anywhere in the folder, which nobody follows.
+    Raises TermselError if another process holds it, with that process, its machine and since when;
+    if the folder cannot be written to; and if there is a link anywhere in it, as it may have come
+    with data and lead elsewhere.
     """
     refuse_links(folder)
     with _hold_lock(folder, hint) as file:
         try:
-            # Who is refused reads here whom it waits for.
+            # A process that does not get the lock reads here which one has it.
             file.truncate(0)
             file.write(f"process {os.getpid()} on {platform.node() or 'this machine'} since "
                        f"{time.strftime('%Y-%m-%d %H:%M:%S')}".encode())
@@ -48,15 +49,16 @@ def _hold_lock(folder: Path, hint: str) -> Iterator[FileIO]:
 
     Raises TermselError, with `hint`, where another process still holds it after 0.4 s.
     """
-    # Who asks for the status holds it for a moment.
+    # Several trials, as a process that asks who holds it (`lock_holder`) holds it for a moment.
     for i in range(5):
         if i:
             time.sleep(0.1)
         with _open_lock(folder, "a+b") as file:
             if not _take_lock_of_folder(file, folder):
                 continue
-            # A lock on a removed file would exclude nobody.
-            if not _is_at(file, folder / LOCK):  # who held it before has removed this file
+            # The process that held it before may have removed this file since it was opened, and a
+            # lock on a removed file would exclude nobody.
+            if not _is_at(file, folder / LOCK):
                 continue
             try:
                 yield file
@@ -67,11 +69,11 @@ def _hold_lock(folder: Path, hint: str) -> Iterator[FileIO]:
                        file=folder, hint=hint)
 
 
-def turn(path: Path, seconds: float) -> FileIO | None:
+def take_turn(path: Path, seconds: float) -> FileIO | None:
     """Return a lock on a file, for work that one process does at a time, once nobody else holds it.
 
-    None where it is not free after so many seconds, or the system locks nothing: callers must not
-    depend on having it. `end_turn` gives it back.
+    None where it is not free after so many seconds, or the file cannot be opened or locked: callers
+    must not depend on having it. `end_turn` gives it back.
     """
     deadline = time.monotonic() + seconds
     with suppress(OSError), ExitStack() as files:

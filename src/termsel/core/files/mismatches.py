@@ -17,13 +17,13 @@ def mismatch_in_words(message: str, kinds: Mapping[str, str],
     Parameters
     ----------
     message : str
-        Of msgspec.ValidationError.
+        The message of a msgspec.ValidationError.
     kinds : mapping
         Words for kinds of values: "int", "str" and so on. A kind without words is not listed among
         those that are expected.
     key_in_words : callable
-        Takes where in the file the key is, such as "image[3].rpc" or "" for the file itself, and
-        returns what it is called.
+        Takes the place of the key in the file, such as "image[3].rpc" or "" for the file itself,
+        and returns what the user calls it.
 
     Examples
     --------

@@ -41,7 +41,11 @@ _ADDRESS = re.compile(r"(https?|ftp|s3|gs):/+", re.IGNORECASE)
 
 
 def no_such_file_error(path: Path | str) -> TermselError:
-    """Return the error for a file that is not there, or that is an address on a server."""
+    """Return the error for a file that is not there.
+
+    It has a remedy of its own for an address on a server, and for a pattern such as ``*.csv`` that
+    the shell did not expand.
+    """
     address = _ADDRESS.match(str(path))
     if address:
         address_text = f"{address[1]}://{str(path)[address.end():]}"
@@ -91,9 +95,10 @@ _HIDDEN = (".lock", ".termsel")
 
 
 def path_inside(folder: Path, name: str) -> Path:
-    """Return a file in a folder of a result, study or block, which is no link and no pipe.
+    """Return the path of a file in a folder of a result, study or block; it need not exist.
 
-    Only a name that the user types is followed to where it leads: a folder may have come with data.
+    Raises TermselError for a link or a pipe: the folder may have come with data, and only names
+    that the user types are followed to where they lead.
     """
     path = folder / name
     refuse_link(path)
@@ -161,6 +166,7 @@ def refuse_grids(crs: str, file: object = None) -> None:
     Raises
     ------
     TermselError
+        If the CRS names a file with its folder, or an address.
     """
     # WKT may have typographic quotation marks, too.
     if _GRIDS.search(re.sub("[\u201c\u201d]", '"', crs)):
@@ -195,8 +201,6 @@ def utf8_folder(folder: Path) -> Iterator[Path]:
     if _is_utf8(folder):
         yield folder
         return
-    # Libraries that take names in UTF-8 alone reach the folder through a link in one that has such
-    # a name.
     with private_folder() as link_folder:
         (link_folder / "folder").symlink_to(folder.absolute(), target_is_directory=True)
         yield link_folder / "folder"

@@ -34,9 +34,11 @@ def reason_of(error: BaseException, *paths: Path) -> str:
 
 
 def _exception_chain(error: BaseException | None) -> Iterator[BaseException]:
-    """Yield an exception and those that it came of."""
+    """Yield an exception, then its cause or context, and so on to the first of the chain.
+
+    A chain that comes back to an exception ends there.
+    """
     visited: set[int] = set()
-    # An exception may be its own cause through others.
     while error is not None and id(error) not in visited:
         visited.add(id(error))
         yield error
@@ -44,7 +46,10 @@ def _exception_chain(error: BaseException | None) -> Iterator[BaseException]:
 
 
 def _is_full(path: Path) -> bool:
-    """Return whether the disk of a file, or of the folder that it would be in, is full."""
+    """Return whether the disk of a file, or of the folder that it would be in, is full.
+
+    False where that cannot be told.
+    """
     folders = (path, *path.absolute().parents)
     folder = next((candidate for candidate in folders if candidate.is_dir()), None)
     try:

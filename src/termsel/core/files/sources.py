@@ -102,14 +102,14 @@ def refuse_foreign(path: Path | str) -> list[str]:
     Returns
     -------
     list of str
-        The rasters of pixels that it consists of.
+        The plain rasters that it consists of: itself, or all that a virtual raster leads to.
 
     Raises
     ------
     TermselError
-        If it, a file next to it that GDAL would open, or a file that it names, to the end of the
-        chain, is no regular file, of a driver that is off, or on a server; if virtual rasters are
-        nested so deeply that reading them takes days.
+        If the raster, a file next to it that GDAL would open, or a file that it names, to the end
+        of the chain, is no regular file, of a driver that is off, or on a server; if virtual
+        rasters are nested so deeply, or name so many sources, that reading them takes days.
     """
     chain = _Chain(str(path))
     chain.require(chain.start, "")
@@ -117,10 +117,11 @@ def refuse_foreign(path: Path | str) -> list[str]:
 
 
 def is_single_file(path: Path | str) -> bool:
-    """Return whether GDAL opens no other file with a raster, unless the raster names one.
+    """Return whether GDAL opens no other file with a raster by its name alone.
 
-    So it is of a file in memory of this process: nobody else has made it.
+    False for a virtual raster, and for what is no file on the disk, such as one in an archive.
     """
+    # A file in memory was made by this process, which makes none next to it.
     if str(path).startswith("/vsimem/"):
         return True
     if not os.path.isfile(path):
@@ -136,7 +137,7 @@ def is_single_file(path: Path | str) -> bool:
 def may_name_more(path: str) -> bool:
     """Return whether the metadata in a plain raster can name further files, such as overviews.
 
-    Only TIFF and JPEG 2000 have metadata of such a kind.
+    Only TIFF and JPEG 2000 have metadata of such a kind. True where that cannot be told.
     """
     try:
         with open(path, "rb") as file:
@@ -171,14 +172,15 @@ def refused_format_error(path: object, head: bytes, of: object = None) -> Termse
 
     Drivers that read code, other files or databases are off (see `RASTER_DRIVERS`), and GDAL itself
     would only say that the file is in no supported format. The first bytes of the file, `head`, say
-    what it is. `of` is the file that refers to it, where the user named that one.
+    what it is, and with a known format the hint names the driver to allow. `of` is the file that
+    refers to it, where the user named that one.
     """
     name = foreign_format(head)
     code = ""
-    # What is known is named, so that whoever trusts the file can turn its driver on.
+    # A path of more than 100 characters would make the hint hard to read.
     hint = f"Convert it: gdal_translate {path if len(str(path)) < 100 else 'FILE'} map.tif."
     if head.startswith(_DATABASE):
-        # A GeoPackage may hold either.
+        # A GeoPackage may hold vectors or a raster.
         reason = "this is a GeoPackage or another database, and termsel opens no raster in one"
         hint = ("If it holds vectors, give an image in its place: lines of a map are for termsel "
                 f"match-lines --vectors. If it holds a raster: {hint[len('Convert it: '):]}")
@@ -232,7 +234,11 @@ class _Chain:
         return TermselError(message, file=self.start, hint=hint)
 
     def require_each(self, name: str, folder: str, depth: int = 0) -> int:
-        """Require a file as seen from a folder and from the current one; return its reads."""
+        """Require a file that another one names, and return how many sources it reads.
+
+        A relative name is tried from `folder`, that of the file that names it, and from the current
+        one. `depth` counts the files up to it. Raises TermselError as `require` does.
+        """
         name = name.strip()
         if name.startswith(_BASE):
             name = os.path.normpath(os.path.join(folder, name.removeprefix(_BASE)))
@@ -262,8 +268,8 @@ class _Chain:
         if depth > _DEEPEST:
             raise self.error("its virtual rasters are nested too deeply",
                              "Convert it: gdal_translate FILE map.tif.")
-        # Set before the descent: a cycle of files ends here, with one read.
-        self.reads[name] = 1  # of a file that names itself
+        # Set before the descent: a file that names itself ends here, with one read.
+        self.reads[name] = 1
         if _REMOTE.search(name):
             if remote_allowed():
                 return 1
@@ -294,17 +300,18 @@ class _Chain:
     def _require_allowed(self, name: str) -> None:
         """Raise TermselError for a name such as NETCDF:FILE:VARIABLE unless the driver is allowed.
         """
-        # GDAL compares prefixes without regard to case.
+        # GDAL compares prefixes without regard to case. None of the drivers that are on by default
+        # needs such a name, so that only those count that the user has allowed.
         prefix = name.partition(":")[0].casefold()
-        # Only what the user has allowed by name: no default driver needs such a name.
         if not any(driver.casefold() == prefix for driver in allowed_drivers()):
             raise self.error(f"it refers to {cut(name, 100)!r}, which termsel does not open",
                              DRIVER_HINT.format(name=name.partition(":")[0]))
 
     def _require_file(self, name: str, depth: int) -> int:
-        """Require a file of the disk and its neighbours; return 1 and the files it names.
+        """Require a file on the disk, its neighbours and the files that it names.
 
-        Raises TermselError for a folder, pipe or device.
+        Returns how many sources it reads: 1 for a plain raster, and for one that cannot be read, of
+        which GDAL says why. Raises TermselError for a folder, pipe or device.
         """
         path = Path(name)
         if path.is_dir():
@@ -322,17 +329,23 @@ class _Chain:
                     return 1
                 # One byte more than the limit shows that there is more.
                 content = head + file.read(_LARGEST_XML + 1 - len(head))
-        except OSError:  # GDAL says why
+        except OSError:
             return 1
         return self._require_named_in_text(self._decode_xml(content, name), os.path.dirname(name),
                                            depth)
 
     def _require_known(self, path: Path, head: bytes) -> None:
-        """Raise TermselError for a file of a driver that is off."""
+        """Raise TermselError for a file of a driver that is off.
+
+        A file whose first bytes show no driver passes if it is of a format of `RASTER_DRIVERS`, or
+        if the user has allowed any further driver, as files of that one may begin in any way.
+        """
         driver = foreign_format(head)
-        if driver in allowed_drivers() or (not driver and _is_known(path, head)):
-            return
-        if allowed_drivers() and not driver:  # what the user trusts may begin in any way
+        if driver:
+            is_allowed = driver in allowed_drivers()
+        else:
+            is_allowed = bool(allowed_drivers()) or _is_known(path, head)
+        if is_allowed:
             return
         raise refused_format_error(path, head, self.start)
 
@@ -363,7 +376,6 @@ class _Chain:
                 content = file.read(_LARGEST_XML + 1)
         except OSError:  # then GDAL cannot read it either
             return
-        # An empty one is no XML, and names nothing that GDAL could open.
         if content.strip():
             self._require_named_in_text(self._decode_xml(content, str(path)), str(path.parent),
                                         depth, expected="")
@@ -434,12 +446,12 @@ class _Chain:
 
     def _require_named_in_text(self, text: str, folder: str, depth: int,
                                expected: str = "vrtdataset") -> int:
-        """Require all that a virtual raster or auxiliary XML names; return the reads.
+        """Require all that a virtual raster or auxiliary XML names, and return its reads.
 
-        `text` is the XML, `folder` that of its file, from which relative names count, and
-        `expected` the name of its root; "" takes any. Code of Python, entities and grids of PROJ
-        are refused, as GDAL would run or open them. The number of reads is that of pixels of
-        sources for one pixel of the raster.
+        Reads are the pixels of sources that are read for one pixel of the raster. `text` is the
+        XML, `folder` that of its file, from which relative names count, and `expected` the name of
+        its root; "" takes any. Raises TermselError for code of Python, entities and grids of PROJ,
+        which GDAL would run or open, and for sources that multiply.
         """
         # Entities can expand to any size, and name files.
         if "<!DOCTYPE" in text or "<!ENTITY" in text:
@@ -452,8 +464,9 @@ class _Chain:
             raise refused_format_error(self.start, text.encode()[:_HEAD_BYTES])
         self._refuse_code(root)
         for element in root.iter():
+            # Any element and option may have a CRS or an operation.
             for stated in (element.text or "", *element.attrib.values()):
-                if may_be_crs(stated):  # any element and option may have a CRS or an operation
+                if may_be_crs(stated):
                     refuse_grids(stated, self.start)
         sources = [name.strip() for name in _possible_raster_names(root, folder)]
         self.elements += len(sources)
@@ -535,9 +548,10 @@ def _possible_raster_names(root: ElementTree.Element, folder: str) -> Iterator[s
 def _may_be_name(text: str, folder: str) -> bool:
     """Return whether GDAL could open a text as the name of a file, an address, or a raster itself.
 
-    Texts of XML and JSON may be rasters: GDAL opens a virtual one that is given for its name.
+    Texts of XML and JSON may be rasters: GDAL opens a virtual one whose text stands in place of its
+    name.
     """
-    # However long: neither such a text nor an address on a server has a limit.
+    # These have no limit of length: texts of rasters, names of GDAL and addresses on servers.
     start = text.lstrip()
     if start.startswith(("<", "{", "/vsi")) or _REMOTE.match(start):
         return True
@@ -590,13 +604,17 @@ def _special_entries(folder: str) -> Iterator[str]:
 
 
 def _list_folder(folder: str) -> tuple[str, ...]:
-    """Return the names in a folder."""
+    """Return the names in a folder; none if it cannot be read.
+
+    They are kept until the folder changes.
+    """
     folder = folder or "."
     try:
         changed = os.stat(folder).st_mtime_ns
     except OSError:
         return ()
-    if abs(time.time_ns() - changed) < _CLOCK:  # another file may have come within the same tick
+    # Another file may come within the same tick of the clock, and leave the time as it is.
+    if abs(time.time_ns() - changed) < _CLOCK:
         return tuple(os.listdir(folder))
     return _cached_entries(os.path.realpath(folder), changed)
 
@@ -612,13 +630,13 @@ def _archive_and_member(name: str) -> tuple[Path | None, str]:
     The archive is None if there is no such file, and the name "" if none is given.
     """
     match = _ARCHIVE.match(name)
-    # The longest beginning of the name that is a file is the archive, as GDAL looks for it.
-    path_in_disk = match[2] if match else ""
+    path_and_member = match[2] if match else ""
     # GDAL takes /vsizip/{ARCHIVE}/MEMBER as well, for archives of any ending.
-    if path_in_disk.startswith("{"):
-        archive, _, member = path_in_disk[1:].partition("}")
+    if path_and_member.startswith("{"):
+        archive, _, member = path_and_member[1:].partition("}")
         return (Path(archive) if os.path.isfile(archive) else None), member.lstrip("/")
-    full = PurePosixPath(path_in_disk)
+    # The longest beginning of the name that is a file is the archive, as GDAL looks for it.
+    full = PurePosixPath(path_and_member)
     for candidate in (full, *full.parents):
         if os.path.isfile(candidate):
             member = str(full.relative_to(candidate)) if candidate != full else ""
@@ -627,7 +645,10 @@ def _archive_and_member(name: str) -> tuple[Path | None, str]:
 
 
 def _list_archive(name: str, archive: Path) -> list[str] | None:
-    """Return the files in an archive as GDAL calls them; None where it is one compressed file."""
+    """Return the files in an archive as GDAL calls them, none if it cannot be read.
+
+    None where `name` stands for one compressed file, which is no archive.
+    """
     if name.startswith("/vsigzip/"):
         return None
     try:

@@ -32,7 +32,10 @@ _BIG = _Layout(8, "Q", "Q", "HHQQ")
 
 
 def metadata_of_tiff(file: BinaryIO) -> bytes | None:
-    """Return GDAL's metadata of the first image of a TIFF; None where that cannot be told.
+    """Return GDAL's metadata of the first image of a TIFF, as bytes of XML; empty without any.
+
+    None where that cannot be told: for other files, and where the TIFF is cut off or has too many
+    entries.
 
     Parameters
     ----------
@@ -56,9 +59,9 @@ def metadata_of_tiff(file: BinaryIO) -> bytes | None:
         table = file.read(count * size)
         for tag, _, length, value in struct.iter_unpack(order + layout.entry, table):
             if tag == _METADATA:
-                # Text that is no longer than its place is written there.
-                small = length <= struct.calcsize(layout.offset)
-                return b"" if small else _read_bytes(file, value, length)
+                # A text of a few bytes stands in place of its offset; no metadata is so short.
+                is_in_entry = length <= struct.calcsize(layout.offset)
+                return b"" if is_in_entry else _read_bytes(file, value, length)
     except (struct.error, OverflowError):  # cut off
         return None
     return b"" if len(table) == count * size else None

@@ -87,10 +87,13 @@ def _guards_by_method(cls: type) -> dict[str, Check | None]:
 
 
 def _guard_of(name: str, function: Callable[..., Any], check: Check | None) -> Callable[..., Any]:
-    """Return the guard of a method or of a property's function."""
+    """Return the guard of a method or of a property's function.
+
+    Exceptions become PluginFaults that name the method `name`, and `check` looks at its value.
+    Calls from the plugin's own package pass as they are: the outermost call names the plugin.
+    """
     @wraps(function)
     def call(self: Any, *args: Any, **options: Any) -> Any:
-        # A call from the same package needs no guard: who fails is told by the outermost alone.
         if _off.get() or running_package() == package_of(type(self)):
             return function(self, *args, **options)
         with attribute_errors_to(self, name):

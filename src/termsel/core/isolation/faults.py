@@ -43,7 +43,8 @@ def code_of(package: str) -> Iterator[None]:
 
 @contextmanager
 def mark_own_errors() -> Iterator[None]:
-    """Run a block of termsel's own that a plugin calls; errors of it are marked as termsel's."""
+    """Run a block of termsel's own code; errors of it are marked as termsel's if a plugin calls it.
+    """
     caller = _package.get()
     token = _package.set(None)
     try:
@@ -94,7 +95,8 @@ def call_within(seconds: float, call: Callable[[], T], *, soon: float = 0.0,
                 tell: Callable[[], None] = lambda: None) -> T:
     """Return the value of a call in a thread of its own; raise TooSlow after `seconds`.
 
-    Ctrl-C ends the waiting. After `soon` seconds `tell` is called once.
+    Exceptions of the call are raised here. Ctrl-C ends the waiting, and the thread goes on. If the
+    call takes longer than `soon` seconds, `tell` is called once; never if `soon` is 0.
     """
     done: Future[T] = Future()
 
@@ -108,7 +110,7 @@ def call_within(seconds: float, call: Callable[[], T], *, soon: float = 0.0,
             done.set_result(value)
 
     threading.Thread(target=copy_context().run, args=(work,), daemon=True).start()
-    # Two waits, the first until something is told.
+    # Two waits, the first until `tell` is called.
     first = min(soon, seconds)
     if first and not wait([done], first).done:
         tell()
@@ -199,11 +201,12 @@ def fault_of_method(definition: Any, method: str, fault: str, hint: str = HINT,
 @contextmanager
 def attribute_errors_to(definition: Any, method: str, hint: str = HINT,
                         name: str = "") -> Iterator[None]:
-    """Run code of a plugin; what it raises becomes its PluginFault, with the method named.
+    """Run code of a plugin; an exception of it becomes a PluginFault that names the method.
 
-    termsel's own errors pass, such as a `TermselError` on a file that the user can correct. So does
-    all of a class, function or object of termsel. The hint says what to do, where it may be the
-    user's own mistake; `name`, if any, is shown instead of the name of the definition.
+    termsel's own errors pass, such as a `TermselError` on a file that the user can correct, and so
+    do KeyboardInterrupt and MemoryError. All exceptions pass where the definition, a class,
+    function or object, is termsel's own. `hint` says what to do, where it may be the user's own
+    mistake; `name`, if any, is shown instead of the name of the definition.
     """
     package = package_of(definition)
     if package == OWN:
@@ -233,7 +236,7 @@ def fault_of_error(error: BaseException, activity: str, package: str,
 
 def _innermost_line_of(trace: TracebackType | None, package: str) -> tuple[str | None, int | None]:
     """Return file and line of the package's innermost code in a traceback; None if it has none."""
-    # From the outermost call inwards: the last one of the package is the innermost.
+    # A traceback goes from the outermost call inwards, so that the last of the package counts.
     location: tuple[str | None, int | None] = (None, None)
     while trace is not None:
         module = str(trace.tb_frame.f_globals.get("__name__", ""))
@@ -247,10 +250,10 @@ def _where_defined(definition: Any, method: str) -> tuple[str | None, int | None
     """Return file and line where a method is defined; None for each that is not known."""
     function = getattr(definition if isinstance(definition, type) else type(definition), method,
                        definition)
-    # Of a property its getter, of a cached one its function.
+    # A property has its code in its getter, a cached one in its function.
     function = getattr(function, "fget", None) or getattr(function, "func", function)
     code = getattr(inspect.unwrap(function), "__code__", None)
-    # What is compiled, or a callable object, has no code: its module's file must do.
+    # Compiled functions and callable objects have no code: the file of their module must do.
     if code is None:
         module = sys.modules.get(str(getattr(function, "__module__", "")))
         return getattr(module, "__file__", None), None

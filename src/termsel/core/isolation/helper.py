@@ -54,7 +54,7 @@ def modules_here() -> Iterator[None]:
 @contextmanager
 def safe_start() -> Iterator[None]:
     """Start processes by `multiprocessing` that look for modules as `safe_path` says."""
-    # Both are those of the whole process: they are put back whatever happens.
+    # Path and variable belong to the whole process: they are put back whatever happens.
     path_before = sys.path[:]
     variable_before = os.environ.get(SAFE_PATH)
     sys.path[:] = safe_path()  # what a process that is spawned gets to know
@@ -89,13 +89,17 @@ def context_of_workers(modules: Sequence[str]) -> BaseContext:
 
 
 def _fork_server_is_ready(modules: Sequence[str]) -> bool:
-    """Start the process that workers are forked from; return whether it has today's settings."""
+    """Start the process that workers are forked from, and return whether its settings are current.
+
+    False also if it cannot be started. Settings are the variables that modules read once, as they
+    are imported.
+    """
     # Windows has no use for it, and commands without workers need not wait for it.
     from multiprocessing import forkserver
 
     global _settings_of_server
     settings = {name: value for name, value in os.environ.items() if name.startswith(_READ_ONCE)}
-    # Of no effect on one that is running, as that of an earlier pool.
+    # Without effect on a process that is running already, as that of an earlier pool.
     get_context("forkserver").set_forkserver_preload(list(modules))
     try:
         forkserver.ensure_running()
@@ -132,9 +136,10 @@ class Helper:
         self._asks = 0  # the process that has started the child
 
     def ask(self, question: Any, seconds: float | None = None) -> Any:
-        """Return the answer to a question; raises ProcessEndedError without one.
+        """Return the answer of the process, which is started if it is not running, to a question.
 
-        A process that takes longer than `seconds` is ended.
+        A process that takes longer than `seconds` is ended. Raises ProcessEndedError where it ends
+        before it has answered, whatever the reason.
         """
         with self._lock:
             if self._asks != os.getpid():  # after a fork the answers would go to either process
@@ -147,19 +152,21 @@ class Helper:
                 limit.start()
             assert child.stdin is not None
             assert child.stdout is not None
-            # Whatever comes between question and answer leaves a process that nobody can ask again.
+            # A process that was interrupted between question and answer cannot be asked again: the
+            # late answer would be taken for that to the next question.
             answered = False
             try:
                 pickle.dump(question, child.stdin)
                 child.stdin.flush()
                 answer = pickle.load(child.stdout)
                 answered = True
-            except (OSError, EOFError, pickle.UnpicklingError) as error:  # half an answer is none
+            # Half an answer is none.
+            except (OSError, EOFError, pickle.UnpicklingError) as error:
                 raise ProcessEndedError from error
             finally:
                 if limit is not None:
                     limit.cancel()
-                if not answered:  # nor is one that comes after Ctrl-C
+                if not answered:
                     self.end()
             return answer
 

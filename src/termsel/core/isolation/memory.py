@@ -39,8 +39,8 @@ def out_of_memory(error: MemoryError) -> TermselError:
             "machine, or with a limit (ulimit -v, or that of the batch system), of more memory.")
     if free is not None and shape and required > free > 0:
         longest = max(shape)
-        times = shape.count(longest)  # as of a matrix of all pairs of points
-        # required / free = (longest / fits)^times
+        # required / free = (longest / fits)^times, with times = 2 for a matrix of all pairs.
+        times = shape.count(longest)
         fits = int(longest * (_SHARE * free / required) ** (1 / times))
         hint = f"About {fits:,} in place of {longest:,} would fit. {hint}"
     return TermselError(problem, hint=hint)

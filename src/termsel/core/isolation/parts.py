@@ -48,11 +48,11 @@ def values_of_slot(slot: str) -> list[Any]:
 
 
 def value_of_slot(slot: str, purpose: str) -> Any:
-    """Return the value that a package gives for a slot, the first of several.
+    """Return the value that a package gives for a slot; of several packages the first one loaded.
 
-    Raises TermselError if none does; `purpose` has its verb, such as "a certificate requires".
+    Raises TermselError if none does; its message begins with `purpose`, which has its verb, such as
+    "a certificate requires".
     """
-    # Of several the first: plugins are in the order in which they were loaded.
     if extensions := values_of_slot(slot):
         return extensions[0]
     raise missing_package_error(slot, purpose)
@@ -66,7 +66,9 @@ def missing_package_error(slot: str, purpose: str) -> TermselError:
 
 
 def lack_of(package: str) -> tuple[str, str]:
-    """Return why a package of termsel's own is not in use, a clause after "which", and the remedy.
+    """Return why a package of termsel's own is not in use, and the remedy.
+
+    The first is a clause to follow "which", such as "is not installed", the second a sentence.
     """
     if is_left_out(package):
         return LEFT_OUT, "Unset that variable, or name the package in it."

@@ -14,13 +14,14 @@ _ROUNDED_DISTANCE = 1e-9
 
 
 def cluster_labels(plan: FloatArray, gap: float) -> IntArray | None:
-    """Return the number of each place's cluster, (n,), counted from 0; None without clusters.
+    """Return the number of each place's cluster, (n,), counted from 0; None if there are none.
 
-    The shortest tree that joins all places (n, 2) has edges within clusters, and others between
-    them that are at least `gap` times as long. At least half of the edges are within, as among
-    places that were measured twice; among places at random the longer half of the edges has no such
-    gap. A cluster is shorter than the gaps. None comes back, too, for fewer than MIN_PLACES or more
-    than MAX_PLACES places.
+    Of the shortest tree that joins all places (n, 2), the edges between clusters are at least `gap`
+    times as long as those within them. At least half of the edges have to be within clusters, as
+    among places that were measured twice; the longer half of the edges among random places has no
+    such gap. Each cluster has to be shorter than the shortest edge between clusters. None is
+    returned, too, for fewer than MIN_PLACES or more than MAX_PLACES places, and for places that are
+    all the same.
 
     Examples
     --------
@@ -33,6 +34,7 @@ def cluster_labels(plan: FloatArray, gap: float) -> IntArray | None:
     if not MIN_PLACES <= count <= MAX_PLACES:
         return None
     order, parents, edges = _shortest_tree(plan)
+    # Each edge of the longer half is compared with the next shorter one.
     sorted_edges = np.sort(edges)
     shorter = sorted_edges[count // 2 - 1:-1]
     longer = sorted_edges[count // 2:]
@@ -43,7 +45,7 @@ def cluster_labels(plan: FloatArray, gap: float) -> IntArray | None:
     widest = int(np.argmax(ratios))
     if ratios[widest] < gap:
         return None
-    # A place whose edge is no longer than those within is in the cluster of its parent.
+    # A place joined by an edge that is no longer than those within clusters is in its parent's.
     labels = np.zeros(count, dtype=np.intp)
     clusters = 1
     for place, parent, edge in zip(order, parents, edges, strict=True):
@@ -52,17 +54,18 @@ def cluster_labels(plan: FloatArray, gap: float) -> IntArray | None:
         else:
             labels[place] = clusters
             clusters += 1
-    # The rows of an even lattice are longer than the gaps between them, and no clusters.
+    # Rows of an even lattice have gaps between them, too; they are longer than these, and no
+    # clusters.
     extents = [np.ptp(plan[labels == cluster], axis=0).max() for cluster in range(clusters)]
     return labels if max(extents) < longer[widest] else None
 
 
 def _shortest_tree(plan: FloatArray) -> tuple[list[int], list[int], FloatArray]:
-    """Return the shortest tree that joins places (n, 2), from place 0 on.
+    """Return the shortest tree that joins places (n, 2), grown from place 0.
 
-    These are the numbers of the other places in the order in which they are joined, of the place
-    that each is joined to, and the lengths of these edges. The algorithm is by R.C. Prim, Bell
-    System Technical Journal 36 (1957) 1389-1401.
+    It comes as the numbers of the other places in the order in which they are joined, the number of
+    the place that each is joined to, and the lengths of these edges. The algorithm is by R.C. Prim,
+    Bell System Technical Journal 36 (1957) 1389-1401.
     """
     distances = np.linalg.norm(plan - plan[0], axis=1)
     nearest_inside = np.zeros(len(plan), dtype=np.intp)

@@ -168,7 +168,7 @@ def normalise(crs: str) -> str:
 def _question_on_meaning(text: str) -> str:
     """Return a question on what an unknown CRS may mean, such as "Did you mean EPSG:4326 ...? ".
 
-    It is "" without any guess.
+    It ends with a space. If the text resembles nothing that termsel knows, "" is returned.
     """
     if text.isdecimal():
         return f"Did you mean EPSG:{text}? "
@@ -245,7 +245,8 @@ def _crs_by_name(text: str) -> str:
 def _crs_of_proj_string(text: str) -> str:
     """Return the normal form of a CRS given as a string of PROJ, such as "+proj=bonne ...".
 
-    "" where it is no CRS. Raises TermselError if pyproj is needed and not installed.
+    A string that describes no CRS gives "". Raises TermselError if pyproj is needed and not
+    installed, or cannot read the string.
     """
     words = dict(re.findall(r"\+(\w+)(?:=(\S+))?", text))
     if words.get("datum") == "WGS84" and not {"axis", "pm", "vunits", "geoidgrids"} & words.keys():
@@ -266,7 +267,10 @@ def _crs_of_proj_string(text: str) -> str:
 
 
 def _crs_of_listed_name(text: str) -> str:
-    """Return the normal form of a CRS by the name that EPSG or ESRI gives it, "" for others."""
+    """Return the normal form of a CRS by the name that EPSG or ESRI gives it.
+
+    Other names give "", and so do all without pyproj.
+    """
     try:
         from pyproj import CRS
         from pyproj.exceptions import CRSError
@@ -285,7 +289,11 @@ def _crs_of_listed_name(text: str) -> str:
 
 
 def _code_of_former_name(text: str) -> str:
-    """Return the EPSG code of another name of a CRS, such as a former one, "" for others."""
+    """Return the EPSG code of a CRS by another of its names, such as a former one.
+
+    A name that EPSG does not list, or lists for several CRSs, gives ""; so does every name where
+    PROJ's database cannot be opened.
+    """
     import sqlite3
 
     from pyproj.datadir import get_data_dir
@@ -310,9 +318,9 @@ def _letters_and_digits(name: str) -> str:
 
 @lru_cache  # PROJ takes milliseconds, and each step of a run asks
 def _code_or_text(text: str) -> str:
-    """Return the EPSG code of a CRS under another name, else the text; a search of 10 ms.
+    """Return the EPSG code of a CRS that equals a listed one but for its name, else its text.
 
-    Shapefiles call a CRS by other names than EPSG, whatever they say being the same.
+    Shapefiles call a CRS by other names than EPSG does. The search takes 10 ms.
     """
     parsed = _with_pyproj(text)
     # With a confidence of 25 pyproj also proposes codes of other names; equality decides.
@@ -329,7 +337,9 @@ def is_geographic(crs: str) -> bool:
 
 
 def projection_method(crs: str) -> str:
-    """Return the name of the method of a projected CRS; "" for others, and without pyproj.
+    """Return the name of the projection's method, such as "Transverse Mercator".
+
+    A CRS that is not projected gives "", and so does every CRS without pyproj.
 
     Examples
     --------
@@ -346,8 +356,8 @@ def projection_method(crs: str) -> str:
 def longitudes_and_latitudes_of(crs: str) -> Callable[[FloatArray], FloatArray] | None:
     """Return a function from x and y (n, 2) of a projected CRS to angles on its ellipsoid [rad].
 
-    Longitudes count from the meridian of the CRS. Where it is not defined they are infinite. None
-    for CRSs that are not projected, and without pyproj.
+    Longitudes count from the prime meridian of the CRS. Both angles are infinite where the
+    projection has no inverse. None is returned for a CRS that is not projected, and without pyproj.
     """
     parsed = _with_pyproj(horizontal_crs(normalise(crs)))
     if parsed is None or not parsed.is_projected:
@@ -368,12 +378,12 @@ def longitudes_and_latitudes_of(crs: str) -> Callable[[FloatArray], FloatArray] 
 def axes_of_degrees(crs: str) -> tuple[float, str]:
     """Return the unit of longitude and latitude [deg], and the CRS with degrees in its place.
 
-    The same CRS and 1 for one in degrees, as all are where pyproj is missing.
+    For a CRS in degrees these are 1 and the same CRS; without pyproj every CRS is taken as one.
     """
     parsed = None if crs in WGS84 else _with_pyproj(crs)
     if parsed is None:
         return 1.0, crs
-    # As pyproj gives it, radians.
+    # pyproj gives units of angles in radians.
     unit = float(np.degrees(parsed.axis_info[0].unit_conversion_factor))
     if np.isclose(unit, 1.0, rtol=1e-9):
         return 1.0, crs
@@ -442,12 +452,15 @@ def transformation_between(source: str, target: str, *, strict: bool = True,
                            for_fit: bool = False) -> Transformation:
     """Return a function that transforms ground coordinates (n, 3) from one CRS to another.
 
-    If a CRS has no vertical datum, heights are taken as ellipsoidal, unknown ones as 0; places of
-    which another coordinate is unknown stay unknown. Coordinates that cannot be transformed are an
-    error if `strict`, else they become infinite. A CRS on an ellipsoid without a datum, as old maps
-    have, is taken to be of the other's datum; a note says so, but not for a fit, whose model takes
-    up what a shift between datums does. Raises TermselError for "local"; if pyproj, which is needed
-    for all but WGS84 itself, is not installed or cannot transform the CRS.
+    If a CRS has no vertical datum, its heights are taken as ellipsoidal. Unknown heights are taken
+    as 0; places whose x or y is unknown stay unknown. Coordinates that cannot be transformed raise
+    TermselError if `strict`, else they become infinite. A CRS on an ellipsoid without a datum, as
+    old maps have, is taken to be of the other's datum; a note says so unless `for_fit`, as a fitted
+    model takes up what a shift between datums does.
+
+    Raises TermselError for "local", for CRSs of different celestial bodies, if PROJ knows no
+    transformation, and if pyproj is not installed, which is needed unless both CRSs are the same or
+    of WGS84.
     """
     source = normalise(source)
     target = normalise(target)
@@ -472,27 +485,25 @@ def transformation_between(source: str, target: str, *, strict: bool = True,
                            f"{target_body}",
                            hint="Formats of WGS84, such as RPCs and GeoJSON, are for the Earth. "
                                 "gcp-grid-vrt and geolocation-vrt keep the CRS.")
-    # A CRS without heights gets ellipsoidal ones, so that the shift between datums applies to them.
+    # A CRS without heights gets ellipsoidal ones, so that shifts between datums apply to them, too.
     ends = [crs if len(crs.axis_info) > 2 else crs.to_3d() for crs in parsed if crs is not None]
-    # Ballpark transformations would leave heights, or datums, as they are, without a word.
+    # PROJ calls transformations ballpark that leave heights or datums as they are, without a word.
     without_datum = next((name for name, crs in zip((source, target), parsed, strict=True)
                           if crs is not None and _has_no_datum(crs)), "")
-    turn = _transformer_without_ballpark(
+    transformer = _transformer_without_ballpark(
         ends, failure, remedy="give ellipsoidal heights, as in EPSG:4979",
         without_datum=bool(without_datum))
-    # For a fit the model takes up what a shift between datums does.
     if without_datum and not for_fit:
-        _say_no_datum(without_datum)
+        _warn_of_no_datum(without_datum)
 
     def convert(ground: FloatArray) -> FloatArray:
         """Return ground coordinates (n, 3) in the other CRS; TermselError where PROJ has none."""
-        # Heights that are not known are taken as 0, as the docstring says.
-        known_heights = np.nan_to_num(ground, nan=0.0)
+        known_ground = np.nan_to_num(ground, nan=0.0)
         try:
-            turned = turn.transform(*known_heights.T, errcheck=strict)
+            coordinates = transformer.transform(*known_ground.T, errcheck=strict)
         except ProjError as error:
             raise TermselError(f"{failure}: {error}", hint=_WRONG_CRS) from error
-        positions = np.stack(turned, axis=1)
+        positions = np.stack(coordinates, axis=1)
         # A place that is not known stays unknown: at 0 it would be in the ocean.
         positions[np.isnan(ground[:, :2]).any(axis=1)] = np.nan
         return positions
@@ -534,7 +545,8 @@ def _transformer_without_ballpark(ends: list[CRS], failure: str, *, remedy: str,
                                   without_datum: bool) -> Transformer:
     """Return the transformer between two CRSs; ballpark ones only for a CRS without a datum.
 
-    Raises TermselError, which begins with `failure`, where PROJ has none.
+    Raises TermselError if PROJ knows no transformation or lacks its grid. Its message begins with
+    `failure`, its hint ends with `remedy`.
     """
     from pyproj import Transformer
     from pyproj.exceptions import ProjError
@@ -559,11 +571,11 @@ def _has_no_datum(crs: CRS) -> bool:
     return _UNKNOWN_DATUM.match(datum) is not None
 
 
-@lru_cache  # said once for each datum
-def _say_no_datum(name: str) -> None:
-    """Say once that a datum is taken for another."""
+@lru_cache  # so that each CRS is warned of once
+def _warn_of_no_datum(name: str) -> None:
+    """Log that a CRS states no datum, and that its coordinates are taken as those of WGS84."""
     short_name = short_crs_name(name)
-    # PROJ calls what has no name of its own unknown, such as strings of PROJ.
+    # PROJ calls a CRS without a name of its own "unknown", such as a string of PROJ.
     called = "" if _UNNAMED.fullmatch(short_name) else f" {short_name}"
     log.warning("Note: the CRS%s has an ellipsoid and no datum. Its longitudes and latitudes are "
                 "taken as those of WGS84 where these are needed; they may be some hundred metres "
@@ -575,7 +587,10 @@ EARTH = "the Earth"
 
 @lru_cache  # PROJ takes milliseconds, and each message asks
 def body_of(crs: str) -> str:
-    """Return the celestial body of a CRS as messages call it, such as "Mars"; EARTH by default."""
+    """Return the celestial body of a CRS as messages call it, such as "Mars".
+
+    It is EARTH for a CRS without an ellipsoid, and for every CRS without pyproj.
+    """
     ellipsoid = _ellipsoid_and_name(crs)
     if ellipsoid is None or abs(ellipsoid[0] / SEMI_MAJOR - 1.0) < _OF_EARTH:
         return EARTH
@@ -602,12 +617,16 @@ def geodetic_of(crs: str) -> str:
 
 
 def _ellipsoid_and_name(crs: str) -> tuple[float, float, str] | None:
-    """Return the axis, the squared eccentricity and the name of a body; None where WGS84 serves."""
+    """Return the semi-major axis [m], the squared eccentricity and the name of a CRS's ellipsoid.
+
+    The name is that of the geodetic CRS, which says the body. None is returned for "local" and for
+    WGS84, and if the ellipsoid is unknown.
+    """
     name = normalise(crs) if crs else LOCAL
     parsed = None if name == LOCAL or name in WGS84 or UTM.fullmatch(name) else _with_pyproj(name)
     if parsed is None or parsed.ellipsoid is None:
         return None
-    # e^2 = 1 - (b / a)^2.
+    # The squared eccentricity is e^2 = 1 - (b / a)^2.
     major = parsed.ellipsoid.semi_major_metre
     minor = parsed.ellipsoid.semi_minor_metre
     body = parsed.geodetic_crs or parsed
@@ -628,14 +647,14 @@ def is_geocentric(crs: str) -> bool:
 
 
 def height_reference(crs: str) -> str:
-    """Return the vertical datum of a CRS, in words; "" for "local"."""
+    """Return the vertical datum of a CRS, in words, or that none is stated; "" for "local"."""
     name = normalise(crs)
     if name == LOCAL:
         return ""
     if name == "EPSG:4979":
         return "ellipsoidal (WGS 84)"
-    plane = name in WGS84 or UTM.fullmatch(name)
-    parsed = None if plane else _with_pyproj(name)
+    is_without_heights = name in WGS84 or UTM.fullmatch(name)
+    parsed = None if is_without_heights else _with_pyproj(name)
     stated = "" if parsed is None else vertical_datum(parsed)
     body = body_of(name)
     return stated or f"not stated by {short_crs_name(name)}; taken as ellipsoidal" + (
@@ -654,7 +673,7 @@ def vertical_datum(crs: CRS) -> str:
 
 
 def horizontal_crs(crs: str) -> str:
-    """Return a CRS without its heights, as files of plane coordinates state it; "" for none."""
+    """Return a CRS without its heights, as files of plane coordinates state it; "" for "local"."""
     name = normalise(crs)
     if name == LOCAL:
         return ""
@@ -675,7 +694,7 @@ def with_stated_heights(crs: str, stated: str) -> str:
 
 @lru_cache  # an error is not kept with what raised it
 def _missing_grids(source: CRS, target: CRS) -> tuple[str, ...]:
-    """Return the names of grids with which PROJ could transform."""
+    """Return the file names of missing grids, each of which would let PROJ transform."""
     from pyproj.transformer import TransformerGroup
 
     # Operations that need a grid are listed as unavailable until it is there.
@@ -687,9 +706,10 @@ def _missing_grids(source: CRS, target: CRS) -> tuple[str, ...]:
 
 
 def short_crs_name(crs: str) -> str:
-    """Return a CRS as messages name it: WKT is long, so they say the name in it.
+    """Return a CRS as messages name it: a code as it is, WKT by the name in it.
 
-    That of a custom projection is often "unknown": it is named by its projection.
+    A custom projection is often named "unknown"; it is called by its projection's method instead.
+    Other text is cut after 40 characters.
 
     Examples
     --------
@@ -750,9 +770,10 @@ def _with_pyproj(crs: str) -> CRS | None:
 
 @lru_cache  # PROJ takes 10 ms, and a run asks a hundred times
 def _parse_with_pyproj(crs: str) -> CRS:
-    """Return the CRS by pyproj; cached, as that takes 10 ms and a run asks a hundred times.
+    """Return the CRS as pyproj reads it.
 
-    Raises TermselError for a CRS that does not exist, or that termsel does not take.
+    Raises TermselError for a CRS that does not exist, that has no horizontal coordinates, or, on
+    other bodies, whose longitudes count to the west.
     """
     from pyproj import CRS
     from pyproj.exceptions import CRSError
@@ -764,7 +785,7 @@ def _parse_with_pyproj(crs: str) -> CRS:
         raise TermselError(f"CRS {short_crs_name(crs)!r} does not exist or cannot be read",
                            hint=f"Examples: {EXAMPLES}.") from None
     if parsed.is_geographic or parsed.is_projected or parsed.is_geocentric or parsed.is_engineering:
-        # The usual order of termsel's x and y turns westings round for nobody.
+        # pyproj's always_xy exchanges axes, but does not turn westings into eastings.
         if crs.startswith("IAU_") and "west" in [axis.direction for axis in parsed.axis_info]:
             raise TermselError(f"CRS {crs} ({parsed.name}) counts to the west, and termsel's x to "
                                "the east", hint="Transform the ground coordinates to a CRS whose "

@@ -30,7 +30,8 @@ class StandIn:
 def stand_in_between(source: str, target: str, position: tuple[float, float]) -> StandIn | None:
     """Return what stands in for a missing grid between two CRSs at longitude and latitude [deg].
 
-    None where PROJ has the best operation, and where it states no accuracy.
+    None is returned if no grid is missing for a better operation, if PROJ states no accuracy of
+    that which it has, or if it has none; and for one CRS twice, for two of WGS84, and for "local".
     """
     ends = [horizontal_crs(crs) for crs in (source, target)]
     if ends[0] == ends[1] or not all(ends) or WGS84.issuperset(ends):

@@ -48,7 +48,10 @@ AREA_MARGIN = 5.0  # degrees outside the area of a CRS at which features may sti
 
 
 def place_of(features: FeatureSet) -> str:
-    """Return where the middle of features is, such as "34.8 N, 48.5 E"; "" if nothing shows."""
+    """Return where the middle of features is, such as "34.8 N, 48.5 E", or "" if nobody knows.
+
+    Nobody knows without features, and where the CRS does not give longitudes and latitudes.
+    """
     ground = features.ground_vertices()
     middle = degrees_of(features.crs, ground) if len(ground) else None
     if middle is None:
@@ -74,9 +77,9 @@ def say_turned(features: FeatureSet) -> None:
 def note_on_turned(features: FeatureSet) -> str:
     """Return a note where axes look swapped or are counted the other way; "" where they are not.
 
-    An image taken from above shows the ground turned by any angle but not mirrored, so that the
-    sign of the determinant of the affine fit tells lines or samples that are counted the other way.
-    The sentence ends with the option that exchanges the axes.
+    An image taken from above shows the ground turned by any angle but not mirrored. So a negative
+    determinant of the affine fit tells that lines or samples are counted the other way. The note
+    says which option would exchange or count the axes otherwise.
     """
     if doubt := find_swapped_axes(features):
         exchanging, exchanging_others = _exchange_option(doubt)
@@ -89,12 +92,12 @@ def note_on_turned(features: FeatureSet) -> str:
             condition = "Or else"
         return (f"{doubt}. --set {exchanging} exchanges them. {condition}, {other} are swapped: "
                 f"--set {exchanging_others}.")
-    # Computed points, and what names its sensor, say how the image was seen.
+    # Lattices that a processor computed, and points that name a sensor, say how it saw the ground.
     is_declared = lattice_of(features) is not None or _SENSOR in features.points.attributes
-    turn = None if is_declared else _rotation_to_east_north_up(features)
+    rotation = None if is_declared else _rotation_to_east_north_up(features)
     # A mirror image: one coordinate is counted other than from the upper left.
-    if turn is not None and np.linalg.det(turn) < 0:
-        is_upwards = turn[0, 0] > turn[1, 1]
+    if rotation is not None and np.linalg.det(rotation) < 0:
+        is_upwards = rotation[0, 0] > rotation[1, 1]
         if has_compass_axes(features.crs, features.ground_vertices()):
             if is_upwards:
                 direction = "line numbers grow to the north"
@@ -126,9 +129,10 @@ def _is_mirrored_plane(features: FeatureSet) -> bool:
 
 
 def unknown_crs_error(features: FeatureSet, may_turn: bool) -> TermselError:
-    """Return the error for features without a CRS, with what --crs could say where they show.
+    """Return the error for features without a CRS.
 
-    Where axes look swapped and `may_turn`, it says which option exchanges them, too.
+    If a column or the coordinates show what --crs could say, the hint and `options` of the error
+    say it. If axes look swapped and `may_turn`, they say which option exchanges them, too.
     """
     error = TermselError("the CRS of the ground coordinates is unknown", code="crs-unknown",
                          hint=f"State it with --crs: {EXAMPLES}.")
@@ -153,7 +157,8 @@ def unknown_crs_error(features: FeatureSet, may_turn: bool) -> TermselError:
         projection = ""
     else:
         projection = "; on a map, --crs auto finds its projection"
-    # Degrees of one scene are close to each other; near 0, 0 rather metres of an own plane.
+    # Degrees of one scene are close to each other. Small numbers near 0, 0 are rather metres of a
+    # plane of the user's own.
     if extent > _WIDE or np.hypot(*plane.mean(axis=0)) < _WIDE:
         if extent > _OF_A_COUNTRY and not has_heights:
             error.hint = (f"{error.hint} If they are longitudes and latitudes: --crs {crs}"
@@ -178,10 +183,10 @@ def _exchange_option(doubt: str) -> tuple[str, ...]:
 def find_swapped_axes(features: FeatureSet) -> str:
     """Return which axes look swapped, and why; "" if none do.
 
-    A mirror image about an axis is none: maps may count lines upwards, and radar images show what
-    lies to their right.
+    x and y look swapped if only exchanged they lie in the area of the CRS, any two axes if the
+    image mirrors the ground about a diagonal. An image that mirrors it about an axis is no sign:
+    maps may count lines upwards, and radar images show what lies to their right.
     """
-    # Outside the area of its CRS, and inside with x and y exchanged.
     ground = features.ground_vertices()
     area = area_of_use(features.crs) if len(ground) else None
     exchanged = None
@@ -195,11 +200,11 @@ def find_swapped_axes(features: FeatureSet) -> str:
                 f"{short_crs_name(features.crs)}, and not as they stand")
     if _has_turning_radar(features):
         return ""
-    # A mirror image of the ground about a diagonal: exchanging makes it the view from above.
-    turn = _rotation_to_east_north_up(features)
-    if turn is None or np.linalg.det(turn) >= 0 or not _is_diagonal(turn):
+    # Exchanging two axes turns a mirror image about a diagonal into the view from above.
+    rotation = _rotation_to_east_north_up(features)
+    if rotation is None or np.linalg.det(rotation) >= 0 or not _is_diagonal(rotation):
         return ""
-    swapped = SWAPPED_GROUND if turn[0, 1] + turn[1, 0] > 0 else SWAPPED_IMAGE
+    swapped = SWAPPED_GROUND if rotation[0, 1] + rotation[1, 0] > 0 else SWAPPED_IMAGE
     return f"{swapped}: the image mirrors the ground"
 
 
@@ -219,13 +224,14 @@ def _has_turning_radar(features: FeatureSet) -> bool:
 
 
 def is_mirrored(features: FeatureSet) -> bool | None:
-    """Return whether the image is a mirror image of the ground; None if that is open.
+    """Return whether the image is a mirror image of the ground; None if too few features show it.
 
-    The determinant of the matrix from ground to image says so, of three points on no line already.
-    Whether this is right depends on how the image is counted: others of its kind show.
+    The sign of the determinant of the matrix from ground to image says so; three points that are
+    not on one line suffice. Images of some kinds are rightly mirrored: callers compare with others
+    of the same kind.
     """
-    turn = _rotation_matrix(features, MIRRORED)
-    return None if turn is None else bool(np.linalg.det(turn) < 0)
+    rotation = _rotation_matrix(features, MIRRORED)
+    return None if rotation is None else bool(np.linalg.det(rotation) < 0)
 
 
 def _is_diagonal(turn: FloatArray) -> bool:
@@ -235,10 +241,10 @@ def _is_diagonal(turn: FloatArray) -> bool:
 
 
 def _rotation_to_east_north_up(features: FeatureSet) -> FloatArray | None:
-    """Return the matrix from metres (east, north) to the image (sample, up), if one describes it.
+    """Return the matrix (2, 2) from metres (east, north) to the image (sample, up), up to a factor.
 
-    Of lines each vertex on the ground lies on the line in the image. None for "local", whose x and
-    y may point anywhere, for too few features, and where the matrix explains too little.
+    None is returned for "local" and geocentric CRSs, whose axes may point anywhere; for too few
+    features; and if the matrix explains too little of the image.
     """
     if kind_of(normalise(features.crs)) not in ("geographic", "projected"):
         return None
@@ -248,7 +254,9 @@ def _rotation_to_east_north_up(features: FeatureSet) -> FloatArray | None:
 def _rotation_matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
     """Return the matrix of `_rotation_to_east_north_up` in any CRS, (2, 2).
 
-    None for fewer than `fewest` features, or features at one place of the image.
+    It is fitted to points, and to lines in that each vertex on the ground lies on the line in the
+    image. None is returned for fewer than `fewest` features, where three lines count as two points,
+    for features at one place of the image, and if the matrix explains too little.
     """
     points = features.points
     lines = features.lines
@@ -262,17 +270,17 @@ def _rotation_matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
     design[:, :2] /= max(float(np.abs(design[:, :2]).max()), np.finfo(float).tiny)
     image_vertices = features.image_vertices()
     middle = image_vertices.mean(axis=0)
-    # Unknowns are the rows a, b of [sample; up] = [a; b] (east, north, 1).
+    # The unknowns are the rows a and b of [sample; up] = [a; b] (east, north, 1).
     zero = np.zeros((len(points), 3))
     size = float(np.abs(image_vertices - middle).max())
-    if size == 0.0:  # all at one place in the image
+    if size == 0.0:
         return None
     of_points = design[:len(points)]
     sample, up = ((points.image - middle) / size).T[::-1] * [[1.0], [-1.0]]
     first, second = ((end - middle) / size for end in (lines.image[:, 0], lines.image[:, 1]))
     directions = second - first
     length = np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), np.finfo(float).tiny)
-    # Of a line in the image: its normal in (sample, up), and its distance from the middle.
+    # Each line in the image has a normal in (sample, up), and a distance from the middle.
     normal = directions / length
     rho = normal[:, 0] * first[:, 1] - normal[:, 1] * first[:, 0]
     normals = np.repeat(normal, 2, axis=0)
@@ -283,21 +291,21 @@ def _rotation_matrix(features: FeatureSet, fewest: int) -> FloatArray | None:
                         np.hstack([normals[:, :1] * of_lines, normals[:, 1:] * of_lines])])
     image = np.concatenate([sample, up, np.repeat(rho, 2)])
     coefficients = np.linalg.lstsq(matrix, image)[0]
-    # Mean square that the affine matrix leaves, to be compared with the variance of the image.
+    # The mean square that the matrix leaves is compared with the variance of the image.
     unexplained = float(((image - matrix @ coefficients)**2).mean())
     if unexplained > _UNLIKE * float(((image_vertices - middle)**2).mean()) / size**2:
         return None
-    turn = np.array([coefficients[:2], coefficients[3:5]])
-    # The axes of the ellipse that a circle becomes: too flat a one has no sure orientation.
-    wide, narrow = np.linalg.svd(turn, compute_uv=False)
-    return turn if narrow > _FLAT * wide else None
+    rotation = np.array([coefficients[:2], coefficients[3:5]])
+    # A circle becomes an ellipse with these axes. A flat one has no sure orientation.
+    long_axis, short_axis = np.linalg.svd(rotation, compute_uv=False)
+    return rotation if short_axis > _FLAT * long_axis else None
 
 
 def note_on_utm_zone(crs: str, features: FeatureSet) -> str:
     """Return a note that features are far outside the area of a projected CRS; "" if they are not.
 
-    The note names the zone of UTM in which their middle lies. It is "" as well where no zone
-    reaches, or the area of the CRS or the place of the features is not known.
+    The note names the zone of UTM in which their middle lies. It is "" as well beyond the zones,
+    which end at 80 S and 84 N, and if the area of the CRS or the place of the features is unknown.
     """
     area = area_of_use(crs)
     middle = degrees_of(features.crs, features.ground_vertices())
@@ -316,15 +324,16 @@ def is_inside(position: tuple[float, float], area: tuple[float, float, float, fl
     lon, lat = position
     west, south, east, north = area
     # Areas may lie across the 180 degree meridian, with west larger than east.
-    wide = (east - west) % 360 or 360.0
+    width = (east - west) % 360 or 360.0
     return (south - margin <= lat <= north + margin
-            and ((lon - west + margin) % 360 <= wide + 2 * margin or wide + 2 * margin >= 360))
+            and ((lon - west + margin) % 360 <= width + 2 * margin or width + 2 * margin >= 360))
 
 
 def degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
     """Return longitude and latitude [deg] of the median of places (n, 3).
 
-    None where they are not known: with a local CRS, without pyproj, or far outside the CRS.
+    None is returned if they are unknown: for "local", for places far outside the CRS, and without
+    pyproj for most CRSs.
     """
     try:
         if is_geographic(crs):
@@ -336,11 +345,11 @@ def degrees_of(crs: str, ground: FloatArray) -> tuple[float, float] | None:
             middle = median_of(np.nan_to_num(ground).T)[None]
             geodetic = geodetic_of(crs)
             if is_geocentric(crs):
-                turn = transformation_between(crs, geodetic)
+                transform = transformation_between(crs, geodetic)
             else:
-                turn = transformation_between(horizontal_crs(crs), horizontal_crs(geodetic),
-                                              strict=False)
-            lon, lat = turn(middle)[0, :2].tolist()
+                transform = transformation_between(horizontal_crs(crs), horizontal_crs(geodetic),
+                                                   strict=False)
+            lon, lat = transform(middle)[0, :2].tolist()
     except TermselError:  # without a CRS or without pyproj nothing shows
         return None
     if np.isfinite([lon, lat]).all() and abs(lat) <= 90:

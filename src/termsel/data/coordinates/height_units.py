@@ -60,10 +60,12 @@ def is_unit_open(crs: str) -> bool:
 
 
 def with_height_unit(crs: str, unit: str) -> str:
-    """Return a CRS whose heights are in a unit of `UNITS`; by WKT where its own are in another.
+    """Return a CRS whose heights are in a unit of `UNITS`, a name such as a user gives.
 
-    A CRS without a vertical axis gets one for ellipsoidal heights, unless they are in metres, as
-    such heights are taken.
+    If its heights are in this unit already, its normal form comes back. So does that of a CRS
+    without a vertical axis for metres, in which such heights are taken; for other units it gets a
+    vertical axis of ellipsoidal heights. A changed CRS is WKT. Raises TermselError if pyproj is
+    needed and not installed.
     """
     name = normalise(crs)
     current = height_axis_unit(name)
@@ -79,10 +81,13 @@ def with_height_unit(crs: str, unit: str) -> str:
 
 
 def _set_unit(described: dict[str, Any], unit: str) -> None:
-    """Set the unit of the vertical axis in the PROJJSON of a CRS, which is then no listed one."""
+    """Set the unit of the vertical axis in the PROJJSON of a CRS, in place.
+
+    The identifier is removed, as the changed CRS is not the listed one.
+    """
     described.pop("id", None)
-    # Of a bound CRS its source, of a compound one the last component; a plain one has the axis
-    # itself.
+    # A bound CRS has the vertical axis in its source, a compound one in its last component, and
+    # any other CRS in itself.
     vertical_part = described.get("source_crs") or (described.get("components") or [None])[-1]
     if vertical_part is not None:
         _set_unit(vertical_part, unit)

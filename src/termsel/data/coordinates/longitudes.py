@@ -30,19 +30,19 @@ _CYLINDRICAL = re.compile("(?!.*(Transverse|Oblique)).*(Mercator|Cylindrical|Mil
 def unwrap_longitudes(lon: FloatArray, turn: float = TURN) -> FloatArray:
     """Return longitudes [deg] (n,) that go on beyond 180 degrees where they would jump.
 
-    With the turn of `turn_of` it is the same for x of a projection.
+    They come back unchanged if they span half a turn or less, or cannot be brought within half a
+    turn. With the turn of `turn_of`, x of a projection is unwrapped in the same way.
     """
-    # They stay as they are unless they span more than half a turn and need not.
     if np.ptp(lon) <= turn / 2:
         return lon
-    # On the circle: the scene is all but the widest gap, if that is more than half of it.
-    turned = np.sort(lon % turn)
-    gaps = np.diff(turned, append=turned[0] + turn)
+    # On the circle the scene is all but the widest gap, if that is more than half of the circle.
+    wrapped = np.sort(lon % turn)
+    gaps = np.diff(wrapped, append=wrapped[0] + turn)
     widest = int(np.argmax(gaps))
     if gaps[widest] < turn / 2:
         return lon
-    # The scene begins after the gap; its middle is half of what the gap leaves further on.
-    first = turned[(widest + 1) % len(turned)]
+    # The scene begins after the gap. Its middle is half of the remaining circle further on.
+    first = wrapped[(widest + 1) % len(wrapped)]
     return nearest_longitudes(lon, first + (turn - gaps[widest]) / 2, turn)
 
 
@@ -56,11 +56,12 @@ def nearest_longitudes(lon: FloatArray, middle: float, turn: float = TURN) -> Fl
 
 @lru_cache  # PROJ takes milliseconds, and each scaling asks
 def turn_of(crs: str) -> float:
-    """Return what a full turn around the Earth adds to x in a CRS, in its units; 0 if nothing.
+    """Return what a full turn around the Earth adds to x in a CRS, in the units of x.
 
-    360 degrees of longitude, or the circumference in cylindrical projections such as Web Mercator,
-    where x is proportional to the longitude. Only there do x on both sides of the meridian at which
-    a CRS begins go on as the ground does once whole turns are added.
+    It is 360 for longitudes in degrees, and the circumference for cylindrical projections such as
+    Web Mercator, where x is proportional to the longitude. For all others it is 0: even with whole
+    turns added, their x does not go on across the meridian at which the CRS begins. It is 0, too,
+    for "local", and for projections without pyproj.
 
     Examples
     --------
@@ -82,9 +83,10 @@ def turn_of(crs: str) -> float:
     if not np.isfinite(rows).all():
         return 0.0
     degree = float(np.median(np.diff(rows[0])))
-    # Proportional to longitude at each latitude, but for the one jump.
-    near = np.abs(np.diff(rows) - degree) < 1e-6 * abs(degree)
-    is_cylindrical = (degree > 0 and (near.sum(axis=1) >= len(lon) - 2).all()
+    # x is proportional to the longitude if all steps are alike, but for one jump at the meridian
+    # where the CRS begins, and if it is the same at both latitudes.
+    is_like_degree = np.abs(np.diff(rows) - degree) < 1e-6 * abs(degree)
+    is_cylindrical = (degree > 0 and (is_like_degree.sum(axis=1) >= len(lon) - 2).all()
                       and np.abs(rows[1] - rows[0]).max() < 1e-6 * degree)
     return TURN * degree if is_cylindrical else 0.0
 
@@ -101,7 +103,9 @@ def has_longitude_jump(features: FeatureSet) -> bool:
 def without_jump(features: FeatureSet) -> FeatureSet:
     """Return features whose longitudes, or x, go on where they would jump by a full turn.
 
-    It is the same object if none jump.
+    Control and check points decide where the scene is, and the others follow by whole turns. The
+    same object comes back if nothing jumps, if no vertex decides, and if the deciding ones span
+    more than a turn.
     """
     if not _may_jump(features):
         return features
@@ -111,25 +115,24 @@ def without_jump(features: FeatureSet) -> FeatureSet:
     turn = turn_of(features.crs)
     if not _deciding_vertices(features).any():
         return features
-    # Control and check points say where the scene is; the others follow, by whole turns.
     lon = _continuous_longitudes(features)
     if np.ptp(lon) > turn:
         return features
-    moved = nearest_longitudes(all_longitudes, float(lon.min() + lon.max()) / 2, turn)
-    if (moved == all_longitudes).all():
+    unwrapped = nearest_longitudes(all_longitudes, float(lon.min() + lon.max()) / 2, turn)
+    if (unwrapped == all_longitudes).all():
         return features
-    of_points = points.ground.copy()
-    of_lines = lines.ground.copy()
-    of_points[:, 0] = moved[:len(points)]
-    of_lines[..., 0] = moved[len(points):].reshape(-1, 2)
-    return features.with_(points=replace(points, ground=of_points),
-                          lines=replace(lines, ground=of_lines))
+    ground_of_points = points.ground.copy()
+    ground_of_lines = lines.ground.copy()
+    ground_of_points[:, 0] = unwrapped[:len(points)]
+    ground_of_lines[..., 0] = unwrapped[len(points):].reshape(-1, 2)
+    return features.with_(points=replace(points, ground=ground_of_points),
+                          lines=replace(lines, ground=ground_of_lines))
 
 
 def _may_jump(features: FeatureSet) -> bool:
     """Return whether x goes round the Earth, and features span more than half of a turn.
 
-    Within half a turn nothing jumps, as in nearly all scenes.
+    Nothing jumps in features that span less, as nearly all scenes do.
     """
     turn = turn_of(features.crs)
     if not turn or not len(features):
@@ -138,7 +141,10 @@ def _may_jump(features: FeatureSet) -> bool:
 
 
 def _continuous_longitudes(features: FeatureSet) -> FloatArray:
-    """Return the longitudes, or x, that decide without a jump, in the order of their vertices."""
+    """Return the longitudes, or x, of the deciding vertices without a jump, in their order.
+
+    If they span more than half a turn, the image of the points may show where the map begins.
+    """
     turn = turn_of(features.crs)
     lon = unwrap_longitudes(features.ground_vertices()[_deciding_vertices(features), 0], turn)
     points = features.points
@@ -160,9 +166,10 @@ def _seam_by_image(ground: FloatArray, image: FloatArray, turn: float) -> float 
     """Return the longitude, or x, at which a map of more than half the world begins.
 
     A map whose edge is in the Pacific may be as wide as the globe, so that no gap between the
-    longitudes shows where it begins. Its image does: neighbours on either side of the edge lie at
-    opposite ends of it. An affine transformation of (longitude, latitude) is fitted with each
-    point as the first one east of the edge. Maps around a pole fit badly with every edge.
+    longitudes shows where it begins. Its image shows it: neighbours on either side of the edge lie
+    at opposite ends of the image. An affine transformation of (longitude, latitude) is fitted with
+    each point in turn as the first one east of the edge. Maps around a pole fit badly with every
+    edge.
 
     Parameters
     ----------
@@ -173,15 +180,15 @@ def _seam_by_image(ground: FloatArray, image: FloatArray, turn: float) -> float 
     Returns
     -------
     start : float or None
-        None where the longitudes fit as they are, or hardly worse than otherwise.
+        None if no edge makes the fit clearly better than the longitudes as they are.
     """
     lon = ground[:, 0]
     starts = np.unique((lon + turn / 2) % turn - turn / 2)
-    # (k, n): the longitudes as they are, and begun at each point.
-    begun = starts[:, None] + (lon - starts[:, None]) % turn
-    turned = np.concatenate([lon[None], begun])
-    # (k, n, 3): 1, longitude, latitude
-    columns = np.stack(np.broadcast_arrays(1.0, turned, ground[:, 1]), axis=-1)
+    # Row 0 has the longitudes as they are, each further row those of a map that begins at a start.
+    from_starts = starts[:, None] + (lon - starts[:, None]) % turn
+    candidates = np.concatenate([lon[None], from_starts])
+    # The columns of the affine transformation are 1, longitude and latitude.
+    columns = np.stack(np.broadcast_arrays(1.0, candidates, ground[:, 1]), axis=-1)
     basis = np.linalg.qr(columns)[0]
     residuals = image - basis @ (basis.transpose(0, 2, 1) @ image)
     misfits = np.sqrt((residuals**2).sum(axis=(1, 2)))
@@ -208,27 +215,28 @@ places on one meridian must stay on one."""
 
 
 def to_globe(ground: FloatArray, crs: str) -> FloatArray:
-    """Return longitude and latitude [deg], rounded, and height of places (n, 3) in any CRS.
+    """Return longitude and latitude [deg] and height of places (n, 3) in any CRS.
 
-    Places without a CRS, or whose CRS is not known without pyproj, are rounded as they are.
+    The first two are rounded to a small part of their extent; a single place has none, and is not
+    rounded. If the CRS does not give degrees, as "local" or most without pyproj, x and y are
+    rounded instead.
     """
     if not len(ground):
         return ground
     geodetic = _to_degrees(ground, normalise(crs))
     extent = np.ptp(geodetic[:, :2], axis=0).max(initial=0.0)
-    # A single place has no extent to round by.
     if not 0.0 < extent < np.inf:
         return geodetic
-    # By digits, so that an extent which differs by its rounding rounds alike.
+    # Rounding to decimal digits hardly depends on the extent, which may itself differ by rounding.
     digits = -int(np.floor(np.log10(FINEST * extent)))
     geodetic[:, :2] = np.round(geodetic[:, :2], digits)
     return geodetic
 
 
 def _to_degrees(ground: FloatArray, crs: str) -> FloatArray:
-    """Return longitude, latitude [deg] and height of positions (n, 3), (n, 3).
+    """Return longitude, latitude [deg] and height (n, 3) of positions (n, 3).
 
-    It is a copy of the positions where their CRS does not show degrees.
+    If the CRS does not give degrees for all of them, a copy of the positions is returned.
     """
     positions = ground.copy()
     try:
@@ -236,9 +244,9 @@ def _to_degrees(ground: FloatArray, crs: str) -> FloatArray:
             positions[:, :2] = transformation_between(crs, geodetic_of(crs))(ground)[:, :2]
         elif not is_geographic(crs):
             geodetic = horizontal_crs(geodetic_of(crs))
-            turn = transformation_between(horizontal_crs(crs), geodetic, strict=False)
+            transform = transformation_between(horizontal_crs(crs), geodetic, strict=False)
             # Heights are of no account in the plane, and may be unknown.
-            positions[:, :2] = turn(np.nan_to_num(ground))[:, :2]
+            positions[:, :2] = transform(np.nan_to_num(ground))[:, :2]
     except TermselError:  # without a CRS or without pyproj nothing shows
         return ground.copy()
     if not np.isfinite(positions[:, :2]).all():

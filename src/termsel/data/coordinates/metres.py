@@ -37,20 +37,20 @@ _STEP_IN_METRES = 10.0  # metres
 def offsets_in_metres(crs: str, positions: FloatArray, offsets: FloatArray) -> FloatArray | None:
     """Return offsets (n, 2) to east and north of positions in metres; None if the unit is unknown.
 
-    They are metres on the ground where a projection shows distances far too long or too short, as
-    Web Mercator does; else those of the plane, as surveyors state them.
+    If a projection shows distances far too long or too short, as Web Mercator does, they are metres
+    on the ground. Else they are metres of the projection's plane, as surveyors state them.
     """
-    plane = _offsets_on_plane(crs, positions, offsets)
-    if plane is None or _kind_and_units(crs)[0] or scales_at(crs, positions) is None:
-        return plane
-    return plane / _scales_along_axes(crs, positions)
+    plane_offsets = _offsets_on_plane(crs, positions, offsets)
+    if plane_offsets is None or _kind_and_units(crs)[0] or scales_at(crs, positions) is None:
+        return plane_offsets
+    return plane_offsets / _scales_along_axes(crs, positions)
 
 
 def scales_at(crs: str, positions: FloatArray) -> tuple[float, float] | None:
     """Return the scales of a projection along x and y in the middle of positions (n, 2 or more).
 
-    None where both are within `TRUE_SCALE` of 1, as that of UTM and of national grids is, and where
-    there is none.
+    None is returned if both are within `TRUE_SCALE` of 1, as those of UTM and of national grids
+    are; if the CRS is not projected or unknown; and without positions.
     """
     if not crs or UTM.fullmatch(crs) or not len(positions):
         return None
@@ -58,7 +58,7 @@ def scales_at(crs: str, positions: FloatArray) -> tuple[float, float] | None:
     middle = np.nanmedian(positions[:, :2], axis=0)
     if unit is None or not np.isfinite(middle).all():
         return None
-    # By whole tens of kilometres, so that pyproj is asked once for a scene.
+    # The middle is rounded to tens of kilometres, so that pyproj is asked once for a scene.
     lattice = _LATTICE / unit
     x, y = (np.round(middle / lattice) * lattice).tolist()
     return _scales_of_place(crs, x, y)
@@ -75,9 +75,10 @@ def _scales_of_place(crs: str, x: float, y: float) -> tuple[float, float] | None
 def _scales_along_axes(crs: str, positions: FloatArray) -> FloatArray:
     """Return how long a projection shows a metre along x and along y at positions, (n, 2).
 
-    That is found from places a metre to either side, as points of the ellipsoid in space: a
-    projection need not be conformal, and a pole is then a place like any other. A scale is 1 where
-    the projection is not known, and NaN where it shows nothing.
+    The scale is 2 m over the distance in space between the places 1 m of the plane to either side,
+    as points of the ellipsoid. So it differs along x and y if the projection is not conformal, and
+    holds at the poles, too. It is 1 if the projection is unknown, and NaN at positions that the
+    projection does not show.
     """
     angles_of = longitudes_and_latitudes_of(crs)
     unit = _kind_and_units(crs)[2]
@@ -89,7 +90,7 @@ def _scales_along_axes(crs: str, positions: FloatArray) -> FloatArray:
         ends = []
         for sign in (-1.0, 1.0):
             angles = angles_of(positions[:, :2] + sign * step / unit)
-            # Outside of what the projection shows there is no scale.
+            # PROJ gives infinite angles outside of what the projection shows.
             lon, lat = np.where(np.isfinite(angles), angles, np.nan).T
             normal_radius = major / np.sqrt(1.0 - eccentricity * np.sin(lat) ** 2)
             ends.append(np.stack([normal_radius * np.cos(lat) * np.cos(lon),
@@ -101,9 +102,9 @@ def _scales_along_axes(crs: str, positions: FloatArray) -> FloatArray:
 
 
 def has_compass_axes(crs: str, positions: FloatArray) -> bool:
-    """Return whether x points to the east and y to the north, nearly, at positions (n, 2 or more).
+    """Return whether x points nearly to the east and y to the north amid positions (n, 2 or more).
 
-    They need not: around a pole a projected y is south along one meridian. False comes back without
+    Around a pole a projected y points to the south along one meridian. False is returned without
     positions, and for coordinates without a known CRS, whose axes may point anywhere.
     """
     if not crs or not len(positions):
@@ -115,7 +116,7 @@ def has_compass_axes(crs: str, positions: FloatArray) -> bool:
     middle = np.nanmedian(positions[:, :2], axis=0)
     if angles_of is None or unit is None or not np.isfinite(middle).all():
         return False
-    # Where a step along x and one along y lead, as steps to the east and to the north.
+    # The middle, a step from it along x, and one along y.
     steps = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]) * _STEP_IN_METRES / unit
     lon, lat = (angles_of(middle + steps)).T
     east = np.cos(lat[0]) * ((lon[1:] - lon[0] + np.pi) % (2.0 * np.pi) - np.pi)
@@ -125,18 +126,22 @@ def has_compass_axes(crs: str, positions: FloatArray) -> bool:
 
 
 def _offsets_on_plane(crs: str, positions: FloatArray, offsets: FloatArray) -> FloatArray | None:
-    """Return offsets (n, 2) in metres of the plane of a CRS, or to east and north of degrees."""
+    """Return offsets (n, 2) of x and y at positions in metres; None if their unit is unknown.
+
+    Those of a projection are metres of its plane. Those in degrees become metres to the east and to
+    the north on the ellipsoid.
+    """
     if _kind_and_units(crs)[0]:
-        # Radii of curvature: N = a / W along the parallel, M = a (1 - e^2) / W^3 along the
-        # meridian, with W^2 = 1 - e^2 sin^2 (latitude).
+        # The radii of curvature are N = a / W across the meridian and M = a (1 - e^2) / W^3 along
+        # it, with W^2 = 1 - e^2 sin^2 (latitude).
         major, eccentricity = ellipsoid_of(crs)
         latitude = np.radians(positions[:, 1])
         w_squared = 1.0 - eccentricity * np.sin(latitude) ** 2
         normal_radius = major / np.sqrt(w_squared)
         meridian_radius = normal_radius * (1.0 - eccentricity) / w_squared
-        # Longitudes may differ by a turn.
-        x = (offsets[:, 0] + 180.0) % 360.0 - 180.0
-        return np.column_stack([np.radians(x) * normal_radius * np.cos(latitude),
+        # Longitudes of neighbours may differ by a whole turn.
+        lon_offsets = (offsets[:, 0] + 180.0) % 360.0 - 180.0
+        return np.column_stack([np.radians(lon_offsets) * normal_radius * np.cos(latitude),
                                 np.radians(offsets[:, 1]) * meridian_radius])
     unit = _kind_and_units(crs)[2]
     return None if unit is None else offsets * unit
@@ -148,15 +153,15 @@ def is_in_degrees(crs: str) -> bool:
 
 
 def plan_of(crs: str, ground: FloatArray) -> FloatArray | None:
-    """Return positions (n, 3) from their middle, to the east and to the north (n, 2), in metres.
+    """Return x and y of positions (n, 3) from their mean, shape (n, 2), in metres.
 
-    In the units of x and y where nobody knows these. None for geocentric coordinates, in which a
-    scene may be seen from its side.
+    Degrees become metres to the east and to the north. If the unit of x and y is unknown, it stays.
+    None is returned for geocentric coordinates, whose x and y are no plan of a scene.
     """
     if crs and _kind_and_units(crs)[1]:
         return None
     plan = ground[:, :2] - ground[:, :2].mean(axis=0)
-    # Models of the plane take it as it is, whatever the scale of its projection.
+    # Metres of a projection stay as they are, whatever its scale: models are fitted to its plane.
     metres = _offsets_on_plane(crs, ground, plan) if crs else None
     return plan if metres is None else metres
 
@@ -188,8 +193,8 @@ POLAR_LATITUDE, TURNING = 60.0, 10.0
 def metric_crs(crs: str, lon: float, lat: float) -> str:
     """Return a CRS in metres around a place [deg], whose longitude may go on beyond 180 degrees.
 
-    The zone of UTM; on another body than the Earth, that of `crs`, a transverse Mercator projection
-    about the whole degrees next to the place.
+    On the Earth it is the zone of UTM in WGS84. On another body, which `crs` says, it is a
+    transverse Mercator projection about the whole degrees next to the place.
 
     Raises TermselError for a place on the Earth north of 84 N or south of 80 S, where UTM ends.
     """
@@ -200,7 +205,7 @@ def metric_crs(crs: str, lon: float, lat: float) -> str:
         raise TermselError(f"no UTM zone contains longitude {lon:.6g}, latitude {lat:.6g}",
                            hint="UTM goes from 80 S to 84 N: name a projected CRS, --fit-crs "
                                 "EPSG:n, such as EPSG:3031 or EPSG:3413.")
-    # On a border the zone to the west, as PROJ's list of zones says; asking it takes 0.1 s.
+    # A border belongs to the zone in the west, as in PROJ's list of zones; asking PROJ takes 0.1 s.
     return f"EPSG:{(32600 if lat >= 0 else 32700) + max(ceil((lon + 180) / 6), 1)}"
 
 
@@ -219,8 +224,8 @@ def _transverse_mercator(crs: str, lon: int, lat: int) -> str:
 def polar_crs(crs: str, lat: float) -> str:
     """Return a polar stereographic CRS in metres for the pole next to a place [deg].
 
-    On the Earth those of the Antarctic and the Arctic; on another body one with true scale at the
-    pole, of its geographic CRS.
+    On the Earth it is the usual one of the Antarctic or the Arctic. On another body, which `crs`
+    says, it is one of its geographic CRS, with true scale at the pole.
     """
     if body_of(crs) == EARTH:
         return SOUTH_POLAR if lat < 0 else NORTH_POLAR
@@ -284,28 +289,32 @@ def _projection_on_datum_of(crs: str, conversion: Any, name: str) -> str:
 def is_polar(positions: FloatArray) -> bool:
     """Return whether positions, as longitudes and latitudes [deg], lie around a pole.
 
-    There meridians turn by much within a scene, so that degrees are no plane coordinates: by more
-    than `TURNING` from one end to the other, next to a pole (beyond `POLAR_LATITUDE`); or UTM has
-    no zone.
+    They do if all are beyond `POLAR_LATITUDE` and their longitudes span more than `TURNING`, so
+    that degrees are no plane coordinates; or if some are beyond the zones of UTM, which end at 84 N
+    and 80 S. Positions on both sides of the equator do not.
     """
     lon = positions[:, 0]
     lat = positions[:, 1]
     if not len(lat) or lat.min() * lat.max() <= 0:
         return False
-    nearest = np.abs(lat).min()
-    turning = np.ptp(lon) > TURNING
-    return bool(nearest > POLAR_LATITUDE and turning) or bool(lat.max() > 84.0 or lat.min() < -80.0)
+    lowest_latitude = np.abs(lat).min()
+    are_turning = np.ptp(lon) > TURNING
+    is_beyond_utm = lat.max() > 84.0 or lat.min() < -80.0
+    return bool(lowest_latitude > POLAR_LATITUDE and are_turning) or bool(is_beyond_utm)
 
 
 def ground_for_warping(ground: FloatArray, crs: str) -> tuple[FloatArray, str]:
-    """Return ground coordinates (..., 3), and the CRS without heights, for GDAL's warper."""
-    # It does not find places whose longitudes go on beyond 180 degrees: these come in UTM.
+    """Return ground coordinates (..., 3) and their CRS without heights, as GDAL's warper needs.
+
+    The warper does not find places whose longitudes go on beyond 180 degrees. Coordinates of such
+    are returned in a CRS in metres, with the heights as they were.
+    """
     if not is_geographic(crs) or not (np.abs(ground[..., 0]) > 180.0).any():
         return ground, horizontal_crs(crs)
     lon, lat = (float(np.nanmin(ground[..., i]) + np.nanmax(ground[..., i])) / 2 for i in (0, 1))
     zone = metric_crs(crs, lon, lat)
-    # GDAL takes heights as they are, and blank places as no places.
-    turned = transformation_between(horizontal_crs(crs), zone)(ground.reshape(-1, 3))
-    turned[:, 2] = ground[..., 2].ravel()
-    turned[np.isnan(ground[..., 0]).ravel()] = np.nan
-    return turned.reshape(ground.shape), zone
+    # GDAL takes heights as they are, and NaN for pixels without a place.
+    in_metres = transformation_between(horizontal_crs(crs), zone)(ground.reshape(-1, 3))
+    in_metres[:, 2] = ground[..., 2].ravel()
+    in_metres[np.isnan(ground[..., 0]).ravel()] = np.nan
+    return in_metres.reshape(ground.shape), zone

@@ -12,10 +12,10 @@ MAX_PAIRS = 1_000_000
 
 def nearest_points(points: FloatArray, places: FloatArray,
                    count: int = 1) -> tuple[FloatArray, IntArray]:
-    """Return distance and number of the nearest points to each place, the nearest first.
+    """Return the distances to the nearest points of each place, and the numbers of these points.
 
-    Both are (m, count), of m places (m, d) and n points (n, d), which are finite; `count` is n at
-    most.
+    Both are (m, count) for places (m, d) and points (n, d), the nearest first. All coordinates are
+    finite, and `count` is n at most.
     """
     if len(places) * len(points) > MAX_PAIRS:
         from scipy.spatial import cKDTree  # only here, as it takes 0.3 s to import

@@ -22,24 +22,25 @@ def spatial_order(xy: ArrayLike) -> IntArray:
     """Return an order (n,) of points (n, 2) in which neighbours are neighbours in the plane, too.
 
     It is the order of the leaves of a k-d tree: points are halved at the median of their longer
-    side until one or two are left. Every stretch of it is compact, and every k-th point of it are
-    spread over all points.
+    side until one or two are left in each part. So consecutive points of it lie close together, and
+    every k-th point makes a sample that is spread over all points.
     """
     xy = np.asarray(xy, dtype=np.float64)
     order = np.arange(len(xy))
-    starts = np.zeros(1, dtype=np.intp)  # of the parts, in the order
+    # Part i begins at starts[i] in the order.
+    starts = np.zeros(1, dtype=np.intp)
     while (sizes := np.diff(starts, append=len(xy))).max(initial=0) > 2:
         group = np.repeat(np.arange(len(starts)), sizes)
         ordered = xy[order]
         longer_axis = np.argmax(np.maximum.reduceat(ordered, starts)
                                 - np.minimum.reduceat(ordered, starts), axis=1)
-        # Parts of one or two points are ready.
+        # Parts of one or two points keep their order, as the sort below is stable.
         coordinate = np.where(sizes[group] > 2,
                               ordered[np.arange(len(xy)), longer_axis[group]], 0.0)
         order = order[np.lexsort((coordinate, group))]
-        # New parts begin in the middle of each part that was halved.
-        divided = sizes > 2
-        starts = np.sort(np.concatenate([starts, (starts + sizes // 2)[divided]]))
+        # A new part begins in the middle of each larger one.
+        is_halved = sizes > 2
+        starts = np.sort(np.concatenate([starts, (starts + sizes // 2)[is_halved]]))
     return order
 
 
@@ -66,7 +67,7 @@ def distance_beyond_hull(control: FloatArray, positions: FloatArray) -> FloatArr
     if not len(corners):
         return np.full(len(positions), np.inf)
     sides = np.roll(corners, -1, axis=0) - corners
-    # Outward unit normals: corners run against the clock, so to the right of each side.
+    # Corners run anticlockwise, so that the outward unit normals are to the right of each side.
     normals = np.column_stack([sides[:, 1], -sides[:, 0]]) / np.linalg.norm(sides, axis=1)[:, None]
     with np.errstate(over="ignore"):  # places near the largest number are infinitely far
         outside = (positions @ normals.T - (corners * normals).sum(axis=1)).max(axis=1)
@@ -74,10 +75,11 @@ def distance_beyond_hull(control: FloatArray, positions: FloatArray) -> FloatArr
 
 
 def convex_hull(positions: FloatArray) -> list[int]:
-    """Return the indices of the corners of the convex hull of positions (n, 2), against the clock.
+    """Return the indices of the corners of the convex hull of positions (n, 2), anticlockwise.
 
-    There are none, [], where all positions lie on one line. The algorithm is by A.M. Andrew,
-    Information Processing Letters 9 (1979) 216-219; to import SciPy's would take long.
+    The list is empty for fewer than three positions, for positions on one line, and if one is not
+    finite. The algorithm is by A.M. Andrew, Information Processing Letters 9 (1979) 216-219; to
+    import SciPy's would take long.
     """
     size = np.ptp(positions, axis=0).max(initial=0.0) if len(positions) > 2 else 0.0
     if not 0.0 < size < np.inf:
@@ -89,10 +91,11 @@ def convex_hull(positions: FloatArray) -> list[int]:
     order = np.lexsort(scaled.T[::-1]).tolist()
     (x, y) = scaled.T.tolist()
     corners: list[int] = []
-    # The lower chain from left to right, then the upper one back.
-    for half in (order, order[::-1]):
+    # The lower chain of corners goes from left to right, the upper one back.
+    for sweep in (order, order[::-1]):
         chain: list[int] = []
-        for i in half:
+        for i in sweep:
+            # A corner at which the chain does not turn to the left is none of the hull.
             while len(chain) > 1:
                 a, b = chain[-2:]
                 if (x[b] - x[a]) * (y[i] - y[a]) - (y[b] - y[a]) * (x[i] - x[a]) > rounding:
@@ -161,8 +164,8 @@ class Lattice:
     def sentence(self, *, known: bool = False) -> str:
         """Return a sentence on the lattice.
 
-        Unless the geometry that its points were computed by is `known`, the text also says what the
-        accuracy means and what would be better.
+        If the geometry by which its points were computed is not `known`, the text also says what
+        the accuracy means, and which data would be better.
         """
         description = (f"The {len(self.line)} points are a lattice of {self.lines} lines and "
                        f"{self.columns} columns of the image: computed, not measured.")
@@ -184,10 +187,15 @@ def lattice_of(features: FeatureSet) -> Lattice | None:
 
 @lru_cache(maxsize=8)  # roles, folds and verdict ask about the same points
 def _lattice_of_points(points: Points) -> Lattice | None:
-    """Return the lattice that points without jumps are, or None if they are none."""
+    """Return the lattice that points make, or None if they make none.
+
+    They make none if they are few, if they have standard deviations, which measured points have, if
+    crossings of lines and columns are empty or taken twice, or if the ground is noisy along lines.
+    The points have no longitudes that jump.
+    """
     if len(points) < MIN_LATTICE_LINES**2 or points.sigma is not None:
         return None
-    # Lines and columns are the values that occur, each once at every crossing.
+    # Lines and columns are the values that occur; nearly every crossing has to have one point.
     line = _ranks_of_values(points.image[:, 0])
     column = _ranks_of_values(points.image[:, 1])
     lines = int(line.max()) + 1
@@ -203,7 +211,7 @@ def _lattice_of_points(points: Points) -> Lattice | None:
 def _ranks_of_values(values: FloatArray) -> IntArray:
     """Return the rank of each value (n,) among the distinct values, counted from 0, (n,).
 
-    Values that follow each other within `ROUND` are one.
+    Values count as one if each is within `ROUND` of the next.
     """
     order = np.argsort(values, kind="stable")
     ranks = np.empty(len(values), dtype=np.intp)
@@ -212,11 +220,11 @@ def _ranks_of_values(values: FloatArray) -> IntArray:
 
 
 def _noise_along_lines(points: Points, lattice: Lattice) -> float | None:
-    """Return the noise of the ground along lines [px]; None where too few neighbours show it.
+    """Return the noise of the ground along lines [px]; None if too few neighbours show it.
 
-    In each run of neighbours on a line, weights take out a cubic polynomial of the sample. If the
-    geometry is smooth, what they leave of x and y is a linear function of what they leave of
-    `_smooth_columns`; the rest is noise.
+    None is returned, too, for points on a line. In each run of neighbours on a line, weights take
+    out a cubic polynomial of the sample. If the geometry is smooth, what they leave of x and y is a
+    linear function of what they leave of `_smooth_columns`; the rest is noise.
     """
     runs = np.array(list(_runs_of_neighbours(lattice)), dtype=np.intp).reshape(-1, _RUN)
     if len(runs) < _ENOUGH:
@@ -233,41 +241,43 @@ def _noise_along_lines(points: Points, lattice: Lattice) -> float | None:
 
 
 def _storage_noise(points: Points) -> float:
-    """Return the noise [px] that places have which are stored in 32 bits; 0 if they are not.
+    """Return the noise [px] of x and y that are stored in 32 bits; 0 if they are in 64.
 
-    Degrees in 32 bits are up to half a metre from the next number.
+    Degrees stored in 32 bits are decimetres off. The noise is multiplied by `_MARGIN`.
     """
     plan = points.ground[:, :2]
     single = plan.astype(np.float32)
     if not np.array_equal(single.astype(np.float64), plan):
         return 0.0
-    # Rounding errors are even between half a step less and more: of the variance step^2 / 12.
+    # Rounding errors are uniform between -1/2 and 1/2 step, which has the variance step^2 / 12.
     steps = np.spacing(np.abs(single).max(axis=0)).astype(np.float64)
     return (_ground_noise_in_pixels(points, steps / np.sqrt(12.0)) or 0.0) * _MARGIN
 
 
 def _ground_noise_in_pixels(points: Points, noise: FloatArray) -> float | None:
-    """Return noise on the ground, of x and of y, as noise in line and sample [px].
+    """Return noise of x and of y on the ground (2,) as one noise in the image [px].
 
-    None comes back for points on a line, which show no affine map from the image to the ground.
+    It is the root mean square of that in line and in sample. None is returned for points on a line,
+    which show no affine map from the image to the ground.
     """
     columns = np.column_stack([np.ones(len(points)), points.image])
-    pixels = np.linalg.lstsq(columns, points.ground[:, :2])[0][1:]
-    if abs(np.linalg.det(pixels)) == 0.0:
+    ground_per_pixel = np.linalg.lstsq(columns, points.ground[:, :2])[0][1:]
+    if abs(np.linalg.det(ground_per_pixel)) == 0.0:
         return None
-    return float(np.linalg.norm(np.linalg.solve(pixels.T, noise)) / np.sqrt(2.0))
+    return float(np.linalg.norm(np.linalg.solve(ground_per_pixel.T, noise)) / np.sqrt(2.0))
 
 
 def _smooth_columns(points: Points) -> FloatArray:
     """Return columns of a smooth geometry at places, beyond cubic polynomials, (n, k).
 
-    They are powers of the sample; heights, and their squares, by factors that change slowly.
+    They are powers of the sample, and heights and their squares times factors that change slowly
+    across the image: in all _TERMS columns.
     """
     line, sample = ((points.image - points.image.mean(axis=0))
                     / np.ptp(points.image, axis=0)).T
     height = np.nan_to_num(points.ground[:, 2])
     height = (height - height.mean()) / max(float(np.ptp(height)), 1.0)
-    # Six powers, ten factors line^i sample^j up to the third degree, and three: _TERMS in all.
+    # Six powers, ten products with the height up to the third degree, three with its square.
     powers = [sample**power * line**i for power, i in product((4, 5, 6), (0, 1))]
     slow_factors = [line**i * sample**j for i, j in product(range(4), range(4)) if i + j < 4]
     with_heights = [height * factor for factor in slow_factors]

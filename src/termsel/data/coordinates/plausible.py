@@ -67,7 +67,7 @@ def check_ground(features: FeatureSet, z_unit: str | None = None) -> None:
             _check_range(xy, features, *_UTM_RANGE[utm[1]],
                          f"cannot be easting and northing in {crs} (UTM)",
                          lambda: _hint_of_utm(xy, features, int(crs[-2:]), *_UTM_RANGE[utm[1]]))
-    # Last, as a fault of x and y explains more.
+    # Heights come last, as a fault of x and y explains more.
     if kind in ("geographic", "projected"):
         _check_heights(ground[:, 2], features, z_unit)
 
@@ -87,13 +87,17 @@ _LIKELY_UNITS = (
 
 
 def _unit_of_heights(features: FeatureSet, stated: str | None) -> float:
-    """Return the size of the unit of z [m], the largest where it is open."""
+    """Return the size [m] of the unit of heights: the stated one, else that of the CRS.
+
+    If there is neither, it is a foot where heights may be in feet, so that none in feet is refused,
+    and else a metre.
+    """
     declared = height_axis_unit(features.crs)
     if stated in UNITS:
         return UNITS[stated]
     if declared is not None:
         return declared
-    # Feet are possible where the names of columns, or x and y, are in feet.
+    # Names of columns, or the unit of x and y, show that feet are possible.
     in_feet = features.named_units.get("z") in (FOOT, US_FOOT) or is_unit_open(features.crs)
     return _FOOT if in_feet else 1.0
 
@@ -136,7 +140,11 @@ def _hint_of_heights(metres: FloatArray, beyond: IntArray, column: str, names: l
 
 
 def _note_on_depths(features: FeatureSet) -> str:
-    """Return a note on heights that are below any land; "" if none are."""
+    """Return a note on heights that are below any land; "" if none are.
+
+    It is "" as well without a CRS, in a geocentric or local one, and on other bodies than the
+    Earth.
+    """
     if (not features.crs or kind_of(normalise(features.crs)) not in ("geographic", "projected")
             or body_of(features.crs) != EARTH):
         return ""
@@ -156,7 +164,7 @@ def _check_distance(ground: FloatArray, features: FeatureSet, crs: str) -> None:
     """
     distance = np.linalg.norm(ground, axis=1)
     radius = ellipsoid_of(crs)[0]
-    # A height that is not known, and so the distance, is refused elsewhere.
+    # An unknown height makes the distance NaN, which is not far here; it is refused elsewhere.
     is_far = np.abs(distance / radius - 1.0) > _FROM_SURFACE
     if not is_far.any():
         return
@@ -206,7 +214,7 @@ def _are_joined(xy: FloatArray, joined: float) -> bool:
     else:
         minutes = np.floor(below_a_degree / 100.0)
         seconds = below_a_degree % 100.0
-    # All latitudes must have degrees, lest small coordinates in a plane look so.
+    # Latitudes below one degree are no sign: small coordinates of a plane would be taken for such.
     return bool((degrees <= (180, 90)).all() and (minutes < 60).all() and (seconds < 60).all()
                 and (degrees[:, 1] > 0).all())
 
@@ -387,7 +395,7 @@ def _note_on_pixels(points: Points) -> str:
     image = points.image
     if not len(image) or np.median(np.abs(image).max(axis=1)) < NO_PIXEL:
         return ""
-    # Line and sample may be northings and eastings, not pixels.
+    # Lines may be y of the map, samples x.
     distance = float(np.median(np.abs(image - points.ground[:, [1, 0]]).max(axis=1)))
     if distance <= SAME:
         return (f"Line and sample are y and x themselves, to {distance:.2g}: they look like "
@@ -418,8 +426,8 @@ def _note_on_zeros(points: Points) -> str:
 def _note_on_kilometres(features: FeatureSet) -> str:
     """Return a note that eastings and northings look like kilometres; "" if they do not.
 
-    They do where they are in the area of their CRS once multiplied by a thousand, and as they stand
-    either are outside it or would give the image pixels of less than `_SMALLEST_PIXEL`.
+    They do if, multiplied by a thousand, they are in the area of their CRS, and if, as they stand,
+    they are outside that area or would give the image pixels of less than `_SMALLEST_PIXEL`.
     """
     crs = normalise(features.crs)
     points = features.points
@@ -470,9 +478,10 @@ def _note_on_heights_in_kilometres(features: FeatureSet) -> str:
     """Return a note that heights look like kilometres, by what the image shows of them; or "".
 
     In an affine image of the ground, a metre of height moves a point by as much as tan(angle of
-    view) metres in plan. Of heights in kilometres that tangent is a thousand times as large. The
-    image is fitted by an affine function of plan and height, and by squares of the plan, lest what
-    bends the image were taken for a slope of the heights.
+    view) metres in plan. If heights are in kilometres, this tangent appears a thousand times as
+    large. The image is fitted by an affine function of plan and height, and by squares of the plan,
+    so that a bent image is not taken for an effect of the heights. "" is returned, too, for few
+    points and for points that do not determine this fit.
     """
     is_known = np.isfinite(features.points.ground[:, 2])
     ground = features.points.ground[is_known]
@@ -483,20 +492,20 @@ def _note_on_heights_in_kilometres(features: FeatureSet) -> str:
     plan = ground[:, :2] - ground[:, :2].mean(axis=0)
     if is_in_degrees(features.crs):
         plan = plan * _DEGREE * [np.cos(np.radians(np.median(ground[:, 1]))), 1.0]
-    # The plan is at most 1, so that its squares are of the same size.
+    # The plan is scaled to at most 1, so that its squares are of the same size.
     extent = max(float(np.abs(plan).max()), np.finfo(float).tiny)
     u, v = plan.T / extent
     design = np.column_stack([np.ones(len(u)), u, v, heights - heights.mean(),
                               u * u, u * v, v * v])
     slopes, _, rank, _ = np.linalg.lstsq(design, image, rcond=None)
-    # Square pixels a square metre of plan: its root is the scale of the image.
+    # The determinant is the area in the image of a square metre of plan; its root is a scale.
     determinant = abs(np.linalg.det(slopes[1:3])) / extent**2
     if rank < design.shape[1] or not determinant > 0.0:
         return ""
     residuals = image - design @ slopes
     sigma = np.sqrt((residuals**2).sum() / (residuals.size - slopes.size))
     height_slope = float(np.linalg.norm(slopes[3]))  # px a unit of height
-    # The row of the pseudoinverse that gives the slope of the heights from the image.
+    # This row of the pseudoinverse gives the slope of the heights from the image.
     deviation = sigma * float(np.linalg.norm(np.linalg.pinv(design)[3]))
     tangent = height_slope / np.sqrt(determinant)
     if tangent < _NO_TANGENT or height_slope < _CERTAIN * deviation:
@@ -516,8 +525,8 @@ def _note_on_two_zones(features: FeatureSet) -> str:
     if UTM.fullmatch(crs) is None:
         return ""
     ground = features.points.ground
-    far = _far_group(ground[:, 0])
-    if far is None:
+    is_far = _far_group(ground[:, 0])
+    if is_far is None:
         return ""
     rms_as_it_stands = _rms_of_affine_fit(features.points.image, ground)
     zone = int(crs[-2:])
@@ -526,14 +535,15 @@ def _note_on_two_zones(features: FeatureSet) -> str:
             continue
         corrected = ground.copy()
         try:
-            # The far group read as of the next zone, in the coordinates of this one.
-            from_neighbour = transformation_between(f"{crs[:-2]}{neighbour:02}", crs)(ground[far])
-        except TermselError:  # nothing can be where these coordinates are in that zone
+            # The far group is read as coordinates of the next zone, and brought into this one.
+            to_this_zone = transformation_between(f"{crs[:-2]}{neighbour:02}", crs)
+            from_neighbour = to_this_zone(ground[is_far])
+        except TermselError:  # these coordinates are nowhere in that zone
             continue
-        corrected[far, :2] = from_neighbour[:, :2]
+        corrected[is_far, :2] = from_neighbour[:, :2]
         if _rms_of_affine_fit(features.points.image, corrected) < BETTER * rms_as_it_stands:
-            ids = [features.points.ids[i] for i in np.flatnonzero(far)]
-            # Which of the two is the zone of the CRS, the coordinates do not show.
+            ids = [features.points.ids[i] for i in np.flatnonzero(is_far)]
+            # Coordinates do not show which group is in the zone of the CRS, only which is west.
             direction = "west" if neighbour < zone else "east"
             return (f"{len(ids)} of {len(features.points)} points look as if they were in the zone "
                     f"of UTM {direction} of that of the others: "
@@ -545,14 +555,14 @@ def _note_on_two_zones(features: FeatureSet) -> str:
 def _far_group(eastings: FloatArray) -> BoolArray | None:
     """Return a mask (n,) of the smaller of two groups of eastings (n,) with a wide gap between.
 
-    None comes back where there is no gap of `APART`.
+    None is returned if no gap is as wide as `APART`.
     """
     in_order = np.sort(eastings)
     gaps = np.diff(in_order)
     widest = int(np.argmax(gaps))
     if gaps[widest] < APART:
         return None
-    # The group of fewer points is the one to doubt.
+    # The smaller group is the one to doubt.
     is_east = np.asarray(eastings > in_order[widest])
     return np.asarray(is_east if is_east.sum() <= len(is_east) / 2 else ~is_east)
 
@@ -568,14 +578,15 @@ def _note_on_minutes(features: FeatureSet) -> str:
     image = features.points.image
     size = np.abs(ground[:, :2])
     sign = np.sign(ground[:, :2])
-    # With a margin for decimals such as 35.0 that are stored as 34.999...
+    # The margins are for decimals such as 35.0 that are stored as 34.999...
     degrees = np.floor(size + 1e-9)
     decimals = size - degrees
     if (decimals >= MINUTES).any():
         return ""
     minutes = np.floor(decimals * 100 + 1e-6)
     seconds = (decimals * 100 - minutes) * 100
-    # Within one degree, or one minute, a reading is an affine image of the numbers: nothing shows.
+    # Within one degree, or one minute, both fit alike: the reading is an affine function of the
+    # numbers.
     readings = {}
     if (np.ptp(degrees * sign, axis=0) > 0).any():
         readings["degrees and minutes"] = degrees + decimals * 100 / 60
@@ -599,7 +610,7 @@ def _note_on_minutes(features: FeatureSet) -> str:
 
 def _rms_of_affine_fit(image: FloatArray, ground: FloatArray) -> float:
     """Return the root mean square [px] of the residuals of an affine image of the ground."""
-    # About the middle and by the extent, so that the system is well conditioned.
+    # x and y are centred and scaled, so that the system is well conditioned.
     plan = ground[:, :2] - ground[:, :2].mean(axis=0)
     plan = plan / np.maximum(np.abs(plan).max(axis=0), np.finfo(float).tiny)
     design = np.column_stack([np.ones(len(plan)), plan])

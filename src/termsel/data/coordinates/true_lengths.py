@@ -15,10 +15,11 @@ log = logging.getLogger(__name__)
 
 
 def with_degrees(features: FeatureSet) -> FeatureSet:
-    """Return features in degrees, of such whose CRS counts longitude and latitude in another unit.
+    """Return features in degrees if their CRS counts longitude and latitude in another unit.
 
-    The CRS is the same but for its unit: datum and prime meridian stay. Columns whose names state
-    their unit are in degrees already.
+    Their CRS then is the same but for its unit: datum and prime meridian stay. A note says so.
+    Columns whose names state their unit are in degrees already, and stay. All other features come
+    back unchanged.
     """
     if not is_geographic(features.crs):
         return features
@@ -36,12 +37,15 @@ def with_degrees(features: FeatureSet) -> FeatureSet:
 
 
 def note_on_scale(features: FeatureSet) -> None:
-    """Say where a projection shows lengths other than they are, as figures in metres are true."""
+    """Log a note if a projection shows lengths much longer or shorter than on the ground.
+
+    Nothing is logged if the scale is nearly 1 or unknown.
+    """
     scales = scales_at(features.crs, features.ground_vertices())
     if scales is None:
         return
     along_x, along_y = scales
-    # On the ellipsoid both differ a little in Web Mercator, which is of a sphere.
+    # Both differ a little in Web Mercator, whose formulas are of a sphere: one number is enough.
     if abs(along_x / along_y - 1.0) < TRUE_SCALE:
         words = f"{along_x:.3g} times"
     else:

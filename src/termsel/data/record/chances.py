@@ -27,16 +27,16 @@ MAX_SECANTS = 60
 def quantile_of(values: NDArray[np.float64], share: float) -> NDArray[np.float64]:
     """Return the quantile of values along their last axis, (...), as `numpy.quantile` does.
 
-    `share`, 0 to 1, of the values is below it; NaN if a value is. numpy's imports numpy.ma, which
-    takes 0.01 s, and so does `numpy.median`.
+    A `share`, 0 to 1, of the values is below it; it is NaN if a value is. numpy's own function, and
+    `numpy.median`, import numpy.ma, which takes 0.01 s.
     """
     ordered = np.sort(values)  # any NaN is last
     below = int(share * (values.shape[-1] - 1))
-    # Linear between neighbours in order, as numpy's default method.
+    # It is interpolated linearly between the neighbours in order, as by numpy's default method.
     fraction = share * (values.shape[-1] - 1) - below
     low = ordered[..., below]
     high = ordered[..., min(below + 1, values.shape[-1] - 1)]
-    # Exact at both ends.
+    # Two forms of the same interpolation, each exact at its end.
     between = (low + fraction * (high - low) if fraction < 0.5
                else high - (1 - fraction) * (high - low))
     return np.asarray(np.where(np.isnan(ordered[..., -1]), np.nan, between))
@@ -45,7 +45,7 @@ def quantile_of(values: NDArray[np.float64], share: float) -> NDArray[np.float64
 def median_of(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the median of values along their last axis, (...), as `numpy.median` does.
 
-    It is NaN of no values, and if a value is.
+    It is NaN if there are no values, or if one is NaN.
     """
     ordered = np.sort(values)
     count = values.shape[-1]
@@ -64,25 +64,26 @@ def chi_squared_quantile(share: float, freedom: float) -> float:
         from scipy.special import chdtri
 
         return float(chdtri(freedom, 1 - share))
-    half = freedom / 2
+    half_freedom = freedom / 2
 
-    def below(x: float) -> float:
+    def chance_below(x: float) -> float:
         """Return the chance that a chi-squared number is below x, by its power series."""
-        # P(a, x) = x^a e^-x / Gamma(a + 1) (1 + x / (a + 1) + x^2 / ((a + 1)(a + 2)) + ...), with a
-        # = freedom / 2 (6.5.29).
+        # With a = freedom / 2 it is P(a, x / 2), and P(a, y) = y^a e^-y / Gamma(a + 1)
+        # (1 + y / (a + 1) + y^2 / ((a + 1)(a + 2)) + ...) (6.5.29).
         total = 0.0
         term = 1.0
-        n = half
+        n = half_freedom
         while term > EPS * total:
             total = total + term
             n = n + 1
             term *= x / 2 / n
-        return total * exp(half * log(x / 2) - x / 2 - lgamma(half + 1))
+        return total * exp(half_freedom * log(x / 2) - x / 2 - lgamma(half_freedom + 1))
 
-    # Its third root is about normal (Wilson and Hilferty 1931).
-    ninth = 2 / 9 / freedom
-    start = max(1e-3, 1 - ninth + (2 * share - 1) * 1.8 * sqrt(ninth)) ** 3 * freedom
-    return _argument_of(below, share, start)
+    # The third root of chi^2 / freedom is about normal with the variance 2 / (9 freedom) and the
+    # mean 1 less that (Wilson and Hilferty 1931). The search starts roughly at its quantile.
+    variance = 2 / 9 / freedom
+    start = max(1e-3, 1 - variance + (2 * share - 1) * 1.8 * sqrt(variance)) ** 3 * freedom
+    return _argument_of(chance_below, share, start)
 
 
 @lru_cache(maxsize=256)  # many features ask for those of a few degrees of freedom
@@ -99,7 +100,10 @@ def t_quantile(share: float, freedom: float) -> float:
 
 
 def t_beyond(t: float, freedom: float) -> float:
-    """Return the chance of a larger |t|."""
+    """Return the chance that a t distributed number is above t or below -t, for t >= 0.
+
+    `freedom` is its degrees of freedom.
+    """
     if freedom > MAX_SUMMED_FREEDOM:
         from scipy.special import stdtr
 
@@ -134,40 +138,48 @@ def chance_of_better_fit(share: float, freedom: float, unknowns: float) -> float
 
 
 def _incomplete_beta(x: float, complement: float, a: float, b: float) -> float:
-    """Return the incomplete beta function of x = 1 - `complement` by its continued fraction."""
+    """Return the incomplete beta function I_x(a, b) by its continued fraction.
+
+    `complement` is 1 - x.
+    """
     if x == 0.0 or complement == 0.0:
         return x
-    # The fraction converges fast for such x, and that of the complement for others (26.5.8).
+    # The fraction converges slowly for larger x, where that of the complement is fast (26.5.8).
     if x > (a + 1) / (a + b + 2):
         return 1 - _incomplete_beta(complement, x, b, a)
-    above = 1.0
-    below = 1 / (1 - (a + b) * x / (a + 1))
+    # In the method of Lentz each step multiplies the value by ratios of successive numerators and,
+    # inverted, of successive denominators of the convergents.
+    numerator_ratio = 1.0
+    denominator_ratio = 1 / (1 - (a + b) * x / (a + 1))
     change = 0.0
     m = 0
-    value = below / a * exp(
+    value = denominator_ratio / a * exp(
         a * log(x) + b * log(complement) + lgamma(a + b) - lgamma(a) - lgamma(b))
-    while abs(change - 1) > QUANTILE_STEP:  # by the method of Lentz
+    while abs(change - 1) > QUANTILE_STEP:
         m += 1
         # The even and the odd coefficient of the continued fraction (26.5.8).
-        for numerator in (m * (b - m) / (a + 2 * m - 1), -(a + m) * (a + b + m) / (a + 2 * m + 1)):
-            numerator *= x / (a + 2 * m)
-            above = 1 + numerator / above
-            below = 1 / (1 + numerator * below)
-            change = above * below
+        for factor in (m * (b - m) / (a + 2 * m - 1), -(a + m) * (a + b + m) / (a + 2 * m + 1)):
+            coefficient = factor * (x / (a + 2 * m))
+            numerator_ratio = 1 + coefficient / numerator_ratio
+            denominator_ratio = 1 / (1 + coefficient * denominator_ratio)
+            change = numerator_ratio * denominator_ratio
             value *= change
     return value
 
 
 def _argument_of(rising: Callable[[float], float], value: float, x: float) -> float:
-    """Return the x > 0 at which a rising function has a value, by secants that begin at x."""
+    """Return the x > 0 at which a rising function has a value, by secants that begin at x.
+
+    After MAX_SECANTS steps the last x is returned, whatever its function value.
+    """
     y = rising(x)
-    after = 1.01 * x
+    next_x = 1.01 * x
     for _ in range(MAX_SECANTS):
-        if abs(after - x) <= QUANTILE_STEP * x or (z := rising(after)) == y:
+        if abs(next_x - x) <= QUANTILE_STEP * x or (next_y := rising(next_x)) == y:
             break
-        # The secant's zero; a positive number, so no step goes down to less than a tenth.
-        secant = max(after + (value - z) * (after - x) / (z - y), after / 10)
-        x = after
-        y = z
-        after = secant
-    return after
+        # A step that would end at less than a tenth of x is shortened, so that x stays positive.
+        secant = max(next_x + (value - next_y) * (next_x - x) / (next_y - y), next_x / 10)
+        x = next_x
+        y = next_y
+        next_x = secant
+    return next_x

@@ -44,9 +44,9 @@ class RecordPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_d
 
 
 def as_plain_data(record_part: Any) -> dict[str, Any]:
-    """Return a part of the record as JSON has it: dicts, lists, text and numbers.
+    """Return a part of the record as dicts, lists, text and numbers, as JSON has them.
 
-    NaN and infinity become None, numbers of numpy those of Python.
+    NaN and infinity become None, and numbers of numpy become those of Python.
     """
     content: dict[str, Any] = _as_json(msgspec.to_builtins(
         record_part, enc_hook=lambda value: value.item()))
@@ -54,8 +54,10 @@ def as_plain_data(record_part: Any) -> dict[str, Any]:
 
 
 def _as_json(value: Any) -> Any:
-    """Return a value as JSON can hold it: lists for tuples, None for NaN and infinity."""
-    # Not by msgspec's own JSON, which takes no text, as of file names, that is not UTF-8.
+    """Return a value with lists for tuples, and None for NaN and infinity, as JSON can hold it.
+
+    msgspec's own JSON cannot be used: it refuses text that is not UTF-8, as file names may be.
+    """
     if isinstance(value, dict):
         return {key: _as_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -95,14 +97,15 @@ def is_determined_exactly(number: int, noun: str) -> str:
 
 
 def rmse_interval(total: float, freedom: float) -> tuple[float, float]:
-    """Return the interval of the RMSE [px] that endlessly many such points would have.
+    """Return the interval (low, high) of the RMSE [px] that endlessly many such points would have.
 
-    The squares of independent errors have a chi-squared distribution of so many degrees of freedom:
-    two of a point if its errors are normal and alike in line and sample, otherwise fewer.
+    `total` is the RMSE of the points at hand. The sum of squares of independent errors has a
+    chi-squared distribution with `freedom` degrees: two for each point if its errors are normal and
+    alike in line and sample, otherwise fewer.
     """
-    # freedom * s^2 / sigma^2 is chi-squared, so sigma = s * sqrt(freedom / quantile).
+    # freedom * s^2 / sigma^2 is chi-squared, so that sigma = s * sqrt(freedom / quantile).
     tail = (1 - CONFIDENCE) / 2
-    # Below one degree the quantile is 0, and the interval has no upper end.
+    # Far below one degree the lower quantile is 0, and the interval would have no upper end.
     freedom = max(freedom, 1.0)
     return (total * sqrt(freedom / chi_squared_quantile(1 - tail, freedom)),
             total * sqrt(freedom / chi_squared_quantile(tail, freedom)))
@@ -168,7 +171,9 @@ class RmseByRole(RecordPart, frozen=True):
         return iter(self.by_role)
 
     def __getitem__(self, role: str) -> Rmse | None:
-        """Return the RMSE of a role, or that by "leave-one-out"; None where it has no features.
+        """Return the RMSE of a role, or that by "leave-one-out"; None if it has no features.
+
+        Its numbers are NaN where the record has None.
 
         Raises
         ------
@@ -178,7 +183,6 @@ class RmseByRole(RecordPart, frozen=True):
         rmse = self.by_role[role]
         if not rmse.n:
             return None
-        # The file has null for what is not finite.
         line, sample, total = (nan if value is None else value
                                for value in (rmse.line, rmse.sample, rmse.total))
         return Rmse(line, sample, total, rmse.n, rmse.freedom)
@@ -255,9 +259,10 @@ class Predicted(RecordPart, frozen=True, omit_defaults=False):
     inverse squares of these; absent otherwise."""
 
     def chance_beyond(self, measured: float) -> float:
-        """Return the chance of a measured RMSE so far above, or below, the predicted one.
+        """Return the one-sided chance of a measured RMSE as far above, or below, the predicted one.
 
-        The interval is read as that of a log-normal distribution.
+        The interval is taken as that of a log-normal distribution. The chance is 0 if the interval
+        or the measured RMSE is not positive.
         """
         if not 0.0 < self.low < self.high or measured <= 0.0:
             return 0.0

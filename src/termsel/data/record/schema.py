@@ -24,7 +24,7 @@ def json_schema() -> dict[str, Any]:
     for name, definition in definitions.items():
         definition.pop("title")
         definition["description"] = (of_name[name].__doc__ or "").partition("\n")[0]
-        # The description comes first, so that a reader of the schema sees it first.
+        # Each field's description is put first, as that is what people read first.
         docs = _field_descriptions(of_name[name])
         for key, content in definition["properties"].items():
             definition["properties"][key] = {"description": docs[key], **content}
@@ -42,7 +42,10 @@ def _all_subclasses(kind: type[RecordPart]) -> list[type[RecordPart]]:
 
 
 def _field_descriptions(kind: type[RecordPart]) -> dict[str, str]:
-    """Return the docstrings of the fields of a part, those inherited too, by their keys in JSON."""
+    """Return the docstrings of all fields of a part of the record, by their keys in JSON.
+
+    Inherited fields are among them. Line breaks become spaces.
+    """
     (body,) = ast.parse(inspect.getsource(kind)).body
     assert isinstance(body, ast.ClassDef)
     keys = dict(zip(kind.__struct_fields__, kind.__struct_encode_fields__, strict=True))

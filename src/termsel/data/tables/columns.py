@@ -105,9 +105,10 @@ def fold_name(name: str) -> str:
 
 @lru_cache(10_000)  # readers compare the names of a header with all that are known
 def _folded_forms(name: str) -> tuple[str, ...]:
-    """Return a column's name folded with and without its unit, and then its alternatives.
+    """Return a column's name folded with and without its unit, and then each of its alternatives.
 
-    Line (px) is "linepx" and "line"; X/Longitude is "xlongitude" twice, "x" and "longitude".
+    "Line (px)" gives "linepx" and "line"; "X/Longitude" gives "xlongitude" twice, "x" and
+    "longitude".
     """
     normal = unicodedata.normalize("NFKC", name.strip().casefold())
     alternatives = normal.split("/") if "/" in normal else []
@@ -122,13 +123,17 @@ def _is_one_of(forms: tuple[str, ...], names: frozenset[str], all_names: frozens
 
 
 @lru_cache(100)  # readers compare the names of a header with all that are known
-def _names_by_meaning(aliases: tuple[tuple[str, tuple[str, ...]], ...],
+def _folded_names_by_meaning(aliases: tuple[tuple[str, tuple[str, ...]], ...],
                       ) -> tuple[dict[str, tuple[frozenset[str], frozenset[str]]], frozenset[str]]:
-    """Return the plain and the further names of each meaning, and all of them."""
+    """Return the plain and the further names of each meaning, folded, and the set of all names.
+
+    `aliases` are pairs of a meaning and its plain names.
+    """
     names = {}
     for meaning, plain_names in aliases:
         base, end = _meaning_and_line_end(meaning)
-        # Readers of other programs' tables have meanings of these names, too, and no further names.
+        # Readers of other programs' tables use the same meanings with their own names, to which no
+        # further ones are added.
         own = (POINTS | LINES).get(meaning)
         is_own = own is not None and plain_names[:len(own)] == own
         further = frozenset(f"{fold_name(name)}{end}" for name in _FURTHER.get(base, ()) if is_own)
@@ -143,9 +148,9 @@ def columns_by_meaning(header: Sequence[str], aliases: Aliases) -> dict[str, lis
     count only where no column has a plain name. Several columns of one meaning are all returned:
     whoever asks decides whether that is an error. A number in a header is no name.
     """
-    names_of, all_names = _names_by_meaning(tuple(
+    names_of, all_names = _folded_names_by_meaning(tuple(
         (meaning, tuple(names)) for meaning, names in aliases.items()))
-    # Most rows that are asked about hold numbers, none of which is a name.
+    # Rows of numbers are asked about, too, to find the header: they end here.
     forms = {i: folded for i, folded in enumerate(map(_folded_forms, header))
              if not all_names.isdisjoint(folded)}
     if not forms:
@@ -155,21 +160,22 @@ def columns_by_meaning(header: Sequence[str], aliases: Aliases) -> dict[str, lis
     for meaning, (plain_names, further_names) in names_of.items():
         plain, further = ([i for i, folded in forms.items() if _is_one_of(folded, names, all_names)]
                           for names in (plain_names, further_names))
-        # Names in other languages count where no column has one of the plain names.
         columns[meaning] = plain or further
         all_columns[meaning] = [*plain, *(i for i in further if i not in plain)]
     if {"line", "sample", "x", "y"} <= columns.keys():
         columns |= _pixels_next_to_degrees(header, all_columns)
-    if columns.get("y") and not columns.get("x"):  # n numbers points, unless e is next to it
+    # A column n without one of eastings numbers the points, and has no northings.
+    if columns.get("y") and not columns.get("x"):
         columns["y"] = [i for i in columns["y"] if forms[i][0] != "n"]
     return columns
 
 
 def _pixels_next_to_degrees(header: Sequence[str],
                             named: Mapping[str, list[int]]) -> dict[str, list[int]]:
-    """Return the columns of x, y, lon and lat where x and y are pixels, as MapWarper has them.
+    """Return the columns by meaning if x and y are pixels next to degrees, as MapWarper has them.
 
-    That is where both stand in one header, and no column is called line or sample.
+    They are if each of x, y, lon and lat has one column, and no column is called line or sample. If
+    not, no columns are returned.
     """
     plain = {axis: [i for i in named[axis] if header[i].strip().casefold() == axis]
              for axis in "xy"}
@@ -197,9 +203,10 @@ _CALLED = {name: meaning for meaning, names in (LINES | COORDINATES).items() for
 
 
 def parse_columns(text: str) -> dict[str, str]:
-    """Return the name or number of a column by its meaning, of pairs "line=Zeile,sample=4".
+    """Return the name or number of each declared column, by meaning.
 
-    Meanings may be called as columns are, such as row, col, lon, lat and height.
+    `text` has pairs such as "line=Zeile,sample=4". Meanings may be called as columns are, such as
+    row, col, lon, lat and height.
 
     Raises TermselError for a pair without meaning or name, an unknown meaning, and one that is
     declared twice.
@@ -207,7 +214,7 @@ def parse_columns(text: str) -> dict[str, str]:
     meanings = POINTS | LINES | CORNER
     columns: dict[str, str] = {}
     for pair in filter(None, map(str.strip, text.split(","))):
-        # The first : or = parts meaning and name, so that a name may hold either.
+        # Only the first ":" or "=" separates meaning and name: a name may have more of them.
         meaning, sign, name = re.sub("[:=]", "\0", pair, count=1).partition("\0")
         meaning = meaning.strip().lower()
         meaning = _CALLED.get(meaning, meaning)
@@ -226,7 +233,11 @@ def parse_columns(text: str) -> dict[str, str]:
 
 
 def find_declared_columns(header: Sequence[str], columns: Mapping[str, str]) -> dict[str, int]:
-    """Return the columns that the user declares by name, or number from 1, and this table has."""
+    """Return the indices of the columns that the user declares, by meaning.
+
+    Columns are declared by name, or by number counted from 1. Those that the table does not have
+    are left out.
+    """
     names = [name.strip().casefold() for name in header]
     numbers = {}
     for meaning, name in columns.items():
@@ -270,12 +281,13 @@ def decimal_signs(columns: Mapping[str, Sequence[str]], stated: str = "", *,
                   points_only: bool = False) -> tuple[dict[str, str], list[str]]:
     """Return the decimal sign of each column of numbers, by the evidence of all its rows.
 
-    1,234 alone may be one thousand or little more than one. A column that leaves it open takes the
-    sign `stated`, or else the sign of the columns that do not, if they agree; else its sign is "".
-    With `points_only` commas separate the columns, so that points without commas are decimal.
+    1,234 alone may be one thousand or little more than one. A column that leaves this open takes
+    the sign `stated`, or else the sign of the columns that show it, if they agree. If they do not,
+    its sign is "", or a point if each row has a point with three digits. With `points_only` commas
+    separate the columns, so that points without commas are decimal.
 
-    Second come the names of the open columns whose sign others, or the user, decided. Raises
-    BadCell if cells of one column contradict each other.
+    The second value has the names of the open columns whose sign others, or the user, decided.
+    Raises BadCell if cells of one column contradict each other.
     """
     # "." or "," where cells show it, "three" or "" where they leave it open, None without any sign.
     evidence = {name: _decimal_sign(name, cells, points_only) for name, cells in columns.items()}
@@ -299,10 +311,10 @@ def decimal_signs(columns: Mapping[str, Sequence[str]], stated: str = "", *,
 def _decimal_sign(name: str, cells: Sequence[str], points_only: bool) -> str | None:
     """Return the decimal sign of a column's cells, or how open it is; None if no cell has a sign.
 
-    POINT or COMMA is certain. "" stands for commas or points of which nothing says whether they
-    separate thousands, and `_THREE` for points with three digits in every row, which other columns
-    may decide. With `points_only` a column without commas has decimal points. Raises BadCell, with
-    the `name` of the column, where two cells disagree.
+    POINT or COMMA is certain. "" is returned for commas or points that may separate thousands, and
+    `_THREE` for points with three digits in every row, which are decimal unless other columns
+    decide otherwise. With `points_only` a column without commas has decimal points. Raises BadCell,
+    with the `name` of the column, if two cells disagree.
     """
     joined = "".join(cells)
     has_commas = COMMA in joined
@@ -329,18 +341,19 @@ def _decimal_sign(name: str, cells: Sequence[str], points_only: bool) -> str | N
                            f"decimal {other_word}", "Use one of them in the whole column.", name)
     if first_row_with:
         return next(iter(first_row_with))
-    # Points with three digits in each row are decimal; if only the large numbers have one, not.
+    # If only some numbers have a point, it may separate the thousands of the larger ones.
     return "" if has_commas or has_whole_numbers else _THREE
 
 
 def read_numbers(cells: Sequence[str], sign: str, *, may_be_blank: bool, angle: str = "",
                  ) -> NDArray[np.float64]:
-    """Return cells as numbers (n,), NaN for blank ones; raise BadCell for the first other cell.
+    """Return cells as numbers (n,), NaN for blank ones if they `may_be_blank`.
 
-    The sign other than the decimal `sign` separates thousands. `angle` is "x" or "y" where cells
-    may be longitudes or latitudes in degrees, minutes and seconds.
+    The decimal sign is `sign`; the other one of point and comma separates thousands. `angle` is "x"
+    or "y" if cells may be longitudes or latitudes in degrees, minutes and seconds. Raises BadCell
+    for the first cell that is no number.
     """
-    # Whole columns at C speed; single cells are read only where that fails.
+    # A whole column is read at once, which is fast; cell by cell only if that fails.
     joined = "".join(cells)
     if "_" not in joined and (sign == POINT or POINT not in joined):
         blank = np.array([may_be_blank and (not cell or cell.isspace()) for cell in cells])
@@ -351,21 +364,22 @@ def read_numbers(cells: Sequence[str], sign: str, *, may_be_blank: bool, angle: 
             values = np.fromiter(map(float, texts), np.float64, len(cells))
             if np.isfinite(values[~blank]).all():
                 return values
-    return np.array([_number_of_cell(row, cell, sign, may_be_blank, angle)
+    return np.array([_read_number(row, cell, sign, may_be_blank, angle)
                      for row, cell in enumerate(cells)])
 
 
-def _number_of_cell(row: int, cell: str, sign: str, may_be_blank: bool, angle: str) -> float:
-    """Return the number of a cell, NaN of one that may be blank.
+def _read_number(row: int, cell: str, sign: str, may_be_blank: bool, angle: str) -> float:
+    """Return the number of a cell; NaN if it is blank and `may_be_blank`.
 
-    Raises BadCell, with the row, if it is not a plain, finite number.
+    The other parameters are those of `read_numbers`. Raises BadCell, with the row, if the cell has
+    no plain, finite number.
     """
     text = cell.strip()
     if not text:
         if may_be_blank:
             return float("nan")
         raise BadCell(row, "the cell is blank, expected a number", "Fill it in or remove the row.")
-    # Spaces and apostrophes between groups of three, and the minus sign of typography.
+    # Spaces and apostrophes may separate groups of three digits, and typography has its own minus.
     digits = _PARTED.sub("", cell).replace("−", "-")
     separator = COMMA if sign == POINT else POINT
     if separator in digits and _GROUPS[separator].fullmatch(digits.strip()):
@@ -408,7 +422,7 @@ def _remedy_for_text(text: str) -> str:
 
 
 def _parse_degrees(row: int, text: str, angle: str) -> float | None:
-    """Return an angle such as 10°59'28.7"E in degrees; None where the text is no such angle.
+    """Return an angle such as 10°59'28.7"E in degrees; None if the text is no such angle.
 
     Degrees, minutes and seconds are separated by their marks or by spaces, with a hemisphere before
     or after, or a sign. `row` is that of the cell and `angle` its axis, "x" or "y", for errors.

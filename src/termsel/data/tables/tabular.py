@@ -73,14 +73,18 @@ def check_heights(z: FloatArray, ids: Sequence[str], kind: str) -> None:
 
 
 def check_deviations(sigma: FloatArray, ids: Sequence[str], kind: str) -> None:
-    """Raise TermselError for deviations that are not positive, or too large to compute with."""
-    # Their squares, and those of weights, must not overflow.
+    """Raise TermselError for deviations that are not positive numbers of a usual size.
+
+    Their squares, and those of their inverses, the weights, must not overflow.
+    """
+    # "not between" is true of NaN, too.
     is_bad = ~((sigma > 1 / FARTHEST) & (sigma < FARTHEST))
     if not is_bad.any():
         return
     value = sigma[is_bad][0]
     fault = "beyond what can be computed with" if value > 0 else "not positive"
-    axes = np.argwhere(is_bad)[0, 1:]  # none of a line
+    # A point has one deviation for each axis; a line has one alone, and so no axis here.
+    axes = np.argwhere(is_bad)[0, 1:]
     name = ("sigma_line", "sigma_sample")[axes[0]] if len(axes) else "sigma"
     _refuse_bad_values(is_bad, ids, kind, f"{name} {value:g}, a standard deviation that is {fault}",
                        "Correct it, or leave the columns of standard deviations out.")
@@ -112,7 +116,7 @@ def check_places(ground: FloatArray, ids: Sequence[str]) -> None:
                                 "point its own.")
     at_zero = next((rows for rows in repeated if not ground[rows, :2].any()), None)
     if at_zero is not None:
-        # To average them, as others are, would keep a false point.
+        # Averaging, which the hint below suggests for others, would keep a false point here.
         earlier, later, *_ = at_zero
         raise TermselError(f"{places_in_words(ids, [at_zero])}, x = 0 and y = 0",
                            ids=[ids[later], ids[earlier]],
@@ -129,7 +133,7 @@ def check_places(ground: FloatArray, ids: Sequence[str]) -> None:
 def repeated_places(ground: FloatArray, *, with_single: bool = False) -> list[list[int]]:
     """Return the rows of the points at each place on the ground (n, 3) that has several points.
 
-    `with_single` adds the places that have a single point. Heights that are not known count as 0.
+    `with_single` adds the places that have a single point. Unknown heights count as 0.
     """
     _, labels = np.unique(np.nan_to_num(ground, nan=0.0), axis=0, return_inverse=True)
     rows: dict[int, list[int]] = {}
@@ -139,11 +143,12 @@ def repeated_places(ground: FloatArray, *, with_single: bool = False) -> list[li
 
 
 def places_in_words(ids: Sequence[str], groups: Sequence[Sequence[int]]) -> str:
-    """Return a clause on which points have the same ground coordinates, by the rows of each place.
+    """Return a clause that says which points have the same ground coordinates.
+
+    Each of `groups` has the rows of the points at one place.
     """
     groups_in_words = []
     for rows in groups[:_MAX_NAMED]:
-        # A few points of a place show which place it is.
         names = [repr(ids[row]) for row in rows[:_MAX_IN_PLACE]]
         if len(rows) > _MAX_IN_PLACE:
             names.append(f"{len(rows) - _MAX_IN_PLACE} more")
@@ -157,10 +162,13 @@ def places_in_words(ids: Sequence[str], groups: Sequence[Sequence[int]]) -> str:
 
 
 def check_segments(ground: FloatArray, ids: Sequence[str]) -> None:
-    """Raise TermselError for two lines with the same ground vertices (n, 2, 3), in any order."""
+    """Raise TermselError for two lines with the same ground vertices (n, 2, 3), in any order.
+
+    Unknown heights count as 0.
+    """
     ends = np.nan_to_num(ground, nan=0.0)
-    # The ends of each line are put in one order: the first coordinate in which they differ says
-    # which of them comes first.
+    # The ends of each line are put in one order: that with the smaller first differing coordinate
+    # comes first.
     differs = ends[:, 0] != ends[:, 1]
     first_difference = np.argmax(differs, axis=1)
     index = np.arange(len(ends))
@@ -182,8 +190,10 @@ def _first_repeated_row(rows: FloatArray) -> tuple[int, int] | None:
 
 
 def reason_to_refuse_id(name: str) -> str:
-    """Return how an id is at fault, as the end of a sentence; "" if it is not."""
-    # So that tables keep it, and a terminal shows it.
+    """Return what is wrong with an id, as the end of a sentence; "" if nothing is.
+
+    An id with nothing wrong can be written to a table of text and shown on a terminal.
+    """
     if not name:
         return "is blank"
     if len(name) > MAX_ID:
@@ -192,7 +202,11 @@ def reason_to_refuse_id(name: str) -> str:
 
 
 def check_ids(ids: Sequence[str], kind: str, *, unique: bool) -> None:
-    """Refuse ids of points or lines, a `kind`, that break the rule, or are not `unique`."""
+    """Raise TermselError for ids that `reason_to_refuse_id` objects to.
+
+    `kind` is "point" or "line", for messages. If ids have to be `unique`, one that occurs twice is
+    refused, too.
+    """
     for name in ids:
         if wrong := reason_to_refuse_id(name):
             raise TermselError(f"the id {cut(name, 40)!r} of a {kind} {wrong}", ids=[name],
@@ -225,16 +239,16 @@ def is_free(name: str) -> bool:
 def as_attributes(attributes: Mapping[str, Iterable[Any]], n: int, *reserved: str) -> Attributes:
     """Return columns of n rows as features hold them: stripped text that cannot be changed.
 
-    None, NaN and what pandas has in their place become "", a value that is not known. Raises
-    TermselError for a column whose name is `reserved`, taken or used twice, and for one of more or
-    fewer rows than n.
+    None, NaN and what pandas has in their place become "", an unknown value. Raises TermselError
+    for a column whose name is `reserved`, has a meaning of its own in tables, cannot be printed, or
+    is used twice, and for a column that does not have n values.
     """
     columns: dict[str, TextArray] = {}
     for name, values in attributes.items():
         if not is_free(name) or name.casefold() in reserved:
             raise TermselError(f"a column of attributes cannot have the name {name!r}",
                                hint="Tables use it otherwise, or it is no short printable text.")
-        # Files of other programs write names with other capitals.
+        # Upper and lower case count as the same, as programs change it when they write files.
         if name.casefold() in map(str.casefold, columns):
             raise TermselError(f"two columns of attributes have the name {name!r}",
                                hint="Upper and lower case count as the same.")
@@ -294,7 +308,9 @@ def _column_text(table: Attributes, name: str, rows: int) -> TextArray:
 
 
 def common_attributes(rows: Sequence[Mapping[str, str]]) -> dict[str, str]:
-    """Return the attributes that all rows have in common, by column; "" where their text differs.
+    """Return the text that all rows have in a column, by column; "" if their texts differ.
+
+    Columns that the first row does not have are left out. Without rows there are none.
     """
     common = dict(rows[0]) if rows else {}
     for row in rows:
@@ -304,9 +320,10 @@ def common_attributes(rows: Sequence[Mapping[str, str]]) -> dict[str, str]:
 
 
 def columns_of(rows: Sequence[Mapping[str, str]]) -> dict[str, TextArray]:
-    """Return attributes by column, (n,) each, "" where a row has none.
+    """Return the attributes of n rows by column, (n,) each, "" where a row has none.
 
-    Of names that differ in upper and lower case alone, the first spelling stays.
+    For names that differ in upper and lower case alone there is one column, with the first
+    spelling.
     """
     columns = {}
     for name in distinct_names(chain.from_iterable(rows)):
@@ -315,9 +332,10 @@ def columns_of(rows: Sequence[Mapping[str, str]]) -> dict[str, TextArray]:
 
 
 def stack_columns(tables: Sequence[Attributes], rows: Sequence[int], name: str) -> TextArray:
-    """Return a column of several tables one after another, (n,); `rows` are the rows of each.
+    """Return a column of several tables one after another, (n,).
 
-    Raises TermselError if none of them has it.
+    `rows` are the numbers of rows of the tables. A table without the column has "" in its rows.
+    Raises TermselError if no table has it.
     """
     names = distinct_names(chain.from_iterable(tables))
     if name.casefold() not in map(str.casefold, names):
@@ -328,9 +346,10 @@ def stack_columns(tables: Sequence[Attributes], rows: Sequence[int], name: str) 
 
 
 def as_numbers(cells: TextArray, ids: Sequence[str], name: str) -> FloatArray:
-    """Return text as numbers, (n,), NaN where it is blank.
+    """Return cells as numbers, (n,), NaN where they are blank.
 
-    Raises TermselError, with the id of `ids`, for a cell that is no number.
+    Raises TermselError for a cell that is no finite number. It says the id, in `ids`, of its
+    feature, and the column's `name`.
     """
     numbers = np.empty(len(cells))
     for row, cell in enumerate(cells):
@@ -367,15 +386,19 @@ class Framed:
         return DataFrame(dict(self._columns()))
 
     def to_geopandas(self, crs: str = "local") -> Any:
-        """Return a geopandas GeoDataFrame with the place of each on the ground, in that CRS."""
+        """Return a geopandas GeoDataFrame with a point or line on the ground for each feature.
+
+        `crs` is that of the features. If a height is unknown, the shapes have x and y alone, as GIS
+        programs take NaN for no geometry. Raises TermselError if geopandas is not installed.
+        """
         with require_import("maps of features require", "geopandas", "geopandas"):
             import shapely
             from geopandas import GeoDataFrame
-        # Without all heights the shapes are plane ones: GIS programs take NaN for no geometry.
         positions = self._places()
-        flat = bool(np.isnan(positions[..., 2]).any())
-        at = positions[..., :2] if flat else positions
-        shapes = shapely.points(at) if positions.ndim == 2 else shapely.linestrings(at)
+        if np.isnan(positions[..., 2]).any():
+            positions = positions[..., :2]
+        shapes = (shapely.points(positions) if positions.ndim == 2
+                  else shapely.linestrings(positions))
         return GeoDataFrame(dict(self._columns()), geometry=shapes, crs=horizontal_crs(crs) or None)
 
 
@@ -430,7 +453,10 @@ class Tabular(Glance, Framed):
         return self.ground
 
     def take(self, index: ArrayLike) -> Self:
-        """Return the rows at `index` (integers or a mask)."""
+        """Return the points or lines at `index`, integers or a mask (n,).
+
+        Raises TermselError if an index names one more than once.
+        """
         rows = rows_of(self.ids, index)
         row_numbers = rows.tolist()
         fields_at_rows: dict[str, Any] = {}
@@ -452,9 +478,9 @@ class Tabular(Glance, Framed):
         return joint
 
     def join_unchecked(self, further: Self) -> Self:
-        """Return the rows of both, which are parts of one table.
+        """Return the rows of this table, then those of `further`, which are parts of one table.
 
-        What was checked of that table holds for both together, so no value is checked again.
+        No value is checked again: what was checked of that table holds for its parts together.
         """
         if not len(further):
             return self
@@ -464,11 +490,15 @@ class Tabular(Glance, Framed):
         return replace_unchecked(self, **fields)
 
     def _with_rows_of(self, further: Self) -> dict[str, Any]:
-        """Return the fields of the rows of both."""
+        """Return the fields, by name, of a table with the rows of this one and then of `further`.
+
+        Where only one of them states standard deviations, the rows of the other get their median.
+        """
         known_sigmas = [table.sigma for table in (self, further) if table.sigma is not None]
         sigma = None
         if known_sigmas:
-            # Features without a standard deviation have this weight in an adjustment.
+            # An adjustment gives a row the weight median / sigma, or 1 if no row has a sigma. The
+            # median keeps this weight of 1.
             usual_sigma = np.median(known_sigmas[0])
             sigma = np.concatenate([
                 np.full((len(table), *known_sigmas[0].shape[1:]), usual_sigma)
@@ -491,13 +521,12 @@ def _given_fields(kind: Hashable) -> tuple[str, ...]:
 
 
 def rows_of(ids: Sequence[str], index: ArrayLike) -> NDArray[np.intp]:
-    """Return the rows, (r,), that an index of integers or a mask names.
+    """Return the numbers of the rows, (r,), that an index of integers or a mask names.
 
-    Raises TermselError if it names one more than once.
+    Raises TermselError if it names one more than once: such a point would count twice in each fit.
     """
     array = np.asarray(index)
     rows = np.arange(len(ids))[array if array.size else np.zeros(0, dtype=np.intp)]
-    # A point that is taken twice would count twice in every fit.
     times = np.bincount(rows, minlength=1)
     if times.max() > 1:
         raise TermselError(f"{ids[int(times.argmax())]!r} is asked for {times.max()} times",
@@ -506,9 +535,12 @@ def rows_of(ids: Sequence[str], index: ArrayLike) -> NDArray[np.intp]:
 
 
 def replace_unchecked(table: _Table, **changes: Any) -> _Table:
-    """Return points or lines with some fields changed, without the checks of new ones."""
-    # What was checked once holds for a part of them, and in other units. Fits make so many of these
-    # that the checks took a quarter of their time.
+    """Return points or lines with some fields changed, without the checks of new ones.
+
+    It is for changes that keep what was checked, such as a choice of rows or other units. Fits make
+    so many of these objects that the checks took a quarter of their time. Arrays among the changes
+    become read-only.
+    """
     changed = object.__new__(type(table))
     for name in _given_fields(type(table)):  # type: ignore[arg-type]
         value = changes[name] if name in changes else getattr(table, name)

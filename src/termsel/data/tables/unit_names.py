@@ -65,8 +65,8 @@ def without_unit(name: str) -> str:
 def unit_in_name(name: str) -> str:
     """Return the unit that the name of a column states, as E [km], z_ft and lon (gon) do.
 
-    It is one of `FACTORS`, or a foot of `termsel.data.coordinates.height_units`. "" for metres,
-    degrees and any other.
+    It is one of `FACTORS`, or a foot of `termsel.data.coordinates.height_units`. Metres, degrees
+    and all other units give "", as does a name without a unit.
     """
     match = _STATED.search(name.strip())
     if match is None:
@@ -82,7 +82,10 @@ def unit_of_text(word: str) -> str:
 
 
 def unit_of_image_in_name(name: str) -> str:
-    """Return in words the unit that the name of a column of the image states; "" for pixels."""
+    """Return in words the unit that the name of a column of the image states, such as mm.
+
+    Pixels give "", as does a name that states no unit.
+    """
     match = _IN_BRACKETS.search(name) or re.search(r"[\s_.-](mm|cm|um|µm|μm)$", name.lower())
     if match is None:
         return ""
@@ -92,7 +95,10 @@ def unit_of_image_in_name(name: str) -> str:
 
 
 def counts_against_axis(name: str, axis: str) -> bool:
-    """Return whether the numbers of x or y count west or south by the name of their column."""
+    """Return whether the name of a column says that its numbers count to the west or south.
+
+    `axis` is "x" or "y": only the direction against this axis counts.
+    """
     lower = name.strip().lower()
     match = _IN_BRACKETS.search(lower)
     word = match[1].strip("°º +") if match else ""
@@ -102,7 +108,10 @@ def counts_against_axis(name: str, axis: str) -> bool:
 
 
 def unknown_remark(name: str) -> str:
-    """Return what stands in brackets in the name of a column, if nobody knows it; else ""."""
+    """Return the remark in brackets in the name of a column, if it is neither known nor a unit.
+
+    All other names give "".
+    """
     match = _IN_BRACKETS.search(name)
     if match is None:
         return ""

@@ -175,7 +175,9 @@ def _is_in_an_image(numbers: Mapping[int, FloatArray], reading: Mapping[str, int
 
 
 def _shows_ground(numbers: Mapping[int, FloatArray], reading: Mapping[str, int]) -> bool:
-    """Return whether a reading has line, sample, x and y, and x, y and z look like ground.
+    """Return whether x, y and z of a reading look like ground.
+
+    False for a reading without numbers for line, sample, x and y.
     """
     if not all(reading.get(name) in numbers for name in _REQUIRED):
         return False
@@ -192,10 +194,11 @@ def _counts_upwards(lines: FloatArray) -> bool:
 
 def _read_upwards(reading: Mapping[str, int], known_columns: Mapping[str, int],
                   ) -> dict[str, int] | None:
-    """Return a guess that puts the line first with line and sample exchanged, None for any other.
+    """Return a guess with line and sample exchanged, which holds if lines count upwards.
 
     Sample before line, as x before y, is the usual order of columns. A guess departs from it where
-    the image would else mirror the ground; but it would not if lines counted upwards.
+    the image would else mirror the ground; but it would not if lines counted upwards. None for a
+    guess in that usual order, or with y before x, and where any of the four columns is known.
     """
     guessed = _REQUIRED - known_columns.keys()
     if guessed < _REQUIRED or reading["line"] > reading["sample"] or reading["x"] > reading["y"]:
@@ -218,7 +221,7 @@ def keep_readable_guesses(error: TermselError,
     """
     values = [fitness(guess) for guess in error.guesses]
     readable = [i for i, value in enumerate(values) if value == max(values)]
-    # More than these nobody compares; all columns are declared by hand.
+    # Nobody would compare more of them.
     readable = readable[:MOST_GUESSES]
     if 0 < len(readable) < len(error.guesses):
         earlier_hint = (error.hint or "").partition(_DECLARE)[0]
@@ -262,7 +265,8 @@ def _with_readings(error: TermselError, header: Sequence[str], rows: Sequence[Se
     texts = [_columns_option(reading, header, aliases, fixed) for reading in readings]
     earlier_hint = error.hint or ""
     free = len(header) - len(set(readings[0].values()) | set(fixed))
-    if texts[0].count("=?") > free:  # no column is left to be declared
+    # Fewer columns are left than would have to be declared.
+    if texts[0].count("=?") > free:
         if texts[0].count("=?") == 2 and "line=?,sample=?" in texts[0]:
             error.what = ("this table has ground coordinates alone: columns for line and sample "
                           "are missing")
@@ -442,8 +446,7 @@ def _number_columns(rows: Sequence[Sequence[str]]) -> dict[int, FloatArray]:
     for i, cells in enumerate(zip(*rows, strict=True)):
         try:
             signs, _ = decimal_signs({"": cells})
-            # Where the sign is open, either gives numbers in the same order, which is all that is
-            # asked.
+            # Where the sign is open either will do: only the order of the numbers matters here.
             sign = signs[""] or (POINT if POINT in "".join(cells) else COMMA)
             column = read_numbers(cells, sign, may_be_blank=True, angle="x")
         except BadCell:
@@ -481,11 +484,9 @@ def _possible_readings(rows: Sequence[Sequence[str]], width: int, known_columns:
                if i not in known_columns.values() and i not in scores}
     extra = _id_and_flags(rows, numbers, {*known_columns.values(), *scores},
                           has_id="id" in known_columns, has_flag="enabled" in known_columns)
-    # A constant column is no coordinate.
-    taken_columns = extra.values()
     candidates = _without_scores({
         i: column for i, column in numbers.items()
-        if i not in taken_columns and np.nanmin(column) < np.nanmax(column)})
+        if i not in extra.values() and np.nanmin(column) < np.nanmax(column)})
     coordinates = known_columns.keys() & {"line", "sample", "x", "y", "z"}
     if not coordinates and len(candidates) in (4, 5):
         with_pairs = _readings_of_pairs(candidates)
@@ -499,7 +500,7 @@ def _possible_readings(rows: Sequence[Sequence[str]], width: int, known_columns:
         return [extra | reading for reading in with_one_pair]
     missing = [name for name in ("x", "y", "z", "sample", "line") if name not in known_columns]
     for names in (missing, [name for name in missing if name != "z"]):
-        # More columns than meanings: any assignment would be a guess at random.
+        # With more columns than meanings any reading would be a guess at random.
         if names and len(candidates) == len(names):
             return [extra | reading for reading in _readings_with_missing(names, list(candidates))]
     return [extra]
@@ -594,10 +595,12 @@ def _readings_of_one_pair(numbers: Mapping[int, FloatArray], candidates: Collect
 
 
 def _readings_with_missing(missing: Sequence[str], free: Sequence[int]) -> list[dict[str, int]]:
-    """Return readings that give the `missing` meanings to as many `free` columns, in their order.
+    """Return the ways to read the `free` columns of a table as the `missing` meanings.
 
-    The second and third reading, as far as there are any, have sample and line, or x and y,
-    exchanged.
+    The likeliest comes first. A reading gives a column number to each meaning, such as "line" or
+    "x"; there are as many columns as meanings. The first reading takes the columns in the order of
+    the meanings. A further one exchanges sample and line if both are missing, and another exchanges
+    x and y.
     """
     in_order = dict(zip(missing, free, strict=True))
     readings = [in_order]
@@ -635,7 +638,7 @@ def _readings_of_pairs(numbers: Mapping[int, FloatArray]) -> list[dict[str, int]
     elif height == free[2:3]:
         divisions = [if_ground_first]
     elif not height:
-        # Pixels of two images, or a place whose coordinates are as small as pixels.
+        # Either both pairs are pixels, of two images, or the ground has numbers as small as pixels.
         divisions = [if_image_first, if_ground_first]
     elif height == free[4:]:
         divisions = [if_image_first]
@@ -657,10 +660,11 @@ def _readings_of_pairs(numbers: Mapping[int, FloatArray]) -> list[dict[str, int]
 
 def _upright_columns(numbers: Mapping[int, FloatArray], image: Sequence[int],
                      ground: Sequence[int]) -> tuple[str, str]:
-    """Return the names of the two columns of the image with which it mirrors no ground x, y.
+    """Return which of two columns of the image is "sample" and which "line", in their order.
 
-    `image` and `ground` are indices of columns, x before y; more than two of the ground are not
-    read. The names are "sample", "line" where a cell is blank, so that nothing can be said.
+    It is the order in which the image does not mirror the ground; "sample", "line" where a cell is
+    blank, so that nothing can be told. `image` and `ground` are indices of columns, x before y;
+    more than two of the ground are not read.
     """
     columns = [numbers[i] for i in (*ground[:2], *image)]
     if any(np.isnan(column).any() for column in columns):

@@ -40,7 +40,7 @@ def joined_angles(header: Sequence[str], rows: list[list[str]],
     """
     names = list(header)
     joined = [list(row) for row in rows]
-    joined_in_words = []
+    joined_in_words: list[str] = []
     matches = [_PART_OF_ANGLE.fullmatch(name.strip()) for name in header]
     # Without minutes or seconds there is nothing to join.
     if not any(match and (match[_MINUTE_GROUP] or match[_SECOND_GROUP]) for match in matches):
@@ -146,10 +146,12 @@ def _size(cell: str) -> float:
 
 
 def with_side(cell: str, side: str) -> str:
-    """Return a cell with its side, unless its own sign or letter says it already."""
+    """Return a cell with its side, such as "47.5 N", unless it is blank or has a letter already.
+
+    A negative number that is said to be south or west stays as it is, too: the minus says it.
+    """
     side = side.strip().upper()[:1]
     text = cell.strip()
-    # A negative latitude of the south is south once.
     if not text or text[-1].isalpha() or text[0].isalpha() or (
             text.startswith("-") and side in "SW"):
         return cell

@@ -30,17 +30,14 @@ class AreasCsv(TableReader):
         """Return the areas as lines or points; errors name file, line and column.
 
         The rows of one area are its corners in their order. An area becomes its centroid, measured
-        once, or the lines of its boundary, by the option `areas_as`. Errors of corners name the row
-        of the file.
-
-        Raises TermselError for an area with two roles, and for what `Area` and its points or lines
-        refuse.
+        once, or the lines of its boundary, by the option `areas_as`. Raises TermselError for an
+        area with two roles, and for what `Area` and its points or lines refuse.
         """
         rows = _rows_of_areas(table)
         image = table.stack("line", "sample")
         ground = table.stack("x", "y", "z")
         roles = table.roles()
-        # Their edges are lines, of which sigma is a measurement.
+        # A column of that name would be read as a deviation where the lines are written.
         attributes = {key: cells for key, cells in table.attributes.items()
                       if key.casefold() != "sigma"}
         areas = []
@@ -56,7 +53,7 @@ class AreasCsv(TableReader):
             try:
                 areas.append(
                     Area(name, image[corners], ground[corners], role, common_attributes(described)))
-            # The corner, as it names a row of the file.
+            # The error has the number of a corner, which is a row of the file.
             except CornerError as error:
                 raise table.error(error.what, corners[error.corner],
                                   "line" if error.where == "image" else "x", error.hint) from error
@@ -71,11 +68,11 @@ class AreasCsv(TableReader):
 
 
 def _rows_of_areas(table: Table) -> dict[str, list[int]]:
-    """Return the rows of each area in the order of its corners.
+    """Return the rows of each area, by its id, in the order of its corners.
 
-    Raises TermselError where an area has two corners of one number.
+    Its corners need not be next to each other in the file. Raises TermselError where an area has
+    two corners of one number.
     """
-    # Corners of an area need not be next to each other in the file.
     rows: dict[str, list[int]] = {}
     for row, name in enumerate(table.ids()):
         rows.setdefault(name, []).append(row)

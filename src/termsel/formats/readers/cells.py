@@ -73,11 +73,11 @@ class Cells:
 def as_cell(value: Any) -> str:
     """Return a value as the text of a cell, "" for one of pandas that is missing.
 
-    Whole numbers, as many ids are, have no decimal point.
+    Whole numbers have no decimal point, as readers of spreadsheets give an id 17 as 17.0.
     """
-    if value is None or value != value or str(value) in ("NaT", "<NA>"):  # of pandas
+    # NaN differs from itself; NaT and <NA> are those of pandas.
+    if value is None or value != value or str(value) in ("NaT", "<NA>"):
         return ""
-    # An id 17 is read by spreadsheets as 17.0.
     if isinstance(value, float | np.floating):
         number = float(value)
         return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)
@@ -128,7 +128,10 @@ def read_cells(path: Path, aliases: Aliases, stated: Mapping[str, str], layer: s
 
 def first_rows(path: Path, head: bytes, aliases: Aliases,
                stated: Mapping[str, str]) -> list[list[str]]:
-    """Return the first rows of a file, none where it is no table."""
+    """Return the first rows of a file that begins with `head`; none where it is no table.
+
+    Of a spreadsheet these are all rows of the sheet that would be read.
+    """
     if head.startswith(_SHEETS):
         try:
             return _choose_sheet(path, aliases, stated, None).rows if is_there(path) else []
@@ -138,7 +141,7 @@ def first_rows(path: Path, head: bytes, aliases: Aliases,
         text, _ = decode(head, path, final=False)
     except TermselError:
         return []
-    # XML or JSON, which other readers take or refuse.
+    # Other readers take or refuse XML and JSON.
     if _XML_OR_JSON.match(text):
         return []
     text = _with_header(text, aliases, stated)
@@ -147,9 +150,11 @@ def first_rows(path: Path, head: bytes, aliases: Aliases,
 
 
 def decode(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
-    """Return text, and its encoding: UTF-8, UTF-16, Windows-1252, or one that names show.
+    """Return the text of bytes, and its encoding: UTF-8, UTF-16, Windows-1252 or another one.
 
-    If not `final`, `data` are the first bytes of more. Raises TermselError if they are no text.
+    Other encodings are taken if their names of columns are in the text. If not `final`, `data` are
+    the first bytes of more, which may end within a character. Raises TermselError for bytes that
+    are no text, and `BadText`, with the line, for text of no such encoding.
     """
     has_mark = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     first_error: UnicodeDecodeError | None = None
@@ -177,8 +182,8 @@ def _possible_encodings(data: bytes) -> list[str]:
     """Return the encodings that a text may have by its first bytes, in the order to try them."""
     if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
         return ["utf-16"]
-    # In UTF-16 every other byte is mostly zero: of each pair the first, if the high byte comes
-    # first. Mostly is here a fifth, as there may be letters of other scripts.
+    # In UTF-16 every other byte is mostly zero: the first of each pair, if the high byte comes
+    # first. A fifth is enough, as letters of other scripts have no zero byte.
     head = data[:_LOOKED_AT]
     has_zeros = [head[start::2].count(0) * 5 > len(head) // 2 for start in (0, 1)]
     if has_zeros == [True, False]:
@@ -189,8 +194,10 @@ def _possible_encodings(data: bytes) -> list[str]:
 
 
 def _refuse_wide(path: Path, text: str) -> None:
-    """Raise BadText for an endless first row, before its names are compared with known ones."""
-    # Comparing a million names with those that are known would take minutes.
+    """Raise BadText for an endless first row.
+
+    Comparing a million names with those that are known would take minutes.
+    """
     first = next(_first_lines(text), "")
     cells = max(len(_split_line(first, delimiter)) for delimiter in _DELIMITERS)
     if cells > WIDEST:
@@ -267,7 +274,10 @@ def _best_delimiter(text: str, aliases: Aliases, stated: Mapping[str, str]) -> s
 @lru_cache(64)  # several readers ask about a file, some of them several times
 def _delimiter_of_lines(lines: tuple[str, ...], items: tuple[tuple[str, tuple[str, ...]], ...],
                         stated_items: tuple[tuple[str, str], ...]) -> str:
-    """Return what `_best_delimiter` does; "" stands for spaces. Mappings are given as items."""
+    """Return the separator of a text with these first lines, as `_best_delimiter`; "" for blanks.
+
+    `items` and `stated_items` are the items of its mappings, as a cache takes no mappings.
+    """
     aliases = dict(items)
     stated = dict(stated_items)
     candidates = [(0, 0, 0, ",")]
@@ -306,10 +316,9 @@ def _rows_of_text(path: Path, text: str, delimiter: str) -> Cells:
 
     def without_comments() -> Iterator[str]:
         """Yield the lines of the text; a comment between rows is blank, and kept apart."""
-        # The reader asks for the next line of a row before it gives the row, so that a line
-        # within quotation marks is not the one after the end of the last row.
         for number, line in enumerate(io.StringIO(text, newline=""), 1):
-            # A "#" within quotation marks is part of a cell.
+            # `end` is the last line of the row before. A line within quotation marks, whose "#" is
+            # part of a cell, is not the one that follows it.
             if line[0] == "#" and number == end + 1:
                 comments[number] = line
                 line = "\n"
@@ -330,14 +339,14 @@ def _rows_of_text(path: Path, text: str, delimiter: str) -> Cells:
 
 
 def _without_crs_line(cells: Cells) -> Cells:
-    """Return the cells without a first line that is a CRS, which becomes a comment that states it.
+    """Return the cells with a first line that is a CRS turned into a comment that states the CRS.
 
-    Lists of OpenDroneMap begin so, and tables made from them.
+    Lists of OpenDroneMap begin so, and tables made from them. Other cells come back as they are.
     """
-    if cells.delimiter and cells.rows:
-        text = cells.delimiter.join(cells.rows[0])
-    else:
-        text = " ".join(chain.from_iterable(cells.rows[:1]))
+    if not cells.rows:
+        return cells
+    # The line as it stood in the file: a CRS in WKT has commas, and was cut into cells there.
+    text = (cells.delimiter or " ").join(cells.rows[0])
     if not begins_as_crs(text):
         return cells
     try:
@@ -409,7 +418,6 @@ def _nonempty_rows(values: Sequence[Sequence[Any]]) -> tuple[list[list[str]], li
     """
     rows = [list(map(as_cell, row)) for row in values]
     lines = [number for number, row in enumerate(rows, 1) if any(map(str.strip, row))]
-    # Messages name a row by its number in the sheet, which empty rows count in.
     rows = [rows[number - 1] for number in lines]
     widths = [max((i + 1 for i, cell in enumerate(row) if cell.strip()), default=0)
               for row in rows]
@@ -459,7 +467,7 @@ def without_header(cells: Cells, stated: Mapping[str, str]) -> Cells:
     names = {name.strip().casefold() for name in first_row}
     by_number = [i for meaning, i in columns.items()
                  if meaning not in USE and stated[meaning].casefold() not in names]
-    # Without digits there the first row is a header.
+    # Words in the declared columns of the first row make it a header.
     if not by_number or not all(any(map(str.isdigit, first_row[i])) for i in by_number):
         return cells
     header = [str(i + 1) for i in range(len(first_row))]

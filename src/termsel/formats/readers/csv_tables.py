@@ -53,7 +53,11 @@ class PointsCsv(TableReader):
     declared_options: ClassVar[tuple[Option, ...]] = (IMAGE_NAME, *COLUMNS)
 
     def features(self, table: Table) -> FeatureSet:
-        """Return the points of a table; errors name file, line and column."""
+        """Return the points of a table; errors name file, line and column.
+
+        Of a table of several images these are the points of the image that the option `image_name`
+        names.
+        """
         images = _images_of({name: list(cells) for name, cells in table.attributes.items()})
         stated_image = self.options["image_name"]
         if images or stated_image is not None:
@@ -65,9 +69,9 @@ class PointsCsv(TableReader):
         return features
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
-        """Return the images of the table, where it has several, each of which is a part."""
+        """Return the options that choose each image of the table, by its name; {} for one image."""
         stated = parse_columns(self.options.get("columns", ""))
-        # Cells alone: the notes on a table are for its reading.
+        # The cells are read without the table, which would log its notes.
         rows = read_cells(path, self.aliases, stated, self.options.get("layer")).rows
         first = header_row(rows, self.aliases, stated)
         header = rows[first]
@@ -98,7 +102,7 @@ def _images_of(columns: Mapping[str, Sequence[str]]) -> list[str]:
 
 
 def _check_pixels(table: Table, features: FeatureSet) -> None:
-    """Say where columns called x and y are read as sample and line, next to lon and lat.
+    """Note that columns called x and y are read as sample and line, next to lon and lat.
 
     Tables of GIS have x and y on the ground, tables of viewers in the image; next to lon and lat
     they can only be in the image. Raises TermselError if they are too large for pixels.
@@ -112,7 +116,7 @@ def _check_pixels(table: Table, features: FeatureSet) -> None:
         # Photogrammetrists call the image x' and y'.
         are_primed = [fold_name(name) for name in ground_names] == ["x", "y"]
         if are_primed and np.abs(features.points.ground[:, :2]).max() <= LARGEST_IMAGE:
-            # In double quotes, as names may have a prime.
+            # In double quotes for the shell, as names may have a prime.
             sample, line = ground_names
             exchanged = f'"x=x,y=y,sample={sample},line={line}"'
             raise table.error(
@@ -142,7 +146,6 @@ class LinesCsv(TableReader):
         Raises TermselError for a line in the role check or independent, and for what `Lines`
         refuses.
         """
-        # Lines are always control: what they check is the model itself.
         roles = table.roles()
         for row, role in enumerate(roles):
             if role in ("check", "independent"):
@@ -157,7 +160,7 @@ class LinesCsv(TableReader):
         except TermselError as error:
             raise table.placed(error) from error
         if "off" in roles:
-            # Lines have no role to be off by, so that they are left out.
+            # `Lines` have no roles: those that are off are left out.
             lines = lines.take([role != "off" for role in roles])
         return FeatureSet(lines=lines, crs=table.crs, image_size=table.image_size,
                           named_units=table.named_units())

@@ -18,10 +18,10 @@ _GROUND = {axis: f"{axis} of the geometry" for axis in "xyz"}
 
 
 def read_frame(frame: Any, columns: str = "", decimal: str | None = None) -> FeatureSet:
-    """Return the points or lines of a table, whose columns are as of a file.
+    """Return the points or lines of a table in Python, whose columns are named as in a file.
 
-    The points of a GeoDataFrame are those of its geometry. Raises TermselError for anything that
-    is no such table, or as for files.
+    x and y of a GeoDataFrame are those of its geometry. Raises TermselError for anything that is no
+    table, and for what is refused in a table of a file.
     """
     records, crs = _table_records(frame)
     if not records:
@@ -37,13 +37,13 @@ def read_frame(frame: Any, columns: str = "", decimal: str | None = None) -> Fea
 
 
 def _table_records(frame: Any) -> tuple[list[dict[str, Any]], str]:
-    """Return the rows of a table, with the positions of its geometry, and its CRS.
+    """Return the rows of a table as dicts, and its CRS; "" if it states none.
 
-    Taken are a dict of columns, a list of dicts, polars, pandas and GeoPandas, none of which has to
-    be installed: each is known by what it can do. Points of a GeoDataFrame become x, y and z.
-    Raises TermselError for anything else, with what could be given.
+    Tables are a dict of columns, a list of dicts, and those of polars, pandas and GeoPandas, none
+    of which has to be installed: each is known by its methods. Points of a GeoDataFrame become x, y
+    and z. Raises TermselError for anything else, for columns of different lengths or of one name,
+    and for rows without a point beside rows with one.
     """
-    # A dict of columns: all values have a length, and are no text.
     if isinstance(frame, Mapping) and all(_is_column(column) for column in frame.values()):
         sizes = {name: len(column) for name, column in frame.items()}
         if len(set(sizes.values())) > 1:
@@ -62,7 +62,7 @@ def _table_records(frame: Any) -> tuple[list[dict[str, Any]], str]:
     if repeated:
         raise TermselError(f"the table has several columns named {repeated[0]!r}",
                            hint="Rename or drop all but one.")
-    # An index with a name is a column that was taken aside; without one it counts rows.
+    # An index with a name was a column; one without a name only counts rows.
     records = (frame.reset_index() if frame.index.name else frame).to_dict("records")
     shapes = list(frame.geometry) if hasattr(frame, "geom_type") else []
     if not any(_is_point(shape) for shape in shapes):

@@ -45,10 +45,10 @@ class Feature:
         return "" if value is None else str(value).strip()
 
     def attributes(self, used: Container[str]) -> dict[str, str]:
-        """Return the properties that are neither used nor lists or objects, as text.
-# Names of columns that mean something would be read as such next time.
+        """Return the properties that the reader does not use as text; without lists and objects.
 
-        The reader takes the names in `used`, those in small letters also in capitals.
+        `used` are the names that it uses; those in small letters stand for capitals, too. Names of
+        columns that have a meaning are left out: they would be read as such next time.
         """
         return {name: self.text(name) for name, value in self.properties.items()
                 if name not in used and name.casefold() not in used and is_free(name)
@@ -109,11 +109,11 @@ def _parse_feature(path: Path, number: int, item: Any, kinds: Mapping[str, int])
     numbers each.
     """
     item = item if isinstance(item, dict) else {}
-    # What is no object has no properties, and is refused by its geometry.
+    # An item that is no object becomes a feature without geometry, which is refused below.
     properties = item.get("properties")
     geometry = item.get("geometry")
     properties = properties if isinstance(properties, dict) else {}
-    # An id beside the properties, as RFC 7946 has it, stands for one among them.
+    # RFC 7946 puts the id beside the properties; one among the properties comes before it.
     if "id" in item:
         properties = {"id": item["id"], **properties}
     feature = Feature(path, number, properties, [])
@@ -123,16 +123,15 @@ def _parse_feature(path: Path, number: int, item: Any, kinds: Mapping[str, int])
         raise feature.error(f"its geometry is {kind}, expected " + " or ".join(kinds), "geometry",
                             "Export features of that geometry alone.")
     coordinates: Any = geometry.get("coordinates")
-    # A point is a list of one list of one vertex.
+    # Nested like several lines: a point is then a list of one list of one vertex.
     for _ in range(2 - kinds[kind]):
         coordinates = [coordinates]
     if not numbers_at(coordinates, 2, (2, 3)):
         raise feature.error("its coordinates are not those of a " + kind, "coordinates",
                             "Vertices are lists of two or three finite numbers.")
-    # As floats, since whole numbers beyond 64 bits are no numbers of numpy's.
     vertex_lists = []
     for positions in coordinates:
-        # A vertex without a height gets NaN for one.
+        # As floats, since numpy has no whole numbers beyond 64 bits.
         vertex_lists.append([[*map(float, position), nan][:3] for position in positions])
     return Feature(path, number, properties, vertex_lists)
 

@@ -86,9 +86,9 @@ def table_of_places(path: Path, aliases: Aliases, stated: Mapping[str, str], *,
                     layer: str | None = None, flat: bool = False) -> Table | None:
     """Return the points of a vector file as a table of their coordinates and properties.
 
-    A file of several layers has them in `layer`, or in the first of points. The table is None if
-    the file is not GeoJSON and no vector file of a GIS. With `flat`, points without a height have
-    blank ones. Raises TermselError where the file has other geometries than points.
+    Of a file with several layers it reads `layer`, or the first one of points. None if the file is
+    neither GeoJSON nor a vector file of a GIS. With `flat`, heights may be missing, and are then
+    blank. Raises TermselError where the file has other geometries than points.
 
     Examples
     --------
@@ -96,7 +96,7 @@ def table_of_places(path: Path, aliases: Aliases, stated: Mapping[str, str], *,
     >>> table_of_places(Path("gcps.csv"), {"x": ("x",)}, {}) is None
     True
     """
-    # An empty file is left to the reader of tables, and a name that is too long to be one.
+    # An empty file, and a name that is no file, are left to the reader of tables.
     has_content = os.path.isfile(path) and path.stat().st_size > 0
     head = read_head(path, "Give points as a table or a vector file.") if has_content else b""
     if is_vector(head):
@@ -116,7 +116,8 @@ def table_of_places(path: Path, aliases: Aliases, stated: Mapping[str, str], *,
     names = list(dict.fromkeys(chain.from_iterable(records)))
     has_column_of_heights = "z" in stated or bool(columns_by_meaning(names, aliases).get("z"))
     if not has_heights and not has_column_of_heights and not flat and "z" in fixed:
-        for record in records:  # so that the message is of the height and not of a column
+        # With blank heights the error is that a height is missing, not that a column is.
+        for record in records:
             record[_GROUND["z"]] = nan
     cells = rows_of_records(records, "feature", fixed, [feature.number for feature in features])
     table = table_of(path, cells, aliases, stated, flat=flat)
@@ -170,8 +171,9 @@ def _table_of_features(path: Path, features: list[Feature], options: Mapping[str
     names = list(dict.fromkeys(chain.from_iterable(records)))
     has_heights = (_GROUND["z"] in names or "z" in stated
                    or bool(columns_by_meaning(names, POINTS)["z"]))
+    # Without any height there is still a column of heights, which are blank.
     if not has_heights:
-        for record in records:  # heights that nothing shows are blank
+        for record in records:
             record[_GROUND["z"]] = nan
     numbers = [feature.number for feature in features]
     cells = rows_of_records(records, "feature", {**_GROUND, **_OF_JI, **_OF_SIGMA}, numbers)
@@ -188,7 +190,9 @@ def _sample_and_line(feature: Feature) -> list[float]:
 
 
 def _stated_sigma(feature: Feature) -> list[float]:
-    """Return the standard deviations of sample and line [px]; TermselError where one is no number.
+    """Return the standard deviations of sample and line [px], of which a feature may state one.
+
+    Raises TermselError where they are no numbers.
     """
     value = feature.pixels("sigma_px")
     pair = value if isinstance(value, list) else [value, value]

@@ -129,8 +129,7 @@ def _join_image_lines(path: Path, features: list[Feature], crs: str, image_lines
             ground.setdefault(name, []).extend(
                 _drop_repeated_vertices(np.array(vertices)) for vertices in feature.vertex_lists)
             described.setdefault(name, []).append(feature.attributes({join, "ji", "sigma"}))
-    # An image line without ground is a mistake; a ground line without an image line was not
-    # measured.
+    # Only an image line without ground is a mistake: not every ground line is measured.
     missing = [name for name in image if name not in ground]
     if missing:
         raise TermselError(f"{len(missing)} of {len(image)} image lines have no ground line: "
@@ -165,7 +164,9 @@ def _pieces_of_feature(name: str, image: list[FloatArray], ground: list[FloatArr
                        ) -> Iterable[tuple[FloatArray, FloatArray]]:
     """Yield image and ground, (2, 2) and (2, 3), of the pieces of one feature.
 
-    Raises TermselError for a line of zero length, and for pieces that do not match.
+    `image` are its image lines, (2, 2) each, and `ground` its ground lines, (n, 3) each. A single
+    image line holds for all of the ground; of several, each is that of one ground segment, in
+    order. Raises TermselError for a line of zero length, and for other numbers of pieces.
     """
     if any(len(vertices) < 2 for vertices in ground):
         raise TermselError(f"line {name!r} has zero length on the ground", ids=[name],
@@ -178,7 +179,6 @@ def _pieces_of_feature(name: str, image: list[FloatArray], ground: list[FloatArr
                 start = min(start, len(vertices) - 2)
                 yield image[0], vertices[start:start + 2]
         return
-    # Several image lines are those of the ground segments, in order.
     segments = []
     for vertices in ground:
         segments += [vertices[i:i + 2] for i in range(len(vertices) - 1)]

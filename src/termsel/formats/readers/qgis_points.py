@@ -62,26 +62,26 @@ class QgisPoints(TableReader):
                           image_size=size)
 
     def _image_positions(self, table: Table) -> tuple[FloatArray, tuple[int, int] | None]:
-        """Return line and sample, (n, 2), and the size of the image, None if it is not known."""
+        """Return line and sample, (n, 2), and the size of the image, None if it is not known.
+
+        Without the image, sources are pixels, upwards as QGIS writes them unless the option
+        `downwards` is set. Raises TermselError for sources that do not look like pixels.
+        """
         source = table.stack("source_x", "source_y")
         if self.options["downwards"]:
-            pixels = _source_pixels(source, downwards=True)
-        elif self.options["raster"] is None:
-            _refuse_layer(table, source)
-            pixels = _source_pixels(source)
-        else:
+            return _source_pixels(source, downwards=True), None
+        if self.options["raster"] is not None:
             return self._positions_in_image(table, source)
-        return pixels, None
+        _refuse_layer(table, source)
+        return _source_pixels(source), None
 
     def _positions_in_image(
             self, table: Table, source: FloatArray) -> tuple[FloatArray, tuple[int, int]]:
-        """Return line and sample in the given image, (n, 2), and its size.
+        """Return line and sample in the given image, (n, 2), and its lines and samples.
 
-        The columns may hold map coordinates of the image, or pixels upwards or downwards. The
-        reading by which most points lie in the image counts; of equals the one that QGIS writes.
-
-        The size is lines and samples. Raises TermselError where pixels of QGIS are all outside the
-        image.
+        The columns may hold map coordinates of the image, pixels upwards or pixels downwards. The
+        reading by which most points lie in the image counts; between equals the first of these.
+        Raises TermselError where no point lies in the image, and they do not look like pixels.
         """
         with open_raster(Path(self.options["raster"])) as raster:
             size = raster.shape
@@ -116,13 +116,17 @@ def _count_inside(pixels: FloatArray, size: tuple[int, int]) -> int:
 
 
 def _is_of_layer(source: FloatArray) -> bool:
-    """Return whether sources do not look like pixels, but like places of a georeferenced raster."""
+    """Return whether sources (n, 2) look like places of a georeferenced raster.
+
+    They do if most rows are positive, which those of pixels are not in these files, if they are all
+    closer together than pixels would be, or if they are far from 0 for their extent.
+    """
     with np.errstate(over="ignore"):  # Points refuses numbers that are so large
         extent = np.ptp(source, axis=0)
-        far = np.abs(source).min(axis=0) > _MAX_EXTENTS * np.maximum(extent, _SMALL)
-    # Rows of pixels are negative in these files.
-    upwards = (source[:, 1] > 0).mean() > 0.5
-    return bool(upwards or (len(source) > 1 and (extent < _SMALL).all()) or far.all())
+        is_far = np.abs(source).min(axis=0) > _MAX_EXTENTS * np.maximum(extent, _SMALL)
+    has_positive_rows = (source[:, 1] > 0).mean() > 0.5
+    is_close = len(source) > 1 and (extent < _SMALL).all()
+    return bool(has_positive_rows or is_close or is_far.all())
 
 
 def _refuse_layer(table: Table, source: FloatArray) -> None:

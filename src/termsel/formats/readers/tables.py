@@ -178,7 +178,7 @@ class Table:
         first_row_of: dict[str, int] = {}
         for row, name in enumerate(ids):
             first_row = first_row_of.setdefault(name, row)
-            # Ids that the program made up cannot be twice.
+            # Ids that were made up from the numbers of rows are not repeated.
             if first_row != row and "id" in self.names:
                 if self._row(row) == self._row(first_row):
                     raise self._repeated_row(row, first_row)
@@ -205,7 +205,10 @@ class Table:
         return tuple(cells[row].strip() for cells in self.columns.values())
 
     def _repeated_row(self, row: int, first_row: int) -> TermselError:
-        """Return the error for a row that is a copy of an earlier one, with how many more are."""
+        """Return the error for a row that is a copy of an earlier one.
+
+        It says how many further rows are copies.
+        """
         rows = [self._row(i) for i in range(len(self.lines))]
         further = len(rows) - len(set(rows)) - 1
         more = ""
@@ -229,7 +232,7 @@ class Table:
         if ids_of_command:
             cells = ["" if name in ids_of_command else cell
                      for name, cell in zip(self.ids(), cells, strict=True)]
-        # Each distinct cell once, in the order of the rows: there are few, however many rows.
+        # There are few distinct cells, however many rows.
         role_of_cell = {cell: cell.strip().lower() for cell in dict.fromkeys(cells)}
         unknown = [cell for cell, role in role_of_cell.items() if role not in ("", *ROLES)]
         if unknown:
@@ -355,8 +358,8 @@ class Table:
     def _with_sign_of_axis(self, numbers: FloatArray, meaning: str) -> FloatArray:
         """Return angles that count west or south, by the name of their column, with a minus sign.
 
-        Angles that are all negative already stay, and so do plane coordinates, which have the axes
-        of their CRS. Raises TermselError where only some angles are negative.
+        Angles that are all negative already stay as they are, and so do numbers beyond 360, which
+        are plane coordinates. Raises TermselError where only some angles are negative.
         """
         negative_rows = np.flatnonzero(numbers < 0.0)
         if len(negative_rows) == len(numbers) or np.abs(numbers).max(initial=0.0) > 360.0:
@@ -450,7 +453,6 @@ def _column_by_meaning(path: Path | None, line: int | None, header: Sequence[str
     without_heights = flat and not any(by_name[meaning] for meaning in heights)
     for meaning in aliases:
         candidates = [i for i in by_name[meaning] if i not in stated.values()]
-        # Of sigma_line and sigma_sample, each needs the other.
         needs_other_sigma = has_sigma and meaning.startswith("sigma")
         may_be_missing = ((meaning in OPTIONAL and not needs_other_sigma)
                           or (meaning in heights and without_heights))
@@ -469,7 +471,7 @@ def _column_by_meaning(path: Path | None, line: int | None, header: Sequence[str
             columns[meaning] = candidates[0]
         elif not may_be_missing:
             _refuse_if_column_taken(path, line, header, meaning, by_name[meaning], stated)
-            # Nobody can declare a column of deviations that is not there.
+            # A column of deviations that the table lacks cannot be declared: it has to be added.
             if needs_other_sigma:
                 present = {"sigma_line": "sigma_sample", "sigma_sample": "sigma_line"}[meaning]
                 raise TermselError(f"{present} needs the column {meaning} beside it", file=path,
@@ -482,7 +484,7 @@ def _column_by_meaning(path: Path | None, line: int | None, header: Sequence[str
             last_by_name = {name: indices[-1] for name, indices in by_name.items() if indices}
             raise with_advice(error, header, rows,
                               {**last_by_name, **stated}, aliases, fixed)
-    # Said on success alone: the columns of a table that cannot be read are looked for again.
+    # Logged if the command succeeds: the columns of a table that fails are looked for again.
     if flat and not any(is_there(meaning) for meaning in heights):
         log.info(f"Note: %s has no column for %s, {NO_HEIGHTS}. Accepted names: %s.",
                  path or "the table", " and ".join(heights), ", ".join(aliases[heights[0]]),
@@ -678,15 +680,13 @@ def read_table(path: Path, aliases: Aliases, *, columns: str = "", decimal: str 
 
 def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[str, str],
              decimal: str | None = None, *, flat: bool = False) -> Table:
-    """Return the table of rows of cells, as `read_table`; `path` is for messages.
+    """Return the table of rows of cells (see `read_table`); `path` is for messages.
 
-    `stated` has names or numbers of columns by meaning, as the user says.
-
-    Raises TermselError without a header or a row below it, for a row of more or fewer cells than
-    the header, and for columns that are declared or needed and not there.
+    `stated` has the names or numbers of columns by meaning that the user declares. Raises
+    TermselError without a header or a row below it, for a row of more or fewer cells than the
+    header, and for columns that are declared or needed and not there.
     """
     crs = _declared_crs(path, cells.comments)
-    # An empty file, or comments alone.
     if not cells.rows:
         raise TermselError("the file has no table", file=path,
                            hint="It must begin with a header that names the columns.")
@@ -737,11 +737,11 @@ def table_of(path: Path | None, cells: Cells, aliases: Aliases, stated: Mapping[
     elif "id" in aliases and not all(map(str.strip, columns["id"])) and table.may_lack_names():
         log.info("Note: where column %r of %s is blank, points are called P1, P2, ... by their "
                  "rows.", column_names["id"], path or "the table", extra={PENDING: ON_SUCCESS})
-    # Further columns are kept as texts: nobody has said what they mean.
+    # Columns without a meaning are kept as texts.
     attributes = {}
     for name, i in _attribute_columns(header, {*column_of.values(), *cells.fixed.values()}).items():
         texts = [unguard_cell(row[i].strip()) for row in rows]
-        # The file has decimal commas: then 1,5 is a number here, too.
+        # In a file with decimal commas 1,5 is a number here, too.
         if COMMA in signs.values():
             texts = [text.replace(COMMA, POINT) if _DECIMAL_COMMA.fullmatch(text) else text
                      for text in texts]
@@ -828,7 +828,7 @@ def _join_sides(columns: dict[str, list[str]], column_of: Mapping[str, int],
     column_of : mapping
         The position of each meaning's column in the header.
     header, rows : sequence
-        Of the whole table.
+        Those of the whole table.
     """
     unused_columns = {i: [row[i] for row in rows] for i in range(len(header))
                       if i not in column_of.values()}
@@ -857,7 +857,10 @@ def _say_remarks(names: Mapping[str, str]) -> None:
 
 def _require_rows_below(path: Path | None, header: Sequence[str], rows: Sequence[Sequence[str]],
                         line: int | None) -> None:
-    """Refuse words that name columns in passing, as a README does: no row is below them."""
+    """Raise TermselError for a text whose words name columns in passing, as a README does.
+
+    Below a header there is a row with as many cells and a digit.
+    """
     if not any(len(row) >= len(header) and any(any(map(str.isdigit, cell)) for cell in row)
                for row in rows):
         raise TermselError("this is text, not a table of points: the words of this line could "
@@ -891,7 +894,7 @@ def _decimal_signs(table: Table, decimal: str | None, *, points_only: bool) -> d
     except BadCell as error:
         raise table.error(error.what, error.row, error.column, error.hint) from None
     for meaning, sign in signs.items():
-        # Where it is open, 1.234 could be 1234, which no default may guess.
+        # 1.234 may be 1234 where the sign is open: no default may guess that.
         if not sign:
             row = next(i for i, cell in enumerate(columns[meaning])
                        if COMMA in cell or POINT in cell)
@@ -900,7 +903,7 @@ def _decimal_signs(table: Table, decimal: str | None, *, points_only: bool) -> d
                 "other column decides it", row, meaning, "State the decimal sign: --set "
                                                          "decimal=comma or decimal=point.")
     if resolved:
-        # Said, as a wrong sign is an error of a factor of a thousand.
+        # The user must know: a wrong sign changes numbers by a factor of a thousand.
         sign_name = "comma" if signs[resolved[0]] == COMMA else "point"
         log.info("Note: the decimal sign of %s is taken to be a %s, as %s; the other sign "
                  "separates thousands in the columns %s.", table.path or "the table", sign_name,

@@ -48,8 +48,10 @@ def is_vector(head: bytes) -> bool:
 
 
 def has_points(path: Path) -> bool:
-    """Return whether a vector file has a layer of points; False where it cannot be read."""
-    # Nothing is offered that could not be read.
+    """Return whether a vector file has a layer of points; False where it cannot be read.
+
+    That is also so if pyogrio is not installed.
+    """
     if find_spec("pyogrio") is None:
         return False
     try:
@@ -62,19 +64,32 @@ def has_points(path: Path) -> bool:
 def open_layer(path: Path, layer: str | None, kinds: Container[str],
                columns: list[str] | None = None, chooser: str | None = "",
                ) -> tuple[dict[str, Any], Any, list[Any]]:
-    """Return what is known of a layer, its shapes (None without) and its columns, by default all.
+    """Return the metadata of a layer by name, its shapes, and the values of its columns.
 
-    The layer is by default the first that has such kinds, or that GDAL takes for the first. Of
-    several such layers a note names all, and says that `chooser`, an option, or by default ogr2ogr
-    chooses another; with None nothing is said.
+    Shapes are None for a layer without geometry.
+
+    Parameters
+    ----------
+    path : Path
+    layer : str or None
+        By default the first with a geometry of `kinds`, else the first of mixed geometries, else
+        the one that GDAL takes for the first.
+    kinds : container of str
+        Types of geometry, such as "Point".
+    columns : list of str, optional
+        The columns to be read; by default all.
+    chooser : str or None
+        What chooses another layer, for a note where several suit: an option, "" for ogr2ogr, or
+        None for no note.
 
     Raises
     ------
     TermselError
         If the file cannot be read, or has no layers or not this one.
     """
+    # The text of JSON is checked first: GDAL's own message would quote bytes that are no text.
     if read_head(path, "Expected a GeoPackage, Shapefile or FlatGeobuf.").lstrip()[:1] == b"{":
-        read_text(path)  # lest GDAL quotes what is no text
+        read_text(path)
     with require_import("this requires", "pyogrio and shapely", GIS, path):
         import pyogrio.errors  # noqa: F401 (what the other process imports)
         from shapely import GEOSException, from_wkb
@@ -87,13 +102,13 @@ def open_layer(path: Path, layer: str | None, kinds: Container[str],
         raise TermselError(f"the file has no layer {layer!r}", file=path,
                            hint=f"It has {', '.join(layers)}.")
     if layer is None:
-        # A layer of mixed geometries has the kind Unknown: the next best.
-        fitting = ([key for key, kind in layers.items() if kind in kinds]
-                   or [key for key, kind in layers.items() if kind == "Unknown"])
-        layer = fitting[0] if fitting else None
-        if chooser is not None and len(fitting) > 1:
+        # A layer of mixed geometries has the kind Unknown.
+        suitable = ([key for key, kind in layers.items() if kind in kinds]
+                    or [key for key, kind in layers.items() if kind == "Unknown"])
+        layer = suitable[0] if suitable else None
+        if chooser is not None and len(suitable) > 1:
             log.info("Note: %s has the layers %s; %s is read, and %s chooses another.", path.name,
-                     ", ".join(fitting), layer, chooser or f"ogr2ogr one.gpkg {path.name} NAME")
+                     ", ".join(suitable), layer, chooser or f"ogr2ogr one.gpkg {path.name} NAME")
     meta, geometries, values = call_apart(_read_layer, path, layer, columns)
     # A CRS may name grid files, which PROJ would open.
     refuse_grids(str(meta["crs"] or ""), path)
@@ -130,11 +145,12 @@ def _name_for_drivers(path: Path) -> Iterator[Path]:
     from pyogrio.errors import DataLayerError, DataSourceError
 
     _turn_off_drivers()
-    # SQLite itself would run what a virtual table stands for.
+    # SQLite would run the module of a virtual table as soon as it is read.
     _refuse_queries(path)
     try:
         with private_folder() as folder, catch_warnings():
-            simplefilter("ignore")  # what GDAL says of a file that it reads all the same
+            # Warnings are about files that GDAL reads all the same.
+            simplefilter("ignore")
             yield _link_into_folder(path, folder)
     except (DataSourceError, DataLayerError, ValueError) as error:
         # pyogrio has no class of its own for this.
@@ -149,6 +165,7 @@ def _turn_off_drivers() -> None:
 
     # All but the allowed ones: a new version of GDAL may have new drivers.
     refused = [name for name in list_drivers() if name not in (*vector_drivers(), *WORKING_DRIVERS)]
+    # OGR_SKIP, which the user's environment may set, would turn off further ones.
     set_gdal_config_options({**gdal_options(), "GDAL_SKIP": ",".join(refused) or None,
                              "OGR_SKIP": None})
     if refused:
@@ -159,20 +176,21 @@ def _turn_off_drivers() -> None:
 def _link_into_folder(path: Path, folder: Path) -> Path:
     """Link a file into a folder, where GDAL may write files next to it; return the link.
 
-    With a Shapefile go its further files of the same name; no others are read.
+    The further files of a Shapefile, of the same stem, are linked as well; no others are there for
+    GDAL to read. Files are copied where links are not possible or not enough.
     """
     # pyogrio cannot pass on names that are no UTF-8.
     name = folder / path.name.encode(errors="replace").decode()
     files = [path]
     if path.suffix.lower() not in SINGLE_VECTORS:
-        # A Shapefile is several files of one stem.
         files += [file for file in path.parent.glob(f"{glob.escape(path.stem)}.*") if file != path]
     for file in files:
         link = name if file == path else name.with_suffix(file.suffix)
         if not file.is_file():
             require_regular(file, path)
             continue
-        if _is_wal(file):  # SQLite would write files next to it, wherever links lead
+        # Of a database with a journal SQLite writes files next to it, wherever links lead.
+        if _is_wal(file):
             shutil.copy(file, link)
             continue
         try:
@@ -248,13 +266,24 @@ def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],
                chooser: str | None = "") -> tuple[list[Feature], str]:
     """Return the features of a layer, and its CRS; "" if it states none.
 
-    `open_layer` has the arguments; `kinds` are the types of geometry that are expected. Each
-    feature has its properties by name, and a list of vertices for each part of its geometry.
+    Each feature has its properties by name, and for each part of its geometry a list of vertices
+    [x, y, z], with NaN for z where the layer is flat.
+
+    Parameters
+    ----------
+    path : Path
+    layer : str or None
+        By default the first with a geometry of `kinds`; see `open_layer`.
+    kinds : mapping
+        The types of geometry that are expected, as keys.
+    chooser : str or None
+        The option that chooses a layer, for a note where there are several; see `open_layer`.
 
     Raises
     ------
     TermselError
-        If the file cannot be read, if the layer is empty, or if a geometry is of another type.
+        If the file cannot be read, if the layer has no features or no geometry, or if the geometry
+        of a feature is missing or of another type.
     """
     meta, shapes, columns = open_layer(path, layer, kinds, chooser=chooser)
     from shapely import get_coordinates, get_parts
@@ -270,14 +299,14 @@ def read_layer(path: Path, layer: str | None, kinds: Mapping[str, int],
     for number, shape in enumerate(shapes, 1):
         properties = {name: _number_or_text(values[number - 1])
                       for name, values in zip(names, columns, strict=True)}
-        feature = Feature(path, number, properties, [])
+        vertex_lists = [get_coordinates(part, include_z=True).tolist()
+                        for part in get_parts(shape)]
+        feature = Feature(path, number, properties, vertex_lists)
         # A layer may mix kinds, and have features without any.
         kind = "missing" if shape is None or shape.is_empty else shape.geom_type
         if kind not in kinds:
             raise feature.error(f"its geometry is {kind}, expected " + " or ".join(kinds))
-        vertex_lists = [get_coordinates(piece, include_z=True).tolist()
-                        for piece in get_parts(shape)]
-        features.append(Feature(path, number, properties, vertex_lists))
+        features.append(feature)
     return features, str(meta["crs"] or "")
 
 

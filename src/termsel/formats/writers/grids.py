@@ -53,12 +53,12 @@ class GridWriter(Writer):
         ----------
         result : Result
         lines, samples : ndarray, shapes (l,) and (s,)
-            Of the nodes of the grid.
+            Lines and samples of the nodes of the grid.
 
         Returns
         -------
         ndarray, shape (l, s, 3)
-            In the CRS of the control; NaN where a node shows no ground, which is logged.
+            X, Y and Z in the CRS of the control; NaN where a node shows no ground, which is logged.
 
         Raises
         ------
@@ -183,16 +183,15 @@ class GeolocationVrt(GridWriter):
         """
         rasterio = require_rasterio()
         step = self.options["step"] or max(1, round(max(picture.size) / 500))
-        # Places beyond the edges, so that the outermost half pixels are inside.
+        # The grid reaches beyond the edges, so that the outermost half pixels are in it.
         lines, samples = (np.arange(-step, size + 2 * step, step, dtype=np.float64)
                           for size in picture.size)
         ground, crs = ground_for_warping(
             self.ground(result, lines, samples), result.fit.control.crs)
-        # A VRT that is replaced keeps its array until the new VRT is in place, so that an interrupt
-        # leaves no VRT with the array of another: where FILE_xy.tif is in use, the new array is
-        # FILE_xy_2.tif, and the next one FILE_xy.tif again.
+        # An interrupt must leave no VRT with the array of another: where FILE_xy.tif is in use, the
+        # new array is FILE_xy_2.tif, and the next one FILE_xy.tif again.
         array, other_array = sorted(_array_names(path), key=lambda array: _names_array(array, path))
-        replaced = _names_array(other_array, path)
+        is_replaced = _names_array(other_array, path)
         domain = {
             "X_DATASET": array.name, "X_BAND": "1",
             "X_DATASET_RELATIVE_TO_SOURCE": "YES",
@@ -212,8 +211,9 @@ class GeolocationVrt(GridWriter):
         with atomic_path(path) as temporary:
             temporary.write_bytes(utf8_bytes(text))
             write_bytes(array, content)
-        if replaced:
-            with suppress(OSError):  # the new VRT is right without that
+        if is_replaced:
+            # The new VRT does not depend on whether the old array can be removed.
+            with suppress(OSError):
                 other_array.unlink()
 
     def log_interpolation_error(self, fitted: Fit, image: FloatArray, ground: FloatArray,
@@ -225,7 +225,6 @@ class GeolocationVrt(GridWriter):
             ground[..., 0], float(fitted.ground_box()[0][0]), turn_of(fitted.control.crs))
         ground_between = _mesh_middles(ground)
         image_between = _mesh_middles(image)
-        # Middles next to a node without ground have none.
         finite = np.isfinite(ground_between).all(axis=1)
         ground_between = ground_between[finite]
         image_between = image_between[finite]

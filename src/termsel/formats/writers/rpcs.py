@@ -79,13 +79,12 @@ class RpcWriter(Writer):
         text = self.text(rpc, result, path)
         with atomic_path(path) as temporary:
             temporary.write_bytes(utf8_bytes(text))
-            # Before the file gets its name: nobody finds a bad one.
             require_read_back(rpc, text, self.suffix)
-        self.written(rpc, path)
+        self.warn_if_unused(rpc, path)
         sampled = places_of(result.fit, heights)
         with np.errstate(all="ignore"):
             image = rpc.project(to_wgs84(result.fit.control.crs)(sampled))
-        _say_unknown_datum(result)
+        _warn_of_unknown_datum(result)
         say_deviation(self.name, result.fit, sampled, image,
                       ", over the image and "
                       + ("the heights of the control" if heights is None else
@@ -104,7 +103,6 @@ class RpcWriter(Writer):
         except ValueError:
             low = np.nan
             high = np.nan
-        # NaN stands for what is no number, so that one message says all.
         if not (np.isfinite([low, high]).all() and low <= high):
             raise TermselError(f"option 'heights' cannot be {text!r}",
                                hint="Give the least and the largest height, such as "
@@ -115,7 +113,7 @@ class RpcWriter(Writer):
     def text(self, rpc: Rpc, result: Result, path: Path) -> str:
         """Return the content of the file."""
 
-    def written(self, rpc: Rpc, path: Path) -> None:
+    def warn_if_unused(self, rpc: Rpc, path: Path) -> None:
         """Warn if GDAL does not use the file that was written.
 
         An RPB beside the image, or a name that is not the image's, makes GDAL ignore the file
@@ -143,7 +141,7 @@ class RpcWriter(Writer):
                             Path(image).with_name(stem + self.suffix))
 
 
-def _say_unknown_datum(result: Result) -> None:
+def _warn_of_unknown_datum(result: Result) -> None:
     """Warn where heights of the control are from a raster that does not state their datum."""
     heights = result.features.heights
     if not heights.endswith(UNDECLARED):
@@ -199,7 +197,7 @@ class RpcVrt(RpcWriter):
         return vrt_text(picture_for(result, self.options["image"]), path.parent,
                         domains={"": _FOR_OTB | control_items(rpc), "RPC": rpc_items(rpc)})
 
-    def written(self, rpc: Rpc, path: Path) -> None:
+    def warn_if_unused(self, rpc: Rpc, path: Path) -> None:
         """Do nothing: GDAL always uses a VRT's own RPC."""
 
 
@@ -234,15 +232,15 @@ def require_read_back(rpc: Rpc, text: str, suffix: str) -> None:
 def _require_same_by_gdal(rpc: Rpc, image: Path) -> None:
     """Raise TermselError for an RPC with which GDAL projects to other positions than termsel.
 
-    The file is written and read back by GDAL before anybody relies on it: GDAL rounds, clamps and
-    iterates in its own way. 1,000 places all over the box of the RPC are compared, those near the
-    image alone. Raises TermselError with the largest difference [px].
+    GDAL reads the file `image` before anybody relies on it, as it rounds, clamps and iterates in
+    its own way. Of 1,000 places all over the box of the RPC those near the image are compared. The
+    error has the largest difference [px], or why GDAL cannot use the RPC.
     """
     from rasterio._err import CPLE_BaseError
     from rasterio.errors import RasterioError
     from rasterio.transform import RPCTransformer
 
-    # Places all over the box of the RPC, the same each time.
+    # With a fixed seed, so that a file passes each time or never.
     share = np.random.default_rng(0).uniform(-1.0, 1.0, (1000, 3))
     ground = share * rpc.ground_scale + rpc.ground_offset
     with np.errstate(all="ignore"):

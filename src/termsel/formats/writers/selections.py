@@ -92,7 +92,7 @@ class QgisPointsWriter(SelectionWriter):
         for (x, y, _), (line, sample), selected, (dl, ds) in zip(
                 points.ground.tolist(), points.image.tolist(), _are_in_adjustment(result),
                 np.nan_to_num(_errors_of_points(result)).tolist(), strict=True):
-            # Pixel edges are whole numbers. Of places y points up, of residuals down.
+            # QGIS counts from the edge of a pixel; its y points up for places, down for residuals.
             values = (x, y, sample + 0.5, -line - 0.5, int(selected), -ds, -dl, math.hypot(dl, ds))
             rows.append(",".join(map(repr, values)))
         crs = horizontal_crs(result.features.crs)
@@ -136,7 +136,7 @@ class PointsTable(SelectionWriter):
         points = result.features.points
         selected = _are_in_adjustment(result)
         errors = _errors_of_points(result)
-        # As measured, in the CRS as given, so that the table can be read again.
+        # Measured values in the CRS of the control, so that the table can be read again.
         header, measured = point_columns(points)
         header = ["id", "role", "enabled", *header, "computed_line", "computed_sample",
                   "residual_line", "residual_sample"]
@@ -167,7 +167,7 @@ class LinesTable(Writer):
         lines = result.features.lines
         selected = _features_in_adjustment(result)
         header, values = line_columns(lines)
-        # Of a line only the distance across it is an error.
+        # Only the distance across a line is an error.
         distances = np.linalg.norm(result.fit.line_errors(lines), axis=-1)
         texts = [[name, "control", str(int(name in selected))] for name in lines.ids]
         write_text(path, table_text(
@@ -177,10 +177,9 @@ class LinesTable(Writer):
 
 
 def wkt_in_one_line(crs: str) -> str:
-    """Return the WKT of a CRS in one line; without pyproj as given."""
+    """Return the WKT of a CRS in one line; without pyproj the text of the CRS in one line."""
     try:
         from pyproj import CRS
     except ImportError:
-        # A WKT in several lines would break a header of one line.
         return " ".join(crs.split())
     return str(CRS.from_user_input(crs).to_wkt())

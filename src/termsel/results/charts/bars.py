@@ -117,7 +117,6 @@ def baseline_bars(view: View) -> Any:
     alt = require_altair()
     rows, _ = rows_of_fits(view)
     roles = {row["role"]: ROLE_COLOURS[row["role"]] for row in rows}
-    # The result stands first, the others by what they reach.
     order = [THIS, *sorted({row["fit"] for row in rows} - {THIS}, key=_rmse_of(rows).__getitem__)]
     scale, kind = spread_scale([row["rmse"] for row in rows], zero=True)
     x = alt.X("rmse:Q", title=f"RMSE [px], with 90 % interval{kind}", scale=scale)
@@ -151,13 +150,13 @@ def baseline_bars(view: View) -> Any:
 def rows_of_fits(view: View) -> tuple[list[Row], dict[str, float]]:
     """Return the rows of the chart of all fits, and the RMSE [px] of fits that it leaves out.
 
-    One fit that failed would stretch the axis over many powers of ten.
+    Left out are other fits than this result whose RMSE exceeds HOPELESS_RATIO times the median: one
+    fit that failed would stretch the axis over many powers of ten.
     """
     rows = fit_rows(view)
     errors = _rmse_of(rows)
-    # A fit that failed would leave the others no room on the axis.
-    longest = HOPELESS_RATIO * float(np.median(list(errors.values())))
-    failed = {fit: error for fit, error in errors.items() if error > longest and fit != THIS}
+    highest = HOPELESS_RATIO * float(np.median(list(errors.values())))
+    failed = {fit: error for fit, error in errors.items() if error > highest and fit != THIS}
     return [row for row in rows if row["fit"] not in failed], failed
 
 
@@ -169,7 +168,10 @@ def _rmse_of(rows: list[Row]) -> dict[str, float]:
 
 
 def caption_on_others(view: View) -> str:
-    """Return a caption on hollow symbols of the chart of all fits, and on fits left out; or ""."""
+    """Return a caption on hollow symbols in the chart of all fits, and on fits that it leaves out.
+
+    "" if the chart has neither.
+    """
     rows, failed = rows_of_fits(view)
     sentences = []
     if any(row["note"] == "fitted" for row in rows):
@@ -215,7 +217,10 @@ def candidate_bars(view: View) -> Any:
 
 
 def fit_rows(view: View) -> list[Row]:
-    """Return the RMSE of check and independent points of this result and of all other fits."""
+    """Return the RMSE of selection and independent check points of this result and all other fits.
+
+    A row for each fit and role with its 90 % interval; none where no interval is known.
+    """
     rows = []
     for name, fitted, _, rmse in fits_of(view.record):
         for role in ("check", "independent"):

@@ -69,13 +69,13 @@ def image_extent(view: View) -> Extent:
     """Return the extent of the map of the image, with room for arrows of ordinary length."""
     top, left_sample, bottom, right_sample = view.image_box
     wide = max(right_sample - left_sample, 1.0)
-    high = max(bottom - top, 1.0)
-    margin = MAP_MARGIN * max(wide, high)
+    tall = max(bottom - top, 1.0)
+    margin = MAP_MARGIN * max(wide, tall)
     # Points in a row leave no room for arrows across it; room is added up to the widest map.
-    above = max(margin, (wide / WIDEST - high) / 2)
+    above = max(margin, (wide / WIDEST - tall) / 2)
     # Of all residuals, not of a chosen member, so that members can be compared by their arrows.
     lengths = [float(np.hypot(row["dl"], row["ds"])) for row in view.in_image]
-    scale = _choose_exaggeration(lengths, wide, wide * high)
+    scale = _choose_exaggeration(lengths, wide, wide * tall)
     longest = _longest_ordinary(lengths)
     ends = [(row["sample"] + scale * row["ds"], row["line"] + scale * row["dl"])
             for row, length in zip(view.in_image, lengths, strict=True)
@@ -171,8 +171,11 @@ def image_map(view: View, image: str = "", rows: list[Row] | None = None,
     layers += _residual_layers(view, rows, x, y, ("ds", "dl"), extent, downwards=True,
                                member=member)
     wide = max(right_sample - left_sample, 1.0)
-    length = nice_number(0.2 * wide / extent.scale)  # a pixel may be wider than the map
-    length = 1.0 if length > 1 and extent.scale > 0.02 * wide else length  # or too short to be seen
+    # A fifth of the map's width, but a pixel, the plainest measure, where that is long enough to be
+    # seen.
+    length = nice_number(0.2 * wide / extent.scale)
+    if length > 1.0 and extent.scale > 0.02 * wide:
+        length = 1.0
     below = extent.y[1] - 0.02 * (extent.y[1] - extent.y[0])
     layers.append(_scale_bar(left_sample, below, length, f"{length:g} px", "sample", "line", x, y))
     return _map_chart(layers, (extent.x[1] - extent.x[0]) / (extent.y[1] - extent.y[0]))
@@ -220,7 +223,6 @@ def sigma_map(view: View) -> Any:
               scale=alt.Scale(domain=[left_sample, right_sample], nice=False, zero=False))
     y = alt.Y("line:Q", title="line [px]", axis=axis,
               scale=alt.Scale(domain=[bottom, top], nice=False, zero=False))
-    # Where all is alike, no area is dark.
     least = min(cell["sigma"] for cell in cells)
     most = max(SIGMA_SPREAD * least, *(cell["sigma"] for cell in cells))
     colour = alt.Color("sigma:Q", scale=alt.Scale(scheme="viridis", reverse=True,
@@ -340,10 +342,10 @@ def _with_residuals_of_member(base: Any, view: View) -> Any:
 
 
 def _share_to_rim(position: str, component: str, domain: tuple[float, float]) -> str:
-    """Return for Vega how long the way from a point to the rim is, by the length of its arrow.
+    """Return Vega's expression for the way from a point to the rim by the length of its arrow.
 
     `position` and `component` are the fields of the point and of the residual along one axis, whose
-    least and greatest values are `domain`.
+    least and greatest values are `domain`. It is 1 for an arrow that has no length there.
     """
     length = f"(exaggeration * datum.{component})"
     low, high = domain

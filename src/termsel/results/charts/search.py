@@ -72,7 +72,10 @@ def member_residuals(view: View, image: str = "") -> Any:
 
 
 def front_rows(view: View) -> list[Row]:
-    """Return a row for check and independent points of each member."""
+    """Return the RMSE of selection and independent check points of each member of the front.
+
+    A row for each member and role; none where the RMSE is not known.
+    """
     recommended = _recommended_row(view)
     rows: list[Row] = []
     for i, member in enumerate(view.record.front):
@@ -122,11 +125,10 @@ def convergence_chart(view: View) -> Any:
                                                  range=[CONTROL, CHECK]))
     area = alt.Chart(chart_rows(share)).mark_area(
         color=EDGE, opacity=0.45, interpolate="step-after").encode(
-        # Between generations nothing is known: steps, not slopes.
         x=x, y=alt.Y("infeasible:Q", title="infeasible share of the population",
                      scale=alt.Scale(domain=[0, 1]),
                      axis=alt.Axis(format="%", orient="right", grid=False, titleColor=FAINT)))
-    drawn = alt.Chart(chart_rows(lines)).mark_line(
+    curves = alt.Chart(chart_rows(lines)).mark_line(
         strokeWidth=2, interpolate="step-after").encode(
         x=x, color=colour, strokeDash=alt.StrokeDash("what:N", scale=alt.Scale(
             domain=["best", "median"], range=[[1, 0], [5, 3]])),
@@ -134,7 +136,7 @@ def convergence_chart(view: View) -> Any:
         tooltip=[alt.Tooltip("evaluations:Q", format=",d"), alt.Tooltip("what:N"),
                  alt.Tooltip("value:Q", title=criterion, format=".4g")])
     # Both axes have scales of their own, as a share and an RMSE have nothing in common.
-    return alt.layer(area, drawn).resolve_scale(y="independent").properties(
+    return alt.layer(area, curves).resolve_scale(y="independent").properties(
         width=WIDTH, height=0.45 * WIDTH)
 
 
@@ -157,7 +159,6 @@ def empires_chart(view: View) -> Any:
     """
     alt = require_altair()
     counted = [generation for generation in view.record.history if generation.empires]
-    # A chart of more areas than AREAS takes a browser seconds to draw.
     generations = max(AREAS // max(len(generation.empires) for generation in counted), 2)
     rows: list[Row] = []
     for generation in evenly_spaced(counted, generations):

@@ -70,7 +70,7 @@ def term_rows(view: View) -> list[Row]:
         share = None
         if front:
             share = sum(name in member.selection.terms for member in front) / len(front)
-        # Of logarithmic axes, 0 has no place.
+        # A logarithmic axis has no place for 0.
         rows.append({"term": name, "t": max(term.t, 1e-3), "p": term.p, "share": share})
     return sorted(rows, key=lambda row: -row["t"])
 
@@ -105,17 +105,17 @@ def frequency_bars(view: View) -> Any:
 
 
 def frequency_rows(view: View) -> list[Row]:
-    """Return the terms that any selection has with the share of selections, frequent ones first."""
+    """Return the terms of the selections, with the share of selections that each is in.
+
+    The most frequent terms come first. The selections are the repeated ones of a test of stability,
+    else the members of the front.
+    """
     record = view.record
     used = set(record.selection.terms)
-    # Of repeated selections the shares are known; of a front, each member counts once.
-    shares = dict[str, float]()
     if record.stability:
-        shares.update(record.stability.frequency)
+        shares = dict(record.stability.frequency)
     else:
-        counts: Counter[str] = Counter()
-        for member in record.front:
-            counts.update(member.selection.terms)
+        counts = Counter(term for member in record.front for term in member.selection.terms)
         shares = {term: n / len(record.front) for term, n in counts.items()}
     return sorted(({"term": term, "share": round(share, 4), "used": term in used}
                    for term, share in shares.items() if share), key=lambda row: -row["share"])

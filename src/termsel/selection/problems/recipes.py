@@ -139,16 +139,21 @@ OF_BOTH = (*_BOTH, RECOMMEND, *COUNT_OPTIONS, STEPS, THEN, BLUNDERS)
 
 
 def feature_options(**defaults: Any) -> tuple[Option, ...]:
-    """Return the options of problems that select features, for the recipe of another one.
+    """Return the options of problems that select features, for use in a recipe of your own.
 
     Parameters
     ----------
     **defaults
-        Defaults that differ there, such as ``max_features=6``.
+        Defaults that differ from the usual ones, such as ``max_features=6``.
 
     Returns
     -------
     tuple of Option
+
+    Raises
+    ------
+    TermselError
+        If a default is given for an option that does not exist.
 
     Examples
     --------
@@ -160,12 +165,12 @@ def feature_options(**defaults: Any) -> tuple[Option, ...]:
 
 
 def term_options(**defaults: Any) -> tuple[Option, ...]:
-    """Return the options of problems that select terms, for the recipe of another one.
+    """Return the options of problems that select terms, for use in a recipe of your own.
 
     Parameters
     ----------
     **defaults
-        Defaults that differ there, such as ``max_share=0.5``.
+        Defaults that differ from the usual ones, such as ``max_share=0.5``.
 
     Returns
     -------
@@ -174,7 +179,7 @@ def term_options(**defaults: Any) -> tuple[Option, ...]:
     Raises
     ------
     TermselError
-        For a default of an option that there is not.
+        If a default is given for an option that does not exist.
 
     Examples
     --------
@@ -194,7 +199,7 @@ def with_defaults(declared: tuple[Option, ...], **defaults: Any) -> tuple[Option
     Raises
     ------
     TermselError
-        For a default of an option that there is not.
+        If a default is given for an option that does not exist.
     """
     options = {option.name: option for option in declared}
     for name, default in defaults.items():

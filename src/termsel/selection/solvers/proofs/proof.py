@@ -197,18 +197,25 @@ class FeatureProof:
         return [self.genes[size] for size in sizes.tolist()]
 
     def by_size(self, problem: Problem) -> list[SizeProof]:
-        """Return the best selection of every size and its proof (see `Proof.by_size`)."""
+        """Return the best selection known of each number of genes, and what is proven of it.
+
+        By number of genes, without those of which no feasible selection is known. Once every
+        selection is decided each is optimal; before, only `floor`, a bound of all selections, is
+        known. The problem evaluates the selections.
+        """
         sizes = sorted(self.genes)
         if not sizes:
             return []
         values, _ = evaluate_each(problem, np.array([self.genes[size] for size in sizes]))
-        # Until then nothing is known of single sizes but the floor of all selections.
-        bounds = values if self.complete else np.minimum(values, self.floor)
-        optimal = values <= bounds
         better = _beats_smaller_sizes(values)
-        return [SizeProof(self.genes[size], float(values[i]), float(bounds[i]), bool(optimal[i]),
-                          bool(better[i]))
-                for i, size in enumerate(sizes)]
+        proofs = []
+        for i, size in enumerate(sizes):
+            value = float(values[i])
+            # An unfinished search has no bound of a single size, only that of all selections.
+            bound = self.bound(value)
+            optimal = bound is not None and value <= bound
+            proofs.append(SizeProof(self.genes[size], value, bound, optimal, bool(better[i])))
+        return proofs
 
 
 def generation_of(problem: Problem, proof: Proof | FeatureProof, index: int, space: str,
