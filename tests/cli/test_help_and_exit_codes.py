@@ -418,3 +418,10 @@ def test_what_is_called_otherwise_is_found_by_what_it_does(call, words, message)
     done = call(*words)
     assert done.exit_code == 2
     assert message in done.stderr
+
+
+@pytest.mark.parametrize("files", [(), ("a.csv", "--points", "b.csv")])
+def test_points_to_project_are_given_once(call, files):
+    done = call("project", "result", *files)
+    assert done.exit_code == 2
+    assert "Give one table: termsel project result ground.csv" in done.stderr
