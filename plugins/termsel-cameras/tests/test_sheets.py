@@ -22,7 +22,13 @@ from termsel_cameras.sheets.candidates import (
     candidate_projections,
     projections_of_file,
 )
-from termsel_cameras.sheets.choosing import Tried, first_of_the_best, rank_projections
+from termsel_cameras.sheets.choosing import (
+    Tried,
+    as_probable_as_the_best,
+    first_of_the_best,
+    rank_by_series,
+    rank_projections,
+)
 from termsel_cameras.sheets.meridians import meridian_of
 from termsel_cameras.sheets.paper import Sheet, matrix_of, paper_of, values_of
 from termsel_cameras.sheets.reading import candidates_of, from_greenwich
@@ -159,6 +165,61 @@ def test_sheets_of_a_series_share_their_projection(tmp_path: Path) -> None:
     (tmp_path / "wrong.json").write_text('{"projection": "", "sheets": [{}]}', encoding="utf-8")
     with pytest.raises(TermselError, match="no file of a series"):
         termsel.read(files[1], crs="EPSG:4326", series=str(tmp_path / "wrong.json"))
+
+
+BONNE = "+proj=bonne +lat_1=45 +lon_0=2.3372 +ellps=clrk80ign +units=m +no_defs"
+SINUSOIDAL = "+proj=sinu +lon_0=2.8 +datum=WGS84 +units=m +no_defs"
+MERCATOR = "+proj=merc +lon_0=2.8 +datum=WGS84 +units=m +no_defs"
+POLYCONIC = "+proj=poly +lat_0=47 +lon_0=2.8 +datum=WGS84 +units=m +no_defs"
+
+
+def series_sheet(crs: str, number: int, seed: int, noise: float) -> FeatureSet:
+    """Return one of eight sheets drawn in a projection: five have four points at the corners."""
+    rng = np.random.default_rng([seed, number])
+    count = 4 if number < 5 else 18
+    corner = np.array([1.2 + 0.75 * (number % 4), 47.0 + 0.45 * (number // 4)])
+    degrees = corner + rng.uniform(0.0, 1.0, (count, 2)) * [0.6, 0.36]
+    if count == 4:
+        degrees = corner + np.array([[0.03, 0.03], [0.57, 0.03], [0.03, 0.33], [0.57, 0.33]])
+    ground = np.column_stack([degrees, np.zeros(count)])
+    plan = transformation_between("EPSG:4326", crs)(ground)[:, :2]
+    values = np.array([np.log(0.15), 0.0, 0.007, 0.002])
+    values += rng.normal(0.0, [0.0008, 0.02, 0.0008, 0.0008])
+    image = ((plan - plan.mean(axis=0)) @ matrix_of(values).T)[:, ::-1] * [-1.0, 1.0] + 3000.0
+    image += rng.normal(0.0, noise, image.shape)
+    return FeatureSet(Points(tuple(f"P{i}" for i in range(count)), image,
+                             np.column_stack([degrees, np.full(count, np.nan)])), crs="EPSG:4326")
+
+
+@pytest.mark.parametrize("noise", [0.5, 4.0])
+@pytest.mark.parametrize("crs", [BONNE, MERCATOR, POLYCONIC])
+def test_a_series_is_of_the_projection_in_which_its_sheets_are_alike(
+        crs: str, noise: float) -> None:
+    sheets = [series_sheet(crs, number, 1, noise) for number in range(8)]
+    # The right one is the last.
+    others = [other for other in (SINUSOIDAL, MERCATOR, POLYCONIC) if other != crs]
+    if crs in (BONNE, POLYCONIC):  # hardly distinct at this size
+        others = [SINUSOIDAL, MERCATOR]
+    candidates = [Projection(other, other) for other in (*others, crs)]
+    ranked = rank_by_series(sheets, candidates)
+    assert [one.crs for one in as_probable_as_the_best(ranked, candidates)] == [crs]
+    # A sheet given twice tells what it tells once.
+    assert rank_by_series([*sheets, sheets[0]], candidates) == ranked
+
+
+def test_a_series_says_which_projections_it_does_not_tell_apart(tmp_path: Path) -> None:
+    files = [table(series_sheet(BONNE, number, 2, 1.5), tmp_path / f"{number}.csv")
+             for number in range(8)]
+    candidates = tmp_path / "mine.txt"
+    candidates.write_text(f"{SINUSOIDAL}  # sinusoidal\n{BONNE}  # Bonne\n"
+                          f"{POLYCONIC}  # polyconic\n", encoding="utf-8")
+    done = invoke("map-series", *files, "--candidates", candidates)
+    assert "Chosen for 8 sheets: Bonne." in done.stdout
+    assert "whether it is this one or another: polyconic. If the map" in done.stdout
+
+
+def test_one_sheet_is_no_series_to_choose_by() -> None:
+    assert rank_by_series([series_sheet(BONNE, 6, 3, 1.0)], [Projection("Bonne", BONNE)]) == []
 
 
 def paper_sheet(n: int, seed: int, wild: bool = False) -> tuple[FeatureSet, FloatArray, FloatArray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,6 +23,7 @@ from termsel.toolkit.commands import say_once
 from termsel.toolkit.coordinates import LOCAL
 
 if TYPE_CHECKING:
+    from termsel_cameras.sheets.choosing import Tried
     from termsel_cameras.sheets.series_file import Series
 
 _PATH = click.Path(path_type=Path)
@@ -45,9 +47,10 @@ def map_series(sheets: tuple[Path, ...], crs: str | None, prime_meridian: str | 
                overwrite: bool) -> None:
     """Find what all sheets of a series share: their projection, and what their paper is like.
 
-    SHEETS are files of points, a sheet each. The projection that predicts the points of all of them
-    best is chosen. Scale, turn, stretch and shear of the sheets with many points, how much they
-    differ, and what an affine map leaves, are what a sheet of few points borrows.
+    SHEETS are files of points, a sheet each. The projection is chosen in which the points of all of
+    them are most probable: an affine map leaves little, and their paper is alike. Scale, turn,
+    stretch and shear of the sheets with many points, how much they differ, and what an affine map
+    leaves, are what a sheet of few points borrows.
 
     \b
     Examples:
@@ -96,14 +99,40 @@ _MOST_ALIKE = 3
 def _choose_projection(sheets: list[FeatureSet], candidates: Path | None,
                        century: int | None) -> str:
     """Print how well each projection predicts the sheets, and return the CRS of the chosen one."""
-    from termsel_cameras.sheets.choosing import first_of_the_best, rank_projections
+    from termsel_cameras.sheets.choosing import (
+        as_probable_as_the_best,
+        first_of_the_best,
+        rank_by_series,
+        rank_projections,
+    )
     from termsel_cameras.sheets.reading import candidates_of
 
     projections = candidates_of(sheets, None if candidates is None else str(candidates), century)
-    ranked = rank_projections(sheets, projections)
-    best = first_of_the_best(ranked, projections)
-    rows = [(projection.name, f"{projection.rmse:.3g}", projection.crs) for projection in ranked]
-    # Projections of the same figure are listed up to a few of them.
+    if ranked := rank_by_series(sheets, projections):
+        open_choice = as_probable_as_the_best(ranked, projections)
+        best = open_choice[0]
+    else:
+        ranked = rank_projections(sheets, projections)
+        best = first_of_the_best(ranked, projections)
+        open_choice = [best]
+    _print_projections(ranked, best)
+    echo(f"\nChosen for {count_in_words(len(sheets), 'sheet')}: {best.name}. "
+         f"--set projection='{best.crs}'")
+    if len(open_choice) > 1:
+        others = ", ".join(projection.name for projection in open_choice[1:])
+        echo(f"The sheets do not show whether it is this one or another: {others}. If the map "
+             "names its projection, state that in a file of --candidates.")
+    elif len({_figure(projection) for projection in ranked}) == 1 and len(ranked) > 1:
+        echo("All predict these sheets alike, so the sheets do not show which it is.")
+    elif len(sheets) == 1:
+        echo("One sheet is no series, and its points show little of a projection: these figures "
+             "may differ by chance. Give all sheets, or take the projection that the map names.")
+    return best.crs
+
+
+def _print_projections(ranked: Sequence[Tried], best: Tried) -> None:
+    """Print a table of projections, those of the same figure up to a few of them."""
+    rows = [(projection.name, _figure(projection), projection.crs) for projection in ranked]
     listed: list[tuple[str, str, str]] = []
     for figure, group in groupby(rows, key=lambda row: row[1]):
         # The chosen one first: it must be among those that are listed.
@@ -112,14 +141,11 @@ def _choose_projection(sheets: list[FeatureSet], candidates: Path | None,
         if len(alike) > _MOST_ALIKE:
             listed.append((f"{len(alike) - _MOST_ALIKE} more", figure, ""))
     print_table(("projection", "predicted px", "CRS"), listed)
-    echo(f"\nChosen for {count_in_words(len(sheets), 'sheet')}: {best.name}. "
-         f"--set projection='{best.crs}'")
-    if len({figure for _, figure, _ in rows}) == 1 and len(rows) > 1:
-        echo("All predict these sheets alike, so the sheets do not show which it is.")
-    elif len(sheets) == 1:
-        echo("One sheet is no series, and its points show little of a projection: these figures "
-             "may differ by chance. Give all sheets, or take the projection that the map names.")
-    return best.crs
+
+
+def _figure(projection: Tried) -> str:
+    """Return the RMSE that a projection predicts as a table shows it."""
+    return f"{projection.rmse:.3g}"
 
 
 def _say_paper(series: Series) -> None:

@@ -11,6 +11,9 @@ from termsel import FeatureSet, FitData, TermselError
 from termsel.toolkit.models import Auto
 from termsel_cameras.roles import without_independent
 from termsel_cameras.sheets.candidates import Projection
+from termsel_cameras.sheets.paper import Sheet, evidence_of, marks_of, sheet_of
+from termsel_cameras.sheets.series import SHEET_OF_SERIES
+from termsel_cameras.sheets.series_file import Series, with_series_columns
 from termsel_cameras.sheets.sound import blunders_in
 
 NEARLY = 1.1
@@ -29,6 +32,13 @@ NEGLIGIBLE = 0.005
 MIN_POINTS_OF_SHEET = 4
 """Points from which on a sheet distinguishes projections."""
 
+AS_PROBABLE = 3.0
+"""Difference of the logarithms of the evidence up to which a projection is as probable as the best:
+odds of 20 to 1."""
+
+MIN_SHEETS_OF_SERIES = 2
+"""Sheets from which on their paper can be compared."""
+
 MAJORITY_OF_PROJECTIONS = 0.5
 """Share of the projections beyond which a point that is a blunder in them is one of the map."""
 
@@ -45,12 +55,16 @@ class Tried:
         the geometric mean. Infinite where no model is determined.
     of_sheets : tuple of float
         The RMSE of each sheet [px].
+    evidence : float
+        Logarithm of how probable the series makes all points, but for a constant; NaN where no
+        series is compared.
     """
 
     name: str
     crs: str
     rmse: float
     of_sheets: tuple[float, ...] = ()
+    evidence: float = np.nan
 
 
 def rank_projections(sheets: Sequence[FeatureSet], candidates: Sequence[Projection]) -> list[Tried]:
@@ -76,6 +90,47 @@ def rank_projections(sheets: Sequence[FeatureSet], candidates: Sequence[Projecti
         rmse = float(np.exp(np.average(np.log(of_sheets), weights=counts)))
         ranked.append(Tried(candidate.name, candidate.crs, rmse, tuple(of_sheets)))
     return sorted(ranked, key=lambda projection: projection.rmse)
+
+
+def rank_by_series(sheets: Sequence[FeatureSet], candidates: Sequence[Projection]) -> list[Tried]:
+    """Return how probable each projection makes the points of all sheets, the most probable first.
+
+    The sheets share their paper: in their own projection its scale, turn, stretch and shear differ
+    little from sheet to sheet, in another one they follow the place. Few points of a sheet by
+    itself may fit any projection by chance. The RMSE is that of all points together, each held out
+    and predicted by the others of its sheet and the paper of the other sheets. Empty where fewer
+    than two sheets show their paper.
+    """
+    used_sheets = [_without_blunders(sheet, candidates)
+                   for sheet in _different(sheets) if len(sheet.points) >= MIN_POINTS_OF_SHEET]
+    shown = {candidate.crs: of_all for candidate in candidates
+             if (of_all := _papers_of(used_sheets, candidate.crs))}
+    # All projections are judged by the same sheets.
+    places = [i for i in range(len(used_sheets)) if all(of_all[i] for of_all in shown.values())]
+    if not shown or len(places) < MIN_SHEETS_OF_SERIES:
+        return []
+    telling_sheets = [used_sheets[i] for i in places]
+    ranked = []
+    for candidate in candidates:
+        if candidate.crs not in shown:
+            ranked.append(Tried(candidate.name, candidate.crs, np.inf, evidence=-np.inf))
+            continue
+        papers = [paper for i in places if (paper := shown[candidate.crs][i]) is not None]
+        rmse = _rmse_by_series(telling_sheets, Series(candidate.crs, tuple(papers)))
+        ranked.append(Tried(candidate.name, candidate.crs, rmse, evidence=evidence_of(papers)))
+    return sorted(ranked, key=lambda projection: -projection.evidence)
+
+
+def as_probable_as_the_best(
+        ranked: Sequence[Tried], candidates: Sequence[Projection]) -> list[Tried]:
+    """Return the projections that the sheets of a series do not tell apart, in their given order.
+
+    They are `ranked` by their evidence; the first of the candidates is the one to take.
+    """
+    as_probable = {projection.crs: projection for projection in ranked
+                   if projection.evidence >= ranked[0].evidence - AS_PROBABLE}
+    return [as_probable[candidate.crs] for candidate in candidates
+            if candidate.crs in as_probable]
 
 
 def first_of_the_best(
@@ -107,6 +162,38 @@ def _is_worse_on_sheets(projection: Tried, best: Tried) -> bool:
     logs = np.log(projection.of_sheets) - np.log(best.of_sheets)
     standard_error = logs.std(ddof=1) / np.sqrt(len(logs))
     return bool(logs.mean() > max(CLEARLY * standard_error, NEGLIGIBLE))
+
+
+def _different(sheets: Sequence[FeatureSet]) -> list[FeatureSet]:
+    """Return sheets without their independent points, and each that is given twice once."""
+    seen: set[str] = set()
+    different = []
+    for sheet in map(without_independent, sheets):
+        marks = set(marks_of(sheet))
+        if seen.isdisjoint(marks):
+            different.append(sheet)
+        seen |= marks
+    return different
+
+
+def _papers_of(sheets: Sequence[FeatureSet], crs: str) -> list[Sheet | None]:
+    """Return what each sheet shows of its paper in a projection.
+
+    Empty where the projection has not all of their places.
+    """
+    try:
+        return [sheet_of(replace(sheet, fit_crs=crs)) for sheet in sheets]
+    except TermselError:
+        return []
+
+
+def _rmse_by_series(sheets: Sequence[FeatureSet], series: Series) -> float:
+    """Return the RMSE of the points of all sheets [px], each by others and by the other sheets."""
+    squares = []
+    for sheet in sheets:
+        fitted = SHEET_OF_SERIES.fit(FitData.of(with_series_columns(sheet, series)))
+        squares.append(len(sheet.points) * fitted.held_out_rmse**2)
+    return float(np.sqrt(sum(squares) / sum(len(sheet.points) for sheet in sheets)))
 
 
 def _without_blunders(sheet: FeatureSet, candidates: Sequence[Projection]) -> FeatureSet:

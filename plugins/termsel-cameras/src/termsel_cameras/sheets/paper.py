@@ -200,18 +200,52 @@ def paper_of(sheets: Sequence[Sheet]) -> Paper:
         raise TermselError(f"no other sheet of the series has {MIN_POINTS_OF_PAPER} points",
                            hint="Measure more points on some sheets, or leave series out.")
     noise, freedom = usual_noise(sheets)
-    squares = np.array([(freedom * noise**2 + sheet.freedom * sheet.noise**2)
-                        / (freedom + sheet.freedom) for sheet in sheets])
-    values = np.array([sheet.values for sheet in sheets])
-    variances = np.array([sheet.variances for sheet in sheets]) * squares[:, None]
-    # Turns are counted from that of the first sheet, lest 359 and 1 degrees have the mean 180.
-    first_turn = values[0, TURN]
-    values[:, TURN] = [wrap_angle(turn - first_turn) for turn in values[:, TURN]]
+    values, variances = _values_and_variances(sheets, noise, freedom)
+    first_turn = sheets[0].values[TURN]
     expected = np.array([_value_of_other_sheet(*column) for column in zip(
         values.T, variances.T, USUAL_SPREADS, strict=True)])
     expected[TURN, 0] = wrap_angle(expected[TURN, 0] + first_turn)
     return Paper(tuple(expected[:, 0].tolist()), tuple(expected[:, 1].tolist()), noise, freedom,
                  len(sheets))
+
+
+def evidence_of(sheets: Sequence[Sheet]) -> float:
+    """Return the logarithm of how probable the points of all sheets are, but for a constant.
+
+    The constant is the same in every projection. What counts is how little affine maps leave, and
+    how alike the paper of the sheets is: numbers that differ less are predicted better.
+    """
+    from scipy.special import gammaln  # which all other commands need not import
+
+    noise, freedom = usual_noise(sheets)
+    own = np.array([sheet.freedom for sheet in sheets])
+    squares = own * np.array([sheet.noise for sheet in sheets]) ** 2
+    usual_square = freedom * noise**2
+    # The variance of a sheet is integrated out: residuals are of a multivariate t distribution.
+    of_residuals = (gammaln((freedom + own) / 2.0) - gammaln(freedom / 2.0)
+                    + freedom / 2.0 * np.log(usual_square)
+                    - (freedom + own) / 2.0 * np.log(usual_square + squares))
+    values, variances = _values_and_variances(sheets, noise, freedom)
+    of_paper = [_log_evidence_of_number(*column) for column in zip(
+        values.T, variances.T, USUAL_SPREADS, strict=True)]
+    # From the density of the four numbers to that of the points: the root of their variances.
+    of_units = 0.5 * np.log([sheet.variances for sheet in sheets])
+    return float(of_residuals.sum() + sum(of_paper) + of_units.sum())
+
+
+def _values_and_variances(sheets: Sequence[Sheet], noise: float,
+                          freedom: float) -> tuple[FloatArray, FloatArray]:
+    """Return the four numbers of each sheet (n, 4), and the variances of their errors.
+
+    The noise of a sheet is that of its residuals and of the series, each by its degrees of freedom.
+    Turns are counted from that of the first sheet, lest 359 and 1 degrees have the mean 180.
+    """
+    squares = np.array([(freedom * noise**2 + sheet.freedom * sheet.noise**2)
+                        / (freedom + sheet.freedom) for sheet in sheets])
+    values = np.array([sheet.values for sheet in sheets])
+    variances = np.array([sheet.variances for sheet in sheets]) * squares[:, None]
+    values[:, TURN] = [wrap_angle(turn - values[0, TURN]) for turn in values[:, TURN]]
+    return values, variances
 
 
 def _value_of_other_sheet(values: FloatArray, variances: FloatArray,
@@ -220,20 +254,39 @@ def _value_of_other_sheet(values: FloatArray, variances: FloatArray,
 
     The spread among sheets is averaged over: its prior is half a Cauchy distribution.
     """
-    totals = variances + SPREADS_TRIED[:, None] ** 2
-    weights = 1.0 / totals
-    means = (weights * values).sum(axis=1) / weights.sum(axis=1)
-    # The likelihood of a spread, with the mean integrated out, and the prior by its logarithm.
-    log_likelihoods = -0.5 * (np.log(totals).sum(axis=1) + np.log(weights.sum(axis=1))
-                              + (weights * (values - means[:, None]) ** 2).sum(axis=1))
-    log_priors = np.log(SPREADS_TRIED / (1.0 + (SPREADS_TRIED / usual_spread) ** 2))
-    posterior = np.exp(log_likelihoods + log_priors - (log_likelihoods + log_priors).max())
+    log_joint, means, mean_variances = _by_spread(values, variances, usual_spread)
+    posterior = np.exp(log_joint - log_joint.max())
     posterior /= posterior.sum()
     mean = float(posterior @ means)
     # Of few sheets the mean of the squares is that of the tail alone: the geometric one is usual.
-    squares = SPREADS_TRIED**2 + 1.0 / weights.sum(axis=1)
+    squares = SPREADS_TRIED**2 + mean_variances
     usual_square = float(np.exp(posterior @ np.log(squares)))
     return mean, float(np.sqrt(usual_square + posterior @ (means - mean) ** 2))
+
+
+def _log_evidence_of_number(values: FloatArray, variances: FloatArray,
+                            usual_spread: float) -> float:
+    """Return the logarithm of the density of one number of all sheets, their mean and spread open.
+    """
+    log_joint, _, _ = _by_spread(values, variances, usual_spread)
+    return float(np.logaddexp.reduce(log_joint))
+
+
+def _by_spread(values: FloatArray, variances: FloatArray,
+               usual_spread: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the log of likelihood times prior of each spread that is tried, and the mean there.
+
+    Last the variance of that mean.
+    """
+    totals = variances + SPREADS_TRIED[:, None] ** 2
+    weights = 1.0 / totals
+    sums = weights.sum(axis=1)
+    means = (weights * values).sum(axis=1) / sums
+    # The likelihood of a spread, with the mean integrated out, and the prior by its logarithm.
+    log_likelihoods = -0.5 * (np.log(totals).sum(axis=1) + np.log(sums)
+                              + (weights * (values - means[:, None]) ** 2).sum(axis=1))
+    log_priors = np.log(SPREADS_TRIED / (1.0 + (SPREADS_TRIED / usual_spread) ** 2))
+    return log_likelihoods + log_priors, means, 1.0 / sums
 
 
 def reason_against(paper: Paper) -> str:
