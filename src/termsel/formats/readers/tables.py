@@ -188,7 +188,9 @@ class Table:
         attributes = self.attributes
         # Before places are compared: a point that is switched off may share that of another.
         ids_off = ids_stated_off()
-        roles = ["off" if name in ids_off else role for name, role in zip(ids, roles, strict=True)]
+        # Formats without roles hand over none.
+        roles = ["off" if name in ids_off else role
+                 for name, role in zip(ids, roles or [""] * len(ids), strict=True)]
         try:
             if is_averaging():
                 first_rows, image, sigma = average_repeated(ids, image, ground, sigma, roles)
