@@ -180,8 +180,8 @@ def test_a_large_block_is_solved_as_a_small_one(
         monkeypatch: pytest.MonkeyPatch, whole: int) -> None:
     block = simulate_block(6, n_ties=60, rpcs=True, control=(3,), seed=3, independent=5).block
     dense = adjust(block)
-    monkeypatch.setattr("termsel_block.estimation.equations.DENSE", 0)
-    monkeypatch.setattr("termsel_block.estimation.equations.WHOLE", whole)
+    monkeypatch.setattr("termsel_block.estimation.equations.MAX_DENSE", 0)
+    monkeypatch.setattr("termsel_block.estimation.equations.MAX_INVERSE", whole)
     sparse = adjust(block)
     for i in range(6):
         np.testing.assert_allclose(sparse.adjusted.state.parameters[i],

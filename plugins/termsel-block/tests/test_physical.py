@@ -138,7 +138,7 @@ def test_a_sensor_that_is_right_hides_no_other(
     monkeypatch.setattr(joint, "_adjust_as_stated", lambda block, *_: SimpleNamespace(
         block=block, adjusted=block))
     monkeypatch.setattr(joint, "_with_notes_on_dem", lambda result: result)
-    monkeypatch.setattr(joint, "_without_worse", lambda result, *_: result)
+    monkeypatch.setattr(joint, "_without_harmful_sensors", lambda result, *_: result)
     monkeypatch.setattr(joint, "agrees_better", lambda *given: sensors[given[-1]] != "aster")
     monkeypatch.setattr(contradictions, "contradictions_of", contradicted)
     found = adjust(block).block

@@ -60,7 +60,7 @@ def test_a_fit_follows_the_bent_valley_to_its_end() -> None:
     control = scene.take(np.array([role == "control" for role in scene.points.roles]))
     scaling = make_scaling(control)
     model, scaled = Scanner().prepared(scaling, control.crs), scaling.features(control)
-    ends = [model.descended(scaled, start) for start in model.starts(scaled)]
+    ends = [model.descend(scaled, start) for start in model.starts(scaled)]
     assert all(end is not None and end.converged and end.steps < 40 for end in ends)
     costs = [end.cost for end in ends if end is not None]
     assert max(costs) < 1.02 * min(costs)

@@ -53,25 +53,23 @@ def rms_length(errors: FloatArray) -> float:
 
 def predicted_errors(
         result: BlockResult, i: int, seed: int = 0, *, anywhere: bool = False) -> Spread:
-    """Return the RMSE [px] of new points of an image, measured as its control is, and its interval.
+    """Return the predicted RMSE [px] of new points of an image, and its interval of the level 0.9.
 
-    Over as many points as the image has independent ones, at their places; where it has none, or
-    `anywhere`, over its ties, which compares images. With J the derivatives at a place, draws d of
-    the errors of parameters and s^2 of the variance of control, the mean square over the places is
+    The points are measured as its control is, at the positions of its independent points. If it has
+    none, or with `anywhere`, they are at those of its ties, so that images can be compared. Draws d
+    are of the errors of its parameters, s^2 of the variance of control; with J the derivatives at a
+    point, the mean square over the points is
 
         e^2 = mean |J d|^2 + 2 s^2.
-
-    What all its points have in common makes the interval, of the level 0.9, wide.
     """
     points = None if anywhere else independent_points(result, i)
-    rows = result.rows(i, _local_places(result, i, points))
-    # A generator of its own for each image: the figures do not depend on which others are asked
-    # for.
+    rows = result.rows(i, _local_positions(result, i, points))
+    # Each image has its own generator, so that its figures do not depend on other images'.
     rng = np.random.default_rng([seed, i])
     draws = _draw_errors(result, i, rng)
     squares = ((rows @ draws) ** 2).sum(axis=1).mean(axis=0)
     noise = _draw_noise_variances(result, draws.shape[1], rng)
-    # So few measurements have more noise than that, or less.
+    # The RMSE of few points scatters by chance; without independent points it is that of many.
     if points is not None:
         noise = noise * rng.chisquare(2 * len(points), draws.shape[1]) / (2 * len(points))
     errors = np.sqrt(squares + 2 * noise)
@@ -79,37 +77,41 @@ def predicted_errors(
     return Spread(float(np.sqrt((errors**2).mean())), float(low), float(high))
 
 
-def _local_places(result: BlockResult, i: int, points: Points | None) -> FloatArray:
-    """Return the places (n, 3) of points of an image; without any of its ties, or else control."""
+def _local_positions(result: BlockResult, i: int, points: Points | None) -> FloatArray:
+    """Return the positions (n, 3) of points in the frame of the block [m].
+
+    If `points` is None they are those of the image's ties or, if it has none, of its control.
+    """
     if points is not None:
         return result.frame.local(points.ground)
     in_image = result.block.ties.image == i
     if in_image.any():
         return np.asarray(result.adjusted.state.ties[result.block.ties.tie[in_image]])
-    # An image without ties has control.
+    # Without ties an image is determined by its control.
     features = result.block.images[i].features
     assert features is not None
     return result.frame.local(features.points.ground)
 
 
 def _draw_noise_variances(result: BlockResult, count: int, rng: np.random.Generator) -> FloatArray:
-    """Return draws (count,) of the variance of control [px^2], scaled inverse chi-square.
+    """Return draws (count,) of the variance of control [px^2].
 
-    It is known from few measurements, and the state has the median of its posterior.
+    Its posterior is a scaled inverse chi-squared distribution.
     """
     state = result.adjusted.state
     freedom = state.freedom_control
+    # `sigma_control` is about the median of the posterior; the scale follows from that.
     scale = state.sigma_control**2 * (freedom - CHI2_MEDIAN_OFFSET)
     return np.asarray(scale / rng.chisquare(freedom, count))
 
 
 def shared_sigma(result: BlockResult, i: int, features: FeatureSet, own_sigma: FloatArray,
                  seed: int = 0) -> tuple[float, float]:
-    """Return what the block knows an image's model to be off by, beyond what its own fit shows.
+    """Return the part of an image's error that its own fit does not show, for line and sample [px].
 
-    Standard deviations of line and sample [px], over places of features: the mean squares of the
-    block's draws, less the squares `own` (n, 2) of the image's own fit there. Places of ties are
-    off together, which no fit to them alone can see.
+    They are standard deviations: the squares are the mean squares of the block's draws at the
+    features, less those of `own_sigma` (n, 2), the deviations of the image's own fit there. Ties of
+    a block may be off together, which a fit to them cannot show.
     """
     rows = result.rows(i, result.frame.local(features.points.ground))
     draws = _draw_errors(result, i, np.random.default_rng([seed, i]))
@@ -120,51 +122,53 @@ def shared_sigma(result: BlockResult, i: int, features: FeatureSet, own_sigma: F
         excess = (squares - own_sigma**2)[is_finite].mean(axis=0)
     else:
         excess = squares.mean(axis=0)
-    # A negative excess says that the image's own fit is the less certain one: nothing is shared
-    # then.
+    # The excess is negative if the image's own fit is the less certain one.
     line, sample = np.sqrt(np.maximum(excess, 0.0)).tolist()
     return line, sample
 
 
 def _draw_errors(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:
-    """Return draws (p, draws) of an image's errors from the posterior of its parameters."""
-    drawn = result.adjusted.draws
-    return drawn[i].T if drawn else _draw_normal_errors(result, i, rng)
+    """Return draws (p, d) of the errors of an image's parameters, from their posterior.
+
+    They are those of the adjustment if it drew any.
+    """
+    draws = result.adjusted.draws
+    return draws[i].T if draws else _draw_normal_errors(result, i, rng)
 
 
 def _draw_normal_errors(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:
-    """Return draws (p, draws) of an image's errors by its covariance alone."""
+    """Return draws (p, d) of an image's errors by its covariance and draws of prior variances."""
     covariance = result.covariances[i]
-    # The small number on the diagonal keeps parameters without any variance factorisable.
+    # A parameter without variance would make the factorisation fail.
     root = np.linalg.cholesky(covariance + 1e-12 * np.eye(len(covariance)))
     return np.asarray(root @ rng.standard_normal((len(root), _DRAWS))
                       * np.sqrt(_draw_variance_ratios(result, i, rng)))
 
 
 def _draw_variance_ratios(result: BlockResult, i: int, rng: np.random.Generator) -> FloatArray:
-    """Return draws (p, draws) of what variances of parameters are over what is stated.
+    """Return draws (p, d) of the ratio of parameters' variances to those in the covariance.
 
-    What the prior alone holds is as uncertain as the variance of the prior, which all of a group
-    share. What measurements hold is not, nor a prior that the block does not estimate.
+    The share of a variance that the prior determines scatters as the variance of the prior does,
+    which the parameters of a group have in common. The share that measurements determine does not
+    scatter, nor do priors that the block does not estimate.
     """
     camera = result.camera(i)
     state = result.adjusted.state
     groups = np.array(camera.groups)
-    by_prior = np.diag(result.covariances[i]) / state.variances[i]
+    prior_share = np.diag(result.covariances[i]) / state.variances[i]
     # A scaled inverse chi-square of TAIL degrees of freedom, whose mean is 1.
     factor = np.ones((len(groups), _DRAWS))
     for name in dict.fromkeys(camera.groups):
         if name in camera.fixed_variance:
             continue
         factor[groups == name] = (TAIL - 2) / rng.chisquare(TAIL, _DRAWS)
-    # Of each parameter the share by_prior of its variance scales with the prior's.
-    return np.asarray(1 + np.clip(by_prior, 0, 1)[:, None] * (factor - 1))
+    return np.asarray(1 + np.clip(prior_share, 0, 1)[:, None] * (factor - 1))
 
 
 def errors_in_space(result: BlockResult) -> InSpace | None:
-    """Return the errors [m] of independent points that two images or more see, by intersection.
+    """Return the RMSE [m] of the positions where the rays of independent points meet.
 
-    None if there are no such points.
+    The points are those that two images or more see; None if there are none.
     """
     truth_of: dict[str, FloatArray] = {}
     rays_of: dict[str, list[tuple[int, FloatArray]]] = {}
@@ -175,7 +179,6 @@ def errors_in_space(result: BlockResult) -> InSpace | None:
         for name, ground, image in zip(points.ids, points.ground, points.image, strict=True):
             truth_of[name] = ground
             rays_of.setdefault(name, []).append((i, image))
-    # One ray alone meets nothing: at least two images must see a point.
     names = [name for name, rays in rays_of.items() if len(rays) > 1]
     if not names:
         return None
@@ -186,11 +189,11 @@ def errors_in_space(result: BlockResult) -> InSpace | None:
 
 
 def _intersect_rays(result: BlockResult, rays: Sequence[Sequence[tuple[int, FloatArray]]],
-                    near: FloatArray) -> FloatArray:
-    """Return where the rays of each point meet, shape (n, 3) [m].
+                    actual: FloatArray) -> FloatArray:
+    """Return the positions (n, 3) [m] where the rays of n points meet.
 
-    `rays` holds for each of n points the number of each image and the point's position there;
-    `near` (n, 3) are the true places.
+    `rays` has for each point pairs of the number of an image and the point's position in it;
+    `actual` (n, 3) are the true positions.
     """
     state = result.adjusted.state
     # `intersect` takes all rays of one image at once: index of each point, and where it is seen.
@@ -198,9 +201,9 @@ def _intersect_rays(result: BlockResult, rays: Sequence[Sequence[tuple[int, Floa
     for k, image_rays in enumerate(rays):
         for i, image in image_rays:
             by_image.setdefault(i, []).append((k, image))
-    # All searches begin at the middle of the true places: a start at each would disclose the truth
-    # to rays that hardly determine a place, and so make them look accurate.
-    start = np.broadcast_to(near.mean(axis=0), near.shape).copy()
+    # All searches begin at the middle of the points. From its true position a point whose rays
+    # hardly determine it would not move, and so look accurate.
+    start = np.broadcast_to(actual.mean(axis=0), actual.shape).copy()
     all_rays = []
     for i, image_rays in by_image.items():
         points = np.array([k for k, _ in image_rays])

@@ -13,24 +13,24 @@ from termsel.toolkit.files import dem_difference
 from termsel_block.block import Block, BlockImage
 from termsel_block.estimation.unknowns import Adjusted
 from termsel_block.geometry.frame import FloatArray, Frame
-from termsel_block.geometry.heights import OFF, Surface
+from termsel_block.geometry.heights import DEM_OFFSET_SIGMA, Surface
 from termsel_block.geometry.physical import Contradiction, PhysicalCamera
 
-CONTRADICTED_BELOW = 1e-4
+MIN_CHANCE = 1e-4
 """Probability below which what is known of a model's terms is not true of the image."""
 
 _FAR_SIGMAS, _UNSEEN_SIGMA = 3.0, 1e3
 """Standard deviations from which on the ground is not that of the DEM, and that of a tie whose
 height no rays show [m]."""
 
-_OVER_FREE = 1.1
-"""Times that the ground is rougher than by an unknown sensor, from which on its sensor is wrong.
-
-By right ones it is 1.01 at most with six points in each of two images. With three it is more
-in two of eleven blocks, which are 84 and 43 px off with the right sensor, and 14 and 7 px without.
+_ROUGHNESS_RATIO = 1.1
+"""Ratio of the ground's roughness with a sensor to that with an unknown one, from which on the
+sensor is wrong. With right ones it is 1.01 at most with six points in each of two images. With
+three it is more in two of eleven blocks, which are 84 and 43 px off with the right sensor, and 14
+and 7 px without.
 """
 
-_FAR_BETTER = float(np.log(1e4))
+_MUCH_MORE_PROBABLE = float(np.log(1e4))
 """Logarithm of the factor from which on control is far more probable by one sensor than another."""
 
 _SENSOR = "sensor"
@@ -39,17 +39,17 @@ _SENSOR = "sensor"
 
 def without_wrong_sensor(block: Block, adjusted: Adjusted,
                          right: Collection[str]) -> tuple[Block, int] | None:
-    """Return the block without the sensor that its measurements contradict most; None if none.
+    """Return the block without the sensor that its measurements contradict most.
 
-    One sensor at a time, in all images that state it: it is one claim, and where it is wrong in
-    some the ties bend others, too. With it the number of the image that contradicts most. Sensors
-    that are right stay.
+    The second value is the number of the image that contradicts it most. The sensor is taken from
+    all images that state it, and a note is added to the block. Sensors in `right` stay. None if no
+    other is contradicted.
     """
+    # A sensor is one claim: where it is wrong in some images, ties bend the others, too.
     contradictions = contradictions_of(adjusted)
     sensors = {i: sensor_of(block, i) for i in contradictions}
     suspects = {i: contradiction for i, contradiction in contradictions.items() if sensors[i]
                 and sensors[i] not in right}
-    # The worst image decides which sensor goes; all images that state it go with it.
     worst = max(suspects, key=lambda i: suspects[i].severity, default=None)
     if worst is None:
         return None
@@ -80,10 +80,10 @@ def without_sensor(block: Block, sensor: str) -> Block:
 
 
 def note_without(block: Block, sensor: str, before: Adjusted, after: Adjusted) -> str:
-    """Return that a sensor bends the ground or contradicts control; empty where it does not.
+    """Return a note that a sensor makes the ground rough or contradicts control; "" if it does not.
 
-    What did not converge says nothing. Nor does the ground where control is far more probable with
-    the sensor.
+    It is "" if one of the adjustments did not converge. A rough ground does not count if control is
+    far more probable with the sensor.
 
     Parameters
     ----------
@@ -97,22 +97,20 @@ def note_without(block: Block, sensor: str, before: Adjusted, after: Adjusted) -
     # Only images that state this sensor are named.
     images = [image.name for i, image in enumerate(block.images) if sensor_of(block, i) == sensor]
     named = f"With the sensor {_sensor_in_words(block, sensor)!r} of {', '.join(images)}"
-    if (before.roughness >= _OVER_FREE * after.roughness
-            # A rough ground weighs nothing against control that is far more probable with the
-            # sensor.
-            and gain_of_control(before, after) > -_FAR_BETTER):
+    if (before.roughness >= _ROUGHNESS_RATIO * after.roughness
+            and gain_of_control(before, after) > -_MUCH_MORE_PROBABLE):
         return (f"{named} the ground is {before.roughness:.0f} m rough, with an unknown one "
                 f"{after.roughness:.0f} m. The unknown one is taken.")
-    if gain_of_control(before, after) > _FAR_BETTER:
+    if gain_of_control(before, after) > _MUCH_MORE_PROBABLE:
         return (f"{named} the block predicts its own control points far worse than with an "
                 "unknown one. The unknown one is taken.")
     return ""
 
 
 def gain_of_control(before: Adjusted, after: Adjusted) -> float:
-    """Return the logarithm of how much more probable control is by all the others than before.
+    """Return the logarithm of the ratio of the control's density after to that before.
 
-    Of the features that the others predict in both.
+    Each feature is predicted by all others; those that are not predicted in both are left out.
     """
     return sum(after.score[feature] - before.score[feature]
                for feature in before.score if feature in after.score)
@@ -142,33 +140,35 @@ def _sensor_in_words(block: Block, sensor: str) -> str:
 
 
 def agrees_better(before: Adjusted, after: Adjusted, i: int) -> bool:
-    """Return whether an image contradicts its model far less, or control is predicted far better.
+    """Return whether the block agrees better with the i-th image after a sensor was left out.
 
-    If it does not, its sensor is right, and it turns faster than the model takes scanners to.
+    It does if the image contradicts its model half as much or less, or its model states nothing
+    that could be contradicted, or if control is predicted far better. If it does not, the sensor
+    is right, and turns faster than the model takes scanners to.
     """
     contradiction_before = _contradiction_of(before, i)
     contradiction_after = _contradiction_of(after, i)
-    # Half the mean square is far less: by chance alone it changes by a few per cent.
-    return (gain_of_control(before, after) > _FAR_BETTER or contradiction_before is None
+    # By chance alone the severity changes by a few per cent.
+    return (gain_of_control(before, after) > _MUCH_MORE_PROBABLE or contradiction_before is None
             or contradiction_after is None
             or contradiction_after.severity < contradiction_before.severity / 2)
 
 
 def contradictions_of(adjusted: Adjusted) -> dict[int, Contradiction]:
-    """Return how far each image contradicts its model, by number; only those beyond chance.
+    """Return the contradictions of images to their models, by number of the image.
 
-    Beyond chance: by less than the probability `CONTRADICTED_BELOW`. Empty if no image does.
+    They are those that would be chance with a probability below `MIN_CHANCE`.
     """
     contradictions = ((i, _contradiction_of(adjusted, i))
                       for i in range(len(adjusted.state.cameras)))
     return {i: contradiction for i, contradiction in contradictions if contradiction is not None
-            and contradiction.chance < CONTRADICTED_BELOW}
+            and contradiction.chance < MIN_CHANCE}
 
 
 def _contradiction_of(adjusted: Adjusted, i: int) -> Contradiction | None:
     """Return how far an image's terms are from their priors; None if its model states none."""
     camera = adjusted.state.cameras[i]
-    # Corrections of RPCs and polynomials have first guesses for priors, which nothing contradicts.
+    # The priors of corrections of RPCs and polynomials are first guesses, which state nothing.
     if not isinstance(camera, PhysicalCamera):
         return None
     # By the priors as stated, before `loosen` lets them scatter as they do.
@@ -190,47 +190,47 @@ IN_FEET = "are the heights of the DEM in feet? gdal_edit.py -units ft states tha
 
 def compare_ground_with_dem(
         ground: FloatArray, frame: Frame, adjusted: Adjusted, dem: Surface) -> tuple[float, str]:
-    """Return by how much the ground as adjusted without a DEM is off it [m], and that in words.
+    """Return the median height of ties above a DEM [m], and a note on it.
 
-    What is said ends with its advice, before which "{}" stands for what is done about it. It is
-    empty where the difference may be chance.
+    The note has "{}" where the caller says what is done about it, before an advice. It is "" if the
+    difference may be chance. Without a tie on the DEM the difference is 0.
 
     Parameters
     ----------
     ground : ndarray, shape (t, 3)
-        Places of the ties in the CRS of the block.
+        Positions of the ties in the CRS of the block.
     frame : Frame
     adjusted : Adjusted
-        The block without the DEM.
+        The block as adjusted without the DEM.
+    dem : Surface
     """
-    # How much higher the ties are than the DEM at the same place.
-    over = frame.heights(ground) - dem(ground[:, :2])
+    above_dem = frame.heights(ground) - dem(ground[:, :2])
     variance = adjusted.solved.covariance_of_ties()[:, 2, 2]
-    # Ties off the raster have no height, and those of parallel rays none that says anything.
-    is_known = np.isfinite(over) & (variance < _UNSEEN_SIGMA**2)
+    # Ties off the raster have no height of the DEM, those of parallel rays none of their own.
+    is_known = np.isfinite(above_dem) & (variance < _UNSEEN_SIGMA**2)
     if not is_known.any():
         return 0.0, ""
-    # What the ties of a block are off by they have in common.
-    middle = float(np.median(over[is_known]))
+    # Errors of the ties' heights are common to a block, so that those of the median do not average
+    # out.
+    median = float(np.median(above_dem[is_known]))
     sigma = float(np.sqrt(np.median(variance[is_known])))
-    # The DEM may be off by OFF as a matter of course, and the ties by sigma: sqrt(sigma^2 + OFF^2).
-    if abs(middle) < _FAR_SIGMAS * np.hypot(sigma, OFF):
-        return middle, ""
-    direction = "above" if middle > 0 else "below"
+    # The variance of the difference is that of the ties and of a DEM that is off as usual.
+    if abs(median) < _FAR_SIGMAS * np.hypot(sigma, DEM_OFFSET_SIGMA):
+        return median, ""
+    direction = "above" if median > 0 else "below"
     heights = frame.heights(ground)
-    difference = dem_difference(heights[is_known], (heights - over)[is_known])
+    difference = dem_difference(heights[is_known], (heights - above_dem)[is_known])
     in_feet = difference is not None and difference.in_feet
     advice = IN_FEET if in_feet else "check what its heights refer to, or give control."
-    note = (f"Without the DEM the ground is {abs(middle):.0f} m {direction} it by the RPCs, with a "
+    note = (f"Without the DEM the ground is {abs(median):.0f} m {direction} it by the RPCs, with a "
             f"standard deviation of {sigma:.0f} m, and {{}}: {advice}")
-    return middle, note
+    return median, note
 
 
 def note_on_independent_heights(block: Block, frame: Frame, dem: Surface) -> str:
-    """Return how far a DEM is off the heights that independent points state.
+    """Return a note on the difference of a DEM to the heights of independent points.
 
-    Empty where that may be chance. Nothing else shows it where control has its heights from the
-    DEM, too.
+    "" if it may be chance, or there are no such heights. Heights from the DEM itself do not count.
     """
     grounds = [np.empty((0, 3))]
     for image in block.images:
@@ -239,7 +239,7 @@ def note_on_independent_heights(block: Block, frame: Frame, dem: Surface) -> str
             grounds.append(points.ground[[role == "independent" and name not in image.of_dem
                                           for name, role in zip(points.ids, points.roles,
                                                                 strict=True)]])
-    # Images see the same points.
+    # Several images may see a point, which counts once.
     ground = np.unique(np.concatenate(grounds), axis=0)
     difference = dem_difference(frame.heights(ground), dem(ground[:, :2]))
     if difference is None or not difference.contradicts:
@@ -250,10 +250,7 @@ def note_on_independent_heights(block: Block, frame: Frame, dem: Surface) -> str
 
 
 def _terms_in_words(contradiction: Contradiction) -> str:
-    """Return which terms are off by how much, such as " (roll 4.1 standard deviations)".
-
-    "" for none.
-    """
+    """Return the terms that contradict, such as " (roll 4.1 standard deviations)"; "" for none."""
     if not contradiction.terms:
         return ""
     return f" ({', '.join(contradiction.terms)} standard deviations)"

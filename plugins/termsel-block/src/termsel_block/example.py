@@ -12,7 +12,9 @@ _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
 def write_example(folder: Path, n_images: int = 3, seed: int = 1, check: int = 0) -> None:
-    """Write a block of images with RPCs; the first two see six control points.
+    """Write a simulated block of images with RPCs, of which the first two see six control points.
+
+    `check` is the number of points of each image that judge a selection.
 
     Raises
     ------

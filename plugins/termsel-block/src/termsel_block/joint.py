@@ -32,17 +32,17 @@ from termsel_block.geometry.cameras import Camera, groups_of
 from termsel_block.geometry.control import OwnControl, control_equations, points_in_use
 from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
 from termsel_block.geometry.heights import ControlHeights, Heights, Surface, open_surface
-from termsel_block.geometry.physical import ABSURD, PhysicalModel
+from termsel_block.geometry.physical import MAX_MISFIT_SHARE, PhysicalModel
 
 log = logging.getLogger("termsel.block")
 
 PHOTO = "frame"
 """Model of photos, of termsel-cameras."""
 
-_FAR_LESS = 0.5
+_PHOTO_MISFIT_RATIO = 0.5
 """Misfit of photos by that of polynomials from which on images without a model are photos."""
 
-_CONTRADICTED = 3.0
+_CONTROL_MISFIT_RATIO = 3.0
 """Misfit of control by that of ties, 1 px at least, from which on polynomials are not the model."""
 
 _TIES_CONTRADICT = "ties-contradict"
@@ -51,7 +51,7 @@ _TIES_CONTRADICT = "ties-contradict"
 _LEFT_OUT = "the block is adjusted without it"
 """What is done about a DEM that the ties contradict."""
 
-_FAR_MORE = 2.0
+_DEM_MISFIT_RATIO = 2.0
 """Misfit of ties under a DEM by that without it, 1 px at least, from which on it is left out."""
 
 _EXTENT_TIES = 8
@@ -127,7 +127,8 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
     Raises
     ------
     TermselError
-        Naming the images that nothing holds, or those of another place.
+        If an image is not determined, if an RPC or the ties contradict the rest, or if there is
+        neither control nor an RPC. The error names the images.
 
     Notes
     -----
@@ -145,33 +146,36 @@ def adjust(block: Block, *, progress: Callable[[float], None] | None = None) -> 
     """
     frame = Frame.at(_frame_positions(block), block.crs)
     result = _adjust_with_fit_dem(block, frame, progress)
-    right: set[str] = set()
+    right_sensors: set[str] = set()
     freed_blocks: dict[str, BlockResult] = {}
-    # Each round either frees the sensor that is contradicted most, or finds that it is right.
-    while (contradicted := without_wrong_sensor(result.block, result.adjusted, right)) is not None:
+    # Each round frees the sensor that is contradicted most, or finds that it is right.
+    while (contradicted := without_wrong_sensor(
+            result.block, result.adjusted, right_sensors)) is not None:
         freed_block, worst = contradicted
         try:
             freed = _adjust_as_stated(freed_block, frame, progress)
         except TermselError:
-            # Without what is known of the sensor, too little holds the image.
+            # Without its sensor the image is not determined: nothing changes, and it counts as
+            # right.
             freed = result
         if agrees_better(result.adjusted, freed.adjusted, worst):
             result = freed
-            # Other blocks were adjusted with the sensor that is gone now.
+            # The other blocks were adjusted with the sensor that is left out now.
             freed_blocks = {}
         else:
             sensor = sensor_of(result.block, worst)
-            right.add(sensor)
+            right_sensors.add(sensor)
             freed_blocks[sensor] = freed
     return _with_notes_on_dem(
-        _result_or_photos(_without_worse(result, freed_blocks, progress), progress))
+        _as_photos_if_better(_without_harmful_sensors(result, freed_blocks, progress), progress))
 
 
 def _adjust_with_fit_dem(block: Block, frame: Frame,
                          progress: Callable[[float], None] | None) -> BlockResult:
-    """Return the block as adjusted with its DEM, or without one that its ties contradict.
+    """Return the block as adjusted with its DEM, or without a DEM that its ties contradict.
 
-    Raises TermselError where the ties contradict one another without the DEM, too.
+    In the latter case a note is added. Raises TermselError if the ties contradict one another
+    without the DEM, too, or if the block cannot be adjusted.
     """
     try:
         return _adjust_as_stated(block, frame, progress)
@@ -191,17 +195,23 @@ def _with_note(result: BlockResult, note: str) -> BlockResult:
 
 
 def _ground_on_dem(free: BlockResult, path: Path) -> tuple[float, str]:
-    """Return how far the ground of a block that was adjusted without a DEM is off that DEM."""
+    """Return the height of the ground above a DEM [m], and a note (see `compare_ground_with_dem`).
+
+    `free` is the block as adjusted without the DEM in the file `path`.
+    """
     with open_surface(path, free.block.crs) as dem:
         return compare_ground_with_dem(free.ties, free.frame, free.adjusted, dem)
 
 
-def _result_or_photos(result: BlockResult, progress: Callable[[float], None] | None) -> BlockResult:
-    """Return the result, or that of photos where images of no stated model are some.
+def _as_photos_if_better(result: BlockResult,
+                         progress: Callable[[float], None] | None) -> BlockResult:
+    """Return the result, or that with images of no stated model as photos if it fits far better.
 
-    Polynomials are for images from space. Of photos they miss places by a hundred pixels where a
-    posterior, which takes the model for true, predicts some tens.
+    A note says so, or that control contradicts the polynomials. The result is returned as it is if
+    all images have an RPC or a model.
     """
+    # Polynomials are for images from space. They miss points of photos by a hundred px, where their
+    # posterior, which takes the model for true, predicts some tens.
     block = result.block
     unstated = [image.name for image in block.images if image.rpc is None and image.model == "auto"]
     if not unstated:
@@ -211,7 +221,7 @@ def _result_or_photos(result: BlockResult, progress: Callable[[float], None] | N
     try:
         photos = _adjust_as_stated(replace(block, images=images), result.frame, progress)
     except TermselError as error:
-        # Too few points, no photos, or termsel-cameras is not installed.
+        # There are too few points, these are no photos, or termsel-cameras is not installed.
         log.debug("not adjusted as photos: %s", error)
         photos = result
     before = _block_misfit(result.adjusted)
@@ -219,13 +229,13 @@ def _result_or_photos(result: BlockResult, progress: Callable[[float], None] | N
     is_one = len(unstated) == 1
     have = (f"{count_in_words(len(unstated), 'image')} {'has' if is_one else 'have'} no RPC and "
             "no model")
-    if photos.adjusted.converged and after < _FAR_LESS * before:
+    if photos.adjusted.converged and after < _PHOTO_MISFIT_RATIO * before:
         note = (f"{have}, and {'is' if is_one else 'are'} taken for photos (model "
                 f"{PHOTO}): control and ties agree to {after:.2g} px, by polynomials to "
                 f"{before:.2g} px.")
         return replace(photos, block=replace(photos.block, notes=(*block.notes, note)))
     state = result.adjusted.state
-    if state.sigma_control > _CONTRADICTED * max(state.sigma_ties, 1.0):
+    if state.sigma_control > _CONTROL_MISFIT_RATIO * max(state.sigma_ties, 1.0):
         note = (f"{have}: control is {state.sigma_control:.2g} px off their polynomials, where "
                 f"ties agree to {state.sigma_ties:.2g} px. The errors of places may be several "
                 f"times what is predicted. State the model, such as {PHOTO} for photos.")
@@ -238,14 +248,15 @@ def _block_misfit(adjusted: Adjusted) -> float:
     return max(adjusted.state.sigma_control, adjusted.state.sigma_ties)
 
 
-def _without_worse(result: BlockResult, freed_blocks: dict[str, BlockResult],
+def _without_harmful_sensors(result: BlockResult, freed_blocks: dict[str, BlockResult],
                    progress: Callable[[float], None] | None) -> BlockResult:
-    """Return the result, or that without sensors which bend the ground or contradict control.
+    """Return the result without the sensors that make the ground rough or contradict control.
 
-    A sensor that is nearly right may fit its own images well while the ground bends instead. So
-    the block is adjusted without each stated sensor, and that is left out first without which
-    control is predicted best, until none is better left out. `freed_blocks` are those tried before.
+    In each round the block is adjusted without each stated sensor, and the one is left out without
+    which control is predicted best, until none is better left out. `freed_blocks` has results
+    without a sensor that are known already.
     """
+    # A sensor that is nearly right may fit its own images well, while the ground bends instead.
     while True:
         best: BlockResult | None = None
         best_gain = -np.inf
@@ -256,11 +267,10 @@ def _without_worse(result: BlockResult, freed_blocks: dict[str, BlockResult],
                     without, result.frame, progress
                 )
             except TermselError:
-                # Without what is known of the sensor, too little holds the image.
+                # Without this sensor an image is not determined.
                 continue
             note = note_without(result.block, sensor, result.adjusted, freed.adjusted)
             gain = gain_of_control(result.adjusted, freed.adjusted)
-            # Of all sensors whose absence is better, the one by which control is predicted best.
             if note and gain > best_gain:
                 best = replace(freed, block=replace(without, notes=(*without.notes, note)))
                 best_gain = gain
@@ -271,52 +281,52 @@ def _without_worse(result: BlockResult, freed_blocks: dict[str, BlockResult],
 
 
 def _with_notes_on_dem(result: BlockResult) -> BlockResult:
-    """Return the result with notes on what contradicts its DEM.
+    """Return the result with notes on what contradicts its DEM, adjusted again if RPCs do.
 
-    Where control shows how high the DEM is, the block follows that (see `Heights`).
+    It is returned as it is without a DEM, and if control states heights, which the block follows
+    (see `Heights`).
     """
-    _, stated, _ = _control_places(result.block)
+    _, stated, _ = _control_positions(result.block)
     if result.block.dem is None or stated.any():
         return result
     with open_surface(result.block.dem, result.block.crs) as dem:
-        of_independent = note_on_independent_heights(result.block, result.frame, dem)
+        independent_note = note_on_independent_heights(result.block, result.frame, dem)
     if not any(map(len, result.control)):
         result = _doubt_dem(result, result.block.dem)
-    return _with_note(result, of_independent) if of_independent else result
+    return _with_note(result, independent_note) if independent_note else result
 
 
 def _doubt_dem(result: BlockResult, path: Path) -> BlockResult:
-    """Return the result, adjusted again under a doubtful DEM where the RPCs contradict it.
+    """Return the result of a block without control, with a note on its DEM.
 
-    Without control the RPCs follow the DEM, so that only a block without the DEM shows whether they
-    agree. If not, its heights are as uncertain as both differ, and a note says so. Where ties agree
-    far less under such a DEM than without it, it is left out.
+    If the RPCs contradict the DEM, the block is adjusted again with an offset of the DEM that is as
+    uncertain as both differ. If ties agree far less with it than without the DEM, the DEM is left
+    out.
     """
+    # Without control the RPCs follow the DEM: only a block without it shows whether they agree.
     block = result.block
     try:
-        # The same block by its RPCs alone, which then say how high the ground is.
         free = _adjust_as_stated(replace(block, dem=None), result.frame, None)
     except TermselError:
-        # Nothing but the DEM holds the heights, so that they say nothing of it.
+        # The DEM alone determines the heights, so that nothing can contradict it.
         return _with_note(result, _height_errors(result))
-    off, note = _ground_on_dem(free, path)
+    offset, note = _ground_on_dem(free, path)
     if not note:
         return _with_note(result, _height_errors(result))
     try:
-        doubted = _adjust_as_stated(block, result.frame, None, doubt=abs(off))
+        doubted = _adjust_as_stated(block, result.frame, None, doubt=abs(offset))
     except TermselError as error:
         log.debug("not adjusted under the DEM: %s", error)
         return _with_note(free, note.format(_LEFT_OUT))
     ties_agree = (doubted.adjusted.state.sigma_ties
-                  < _FAR_MORE * max(free.adjusted.state.sigma_ties, 1.0))
+                  < _DEM_MISFIT_RATIO * max(free.adjusted.state.sigma_ties, 1.0))
     if doubted.adjusted.converged and ties_agree:
         return _with_note(doubted, note.format("the DEM is taken to be as far off"))
     return _with_note(free, note.format(_LEFT_OUT))
 
 
 def _height_errors(result: BlockResult) -> str:
-    """Return a sentence on how far images are off per 100 m of the DEM, which no interval includes.
-    """
+    """Return a sentence on the errors of images by 100 m of the DEM, which no interval includes."""
     tie_rows = result.adjusted.solved.tie_rows[:len(result.block.images)]
     px_of_100_m = [100 * float(np.median(np.hypot(*rows.slopes[:, :, 2].T))) for rows in tie_rows
                    if len(rows.tie)]
@@ -328,8 +338,8 @@ def _adjust_as_stated(block: Block, frame: Frame, progress: Callable[[float], No
                       doubt: float = 0.0) -> BlockResult:
     """Return the block as adjusted with the models that it states.
 
-    `doubt` is the standard deviation of the DEM's offset [m] that is taken if it is more than
-    usual.
+    `doubt` [m] is the standard deviation of the DEM's offset if that is more than the usual one.
+    Raises TermselError if an image is not determined, or if data contradict one another.
     """
     with ExitStack() as files:
         dem = files.enter_context(open_surface(block.dem, block.crs)) if block.dem else None
@@ -351,9 +361,9 @@ def _adjust_as_stated(block: Block, frame: Frame, progress: Callable[[float], No
 
 
 def _correction_columns(image: BlockImage) -> tuple[tuple[str, ...], PhysicalModel | None]:
-    """Return the columns that correct an image's RPC, () without one, and its physical model.
+    """Return the columns that correct an image's RPC, and its physical model.
 
-    The model is None with an RPC, and with `auto`.
+    With the model `auto`, or an RPC, there are columns and no physical model, else the opposite.
     """
     if image.model == "auto":
         return groups_of("affine"), None
@@ -367,7 +377,7 @@ def _refuse_contradiction(adjusted: Adjusted, inputs: list[ImageInput]) -> None:
                if len(image.measured.tie) >= _EXTENT_TIES]
     # Positions at random differ by about a third of the image; real ties by a pixel or so.
     sigma = adjusted.state.sigma_ties
-    if extents and sigma > ABSURD * np.median(extents):
+    if extents and sigma > MAX_MISFIT_SHARE * np.median(extents):
         raise TermselError(f"the ties contradict one another: they differ by {sigma:.3g} px",
                            code=_TIES_CONTRADICT,
                            hint="Check that an id is the same point in all images, and that line "
@@ -375,7 +385,7 @@ def _refuse_contradiction(adjusted: Adjusted, inputs: list[ImageInput]) -> None:
 
 
 def _frame_positions(block: Block) -> FloatArray:
-    """Return the ground positions (n, 3) that the frame is laid through, in the block's CRS.
+    """Return the ground positions (n, 3) about whose middle the frame is, in the block's CRS.
 
     They are those of all points, whatever their role, of the ends of lines and of the middles of
     RPCs. Raises TermselError if no image has control in use or an RPC.
@@ -384,7 +394,7 @@ def _frame_positions(block: Block) -> FloatArray:
     grounds = [features.points.ground for features in features_of_images]
     grounds += [features.lines.ground.reshape(-1, 3) for features in features_of_images]
     ground = np.concatenate([np.empty((0, 3)), *grounds])
-    # Independent points alone hold nothing, though their positions are known.
+    # Independent points take no part in the adjustment, so that they determine nothing.
     has_control = any(len(points_in_use(features)) or len(features.lines)
                       for features in features_of_images)
     middles = _middles_of_rpcs(block)
@@ -406,9 +416,11 @@ def _middles_of_rpcs(block: Block) -> FloatArray:
 
 
 def heights_of(block: Block, frame: Frame, dem: Surface | None) -> Heights:
-    """Return what is known of heights beforehand, by RPCs, by the DEM and by control."""
-    # Heights are taken where control is, as every image may see the same points.
-    control, stated, of_rows = _control_places(block)
+    """Return what is known of heights beforehand, by RPCs or control, and by the DEM if any.
+
+    The mean height is that of the RPCs, or of control if there is no RPC.
+    """
+    control, stated, of_rows = _control_positions(block)
     control_heights = frame.heights(control)
     rpcs = [image.rpc for image in block.images if image.rpc is not None]
     if rpcs:
@@ -418,21 +430,20 @@ def heights_of(block: Block, frame: Frame, dem: Surface | None) -> Heights:
         mean = float(control_heights.mean())
         spread = max(3 * float(control_heights.std()), 100.0)
     over = control_heights - (mean if dem is None else dem(control[:, :2]))
-    # A DEM has no height off its raster, and points of the DEM show nothing of it.
+    # Off its raster a DEM has no height, and heights that are from the DEM show nothing of it.
     is_usable = np.isfinite(over) & stated
-    # Rows of images point to control; what shows no height is -1.
-    # -1 stays.
-    renamed = np.append(np.where(is_usable, np.cumsum(is_usable) - 1, -1), -1)
+    # The usable heights are numbered anew, and the others are -1; the last entry keeps -1.
+    new_number = np.append(np.where(is_usable, np.cumsum(is_usable) - 1, -1), -1)
     crowd = np.median(np.bincount(block.ties.image, minlength=len(block.images)))
     return Heights(frame, mean, spread, dem, ControlHeights(
-        over[is_usable], tuple(renamed[rows] for rows in of_rows)), float(crowd))
+        over[is_usable], tuple(new_number[rows] for rows in of_rows)), float(crowd))
 
 
-def _control_places(block: Block) -> tuple[FloatArray, BoolArray, list[IntArray]]:
-    """Return the places (k, 3) of all control, which of them state a height, and each row's place.
+def _control_positions(block: Block) -> tuple[FloatArray, BoolArray, list[IntArray]]:
+    """Return the positions (k, 3) of all control, which of them state a height, and row indices.
 
-    The last has for each image the number among the k of each of its rows (see
-    `control_equations`).
+    The indices are, for each image, the numbers among the k of the positions of its rows (see
+    `control_equations`). Heights from the DEM are not stated.
     """
     tables = [np.empty((0, 4))]
     rows = []
@@ -450,6 +461,6 @@ def _control_places(block: Block) -> tuple[FloatArray, BoolArray, list[IntArray]
         # As in `control_equations`: two rows of a point, one of each vertex of a line.
         rows.append(np.concatenate([np.repeat(at[:len(points)], 2), at[len(points):]]))
         count += len(ground)
-    # Images see the same control.
+    # Control that several images see counts once.
     unique_control, index = np.unique(np.concatenate(tables), axis=0, return_inverse=True)
     return unique_control[:, :3], unique_control[:, 3] > 0, [index.ravel()[row] for row in rows]

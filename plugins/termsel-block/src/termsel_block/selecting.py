@@ -37,12 +37,12 @@ from termsel_block.joint import BlockResult, adjust
 
 PROBLEM_NAME = "owdis-block"
 
-# Numbers of normal matrices held at once.
+# Most numbers in the normal matrices of a batch of selections.
 _BATCH = 4_000_000
-# Times the RMSE with all candidates beyond which a selection is too small.
-_FAR_WORSE = 2.0
-# Numbers of the rows of all candidates.
-_MOST_ROWS = 30_000_000
+# Ratio to the RMSE with all candidates beyond which a selection is too small.
+_MAX_RMSE_RATIO = 2.0
+# Most numbers in the rows of all candidates.
+_MAX_ROW_NUMBERS = 30_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,13 +113,13 @@ class OwdisBlock(Problem):
         if not 1 <= least <= (len(labels) if most is None else most):
             raise TermselError(f"{least} to {most} of {len(labels)} candidates cannot be selected",
                                hint="Give a smaller least number, or a larger most.")
-        # Each candidate is one bit: all rows of a point, a line or a tie together.
+        # A candidate is a bit, which stands for all rows of a point, a line or a tie.
         self.genome = Genome([Bits("features", labels, least,
                                    None if most is None else min(most, len(labels)))])
         design, target = _prior_rows(self.whole)
         designs = [design_rows for _, design_rows, _ in rows]
         targets = [aim for _, _, aim in rows]
-        # Equations of the candidate that each row belongs to; -1 for priors, which always count.
+        # The number of the candidate that each row belongs to; -1 for priors, which always count.
         owners = [np.full(len(target), -1)]
         owners += [np.full(len(aim), i) for i, aim in enumerate(targets)]
         self._system = RowSystem(
@@ -133,26 +133,27 @@ class OwdisBlock(Problem):
         self._prior = design.T @ design, design.T @ target
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
-        """Return the RMSE of the check points [px] of each selection, genes (n, candidates)."""
+        """Return the RMSE of the check points [px] by each selection, genes (n, candidates)."""
         genes = np.asarray(genes, bool)
         k = len(self._prior[1])
         rmse_of_batches = []
-        # As many selections at once as their normal matrices fit into memory.
-        for first in range(0, len(genes), max(_BATCH // k**2, 1)):
-            chosen_genes = genes[first:first + max(_BATCH // k**2, 1)].astype(float)
-            # (sum of A^T A + P) x = sum of A^T b + P x0, for all selections of the batch.
-            normal = self._prior[0] + np.tensordot(chosen_genes, self._normal, 1)
-            right = self._prior[1] + chosen_genes @ self._right
+        # The normal matrices of a batch of selections are held at once.
+        batch_size = max(_BATCH // k**2, 1)
+        for first in range(0, len(genes), batch_size):
+            selections = genes[first:first + batch_size].astype(float)
+            # (sum of A^T A + P) x = sum of A^T b + P x0, over the candidates of each selection.
+            normal = self._prior[0] + np.tensordot(selections, self._normal, 1)
+            right = self._prior[1] + selections @ self._right
             steps = np.linalg.solve(normal, right[..., None])[..., 0]
             errors = self._check_target - steps @ self._check_design.T
-            # Two rows a point: the RMSE of distances is that of rows times the root of 2.
+            # A point has two rows, so that the mean square of distances is twice that of rows.
             rmse_of_batches.append(np.sqrt(2 * (errors**2).mean(axis=1)))
         return Evaluation(np.concatenate(rmse_of_batches)[:, None], np.zeros(len(genes)))
 
     def decode(self, genes: BoolArray) -> Selection:
         """Return the names of what is selected: control:image:id of features, tie:id of ties."""
-        return Selection((), tuple(label for label, on in zip(self.genome.labels, genes,
-                                                              strict=True) if on))
+        return Selection((), tuple(label for label, is_selected in zip(
+            self.genome.labels, genes, strict=True) if is_selected))
 
     def row_systems(self) -> tuple[RowSystem, ...]:
         """Return the rows, which `exact` enumerates."""
@@ -162,7 +163,7 @@ class OwdisBlock(Problem):
 def select(block: Block, *, solver: str | Solver = "ga", seed: int = 1,
            evaluations: int | None = None, least: int = 1, most: int | None = None,
            tie_candidates: int = 100, refined: bool = True) -> SelectedControl:
-    """Select the control and the ties of a block that are enough.
+    """Select the control and the ties of a block that are enough, and adjust it with these.
 
     Parameters
     ----------
@@ -189,7 +190,8 @@ def select(block: Block, *, solver: str | Solver = "ga", seed: int = 1,
     control = tuple((image, name) for kind, image, name in map(_parts_of_label, names)
                     if kind == "control")
     ties = tuple(name for kind, _, name in map(_parts_of_label, names) if kind == "tie")
-    # Adjusted again with the selection alone: the linearised figures are only for the search.
+    # The search is by equations that are linearised about all candidates, so that the block is
+    # adjusted again with the selection alone.
     result = adjust(_with_selection(_without_check(block), set(control), set(ties)))
     everything = np.ones((1, problem.genome.size), bool)
     check_of_all = float(problem.evaluate(everything).objectives[0, 0])
@@ -200,10 +202,11 @@ def select(block: Block, *, solver: str | Solver = "ga", seed: int = 1,
 
 
 def _parts_of_label(label: str) -> tuple[str, str, str]:
-    """Return kind, image and id of a candidate by its label."""
-    kind, _, name_of_tie = label.partition(":")
-    image, _, name = name_of_tie.partition(":")
-    return (kind, image, name) if kind == "control" else (kind, "", name_of_tie)
+    """Return kind, image and id of a candidate by its label; the image of a tie is ""."""
+    kind, _, rest_of_label = label.partition(":")
+    image, _, name = rest_of_label.partition(":")
+    # The name of a tie may have a colon.
+    return (kind, image, name) if kind == "control" else (kind, "", rest_of_label)
 
 
 def _without_check(block: Block) -> Block:
@@ -227,30 +230,35 @@ def _with_off(image: BlockImage, is_off: Callable[[str, str], bool]) -> BlockIma
 
 
 def _with_selection(block: Block, control: set[tuple[str, str]], ties: set[str]) -> Block:
-    """Return a block with the selected control and ties, and all independent points."""
+    """Return a block with the selected control and ties, and all independent points.
+
+    `control` are pairs of image and id. Points that are not selected get the role off; other lines
+    and ties are left out.
+    """
     images = []
     for image in block.images:
-        selected_image = _with_off(image, partial(_is_out, image.name, control))
-        if selected_image.features is not None:
-            selected_image = replace(selected_image,
-                features=replace(selected_image.features, lines=selected_image.features.lines.take(
-                [(image.name, name) in control for name in selected_image.features.lines.ids])))
+        selected_image = _with_off(image, partial(_is_unselected, image.name, control))
+        features = selected_image.features
+        if features is not None:
+            is_selected = [(image.name, name) in control for name in features.lines.ids]
+            selected_image = replace(selected_image, features=replace(
+                features, lines=features.lines.take(is_selected)))
         images.append(selected_image)
-    # Ties are numbered again; measurements of the others are dropped.
+    # The remaining ties are numbered anew.
     keep = np.array([name in ties for name in block.ties.names])
-    measured_ties = keep[block.ties.tie]
-    number = np.cumsum(keep) - 1
-    measured = replace(block.ties, names=tuple(n for n in block.ties.names if n in ties),
-                       tie=number[block.ties.tie[measured_ties]],
-                       image=block.ties.image[measured_ties],
-                       position=block.ties.position[measured_ties])
-    return replace(block, images=tuple(images), ties=measured)
+    is_kept = keep[block.ties.tie]
+    new_number = np.cumsum(keep) - 1
+    kept_ties = replace(block.ties, names=tuple(n for n in block.ties.names if n in ties),
+                        tie=new_number[block.ties.tie[is_kept]],
+                        image=block.ties.image[is_kept],
+                        position=block.ties.position[is_kept])
+    return replace(block, images=tuple(images), ties=kept_ties)
 
 
-def _is_out(image: str, control: set[tuple[str, str]], name: str, role: str) -> bool:
-    """Return whether a point of an image is not among `control`, pairs of image and id.
+def _is_unselected(image: str, control: set[tuple[str, str]], name: str, role: str) -> bool:
+    """Return whether a point of an image is neither among `control`, nor independent.
 
-    Independent points are never out.
+    `control` are pairs of image and id.
     """
     return role != "independent" and (image, name) not in control
 
@@ -264,7 +272,7 @@ def _independent_rmse(result: BlockResult) -> float | None:
 
 
 def _rows_among_all(result: BlockResult, i: int, rows: FloatArray) -> FloatArray:
-    """Return rows of one image's parameters (n, p) among those of all images."""
+    """Return rows (n, p) by one image's parameters as rows (n, all) by those of all images."""
     slices = result.adjusted.solved.reduced.slices
     all_columns = np.zeros((len(rows), _count_parameters(result)))
     all_columns[:, slices[i]] = rows
@@ -277,11 +285,12 @@ def _count_parameters(result: BlockResult) -> int:
 
 
 def _check_rows(block: Block, result: BlockResult) -> tuple[FloatArray, FloatArray]:
-    """Return the rows of the check points of all images, and their errors in the full block [px].
+    """Return the rows (n, p) of the check points of all images, and their errors (n,) [px].
 
-    A row has the derivatives of line or sample by the parameters of all images.
+    A row has the derivatives of line or sample by the parameters of all images; the errors are
+    those in the block of all candidates. Raises TermselError if there are no check points.
     """
-    # Linearised about the block of all candidates: a selection's error is target - design x.
+    # About the block of all candidates, the errors of a selection are target - design x.
     design = []
     target = []
     for i, image in enumerate(block.images):
@@ -302,7 +311,9 @@ def _check_rows(block: Block, result: BlockResult) -> tuple[FloatArray, FloatArr
 
 
 def _prior_rows(result: BlockResult) -> tuple[FloatArray, FloatArray]:
-    """Return rows (p, p) and targets (p,) of the priors of all parameters, in standard deviations.
+    """Return rows (p, p) and targets (p,) of the priors of all parameters.
+
+    They are divided by the standard deviations, and are for changes of the parameters.
     """
     state = result.adjusted.state
     sigma = np.sqrt(np.concatenate(state.variances))
@@ -311,14 +322,17 @@ def _prior_rows(result: BlockResult) -> tuple[FloatArray, FloatArray]:
 
 
 def _control_rows(result: BlockResult) -> list[tuple[str, FloatArray, FloatArray]]:
-    """Return label, rows and targets of each point and line in use, in standard deviations."""
+    """Return label, rows and targets of each point and line in use.
+
+    Rows (n, p) and targets (n,) are divided by the standard deviations.
+    """
     rows_of_features = []
     state = result.adjusted.state
     for i, image in enumerate(result.block.images):
         control = control_equations(image.features, result.frame)
         if not len(control):
             continue
-        # Derivatives in the direction that is measured, over the standard deviation.
+        # Derivatives of the distance in the direction that is measured.
         rows = _rows_among_all(result, i, np.einsum(
             "na,nap->np", control.normal, result.rows(i, control.local)))
         sigma = state.sigma_control * control.sigma
@@ -326,22 +340,26 @@ def _control_rows(result: BlockResult) -> list[tuple[str, FloatArray, FloatArray
         for name in dict.fromkeys(control.feature):
             at = np.flatnonzero((names == name) & state.control_in_use[i])
             if len(at):
-                rows_of_features.append((f"control:{image.name}:{name}", rows[at] / sigma[at, None],
-                              result.adjusted.of_control[i][at] / sigma[at]))
+                rows_of_features.append((
+                    f"control:{image.name}:{name}", rows[at] / sigma[at, None],
+                    result.adjusted.of_control[i][at] / sigma[at]))
     return rows_of_features
 
 
 def _tie_rows(result: BlockResult, ties: IntArray) -> list[tuple[str, FloatArray, FloatArray]]:
-    """Return label, rows and targets of ties whose places are eliminated."""
+    """Return label, rows and targets of each tie, with its position eliminated.
+
+    Rows (n, p) and targets (n,) are divided by the standard deviation. Raises TermselError if the
+    rows would take too much memory.
+    """
     solved = result.adjusted.solved
     state = result.adjusted.state
     total = _count_parameters(result)
-    # A row of each tie and image has as many numbers as all images have parameters.
-    if len(ties) * total**2 > _MOST_ROWS:
+    if len(ties) * total**2 > _MAX_ROW_NUMBERS:
         raise TermselError(f"{len(ties)} ties of {len(state.cameras)} images are too many to "
                            "select from",
                            hint="Give fewer candidates of ties, or part of the block.")
-    # Of each candidate the images that see it, and its row in each.
+    # The images that see each candidate, and its row in them.
     rows_by_tie: dict[int, list[tuple[int, int]]] = {int(tie): [] for tie in ties}
     for i, (tie_rows, used) in enumerate(zip(solved.tie_rows[:-1], state.in_use, strict=True)):
         for n in np.flatnonzero(used):
@@ -357,16 +375,20 @@ def _tie_rows(result: BlockResult, ties: IntArray) -> list[tuple[str, FloatArray
             rows.append(_rows_among_all(result, image, tie_rows.rows[row]))
             slopes.append(tie_rows.slopes[row])
             aim.append(result.adjusted.residuals[image][row])
-        # Directions in which no movement of the place shows: what the tie says of the images.
+        # The left null space of the derivatives by the position: combinations of the measurements
+        # that do not depend on it.
         null_space = np.linalg.svd(np.concatenate(slopes))[0][:, 3:].T / state.sigma_ties
         rows_of_ties.append((f"tie:{result.block.ties.names[tie]}",
                              null_space @ np.concatenate(rows),
-                      null_space @ np.concatenate(aim)))
+                             null_space @ np.concatenate(aim)))
     return rows_of_ties
 
 
 def _spread_ties(result: BlockResult, count: int) -> IntArray:
-    """Return the numbers of ties in use in two images or more, sorted: all, or `count` well spread.
+    """Return the sorted numbers of the ties that are candidates, at most `count`.
+
+    They are those in use in two images or more. Of more than `count` those are taken that are
+    spread over the ground, and in many images.
     """
     state = result.adjusted.state
     n_images = np.zeros(len(state.ties))
@@ -376,14 +398,14 @@ def _spread_ties(result: BlockResult, count: int) -> IntArray:
     if len(usable) <= count:
         return usable
     ground = state.ties[usable, :2]
-    # The farthest from those that are chosen, one after the other; a tie in more images is worth
-    # more.
-    picked = [int(np.lexsort((np.hypot(*(ground - ground.mean(axis=0)).T), -n_images[usable]))[0])]
-    away = np.hypot(*(ground - ground[picked[0]]).T)
+    # The first is the one nearest to the middle among those in most images.
+    from_middle = np.hypot(*(ground - ground.mean(axis=0)).T)
+    picked = [int(np.lexsort((from_middle, -n_images[usable]))[0])]
+    distances = np.hypot(*(ground - ground[picked[0]]).T)
     while len(picked) < count:
-        # The distance to the nearest that is picked, times the number of images.
-        picked.append(int(np.argmax(away * n_images[usable])))
-        away = np.minimum(away, np.hypot(*(ground - ground[picked[-1]]).T))
+        # The next has the largest distance to the nearest picked one, times its number of images.
+        picked.append(int(np.argmax(distances * n_images[usable])))
+        distances = np.minimum(distances, np.hypot(*(ground - ground[picked[-1]]).T))
     return np.sort(usable[picked])
 
 
@@ -395,7 +417,7 @@ def table_of(selected: SelectedControl) -> str:
 
 
 def text_of(selected: SelectedControl) -> str:
-    """Return the summary of a selection: its size, RMSEs, and whether it is proven, lines of text.
+    """Return the summary of a selection as lines of text: its size, RMSEs and whether it is proven.
     """
     lines = [f"Selected: {count_in_words(len(selected.control), 'control feature')} and "
              f"{count_in_words(len(selected.ties), 'tie')}, by {selected.search.evaluations:,} "
@@ -405,7 +427,7 @@ def text_of(selected: SelectedControl) -> str:
     if selected.independent is not None and selected.independent_of_all is not None:
         lines.append(f"Independent check points: RMSE {selected.independent:.2f} px; "
                      f"{selected.independent_of_all:.2f} px with all control and ties.")
-    if selected.check > _FAR_WORSE * selected.check_of_all:
+    if selected.check > _MAX_RMSE_RATIO * selected.check_of_all:
         lines.append("These are too few: allow more (--most), or use all.")
     if selected.search.certificate and selected.search.certificate.get("optimal"):
         lines.append("The selection is proven to be the best of all for the selection points.")

@@ -14,16 +14,16 @@ from termsel_block.geometry.frame import BoolArray, FloatArray, IntArray
 
 LON, LAT = 48.5, 34.8
 _DEGREE_METRES = 111_320.0
-# Stacks one below the other, before the next strip begins.
-_ROWS = 20
-# From one stack to the next, in widths of an image.
+# Stacks one below the other; then the next strip begins.
+_STACKS_PER_STRIP = 20
+# Distance from one stack to the next, in widths of an image.
 _STACK_STEP = 0.6
 
 VIEWS = (18.0, 20.0), (4.0, 95.0), (22.0, 170.0)
 """Angle off nadir and azimuth [degrees] of the three images of a stack."""
 
-# In m.
-_MEAN = 1700.0
+# Mean height of the ground [m].
+_MEAN_HEIGHT = 1700.0
 
 
 @dataclass(frozen=True)
@@ -125,18 +125,20 @@ def simulate_block(
     ground, image, index = _observe_ties(sensors, n_images, n_ties, extent, rng)
     measured_at = image + rng.normal(0, noise, image.shape)
     count = len(ground)
-    # Of their own generator: the rest of the block is the same without them.
-    of_wrong = np.random.default_rng([seed, 1])
-    for tie in np.flatnonzero(of_wrong.random(count) < wrong):
-        row = of_wrong.choice(np.flatnonzero(index[:, 0] == tie))
-        turn = of_wrong.uniform(0, 2 * np.pi)
-        measured_at[row] += of_wrong.uniform(5, 60) * np.array([np.sin(turn), np.cos(turn)])
+    # Blunders have a generator of their own, so that the rest of the block is the same without
+    # them.
+    blunder_rng = np.random.default_rng([seed, 1])
+    for tie in np.flatnonzero(blunder_rng.random(count) < wrong):
+        row = blunder_rng.choice(np.flatnonzero(index[:, 0] == tie))
+        direction = blunder_rng.uniform(0, 2 * np.pi)
+        measured_at[row] += blunder_rng.uniform(5, 60) * np.array(
+            [np.sin(direction), np.cos(direction)])
     ties = Ties(tuple(f"T{i}" for i in range(count)), index[:, 0], index[:, 1], measured_at)
     images = []
-    # Control of a stack serves its three images: the most that any of them asks for.
-    of_stacks = [max(control[k:k + 3], default=0) for k in range(0, n_images, 3)]
-    known_ground, stack = _draw_known_places(sensors, of_stacks, independent + check, width, hills,
-                                             rng)
+    # The three images of a stack share control, so that it has the most that any of them has.
+    stack_control = [max(control[k:k + 3], default=0) for k in range(0, n_images, 3)]
+    known_ground, stack = _draw_known_points(sensors, stack_control, independent + check, width,
+                                             hills, rng)
     for i, sensor in enumerate(sensors):
         n = control[i] if i < len(control) else 0
         is_control = stack >= 0
@@ -159,62 +161,66 @@ def ground_heights(lonlat: FloatArray, hills: Hills = HILLS) -> FloatArray:
     east = (lonlat[:, 0] - LON) * _DEGREE_METRES * np.cos(np.radians(LAT)) / 1000
     north = (lonlat[:, 1] - LAT) * _DEGREE_METRES / 1000
     a, b, c, d = hills.phases
-    return np.asarray(_MEAN + hills.relief * (
+    return np.asarray(_MEAN_HEIGHT + hills.relief * (
         180 * np.sin(east / 3.1 + a) * np.cos(north / 4.3 + b)
         + 60 * np.sin(east / 1.1 + 1 + c) + 40 * np.cos(north / 0.9 + d)))
 
 
 def _middle_of_stack(stack: int, width: float) -> tuple[float, float]:
     """Return longitude and latitude of the ground that a stack of three images sees."""
-    column, row = divmod(stack, _ROWS)
+    column, row = divmod(stack, _STACKS_PER_STRIP)
     step = _STACK_STEP * width / _DEGREE_METRES
     return LON + column * step / np.cos(np.radians(LAT)), LAT - row * step
 
 
 def _exact_scanner(i: int, size: int, gsd: float, views: Sequence[tuple[float, float]],
                    bend: float, rng: np.random.Generator) -> Pushbroom:
-    """Return the exact scanner of the i-th image, with an attitude that no vendor knows.
+    """Return the true scanner of the i-th image, with random rates and accelerations of attitude.
 
-    Angles vary about `views`, pairs of off-nadir angle and azimuth [deg]; `bend` is the standard
-    deviation of the acceleration of the attitude [px at the end of the image].
+    The image has `size` lines and samples of `gsd` [m]. Angles vary about `views`, pairs of
+    off-nadir angle and azimuth [deg]; `bend` is the standard deviation of the effect of the
+    acceleration at the end of the image [px].
     """
     middle = _middle_of_stack(i // 3, size * gsd)
     angle = views[i % len(views)][0] + rng.uniform(-3, 3)
     azimuth = views[i % len(views)][1] + rng.uniform(-10, 10)
     sensor = pushbroom_at(
-        middle[0] + rng.normal(0, 0.03) * size * gsd / _DEGREE_METRES, middle[1], height=_MEAN,
-        off_nadir=angle, look_azimuth=azimuth, gsd=gsd, image_size=(size, size),
+        middle[0] + rng.normal(0, 0.03) * size * gsd / _DEGREE_METRES, middle[1],
+        height=_MEAN_HEIGHT, off_nadir=angle, look_azimuth=azimuth, gsd=gsd,
+        image_size=(size, size),
         altitude=680e3, inclination=98.1)
-    # An unknown attitude that turns slowly: rates and accelerations that no vendor states.
     ifov = sensor.ifov
+    # Time from the middle of the image to its end [s].
     end = size * sensor.line_period / 2
 
-    def slow(angle: Angle) -> Angle:
+    def with_drift(angle: Angle) -> Angle:
         """Return an angle with a random rate and acceleration added."""
         constant = angle.drift[0] if angle.drift else 0.0
         rate = angle.drift[1] if len(angle.drift) > 1 else 0.0
         return Angle((constant, rate + rng.normal(0, 4) * ifov / end,
                       rng.normal(0, bend) * ifov / end**2))
-    return replace(sensor, roll=slow(sensor.roll), pitch=slow(sensor.pitch))
+    return replace(sensor, roll=with_drift(sensor.roll), pitch=with_drift(sensor.pitch))
 
 
 def _with_jitter(sensor: Pushbroom, amplitude: float, size: int,
                  rng: np.random.Generator) -> Pushbroom:
     """Return a scanner with jitter of roll and pitch, a sine each of `amplitude` [px]."""
-    time = size * sensor.line_period
+    duration = size * sensor.line_period
 
-    def moved(angle: Angle) -> Angle:
+    def with_sine(angle: Angle) -> Angle:
+        """Return an angle with a sine of 2 to 5 periods over the image added."""
         return replace(angle, jitter=(*angle.jitter, (
-            amplitude * sensor.ifov, rng.uniform(2, 5) / time, rng.uniform(0, 2 * np.pi))))
+            amplitude * sensor.ifov, rng.uniform(2, 5) / duration, rng.uniform(0, 2 * np.pi))))
 
-    return replace(sensor, roll=moved(sensor.roll), pitch=moved(sensor.pitch))
+    return replace(sensor, roll=with_sine(sensor.roll), pitch=with_sine(sensor.pitch))
 
 
 def _observe_ties(sensors: list[Pushbroom], n: int, n_ties: int, extent: _Extent,
                   rng: np.random.Generator) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return places of ties (t, 3), and measurements: line and sample, and (tie, image), (m, 2).
+    """Return the ground of ties (t, 3), and of measurements line and sample (m, 2), and indices.
 
-    Only ties that two images or more see are returned.
+    Indices (m, 2) are the numbers of tie and image. All ties are seen in two images or more; each
+    image sees about `n_ties`. Positions in the image are exact.
     """
     grounds: list[FloatArray] = []
     images = []
@@ -238,42 +244,42 @@ def _observe_ties(sensors: list[Pushbroom], n: int, n_ties: int, extent: _Extent
         near = (np.abs(middles[:, 1] - lat) < reach) & (
             np.abs(middles[:, 0] - lon) * np.cos(np.radians(LAT)) < reach)
         for i in np.flatnonzero(near):
-            at = sensors[i].project(ground)
+            image = sensors[i].project(ground)
             # Nine of ten that are inside are measured, as clouds and trees hide some.
-            inside = np.flatnonzero(((at >= 0) & (at <= size - 1)).all(axis=1)
+            inside = np.flatnonzero(((image >= 0) & (image <= size - 1)).all(axis=1)
                                     & (rng.random(n_candidates) < 0.9))
-            rows += [(t, i, *at[t]) for t in inside]
+            rows += [(t, i, *image[t]) for t in inside]
         measurements = np.array(rows).reshape(-1, 4)
         n_images = np.bincount(measurements[:, 0].astype(int), minlength=n_candidates)
         keep = np.flatnonzero(n_images > 1)
-        # Ties that two images see are numbered on, and the others dropped.
-        renamed = np.full(n_candidates, -1)
-        renamed[keep] = count + np.arange(len(keep))
-        measurements = measurements[renamed[measurements[:, 0].astype(int)] >= 0]
+        # Ties that two images see are numbered after those of earlier stacks; others are dropped.
+        new_number = np.full(n_candidates, -1)
+        new_number[keep] = count + np.arange(len(keep))
+        measurements = measurements[new_number[measurements[:, 0].astype(int)] >= 0]
         grounds.append(ground[keep])
         images.append(measurements[:, 2:])
-        indices.append(np.column_stack([renamed[measurements[:, 0].astype(int)],
+        indices.append(np.column_stack([new_number[measurements[:, 0].astype(int)],
                                         measurements[:, 1]]))
         count += len(keep)
     return (np.concatenate(grounds), np.concatenate(images),
             np.concatenate(indices).astype(np.intp))
 
 
-def _draw_known_places(sensors: list[Pushbroom], control: list[int], independent: int, width: float,
+def _draw_known_points(sensors: list[Pushbroom], control: list[int], independent: int, width: float,
                        hills: Hills, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
-    """Return places of each stack's control, then of independent points all over the block.
+    """Return the ground (n, 3) of control and of independent points, and the stack of each (n,).
 
-    With them the stack of each; -1 for independent ones.
+    `control` has the number of control points of each stack. Independent points, as many for each
+    stack as `independent`, are spread over all stacks; their stack is -1.
     """
     stacks = (len(sensors) + 2) // 3
-    half = 0.46 * width / _DEGREE_METRES
-    # Control lies in one stack; independent points are spread over all.
-    of_control = np.repeat(np.arange(len(control)), control)
-    stack_of = np.concatenate([of_control, rng.choice(stacks, independent * stacks)])
+    half_width = 0.46 * width / _DEGREE_METRES
+    control_stack = np.repeat(np.arange(len(control)), control)
+    stack_of = np.concatenate([control_stack, rng.choice(stacks, independent * stacks)])
     middle = np.array([_middle_of_stack(int(stack), width) for stack in stack_of]).reshape(-1, 2)
-    away = rng.uniform(-half, half, middle.shape) / [np.cos(np.radians(LAT)), 1.0]
-    return (np.column_stack([middle + away, ground_heights(middle + away, hills)]),
-            np.concatenate([of_control, np.full(independent * stacks, -1)]).astype(np.intp))
+    offset = rng.uniform(-half_width, half_width, middle.shape) / [np.cos(np.radians(LAT)), 1.0]
+    return (np.column_stack([middle + offset, ground_heights(middle + offset, hills)]),
+            np.concatenate([control_stack, np.full(independent * stacks, -1)]).astype(np.intp))
 
 
 def _rank_in_stack(stack: IntArray) -> IntArray:
@@ -283,9 +289,10 @@ def _rank_in_stack(stack: IntArray) -> IntArray:
 
 def _measured_points(sensor: Pushbroom, known: tuple[FloatArray, BoolArray, BoolArray],
                      noise: float, size: int, rng: np.random.Generator) -> Points:
-    """Return the control and the independent points, of those in use, that an image sees.
+    """Return the points in use that an image sees, measured with `noise` [px].
 
-    What is known is the ground (n, 3), which of it is in use, and which of it is control.
+    `known` are the ground (n, 3), which of it is in use (n,), and which is control (n,); the others
+    are independent points.
     """
     ground, use, is_control = known
     image = sensor.project(ground)
@@ -303,12 +310,13 @@ def _vendor_rpc(sensor: Pushbroom, bias: float, drift: float, size: int, height_
 
     `bias` and `drift` are the standard deviations of the errors [px], the latter at the end of the
     image of `size` lines and samples. `height_offset` is the mean height of the ground that the
-    vendor assumes, less the true one [m]: it moves the heights that the RPC is fitted at.
+    vendor assumes, less the true one [m]: it moves the heights at which the RPC is fitted.
     """
+    # Time from the middle of the image to its end [s].
     end = size * sensor.line_period / 2
 
     def with_errors(angle: Angle) -> Angle:
-        # Shift, drift and bend: the attitude of a scene is quadratic in time.
+        """Return an angle whose constant and rate have random errors."""
         values = (*angle.drift, 0.0, 0.0, 0.0)[:3]
         return Angle((values[0] + rng.normal(0, bias) * sensor.ifov,
                       values[1] + rng.normal(0, drift) * sensor.ifov / end, values[2]))
@@ -317,7 +325,7 @@ def _vendor_rpc(sensor: Pushbroom, bias: float, drift: float, size: int, height_
     # A vendor fits its RPC to a grid in the image at several heights: 13 x 13 x 5 positions,
     # over 400 m above and below the mean. Hills of relief 1 are 280 m high at most.
     steps = np.linspace(0, size - 1, 13)
-    heights = _MEAN + height_offset + np.linspace(-400, 400, 5)
+    heights = _MEAN_HEIGHT + height_offset + np.linspace(-400, 400, 5)
     grid = np.stack(np.meshgrid(steps, steps, heights), axis=-1).reshape(-1, 3)
     ground = np.column_stack([wrong_sensor.locate(grid[:, :2], grid[:, 2]), grid[:, 2]])
     points = Points(tuple(map(str, range(len(grid)))), grid[:, :2], ground)

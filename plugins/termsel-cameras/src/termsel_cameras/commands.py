@@ -83,22 +83,30 @@ def map_series(sheets: tuple[Path, ...], crs: str | None, prime_meridian: str | 
 
 
 def _read_sheet(sheet: Path, crs: str | None, meridian: dict[str, str]) -> FeatureSet:
-    """Return the points of a sheet; without any CRS they are longitudes and latitudes."""
+    """Return the points of a sheet in `crs`, or else in the CRS that it declares.
+
+    If it declares none, its coordinates are longitudes and latitudes on WGS84. `meridian` has the
+    option of the prime meridian, if that is given.
+    """
     try:
         return read(sheet, crs=crs, **meridian)
     except TermselError as error:
+        # An error that --crs would mend is that of a file without a CRS.
         if crs is not None or "--crs" not in error.options:
             raise
     return read(sheet, crs="EPSG:4326", **meridian)
 
 
-_MOST_ALIKE = 3
+_MAX_LISTED = 3
 """Projections with the same figure that a table lists."""
 
 
 def _choose_projection(sheets: list[FeatureSet], candidates: Path | None,
                        century: int | None) -> str:
-    """Print how well each projection predicts the sheets, and return the CRS of the chosen one."""
+    """Print how well each projection predicts the sheets, and return the CRS of the chosen one.
+
+    Raises TermselError if no sheet has enough points, or none determines a model.
+    """
     from termsel_cameras.sheets.choosing import (
         as_probable_as_the_best,
         first_of_the_best,
@@ -135,11 +143,11 @@ def _print_projections(ranked: Sequence[Tried], best: Tried) -> None:
     rows = [(projection.name, _figure(projection), projection.crs) for projection in ranked]
     listed: list[tuple[str, str, str]] = []
     for figure, group in groupby(rows, key=lambda row: row[1]):
-        # The chosen one first: it must be among those that are listed.
-        alike = sorted(group, key=lambda row: row[0] != best.name)
-        listed += alike[:_MOST_ALIKE]
-        if len(alike) > _MOST_ALIKE:
-            listed.append((f"{len(alike) - _MOST_ALIKE} more", figure, ""))
+        # The chosen one comes first, so that it is always listed.
+        equal_rows = sorted(group, key=lambda row: row[0] != best.name)
+        listed += equal_rows[:_MAX_LISTED]
+        if len(equal_rows) > _MAX_LISTED:
+            listed.append((f"{len(equal_rows) - _MAX_LISTED} more", figure, ""))
     print_table(("projection", "predicted px", "CRS"), listed)
 
 
@@ -149,7 +157,9 @@ def _figure(projection: Tried) -> str:
 
 
 def _say_paper(series: Series) -> None:
-    """Print what the paper of a series is like: scale, turn, stretch and shear, with their spreads.
+    """Print the means and spreads of scale, turn, stretch and shear, and the noise of a series.
+
+    A warning follows if the scales differ more than those of one series do.
     """
     from termsel_cameras.sheets.paper import paper_of, reason_against
 
@@ -169,7 +179,7 @@ def _say_paper(series: Series) -> None:
 
 
 def _read_photo(photo: Path, crs: str | None, size: tuple[int, int]) -> FeatureSet:
-    """Return the points of a photo, all of which must lie in it."""
+    """Return the points of a photo; raises TermselError if one lies outside its `size`."""
     features = read(photo, crs=crs)
     try:
         require_inside(features, size, photo)

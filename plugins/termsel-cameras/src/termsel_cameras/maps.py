@@ -111,7 +111,7 @@ def simulate_map(
     # A generator for each part, so that without one of them the others stay the same.
     paper_rng, sheet_rng, field_rng, position_rng, noise_rng = np.random.default_rng(
         [1900, seed or 0]).spawn(5)
-    positions = _spread_places(position_rng, n_points)
+    positions = _spread_positions(position_rng, n_points)
     extent = np.array(SIZE) - 1.0
     # Distorted as drawn, then by the sheets, then by the paper, then measured.
     image = positions + _random_shift(field_rng, local, positions)
@@ -130,19 +130,22 @@ def simulate_map(
     return FeatureSet(points, empty_lines(), MAP_CRS, SIZE, noise)
 
 
-def _spread_places(rng: Generator, count: int) -> FloatArray:
-    """Return places on the map [px], spread out by best candidates (Mitchell 1991)."""
+def _spread_positions(rng: Generator, count: int) -> FloatArray:
+    """Return line and sample (count, 2) [px] of points spread over the map (Mitchell 1991)."""
     positions = np.empty((count, 2))
     for i in range(count):
         candidates = rng.uniform(_EDGE, 1 - _EDGE, (_CANDIDATES, 2)) * (np.array(SIZE) - 1.0)
-        # Of several candidates the one farthest from all that are placed.
+        # Of several random candidates the one is taken that is farthest from all points so far.
         distances = np.linalg.norm(candidates[:, None] - positions[:i], axis=2)
         positions[i] = candidates[distances.min(axis=1, initial=np.inf).argmax()]
     return positions
 
 
 def _random_shift(rng: Generator, size: float, positions: FloatArray) -> FloatArray:
-    """Return a smooth random shift at places (n, 2) [px], of standard deviation `size` [px]."""
+    """Return a smooth random shift (n, 2) [px] at positions (n, 2) [px].
+
+    `size` [px] is its standard deviation in each axis.
+    """
     length = DISTORTION_LENGTH * max(SIZE)
     shift = np.empty(positions.shape)
     for axis in (0, 1):
@@ -158,13 +161,17 @@ def _random_shift(rng: Generator, size: float, positions: FloatArray) -> FloatAr
 
 def _shift_by_sheet(rng: Generator, sheets: tuple[int, int], size: float,
                     positions: FloatArray) -> FloatArray:
-    """Return the shift of places (n, 2) [px] by the sheets they are on; 0 on a single sheet."""
+    """Return the shift (n, 2) [px] of positions (n, 2) [px] by the sheets that they are on.
+
+    `sheets` are their numbers along lines and samples, `size` [px] is the standard deviation of
+    their shifts. A single sheet has no shift.
+    """
     if sheets == (1, 1):
         return np.zeros(positions.shape)
     extent = np.array(SIZE) / sheets
     sheet = np.minimum(positions // extent, np.array(sheets) - 1).astype(int)
     number = sheet[:, 0] * sheets[1] + sheet[:, 1]
-    # From the middle of each sheet, in half its longer side.
+    # Line and sample count from the middle of each sheet, in halves of its longer side.
     line, sample = ((positions - (sheet + 0.5) * extent) / (extent.max() / 2)).T
     shift = size * rng.standard_normal((sheets[0] * sheets[1], 2))[number]
     # A small scale and turn move the edge of a sheet by as much as its shift.
@@ -174,17 +181,20 @@ def _shift_by_sheet(rng: Generator, sheets: tuple[int, int], size: float,
 
 
 def _shrink(rng: Generator, shrinkage: float, image: FloatArray) -> FloatArray:
-    """Return image positions on paper that shrank about its middle and was scanned at a slant."""
+    """Return image positions (n, 2) [px] once the paper shrank about its middle and was scanned.
+
+    It shrank by `shrinkage` along its fibres, and lay on the scanner with a turn of up to 0.01 rad.
+    """
     middle = (np.array(SIZE) - 1.0) / 2
-    u = (image - middle) / middle
-    uneven = rng.uniform(-1, 1, (2, 3)) * WARP / 3
+    line, sample = ((image - middle) / middle).T
+    coefficients = rng.uniform(-1, 1, (2, 3)) * WARP / 3
     # Uneven shrinkage: a quadratic form of the position, 0 in the middle.
-    bent = np.stack([u[:, 0] ** 2, u[:, 0] * u[:, 1], u[:, 1] ** 2], axis=1) @ uneven.T
+    warp = np.stack([line**2, line * sample, sample**2], axis=1) @ coefficients.T
     turn = rng.uniform(-0.01, 0.01)
-    remaining = 1.0 - shrinkage * np.array([1.0, 1.5])
-    flat = (image - middle) * remaining
-    return np.asarray(middle + flat @ np.array([[np.cos(turn), np.sin(turn)],
-                                                [-np.sin(turn), np.cos(turn)]]) + bent)
+    rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    # Fibres run along lines; across them paper shrinks by half more.
+    shrunk = (image - middle) * (1.0 - shrinkage * np.array([1.0, 1.5]))
+    return np.asarray(middle + shrunk @ rotation + warp)
 
 
 MAP = DatasetSpec(

@@ -49,9 +49,12 @@ _PHOTO_POINTS, _PHOTO_SEED, _ADJUSTING_STEPS = 120, 1971, 50
 
 
 def read_photo_points() -> FeatureSet:
-    """Return the measured points of the photo: easting, northing in UTM zone 33 and height [m]."""
+    """Return the simulated measurements of the photo, with roles in thirds.
+
+    Ground coordinates are easting and northing in UTM zone 33 and height [m].
+    """
     rng = np.random.default_rng(_PHOTO_SEED)
-    # Ground beyond the image on all sides, so that its corners have points, too.
+    # Points are drawn beyond the image on all sides, so that its corners have some, too.
     reach = 0.62 * SIZE[0] / PHOTO_FOCAL * HEIGHT
     ground = rng.uniform(-reach, reach, (20 * _PHOTO_POINTS, 3))
     ground[:, 2] = RELIEF * (np.sin(ground[:, 0] / 700.0) + np.cos(ground[:, 1] / 900.0)) / 2
@@ -59,7 +62,7 @@ def read_photo_points() -> FeatureSet:
     inside = ((image > 40) & (image < np.array(SIZE) - 40)).all(axis=1)
     ground = ground[inside][:_PHOTO_POINTS]
     image = image[inside][:_PHOTO_POINTS]
-    # Rounded: processors differ in the last bits.
+    # Processors differ in the last bits, which rounding removes.
     image = (image + NOISE * rng.standard_normal(image.shape)).round(DIGITS)
     roles = tuple(ROLES[i % 3] for i in range(len(image)))
     points = Points(tuple(f"A{i + 1:03d}" for i in range(len(image))), image,
@@ -68,24 +71,23 @@ def read_photo_points() -> FeatureSet:
 
 
 def project_into_scan(ground: FloatArray) -> FloatArray:
-    """Return where ground points are in the scan [px], shape (n, 2), without noise.
+    """Return line and sample (n, 2) [px] of ground points in the scan, without noise.
 
-    `ground`, shape (n, 3), is from the point below the camera [m].
+    `ground` (n, 3) [m] counts from the point on the plane of heights 0 below the camera.
     """
-    omega, phi, kappa = TURNS
-    (sin_omega, cos_omega), (sin_phi, cos_phi), (sin_kappa,
-        cos_kappa) = ((np.sin(a), np.cos(a)) for a in (omega, phi, kappa))
+    sin_omega, sin_phi, sin_kappa = np.sin(TURNS)
+    cos_omega, cos_phi, cos_kappa = np.cos(TURNS)
     # R = R_x(omega) R_y(phi) R_z(kappa).
-    turned = (np.array([[1, 0, 0], [0, cos_omega, -sin_omega], [0, sin_omega, cos_omega]])
+    rotation = (np.array([[1, 0, 0], [0, cos_omega, -sin_omega], [0, sin_omega, cos_omega]])
               @ np.array([[cos_phi, 0, sin_phi], [0, 1, 0], [-sin_phi, 0, cos_phi]])
               @ np.array([[cos_kappa, -sin_kappa, 0], [sin_kappa, cos_kappa, 0], [0, 0, 1]]))
-    x, y, z = ((ground - [0.0, 0.0, HEIGHT]) @ turned).T
-    # Lines count downwards.
+    x, y, z = ((ground - [0.0, 0.0, HEIGHT]) @ rotation).T
+    # The camera looks along -z, and lines count downwards: (line, sample) = f (y, -x) / z.
     ideal = PHOTO_FOCAL * np.column_stack([y / z, -x / z])
     distorted = ideal.copy()
-    # Brown's distortion acts on measured places, so that the ideal one is inverted by steps.
+    # Brown's corrections are of measured positions m: m + m (k1 r^2 + k2 r^4) = ideal, with r of
+    # m, is solved by a fixed-point iteration.
     k1, k2 = DISTORTION
-    # m + m (k1 r^2 + k2 r^4) = ideal.
     for _ in range(_ADJUSTING_STEPS):
         squared = (distorted**2).sum(axis=1, keepdims=True)
         distorted = ideal / (1.0 + k1 * squared + k2 * squared**2)

@@ -25,8 +25,8 @@ IntArray = NDArray[np.intp]
 RADIAL_POWERS = (2, 4, 6)
 """Of the distance from the centre of distortion."""
 
-_RADIAL_STEPS, _CLOSE = 30, 1e-12
-_SHARES = (0.25, 0.5, 0.75, 0.9, 1.0)
+_MAX_STEPS, _CONVERGED = 30, 1e-12
+_TESTED_SHARES = (0.25, 0.5, 0.75, 0.9, 1.0)
 
 _CENTRE = ("Centre of distortion, {} coordinate: in half extents of the control in the image from "
            "its middle.")
@@ -67,16 +67,18 @@ class Radial(SensorModel):
         return np.concatenate([self._plain.axis, on_both])
 
     def equations(self, features: FeatureSet) -> Equations:
-        """Return the equations of points, exact in the terms; refuse lines, which distortion bends.
+        """Return the equations of scaled points, which are linear in the terms.
+
+        Raises TermselError for lines, as distortion bends them.
         """
         if len(features.lines):
             raise TermselError(f"model {self.name!r} takes no lines: distortion bends them",
                                hint="Give points alone, or choose another model.")
         points = features.points
-        away = points.image - self._centre
-        squared = (away**2).sum(axis=1)[:, None, None]
-        # The unknown k moved to the side of the polynomials: P - (m - c) (k1 r^2 + ...) = m.
-        radial = -away[:, :, None] * squared ** (np.array(RADIAL_POWERS) // 2)
+        offsets = points.image - self._centre
+        squared = (offsets**2).sum(axis=1)[:, None, None]
+        # The unknown k are on the side of the polynomials: P - (m - c) (k1 r^2 + ...) = m.
+        radial = -offsets[:, :, None] * squared ** (np.array(RADIAL_POWERS) // 2)
         columns = self._plain.blocks(points.ground).line
         undistorted = np.einsum("ab,ne->nabe", np.eye(2), columns).reshape(len(columns), 2, -1)
         rows = np.concatenate([undistorted, radial], axis=2)
@@ -86,38 +88,41 @@ class Radial(SensorModel):
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return image positions of ground points, shape (..., n, 2).
 
-        The polynomials give undistorted places; those that the lens images there follow by Newton's
-        method along the radius. Where none does, the place is NaN.
+        They are those which the corrections move to the undistorted positions of the polynomials.
+        NaN where there is none, or where the distortion is found to fold the image over.
         """
         n = len(self._plain.terms)
         ideal = self._plain.project(coefficients[..., :n], ground)
-        away = ideal - self._centre
-        squared = (away**2).sum(axis=-1)
-        # With m - c = s (P - c): s (1 + k1 (s r)^2 + ...) = 1.
+        offsets = ideal - self._centre
+        squared = (offsets**2).sum(axis=-1)
+        # With m - c = s (P - c), Newton's method solves s (1 + k1 (s r)^2 + ...) = 1 for s.
         k = [coefficients[..., n + i, None] * squared ** (power // 2)
              for i, power in enumerate(RADIAL_POWERS)]
         s = np.ones(squared.shape)
-        # Far from the control the distortion may overflow, or have no place at all.
+        # Far from the control the powers may overflow, or the equation may have no solution.
         with np.errstate(all="ignore"):
             pairs = tuple(zip(k, RADIAL_POWERS, strict=True))
-            for _ in range(_RADIAL_STEPS):
+            for _ in range(_MAX_STEPS):
                 value = s - 1.0 + sum(kp * s ** (p + 1) for kp, p in pairs)
                 slope = 1.0 + sum((p + 1) * kp * s**p for kp, p in pairs)
                 step = value / slope
                 s = s - step
-                if not (np.abs(step) > _CLOSE).any():
+                if not (np.abs(step) > _CONVERGED).any():
                     break
-            # Where Newton's method ends, unless it has not settled or is beyond the centre.
-            imaged = (np.abs(step) <= 1e-9) & (s > 0)
-            # Only where the distortion grows with the radius up to there is there one such place.
-            for share in _SHARES:
-                imaged &= 1.0 + sum((p + 1) * kp * (share * s) ** p
+            # A solution s <= 0 is on the other side of the centre.
+            is_imaged = (np.abs(step) <= 1e-9) & (s > 0)
+            # The solution is the only one if the corrected radius grows up to it, which is tested
+            # at some shares of it.
+            for share in _TESTED_SHARES:
+                is_imaged &= 1.0 + sum((p + 1) * kp * (share * s) ** p
                                     for kp, p in zip(k, RADIAL_POWERS, strict=True)) > 0
-        return np.asarray(self._centre + np.where(imaged, s, np.nan)[..., None] * away)
+        return np.asarray(self._centre + np.where(is_imaged, s, np.nan)[..., None] * offsets)
 
 
 def _radial_options(degree: int, largest: int) -> tuple[Option, ...]:
-    """Return the options of a model: degree (with its default and largest value) and centre."""
+    """Return the options of a model: its degree, `degree` by default and at most `largest`, and
+    the centre of distortion.
+    """
     return (Option("degree", degree, "Total degree of the polynomials.", int, 1, largest),
             Option("centre_line", 0.0, _CENTRE.format("line"), float, -1.0, 1.0),
             Option("centre_sample", 0.0, _CENTRE.format("sample"), float, -1.0, 1.0))

@@ -29,6 +29,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,10 +53,10 @@ SHARES = 10.0 ** np.arange(-2.0, 0.1, 0.5)
 NOISES = 10.0 ** np.arange(-1.5, 2.1, 0.25)
 """Standard deviations of a measurement, by the usual one."""
 
-SPREAD = np.log(2.0)
+NOISE_SPREAD = np.log(2.0)
 """Standard deviation of the natural logarithm of the noise before anything is measured."""
 
-NEVER = 50.0
+NEGLIGIBLE = 50.0
 """Solutions less likely than the likeliest by this, in natural logarithms, are left out."""
 
 
@@ -72,12 +73,13 @@ class Grid:
 def correction_grid(kinds: Iterable[int], usual: float = USUAL_PX) -> Grid:
     """Return all corrections of some kinds on a grid of size, share and noise, with their priors.
 
-    `usual` is the usual noise [px], which the grid's is a multiple of.
+    `kinds` are numbers in `CORRECTION_KINDS`; `usual` [px] is the noise that `NOISES` multiply. If
+    not all kinds are given, the probabilities do not sum to 1; `Belief` normalises them.
     """
-    of_kinds = []
+    parts = []
     # Normal in the logarithm of the noise, and normalised over the grid.
-    of_noise = -0.5 * (np.log(NOISES) / SPREAD) ** 2
-    of_noise -= np.logaddexp.reduce(of_noise)
+    log_noise_prior = -0.5 * (np.log(NOISES) / NOISE_SPREAD) ** 2
+    log_noise_prior -= np.logaddexp.reduce(log_noise_prior)
     for kind in kinds:
         sizes = SIZES if kind else np.zeros(1)
         shares = SHARES if kind > 1 else np.zeros(1)
@@ -87,12 +89,24 @@ def correction_grid(kinds: Iterable[int], usual: float = USUAL_PX) -> Grid:
         # Coefficients are normalised to the edge of the image: b1 and b2 are share times size
         # there.
         drift = size * share
-        # The kind of number 3, affine, alone has a term of the sample.
+        # Kind 3, affine, is the only one with a term of the sample.
         axis = np.stack([size, drift, drift * (kind > 2)], axis=1)
-        of_kinds.append((np.full(len(size), float(kind)), np.tile(axis, 2),
-                         NOISES[noise] * usual,
-                         of_noise[noise] + np.log(PRIOR[kind] / len(sizes) / len(shares))))
-    return Grid(*(np.concatenate(values) for values in zip(*of_kinds, strict=True)))
+        parts.append((np.full(len(size), float(kind)), np.tile(axis, 2), NOISES[noise] * usual,
+                      log_noise_prior[noise] + np.log(PRIOR[kind] / len(sizes) / len(shares))))
+    return Grid(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+
+class _Posterior(NamedTuple):
+    """Solutions that are not negligible next to the likeliest, given the measurements.
+
+    `covariances` (c, 6, 6) are those of the coefficients divided by the variance of the noise;
+    `log_evidence` is the logarithm of the sum of what all solutions explain, but for a constant.
+    """
+
+    solutions: Grid
+    probabilities: FloatArray
+    covariances: FloatArray
+    log_evidence: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,12 +129,8 @@ class Belief:
     grid: Grid
 
     @cached_property
-    def _cells(self) -> tuple[Grid, FloatArray, FloatArray, float]:
-        """What matters of the grid: solutions, probabilities (c,), covariances (c, 6, 6), evidence.
-
-        Solutions less likely than e^-50 times the best are left out. Covariances are by the noise's
-        variance; the evidence of all is its logarithm.
-        """
+    def _posterior(self) -> _Posterior:
+        """The solutions that matter, given the measurements."""
         # With x = S u and u ~ N(0, I): the posterior of u has the precision I + S A^T A S / s^2.
         cells = self.grid
         by_noise = cells.scales / cells.noise[:, None]
@@ -135,83 +145,90 @@ class Belief:
         log = (cells.log - 0.5 * (np.linalg.slogdet(precision)[1] + square)
                - len(self.right) * np.log(cells.noise))
         # Solutions less likely than e^-50 times the best change no figure.
-        matters = log > log.max() - NEVER
-        kept_grid = Grid(*(value[matters] for value in vars(cells).values()))
+        matters = log > log.max() - NEGLIGIBLE
+        solutions = Grid(*(value[matters] for value in vars(cells).values()))
         scaled = by_noise[matters]
         covariance = scaled[:, :, None] * np.linalg.inv(precision[matters]) * scaled[:, None, :]
         total = np.logaddexp.reduce(log[matters])
-        return kept_grid, np.exp(log[matters] - total), covariance, total
+        return _Posterior(solutions, np.exp(log[matters] - total), covariance, float(total))
 
     @property
     def log(self) -> float:
         """Logarithm of the evidence of all solutions."""
-        return float(self._cells[3] - 0.5 * len(self.right) * np.log(2 * np.pi))
+        # The constant that `_posterior` leaves out, as it is the same for all solutions.
+        return float(self._posterior.log_evidence - 0.5 * len(self.right) * np.log(2 * np.pi))
 
     @cached_property
     def kinds(self) -> FloatArray:
         """Probability of each kind, shape (4,)."""
-        cells, share, _, _ = self._cells
-        return np.bincount(cells.kind.astype(int), share, len(CORRECTION_KINDS)).astype(np.float64)
+        posterior = self._posterior
+        kinds = posterior.solutions.kind.astype(int)
+        return np.bincount(
+            kinds, posterior.probabilities, len(CORRECTION_KINDS)).astype(np.float64)
 
     @cached_property
     def _solutions(self) -> FloatArray:
         """Coefficients of each solution, shape (c, 6)."""
-        return self._cells[2] @ (self.rows.T @ self.right)
+        # x = C A^T b, in which the variance of the noise cancels.
+        return self._posterior.covariances @ (self.rows.T @ self.right)
 
     @cached_property
     def coefficients(self) -> FloatArray:
-        """Coefficients, averaged [px], shape (6,)."""
-        return np.asarray(self._cells[1] @ self._solutions)
+        """Coefficients [px], shape (6,): the mean of all solutions by their probabilities."""
+        return np.asarray(self._posterior.probabilities @ self._solutions)
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """Covariance of the coefficients [px^2], shape (6, 6), doubts between solutions included.
+        """Covariance of the coefficients [px^2], shape (6, 6), with the spread between solutions.
         """
-        cells, share, covariance, _ = self._cells
+        solutions, probabilities, covariances, _ = self._posterior
         # Law of total variance: mean of covariances plus covariance of means.
-        away = self._solutions - self.coefficients
-        mean_covariance = np.einsum("c,cjk->jk", share * cells.noise**2, covariance)
-        return np.asarray(mean_covariance + (share[:, None] * away).T @ away)
+        deviations = self._solutions - self.coefficients
+        mean_covariance = np.einsum("c,cjk->jk", probabilities * solutions.noise**2, covariances)
+        return np.asarray(
+            mean_covariance + (probabilities[:, None] * deviations).T @ deviations)
 
     @cached_property
     def noise(self) -> float:
         """Mean variance of a measurement [px^2]."""
-        cells, share, _, _ = self._cells
-        return float(share @ cells.noise**2)
+        return float(self._posterior.probabilities @ self._posterior.solutions.noise**2)
 
     def variance(self, rows: FloatArray) -> FloatArray:
-        """Return the variance of further measurements [px^2], shape (m,), noise included."""
+        """Return the variances of further measurements [px^2], shape (m,), noise included.
+
+        `rows` (m, 6) has the effect of each coefficient on each.
+        """
         return np.asarray(np.einsum("mj,jk,mk->m", rows, self.covariance, rows) + self.noise)
 
     @cached_property
     def effective(self) -> float:
-        """Effective parameters: the trace of the matrix that turns measurements into fitted values.
-        """
-        return float(np.einsum("c,cjk,jk->", self._cells[1], self._cells[2],
-                               self.rows.T @ self.rows))
+        """Number of effective parameters: the mean trace of the hat matrices A C A^T."""
+        return float(np.einsum("c,cjk,jk->", self._posterior.probabilities,
+                               self._posterior.covariances, self.rows.T @ self.rows))
 
     @cached_property
     def without_each(self) -> tuple[FloatArray, FloatArray]:
-        """Errors of the rows (m,) [px] by all other features, and the density of each feature (n,).
+        """Errors of measurements (m,) [px] without their feature, and densities of features (n,).
 
-        Each feature is left out of the whole procedure; the density is the logarithm of that of its
-        rows, given the others.
+        Each feature is left out of the whole procedure, in closed form. Its density is the
+        logarithm of that of its measurements, given all other features.
         """
-        cells, share, covariance, _ = self._cells
+        solutions, probabilities, covariances, _ = self._posterior
         errors = np.empty(len(self.right))
-        density = np.empty(int(self.feature.max()) + 1)
+        densities = np.empty(int(self.feature.max()) + 1)
         residuals = self.right - self._solutions @ self.rows.T
-        for number in range(len(density)):
+        for number in range(len(densities)):
             rows = np.flatnonzero(self.feature == number)
-            # Errors without a feature: (I - A C A^T)^-1 r, in closed form for each solution.
-            keep = np.eye(len(rows)) - self.rows[rows] @ covariance @ self.rows[rows].T
-            away = np.linalg.solve(keep, residuals[:, rows, None])[..., 0]
-            # Density of the feature given the others, by which each solution is weighed without it.
-            square = np.einsum("cm,cm->c", residuals[:, rows], away) / cells.noise**2
-            log = (0.5 * (np.linalg.slogdet(keep)[1] - square)
-                   - len(rows) * (np.log(cells.noise) + 0.5 * np.log(2 * np.pi)))
-            log_weight = np.log(share) - log
-            density[number] = -np.logaddexp.reduce(log_weight)
-            # The average of all solutions, with the weights that they have without the feature.
-            errors[rows] = np.exp(log_weight + density[number]) @ away
-        return errors, density
+            # Errors without the feature are R^-1 r with R = I - A C A^T, for each solution.
+            redundancy = np.eye(len(rows)) - self.rows[rows] @ covariances @ self.rows[rows].T
+            solution_errors = np.linalg.solve(redundancy, residuals[:, rows, None])[..., 0]
+            # The density of the feature by each solution: those errors are normal with the
+            # covariance s^2 R^-1.
+            square = np.einsum("cm,cm->c", residuals[:, rows], solution_errors) / solutions.noise**2
+            log_density = (0.5 * (np.linalg.slogdet(redundancy)[1] - square)
+                           - len(rows) * (np.log(solutions.noise) + 0.5 * np.log(2 * np.pi)))
+            # Without the feature a solution has its probability divided by that density.
+            log_weight = np.log(probabilities) - log_density
+            densities[number] = -np.logaddexp.reduce(log_weight)
+            errors[rows] = np.exp(log_weight + densities[number]) @ solution_errors
+        return errors, densities

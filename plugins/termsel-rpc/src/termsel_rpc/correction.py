@@ -34,7 +34,7 @@ from termsel_rpc.refinement import FloatArray
 
 BoolArray = np.ndarray[tuple[int], np.dtype[np.bool_]]
 
-MAX_TESTED_HERE = 17
+MANY_FEATURES = 17
 """Number of features from which on blunders are left to the test by regularised polynomials."""
 
 MAX_BLUNDER_SHARE = 1 / 3
@@ -46,10 +46,10 @@ SURE = 0.99
 LIKELY = 0.75
 """Probability beyond which it is left out as a probable one: odds of three to one."""
 
-NEAREST = 1.0
+MIN_BLUNDER = 1.0
 """Least error of a blunder [px]."""
 
-LOOKED_AT = 3
+N_LIKELIEST = 3
 """Likeliest blunders, with each of which pairs are made."""
 
 
@@ -76,11 +76,12 @@ class Correction(Estimator):
         """Fit the correction (see `Estimator.fit`) with all its terms, by features in use."""
         ready = model.prepared(scaling, control.crs)
         in_use = control.take(used)
-        believed, unit = belief_about_rpc(ready, in_use, scaling, self.kinds)
+        believed, weights = belief_about_rpc(ready, in_use, scaling, self.kinds)
         coefficients = to_terms(ready, scaling) @ believed.coefficients
-        # Rows were weighed; errors of held-out features are in px again.
+        # Equations are multiplied by the square root of their weights, by which errors are divided
+        # to be px.
         held_out = HeldOut.of(
-            _rows_as_vectors(believed.without_each[0] / unit, scaling.features(in_use)), in_use)
+            _rows_as_vectors(believed.without_each[0] / weights, scaling.features(in_use)), in_use)
         solution = RefinementSolution(coefficients, believed.effective, len(believed.right),
                                       float(np.sqrt(believed.noise)) / scaling.image_scale,
                                       held_out)
@@ -102,19 +103,19 @@ class Correction(Estimator):
 
 @dataclass(frozen=True, eq=False)
 class RefinementSolution:
-    """What a procedure found for a refinement of an RPC.
+    """The estimates of a refinement of an RPC, and the errors of features that were held out.
 
     Parameters
     ----------
     coefficients : ndarray, shape (k,)
-        Of the model's terms.
+        Coefficients of the model's terms.
     effective : float
-        Effective parameters of both axes.
+        Number of effective parameters of both axes.
     n_equations : int
     sigma0 : float
-        Standard deviation of a measurement, scaled; nan where it is not one for all.
+        Standard deviation of a measurement, scaled; NaN where it differs between measurements.
     held_out : HeldOut
-        Errors of features under the procedure without them.
+        Errors of features by the procedure without them.
     """
 
     coefficients: FloatArray
@@ -126,34 +127,38 @@ class RefinementSolution:
 
 def fit_of(model: Any, scaling: Scaling, control: FeatureSet, used: BoolArray,
            estimator: Estimator, solution: RefinementSolution) -> Fit:
-    """Return a solution as a fit to the features in use, `used` (n,).
+    """Return a solution as a fit to the features of `control` that are in use, `used` (n,).
 
-    Its terms have no standard deviations of their own.
+    The standard deviations of its terms and the condition are NaN.
     """
-    count = len(solution.coefficients)
-    effective = round(solution.effective)
+    n_coefficients = len(solution.coefficients)
+    # An adjustment counts terms in whole numbers; the fit's trace is the effective number itself.
+    n_terms = round(solution.effective)
     adjustment = Adjustment(
-        solution.coefficients, np.full(count, np.nan), n_terms=effective,
-        n_equations=solution.n_equations, rank=effective, condition=float("nan"),
+        solution.coefficients, np.full(n_coefficients, np.nan), n_terms=n_terms,
+        n_equations=solution.n_equations, rank=n_terms, condition=float("nan"),
         sigma0=solution.sigma0)
-    return Fit(model, scaling, control, np.ones(count, dtype=bool), used, adjustment, estimator,
-               solution.effective, solution.held_out)
+    return Fit(model, scaling, control, np.ones(n_coefficients, dtype=bool), used, adjustment,
+               estimator, trace=solution.effective, stored_held_out=solution.held_out)
 
 
 def to_terms(model: RpcAffine, scaling: Scaling) -> FloatArray:
-    """Return the matrix from coefficients of `Belief` [px] to terms of the model, shape (6, 6)."""
+    """Return the matrix (6, 6) that turns coefficients of `Belief` [px] into terms of the model."""
     rpc = model.rpc
-    half = np.abs(rpc.image_scale)
-    middle = (np.array(scaling.image_offset) - rpc.image_offset) / half
-    # Unit of a position: half images of the RPC there, scaled coordinates here.
-    of_axis = np.array([[1 / scaling.image_scale, *middle / scaling.image_scale],
-                        [0.0, 1 / half[0], 0.0], [0.0, 0.0, 1 / half[1]]])
-    return np.kron(np.eye(2), of_axis)
+    half_size = np.abs(rpc.image_scale)
+    middle = (np.array(scaling.image_offset) - rpc.image_offset) / half_size
+    # Positions count in half images from the middle of the RPC's image in `Belief`, and in scaled
+    # coordinates from the middle of the control in the model.
+    axis_matrix = np.array([[1 / scaling.image_scale, *middle / scaling.image_scale],
+                            [0.0, 1 / half_size[0], 0.0], [0.0, 0.0, 1 / half_size[1]]])
+    return np.kron(np.eye(2), axis_matrix)
 
 
 def belief_about_rpc(model: RpcAffine, features: FeatureSet, scaling: Scaling,
                      kinds: tuple[int, ...]) -> tuple[Belief, FloatArray]:
-    """Return what features show of a prepared model's RPC errors, and the weights of the rows (m,).
+    """Return what features show of the errors of an RPC, and the weights of their equations (m,).
+
+    The model is prepared; `features` are not scaled. `kinds` are numbers in `CORRECTION_KINDS`.
     """
     scaled = scaling.features(features)
     equations = model.equations(scaled)
@@ -165,16 +170,19 @@ def belief_about_rpc(model: RpcAffine, features: FeatureSet, scaling: Scaling,
 
 
 def _rows_as_vectors(errors: FloatArray, scaled: FeatureSet) -> FloatArray:
-    """Return errors of rows [px] as vectors of points, then of vertices of lines, shape (m, 2)."""
-    # Normals of lines: errors of lines have no direction along them.
-    count = 2 * len(scaled.points)
+    """Return the errors of equations [px] as vectors (m, 2), of points and then of line vertices.
+
+    A point has two equations and a vertex one, whose error is along the normal of its line.
+    """
+    n_of_points = 2 * len(scaled.points)
     normals = np.repeat(line_normals(scaled.lines)[0], 2, axis=0)
-    return np.concatenate([errors[:count].reshape(-1, 2), errors[count:, None] * normals])
+    return np.concatenate(
+        [errors[:n_of_points].reshape(-1, 2), errors[n_of_points:, None] * normals])
 
 
 @lru_cache(maxsize=8)  # a fit asks with each of its steps
 def _prepared_model(rpc: Rpc) -> RpcAffine:
-    """Return a model with the RPC, which it takes as JSON."""
+    """Return a model with the RPC as its option, which is JSON."""
     return RpcAffine(rpc=json.dumps(asdict(rpc)))
 
 
@@ -183,10 +191,11 @@ class CorrectedRpc(Method):
     """The RPC that features have, corrected as far as they show: as delivered, by a shift, ..."""
 
     def declines(self, control: FitData) -> str | None:
-        """Return why the RPC is not one of this image, or cannot be corrected; None if it can.
+        """Return why the RPC cannot be corrected by the control; None if it can.
 
-        An RPC of another image puts the control half an image away, where a correction moves it by
-        hundreds of px at most. Heights in a wrong unit look alike, so that they are told apart.
+        Reasons are that there is no RPC, that a height is missing, that the CRS cannot be
+        transformed, and that half of the control is so far from where the RPC puts it that the RPC
+        is of another image, or the heights in another unit.
         """
         rpc = control.features.rpc
         if rpc is None:
@@ -200,22 +209,10 @@ class CorrectedRpc(Method):
             model = _prepared_model(rpc).prepared(control.scaling, control.features.crs)
         except TermselError as error:
             return error.what
-        features = control.features
-        # A correction moves an image by some px to hundreds; half an image is another image.
-        geographic = model.geographic(control.scaling.ground(features.ground_vertices()))
-        away = np.linalg.norm(rpc.project(geographic) - features.image_vertices(), axis=1)
-        half = float(np.linalg.norm(rpc.image_scale))
-        if not np.median(away) < half:
-            statement = (f"{model.source} sees the control {np.median(away):,.0f} px from where it "
-                         "was measured")
-            if outside := rpc.heights_outside(geographic[:, 2]):
-                return f"{statement}, as {outside}: check their unit and sign"
-            return (f"{statement}, more than half of its image ({half:,.0f} px). It is of another "
-                    "image, or line and sample are swapped")
-        return None
+        return _reason_if_far_away(model, control)
 
     def fit(self, control: FitData) -> Fit:
-        """Return the fit of the correction; raises Undetermined without an RPC."""
+        """Return the fit of the correction to all features; raises Undetermined without an RPC."""
         rpc = control.features.rpc
         if rpc is None:
             raise Undetermined("no RPC is given", hint="Give it with --rpc FILE.")
@@ -244,33 +241,61 @@ class CorrectedRpc(Method):
                                        fitted.scaling,
                                        tuple(range(len(CORRECTION_KINDS))))
         rpc = fitted.model.rpc
-        chances = [f"{name} {share:.2f}"
-                   for name, share in zip(CORRECTION_KINDS, believed.kinds, strict=True)]
+        probabilities = [f"{name} {probability:.2f}" for name, probability in zip(
+            CORRECTION_KINDS, believed.kinds, strict=True)]
         likeliest = int(np.argmax(believed.kinds))
+        # Three coefficients of line, then three of sample; the first of each is the shift.
         shift = believed.coefficients[[0, 3]]
         corners = np.array([[1.0, -1, -1], [1.0, -1, 1], [1.0, 1, -1], [1.0, 1, 1]])
         rows = np.einsum("ab,nc->nabc", np.eye(2), corners).reshape(8, 6)
         # The mean variance of both axes together at the four corners, without noise.
         sigma = np.sqrt((believed.variance(rows).sum() - 8 * believed.noise) / 4)
-        return (f"The vendor's RPC{f' {rpc.source}' if rpc.source else ''} is corrected by "
+        source = f" {rpc.source}" if rpc.source else ""
+        return (f"The vendor's RPC{source} is corrected by "
                 f"{shift[0]:+.2f} px in line and {shift[1]:+.2f} px in sample, in the middle of "
-                f"its image. The points support {_WORDS[likeliest]} (probabilities: "
-                f"{', '.join(chances)}). At the corners the correction is known to {sigma:.2g} "
-                "px.")
+                f"its image. The points support {_CORRECTIONS_IN_WORDS[likeliest]} (probabilities: "
+                f"{', '.join(probabilities)}). At the corners the correction is known to "
+                f"{sigma:.2g} px.")
 
     def suspects(self, control: FitData) -> Suspects | None:
         """Return blunders among few features, by what all others and the RPC predict.
 
-        None if the features are many, and are tested as those of any model.
+        None if there are `MANY_FEATURES` or more, which are tested as those of any model, or so few
+        that none may be a blunder.
         """
-        return None if len(
-            control) >= MAX_TESTED_HERE else _probable_blunders(control, _model_of(control))
+        if len(control) >= MANY_FEATURES:
+            return None
+        return _probable_blunders(control, _prepared_model_of(control))
 
 
-_WORDS = ("no correction", "a shift", "a drift along the lines", "an affine correction")
+_CORRECTIONS_IN_WORDS = (
+    "no correction", "a shift", "a drift along the lines", "an affine correction")
 
 
-def _model_of(control: FitData) -> RpcAffine:
+def _reason_if_far_away(model: RpcAffine, control: FitData) -> str | None:
+    """Return why an RPC is not of this image; None if half of the control is near enough to it.
+
+    The limit is half of its image: a correction moves an image by hundreds of px at most.
+    """
+    rpc = model.rpc
+    features = control.features
+    geographic = model.geographic(control.scaling.ground(features.ground_vertices()))
+    distances = np.linalg.norm(rpc.project(geographic) - features.image_vertices(), axis=1)
+    half_image = float(np.linalg.norm(rpc.image_scale))
+    # The median is NaN where the RPC has no image position, which is far away, too.
+    is_near = bool(np.median(distances) < half_image)
+    if is_near:
+        return None
+    statement = (f"{model.source} sees the control {np.median(distances):,.0f} px from where it "
+                 "was measured")
+    # Heights in a wrong unit move the control as far as another image does.
+    if outside := rpc.heights_outside(geographic[:, 2]):
+        return f"{statement}, as {outside}: check their unit and sign"
+    return (f"{statement}, more than half of its image ({half_image:,.0f} px). It is of another "
+            "image, or line and sample are swapped")
+
+
+def _prepared_model_of(control: FitData) -> RpcAffine:
     """Return the model of the features' RPC, prepared for them."""
     rpc = control.features.rpc
     assert rpc is not None
@@ -278,71 +303,92 @@ def _model_of(control: FitData) -> RpcAffine:
 
 
 def _probable_blunders(control: FitData, model: RpcAffine) -> Suspects | None:
-    """Return the blunders, by hypotheses: none, each feature, pairs with one of the likeliest.
+    """Return the blunders among the control, by the probabilities of hypotheses (`_Hypotheses`).
 
-    A blunder lies anywhere, as likely within 2 to 4 px of its place as within 20 to 40. Beforehand
-    one feature of all is believed to be one.
+    A feature is a blunder if its probability is above `LIKELY`, a certain one above `SURE`, and
+    under suspicion above a half. None if fewer than three features leave no room for a blunder.
     """
     n = len(control)
-    max_blunders = int(MAX_BLUNDER_SHARE * len(control))
+    max_blunders = int(MAX_BLUNDER_SHARE * n)
     if not max_blunders:
         return None
-    full, _ = belief_about_rpc(model, control.features, control.scaling,
-                               tuple(range(len(CORRECTION_KINDS))))
-    reach = np.log(np.linalg.norm(model.rpc.image_scale) / NEAREST)
-    logs: dict[tuple[int, ...], float] = {(): full.log}
-
-    def without(hypothesis: tuple[int, ...]) -> Belief:
-        is_kept = ~np.isin(full.feature, hypothesis)
-        number = np.cumsum(~np.isin(np.arange(n), hypothesis)) - 1
-        return Belief(full.rows[is_kept], full.right[is_kept], number[full.feature[is_kept]],
-                      full.grid)
-
-    def away(feature: int, remaining: Belief) -> float:
-        rows = full.feature == feature
-        return float(np.abs(full.right[rows] - full.rows[rows] @ remaining.coefficients).max())
-
-    def weigh(*hypothesis: int) -> None:
-        remaining = without(hypothesis)
-        # A blunder is anywhere: its distance is log-uniform, and its direction uniform.
-        anywhere = [np.log((n - 1) * 2 * np.pi * reach)
-                    + 2 * np.log(max(away(feature, remaining), NEAREST)) for feature in hypothesis]
-        logs[hypothesis] = remaining.log - sum(anywhere)
-
-    for feature in range(n):
-        weigh(feature)
-    likeliest = sorted(range(n), key=lambda feature: -logs[feature,])[:LOOKED_AT]
+    belief, _ = belief_about_rpc(model, control.features, control.scaling,
+                                 tuple(range(len(CORRECTION_KINDS))))
+    reach = float(np.log(np.linalg.norm(model.rpc.image_scale) / MIN_BLUNDER))
+    hypotheses = _Hypotheses(belief, n, reach)
+    logs: dict[tuple[int, ...], float] = {(): belief.log}
+    logs |= {(feature,): hypotheses.log_of((feature,)) for feature in range(n)}
+    likeliest = sorted(range(n), key=lambda feature: -logs[feature,])[:N_LIKELIEST]
     for pair in combinations(range(n), 2) if max_blunders > 1 else ():
         if set(pair) & set(likeliest):
-            weigh(*pair)
-    best = max(logs, key=lambda hypothesis: logs[hypothesis])
+            logs[pair] = hypotheses.log_of(pair)
     total = np.logaddexp.reduce(list(logs.values()))
     # A feature is a blunder with the probability of all hypotheses that name it.
-    chance = np.zeros(n)
+    probability = np.zeros(n)
     for feature in range(n):
-        named = [log for hypothesis, log in logs.items() if feature in hypothesis]
-        chance[feature] = np.exp(np.logaddexp.reduce(named) - total)
-    by_others = without(best)
-    errors = np.array([away(feature, by_others) for feature in range(n)])
-    sigma = np.sqrt(np.array([by_others.variance(full.rows[full.feature == feature]).max()
+        naming = [log for hypothesis, log in logs.items() if feature in hypothesis]
+        probability[feature] = np.exp(np.logaddexp.reduce(naming) - total)
+    # Errors are those by the features that the most probable hypothesis takes to be right.
+    by_others = hypotheses.without(max(logs, key=lambda hypothesis: logs[hypothesis]))
+    errors = np.array([hypotheses.error(feature, by_others) for feature in range(n)])
+    sigma = np.sqrt(np.array([by_others.variance(belief.rows[belief.feature == feature]).max()
                               for feature in range(n)]))
-    blunders = chance > LIKELY
-    return Suspects(blunders, blunders & (chance <= SURE), (chance > 0.5) & ~blunders, errors,
-                    _least_certain_errors(sigma, n, float(reach)))
+    blunders = probability > LIKELY
+    return Suspects(blunders, blunders & (probability <= SURE), (probability > 0.5) & ~blunders,
+                    errors, _least_certain_errors(sigma, n, reach))
+
+
+@dataclass(frozen=True)
+class _Hypotheses:
+    """Hypotheses on which of `n` features are blunders.
+
+    Beforehand one feature of `n` is expected to be one. A blunder is as likely 2 to 4 px from its
+    right position as 20 to 40 px; `reach` is the logarithm of the farthest over the nearest
+    distance.
+    """
+
+    belief: Belief
+    n: int
+    reach: float
+
+    def without(self, hypothesis: tuple[int, ...]) -> Belief:
+        """Return the belief by all features but those of the hypothesis, numbered anew."""
+        belief = self.belief
+        is_kept = ~np.isin(belief.feature, hypothesis)
+        number = np.cumsum(~np.isin(np.arange(self.n), hypothesis)) - 1
+        return Belief(belief.rows[is_kept], belief.right[is_kept],
+                      number[belief.feature[is_kept]], belief.grid)
+
+    def error(self, feature: int, by_others: Belief) -> float:
+        """Return the largest error [px] of a feature's equations by another belief."""
+        rows = self.belief.feature == feature
+        predicted = self.belief.rows[rows] @ by_others.coefficients
+        return float(np.abs(self.belief.right[rows] - predicted).max())
+
+    def log_of(self, hypothesis: tuple[int, ...]) -> float:
+        """Return the logarithm of the evidence that the features of a hypothesis are blunders."""
+        remaining = self.without(hypothesis)
+        # At the distance d, log-uniform and in any direction, a blunder has the density
+        # 1 / (2 pi reach d^2); before, it has the odds 1 to n - 1.
+        densities = [np.log((self.n - 1) * 2 * np.pi * self.reach)
+                     + 2 * np.log(max(self.error(feature, remaining), MIN_BLUNDER))
+                     for feature in hypothesis]
+        return float(remaining.log - sum(densities))
 
 
 def _least_certain_errors(sigma: FloatArray, n: int, reach: float) -> FloatArray:
-    """Return the errors (n,) [px] beyond which a feature is surely a blunder.
+    """Return the errors (n,) [px] beyond which a feature is a blunder with the probability `SURE`.
 
-    `sigma` (n,) [px] is that of the predictions, `n` the number of features, and `reach` the
-    logarithm of the farthest over the nearest distance of a blunder.
+    `sigma` (n,) are the standard deviations of the predictions [px], `n` is the number of features,
+    and `reach` the logarithm of the farthest over the nearest distance of a blunder.
     """
-    # The odds of a blunder against a normal error, solved for the error: a fixed point.
+    # The odds of a blunder against a normal error e are those of `SURE` if
+    # e^2 / (2 sigma^2) = log(SURE / (1 - SURE) (n - 1) reach) + 2 log(e / sigma).
+    # The fixed point is reached soon, as e is in a logarithm at the right.
     errors = 4 * sigma
-    # Converges as errors enter by their logarithms.
     for _ in range(20):
         errors = sigma * np.sqrt(2 * (np.log(SURE / (1 - SURE) * (n - 1) * reach)
-                                      + 2 * np.log(np.maximum(errors, NEAREST) / sigma)))
+                                      + 2 * np.log(np.maximum(errors, MIN_BLUNDER) / sigma)))
     return np.asarray(errors)
 
 

@@ -27,9 +27,9 @@ LINE_FORM = Option("line_form", "vector", "Equations of control lines: vector, t
 
 _AXES = ("line", "sample")
 
-_EDGE_PLACES, _EDGE_MARGIN, _LOST = 12, 0.1, 0.01
-"""Places along each edge of an RPC's area where another one is fitted, the share of the image
-beyond its edges, and the largest difference [px]."""
+_GRID_SIZE, _EDGE_MARGIN, _MAX_DIFFERENCE = 12, 0.1, 0.01
+"""Points along each edge of the grid by which another RPC is fitted, the share of the image by
+which the grid goes beyond its edges, and the largest difference that is accepted [px]."""
 
 
 class RpcShift(Refinement):
@@ -67,17 +67,17 @@ class RpcShift(Refinement):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        # A name of the data set, the JSON of a result, or a file.
-        named = self.options["rpc"]
+        # The name of the data set, the JSON of a result, or a file.
+        stated = self.options["rpc"]
         self._rpc = None
-        self._file = named
-        if named == DATASET_NAME:
+        self._file = stated
+        if stated == DATASET_NAME:
             self._rpc = read_rpc(RPC_FILE)
-        elif named.startswith("{"):
-            self._rpc, self._file = _rpc_from_record(named)
-        elif named:
-            self._rpc = read_rpc(named)
-            self._file = Path(named).name
+        elif stated.startswith("{"):
+            self._rpc, self._file = _rpc_from_record(stated)
+        elif stated:
+            self._rpc = read_rpc(stated)
+            self._file = Path(stated).name
             # A result must be readable without the vendor's file.
             self.options["rpc"] = json.dumps(asdict(self._rpc))
 
@@ -112,22 +112,24 @@ class RpcShift(Refinement):
         return f"the RPC {self._file}"
 
     def footprint(self) -> FloatArray:
-        """Return least and greatest longitude and latitude [deg] seen, shape (2, 2)."""
+        """Return the least, then the greatest longitude and latitude [deg] of the RPC, (2, 2)."""
         middle = self.rpc.ground_offset[:2]
-        half = np.abs(self.rpc.ground_scale[:2])
-        return np.stack([middle - half, middle + half])
+        half_extent = np.abs(self.rpc.ground_scale[:2])
+        return np.stack([middle - half_extent, middle + half_extent])
 
     def first_order(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the RPC's scaled positions (n, 2) of places, and the terms' columns (n, 2, k)."""
+        """Return scaled image positions (n, 2) by the RPC, and the terms' columns (n, 2, k).
+
+        `ground` (n, 3) is scaled; a column is what a term of 1 adds to line and sample.
+        """
         geographic = self.geographic(ground)
-        # Required by geographic.
-        assert self.scaling is not None
+        assert self.scaling is not None  # otherwise `geographic` has raised an error
         image = self.scaling.image(self.rpc.project(geographic))
         values = {"1": np.ones(len(image)), "line": image[:, 0], "sample": image[:, 1]}
         columns = np.stack([values[name] for name in self.columns], axis=1)
         # The same columns for both axes, each with its own terms: a block diagonal of two.
-        of_both = np.einsum("ab,nc->nabc", np.eye(2), columns)
-        return image, of_both.reshape(len(image), 2, len(self.terms))
+        both_axes = np.einsum("ab,nc->nabc", np.eye(2), columns)
+        return image, both_axes.reshape(len(image), 2, len(self.terms))
 
     def equations(self, features: FeatureSet) -> Equations:
         """Return the equations of points and lines (see `Refinement.equations`)."""
@@ -135,9 +137,9 @@ class RpcShift(Refinement):
                 or super().equations(features))
 
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
-        """Return the equations about a solution with lines in parametric form.
+        """Return the equations about a solution (k,) if lines are in parametric form.
 
-        None for the usual form.
+        None if they are not, or if there are no lines: then the equations are linear already.
         """
         if not len(features.lines) or self.options.get("line_form") != "parametric":
             return None
@@ -157,11 +159,12 @@ class RpcShift(Refinement):
         return np.asarray(image + np.einsum("nak,...k->...na", columns, coefficients))
 
     def as_rpc(self, coefficients: FloatArray) -> Rpc | None:
-        """Return the refined RPC, or None if none comes near it.
+        """Return the RPC with the correction (k,); None if no RPC comes near it.
 
-        Offsets and scales absorb a shift and the effect of an axis on itself. The numerators absorb
-        that of the other axis: exactly if both have the same denominator, else nearly.
+        It is exact unless one axis depends on the other, and their denominators differ.
         """
+        # Offsets and scales take a shift and the effect of an axis on itself; numerators take that
+        # of the other axis.
         assert self.scaling is not None
         values = dict(zip(self.terms, coefficients.tolist(), strict=True))
         constant = np.array([values[_name(axis, "1")] for axis in _AXES])
@@ -174,60 +177,66 @@ class RpcShift(Refinement):
         offset = (middle + self.scaling.image_scale * constant
                   + linear @ (np.array(rpc.image_offset) - middle))
         refined = replace(rpc, image_offset=tuple(offset), error_bias=None)
-        # Px per unit of the quotients of line and sample.
+        # [px] by a quotient of line or sample of 1.
         scale = linear * rpc.image_scale
         if not (linear * (1 - np.eye(2))).any():
             return replace(refined, image_scale=tuple(np.diag(scale)))
         if rpc.line_denominator != rpc.sample_denominator:
             return _absorb_denominators(rpc, linear, refined)
-        above = np.array([rpc.line_numerator, rpc.sample_numerator])
-        # Numerators of both axes mixed: exact, as the denominator is the same.
-        line, sample = scale / np.array(rpc.image_scale)[:, None] @ above
+        # With one denominator, linear functions of both quotients are quotients, too.
+        numerators = np.array([rpc.line_numerator, rpc.sample_numerator])
+        line, sample = scale / np.array(rpc.image_scale)[:, None] @ numerators
         return replace(refined, line_numerator=tuple(line), sample_numerator=tuple(sample))
 
 
 def _absorb_denominators(rpc: Rpc, linear: FloatArray, shifted: Rpc) -> Rpc | None:
-    """Return an RPC with the denominators of another one, as near as can be to a linear function of
-    its positions; None if that is not near enough anywhere in its image.
+    """Return an RPC with the denominators of `rpc` that has a linear function of its positions.
 
-    `shifted` has the offset of the function.
+    `linear` (2, 2) multiplies the offsets from the middle of the image; `shifted` is `rpc` with the
+    image offset of the function. Numerators are fitted over the image. None if the result differs
+    by more than `_MAX_DIFFERENCE` somewhere in it, or if too little of it has ground positions.
     """
-    half = np.array(rpc.image_scale)
+    half_size = np.array(rpc.image_scale)
 
-    def places(across: int) -> tuple[FloatArray, FloatArray]:
-        """Return ground places of an RPC all over its area, and image positions of the new one."""
+    def grid_points(across: int) -> tuple[FloatArray, FloatArray]:
+        """Return ground points of a grid over the image, and their image offsets by the function.
+
+        The grid has `across` points along line, sample and height; those that the RPC cannot locate
+        are left out.
+        """
         steps = np.linspace(-1.0, 1.0, across)
         unit = np.stack([axis.ravel() for axis in np.meshgrid(steps, steps, steps)], axis=1)
-        away = unit[:, :2] * half * (1.0 + _EDGE_MARGIN)
-        ground = rpc.locate(away + rpc.image_offset,
+        offsets = unit[:, :2] * half_size * (1.0 + _EDGE_MARGIN)
+        ground = rpc.locate(offsets + rpc.image_offset,
                             unit[:, 2] * rpc.ground_scale[2] + rpc.ground_offset[2])
         is_finite = np.isfinite(ground).all(axis=1)
-        return ground[is_finite], away[is_finite] @ linear.T
+        return ground[is_finite], offsets[is_finite] @ linear.T
 
-    ground, targets = places(_EDGE_PLACES)
+    ground, targets = grid_points(_GRID_SIZE)
     columns = _numerator_columns(rpc, ground)
     if len(ground) < 4 * len(columns.T):
         return None
     numerators = []
-    for axis, below in enumerate((rpc.line_denominator, rpc.sample_denominator)):
-        # P / D is linear in P: rows of monomials over the denominator, in px.
-        weights = half[axis] / (columns @ below)
+    for axis, denominator in enumerate((rpc.line_denominator, rpc.sample_denominator)):
+        # P / D is linear in P: the columns are monomials divided by the denominator, in px.
+        weights = half_size[axis] / (columns @ denominator)
         numerators.append(tuple(np.linalg.lstsq(
             columns * weights[:, None], targets[:, axis], rcond=None)[0]))
     refined = replace(shifted, line_numerator=numerators[0], sample_numerator=numerators[1])
-    # Between the places of the fit, where nothing was adjusted, it has to agree, too.
-    between, targets_between = places(_EDGE_PLACES - 1)
-    lost = np.abs(refined.project(between) - shifted.image_offset - targets_between)
-    return refined if lost.size and lost.max() <= _LOST else None
+    # It must agree between the points of the fit, too.
+    between, targets_between = grid_points(_GRID_SIZE - 1)
+    differences = np.abs(refined.project(between) - shifted.image_offset - targets_between)
+    return refined if differences.size and differences.max() <= _MAX_DIFFERENCE else None
 
 
 def _numerator_columns(rpc: Rpc, ground: FloatArray) -> FloatArray:
-    """Return the 20 columns of an RPC's numerators at longitude, latitude, height (n, 3): (n, 20).
-    """
+    """Return the 20 monomials of an RPC, (n, 20), at longitude, latitude and height (n, 3)."""
     constant = tuple(np.eye(1, 20)[0])
-    # With a denominator of 1 the quotient is the numerator, here one monomial at a time.
-    bare = replace(rpc, image_offset=(0.0, 0.0), image_scale=(1.0, 1.0), line_denominator=constant)
-    columns = [replace(bare, line_numerator=tuple(row)).project(ground)[:, 0] for row in np.eye(20)]
+    # With a denominator of 1 the line is the numerator, here one monomial at a time.
+    polynomial = replace(
+        rpc, image_offset=(0.0, 0.0), image_scale=(1.0, 1.0), line_denominator=constant)
+    columns = [replace(polynomial, line_numerator=tuple(row)).project(ground)[:, 0]
+               for row in np.eye(20)]
     return np.stack(columns, axis=1)
 
 
@@ -237,7 +246,7 @@ def _name(axis: str, column: str) -> str:
 
 
 def _rpc_from_record(text: str) -> tuple[Rpc, str]:
-    """Return an RPC and the name of its file from the JSON that a result holds.
+    """Return an RPC and the name of its file, or "that is given", from the JSON of a result.
 
     Raises TermselError if the text is no such RPC.
     """

@@ -14,9 +14,9 @@ from termsel_rpc.image_space import RPC, RpcShift
 from termsel_rpc.refinement import FloatArray
 
 _DEGREE = 3
-# Features for each interval.
-_LEAST = 3
-_MOST_LEVERAGE = 0.999
+# Features that each interval requires.
+_MIN_FEATURES = 3
+_MAX_LEVERAGE = 0.999
 
 INTERVALS = Option("intervals", 8, "Intervals of the spline over the lines of the RPC's image.",
                    int, 2, 64)
@@ -51,17 +51,21 @@ class RpcJitter(RpcShift):
         return (*names, "across") if self.options["across"] else tuple(names)
 
     def first_order(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the RPC's scaled positions (n, 2) of places, and the splines' values (n, 2, k)."""
+        """Return scaled image positions (n, 2) by the RPC, and the terms' columns (n, 2, k).
+
+        `ground` (n, 3) is scaled; a column is what a term of 1 adds to line and sample.
+        """
         geographic = self.geographic(ground)
-        # Required by geographic.
-        assert self.scaling is not None
+        assert self.scaling is not None  # otherwise `geographic` has raised an error
         positions = self.rpc.project(geographic)
         values = spline_values(positions[:, 0], self.rpc, int(self.options["intervals"]))
         if self.options["across"]:
             sample = (positions[:, 1] - self.rpc.image_offset[1]) / abs(self.rpc.image_scale[1])
             values = np.column_stack([values, sample])
-        of_both = np.einsum("ab,nc->nabc", np.eye(2), values)
-        return self.scaling.image(positions), of_both.reshape(len(positions), 2, len(self.terms))
+        # The same columns for both axes, each with its own terms: a block diagonal of two.
+        both_axes = np.einsum("ab,nc->nabc", np.eye(2), values)
+        return self.scaling.image(positions), both_axes.reshape(
+            len(positions), 2, len(self.terms))
 
     def as_rpc(self, coefficients: FloatArray) -> Rpc | None:
         """Return None: no RPC has such a correction."""
@@ -69,11 +73,11 @@ class RpcJitter(RpcShift):
 
 
 def spline_values(lines: FloatArray, rpc: Rpc, intervals: int) -> FloatArray:
-    """Return the values of all splines at lines, (n, intervals + 3).
+    """Return the values (n, intervals + 3) of all cubic splines at lines (n,) [px].
 
-    They add up to 1. Beyond the lines of the RPC's image they are those of its edge.
+    They add up to 1 at each line. Beyond the lines of the RPC's image they are those at its edge.
     """
-    # Takes long, and few fit splines.
+    # Other models need not import it.
     from scipy.interpolate import BSpline
 
     # Uniform knots from 3 intervals before the image to 3 behind it: cubic splines of de Boor.
@@ -90,33 +94,33 @@ class JitteredRpc(CorrectedRpc):
     def fit(self, control: FitData) -> Fit:
         """Return the fit of the fewest intervals that predict within a standard error of the best.
 
-        Raises Undetermined without an RPC, or with too few features.
+        Raises Undetermined without an RPC, and if the features determine no number of intervals.
         """
         rpc = control.features.rpc
         if rpc is None:
             raise Undetermined("no RPC is given", hint="Give it with --rpc FILE.")
-        errors_of: list[tuple[Any, FloatArray]] = []
+        squares_by_model: list[tuple[Any, FloatArray]] = []
         for intervals in TRIED:
-            if _LEAST * intervals > len(control):
+            if _MIN_FEATURES * intervals > len(control):
                 break
             model = RpcJitter(rpc=json.dumps(asdict(rpc)), intervals=intervals).prepared(
                 control.scaling, control.features.crs)
             squares = _held_out_squares(model, control)
             if squares is not None:
-                errors_of.append((model, squares))
-        if not errors_of:
+                squares_by_model.append((model, squares))
+        if not squares_by_model:
             raise Undetermined("the features do not determine a correction along the lines",
                                hint="Give more points, all along the lines.")
-        best = min((squares for _, squares in errors_of), key=np.mean)
-        # The plainest within one standard error of the best.
-        model = next(model for model, squares in errors_of if (squares - best).mean()
+        best = min((squares for _, squares in squares_by_model), key=np.mean)
+        # The best model itself differs by 0, so that there is always one.
+        model = next(model for model, squares in squares_by_model if (squares - best).mean()
                      <= (squares - best).std() / np.sqrt(len(squares)))
         return self.estimator.fit(
             model, control.features, control.scaling, np.ones(len(model.terms), dtype=bool),
             np.ones(len(control), dtype=bool))
 
     def describe(self, fitted: Fit) -> str:
-        """Return a sentence on over how many intervals the correction changes."""
+        """Return a sentence on the correction, with its number of intervals."""
         return (f"The points support a correction of the vendor's RPC that changes along the "
                 f"lines, over {fitted.model.options['intervals']} intervals.")
 
@@ -125,14 +129,17 @@ class JitteredRpc(CorrectedRpc):
 
 
 def _held_out_squares(model: RpcJitter, control: FitData) -> FloatArray | None:
-    """Return squared errors (m,) of the equations, each by all others; None if undetermined."""
+    """Return the squared error (m,) of each equation by all others, scaled.
+
+    None if the equations, or those without one of them, do not determine the model.
+    """
     equations = model.equations(control.scaling.features(control.features))
     u, size, _ = np.linalg.svd(equations.A, full_matrices=False)
     if size[-1] < 1e-8 * size[0]:
         return None
+    # An equation of leverage 1 alone determines a term, and has no error by the others.
     leverage = (u**2).sum(axis=1)
-    if leverage.max() > _MOST_LEVERAGE:
-        # A row that alone determines a term has no error without itself.
+    if leverage.max() > _MAX_LEVERAGE:
         return None
     # Leave-one-out in closed form: r / (1 - h), by the leverage h of each row.
     residuals = equations.b - u @ (u.T @ equations.b)

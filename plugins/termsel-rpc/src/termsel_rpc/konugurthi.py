@@ -24,17 +24,14 @@ class E50PerArea(Criterion):
     needs_check = False
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the median error over the covered share [px].
+        """Return the median error of each fit [px], divided by the share of the image covered.
 
-        Infinite for points on a straight line.
-
-        Raises TermselError without selection points.
+        It is infinite for points on a straight line. Raises TermselError without selection points.
         """
         if not len(fits.check):
             raise TermselError("the criterion e50-area requires selection points, and there are "
                                "none", hint="Choose --set judged_by=all, or give selection points.")
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            # Half of the points may be blunders: the median does not see them.
             errors = np.hypot(fits.check_errors[..., 0], fits.check_errors[..., 1])
             covered = 1.0 - uncovered_share(fits.control.image, fits.in_use[:, :len(fits.control)])
             return np.asarray(np.median(errors, axis=1) / covered)

@@ -95,7 +95,7 @@ class RpcField(RpcAffine):
     name = "rpc-field"
 
     def plane(self, ground: FloatArray) -> FloatArray:
-        """Return where the RPC sees scaled places, and 0 for their height, shape (n, 3)."""
+        """Return scaled image positions by the RPC and 0, (n, 3), as ground points of the field."""
         return np.column_stack([self.known(ground)[0], np.zeros(len(ground))])
 
     def interpolation(self, control: FeatureSet) -> FieldOverRpc | None:
@@ -126,9 +126,10 @@ class Local(Estimator):
 
     def fit(self, model: Any, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Return the fit of the field by points in use (see `Estimator.fit`).
+        """Return the fit of the field to the points in use (see `Estimator.fit`).
 
-        Raises Undetermined with lines, too few points, or a field that is not likely.
+        Raises Undetermined for lines, for too few points, and if the probability of a field is not
+        above `LIKELY`.
         """
         in_use = control.take(used)
         if len(in_use.lines):
@@ -157,9 +158,8 @@ class LocalRpc(CorrectedRpc):
     def fit(self, control: FitData) -> Fit:
         """Return the fit of a correction with a random field.
 
-        The field is compared with a correction alone by the mean logarithm of the ratio of their
-        squared held-out errors, so that no single point decides. Raises Undetermined without an
-        RPC, and where the correction predicts as well.
+        Raises Undetermined without an RPC, if the points do not show a field, and if a correction
+        alone predicts held-out points as well.
         """
         rpc = control.features.rpc
         if rpc is None:
@@ -167,13 +167,12 @@ class LocalRpc(CorrectedRpc):
         all_features = np.ones(len(control), dtype=bool)
         model = RpcField(rpc=json.dumps(asdict(rpc)))
         with_field, without = (
-            estimator.fit(kind, control.features, control.scaling,
-                          np.ones(len(kind.terms), dtype=bool), all_features)
-            for estimator, kind in ((self.estimator, model),
-                                    (Correction(), RpcAffine(rpc=model.options["rpc"]))))
-        # Both estimators find them.
+            estimator.fit(compared, control.features, control.scaling,
+                          np.ones(len(compared.terms), dtype=bool), all_features)
+            for estimator, compared in ((self.estimator, model),
+                                        (Correction(), RpcAffine(rpc=model.options["rpc"]))))
+        # The mean is that of logarithms, so that no single point decides; 0 has none.
         tiny = np.finfo(float).tiny
-        # Mean of the logarithm of the ratio of squares: no single point decides.
         gain = np.log(np.maximum(without.held_out().squares, tiny)
                       / np.maximum(with_field.held_out().squares, tiny)).mean()
         if gain <= 0:

@@ -39,21 +39,24 @@ class Ce90(Criterion):
     is_rmse = False
 
     def score(self, fits: Fits) -> FloatArray:
-        """Return the CE90 of the check points [px] of each fit: nine in ten are nearer."""
+        """Return the CE90 of the selection points [px] by each fit (see `ce90`)."""
         with np.errstate(over="ignore", invalid="ignore"):
             return ce90(fits.check_errors)
 
 
 def select_gcps(inputs: ProblemData) -> Problem:
-    """Return the selection of control points, judged by those of the option `judged_by`."""
+    """Return the problem of selecting control points.
+
+    Selections are judged by the selection points or, as the option `judged_by` says, by these and
+    all control points, including those that are selected.
+    """
     if inputs.options["judged_by"] == "all":
-        # All points judge, those that a chromosome selects as well.
         control = inputs.control.points
         check = inputs.check
         inputs = replace(inputs, check=Points(
             control.ids + check.ids, np.concatenate([control.image, check.image]),
             np.concatenate([control.ground, check.ground])))
-    # m features are a chromosome of m numbers, as in the paper.
+    # A chromosome has the numbers of m features, as in the paper.
     return SelectionProblem(inputs, terms=False, features=True, subset=True)
 
 

@@ -13,7 +13,7 @@ from termsel import Equations, FeatureSet, Scaling, SensorModel, TermselError, i
 
 FloatArray = NDArray[np.float64]
 
-_KEPT = 8
+_MAX_CACHED = 8
 
 
 class Refinement(SensorModel):
@@ -52,27 +52,32 @@ class Refinement(SensorModel):
         """
 
     def prepared(self, scaling: Scaling, crs: str) -> Self:
-        """Return the model for features, which must be in the area of the image.
+        """Return the model prepared for features with this scaling and CRS.
 
         Raises
         ------
         TermselError
-            If they are not, or their coordinates cannot be transformed to WGS84.
+            If they are far from the area of the image, or if their coordinates cannot be
+            transformed to WGS84.
         """
         ready = super().prepared(scaling, crs)
         if ready is not self:
+            # The copy has the cache of this model, whose scaling differs.
             ready._known = {}
-            ready._require_seen()
+            ready._require_control_in_area()
         return ready
 
-    def _require_seen(self) -> None:
-        """Raise TermselError if the control is far outside the area that the image covers."""
+    def _require_control_in_area(self) -> None:
+        """Raise TermselError if the control is beyond half the area of the image on a side of it.
+
+        If it would be within that with x and y exchanged, the error says so.
+        """
         corners = np.array(list(product((-1.0, 1.0), repeat=3)))
         geographic = self.geographic(corners)[:, :2]
         low, high = self.footprint()
-        # Longitudes are periodic.
+        # Longitudes are brought to within half a turn of the image.
         geographic[:, 0] += 360 * np.round(((low + high)[0] / 2 - geographic[:, 0].mean()) / 360)
-        # Half the area on each side: control may be beyond the image, but not in another country.
+        # Control may be beyond the image, but not in another country.
         margin = (high - low) / 2
         lowest = geographic.min(axis=0)
         greatest = geographic.max(axis=0)
@@ -95,11 +100,11 @@ class Refinement(SensorModel):
                                 "longitude or easting.")
 
     def known(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return `first_order` of places, kept as a search asks for the same ones many times."""
-        # By content: a search asks for the same few arrays again and again.
+        """Return `first_order` of scaled ground positions (n, 3), from a cache if it has them."""
+        # A search asks for the same few arrays again and again, which are not the same objects.
         key = ground.tobytes()
         if key not in self._known:
-            if len(self._known) >= _KEPT:
+            if len(self._known) >= _MAX_CACHED:
                 self._known.clear()
             self._known[key] = self.first_order(ground)
         return self._known[key]
@@ -107,13 +112,16 @@ class Refinement(SensorModel):
     def equations(self, features: FeatureSet) -> Equations:
         """Return the equations of points and lines, linear about the known geometry."""
         image, columns = self.known(features.points.ground)
-        at_vertices, of_vertices = self.known(features.lines.ground.reshape(-1, 3))
-        return image_equations(features, columns, of_vertices, image, at_vertices)
+        vertex_image, vertex_columns = self.known(features.lines.ground.reshape(-1, 3))
+        return image_equations(features, columns, vertex_columns, image, vertex_image)
 
 
 def _is_far(lowest: FloatArray, greatest: FloatArray, low: FloatArray, high: FloatArray,
             margin: FloatArray) -> bool:
-    """Return whether an area of control is beyond an area and its margin."""
+    """Return whether control from `lowest` to `greatest` is outside `low` to `high` and a margin.
+
+    All are longitude and latitude, (2,) [deg].
+    """
     return bool(((greatest < low - margin) | (lowest > high + margin)).any())
 
 

@@ -61,19 +61,19 @@ class PushbroomRefine(Refinement):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        named = self.options["geometry"]
+        # The name of an embedded data set, the JSON of a result, or a file.
+        stated = self.options["geometry"]
         self._sensor = None
-        self._file = named
-        # An embedded data set, the JSON of a result, or a file.
-        if named in EMBEDDED:
-            self._sensor = (nominal_sensor(named) if named in NOMINAL
-                            else scene_truth(named).sensor)
-        elif named.startswith("{"):
-            self._sensor = geometry_from(named)
+        self._file = stated
+        if stated in EMBEDDED:
+            self._sensor = (nominal_sensor(stated) if stated in NOMINAL
+                            else scene_truth(stated).sensor)
+        elif stated.startswith("{"):
+            self._sensor = geometry_from(stated)
             self._file = "of the result"
-        elif named:
-            self._sensor = read_geometry(named)
-            self._file = Path(named).name
+        elif stated:
+            self._sensor = read_geometry(stated)
+            self._file = Path(stated).name
             # A result must be readable without the file.
             self.options["geometry"] = geometry_text(self._sensor)
 
@@ -104,33 +104,36 @@ class PushbroomRefine(Refinement):
         return f"the geometry {self._file}"
 
     def footprint(self) -> FloatArray:
-        """Return least and greatest longitude and latitude [deg] seen, shape (2, 2)."""
+        """Return the least, then the greatest longitude and latitude [deg] of the image, (2, 2).
+
+        They are those of its corners at the height 0.
+        """
         last = self.sensor.n_lines - 1, self.sensor.n_samples - 1
         corners = self.sensor.locate(np.array(list(product((0, 1), repeat=2))) * last, 0.0)
         return np.stack([corners.min(axis=0), corners.max(axis=0)])
 
     def first_order(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the nominal scaled positions (n, 2) of places, and their derivatives (n, 2, k)."""
+        """Return scaled image positions (n, 2) without biases, and the derivatives (n, 2, k)."""
         nominal = np.zeros(len(self.terms))
         return self.project(nominal, ground), self._coefficient_derivatives(nominal, ground)
 
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations:
-        """Return the equations about a solution (see `SensorModel.linearised`)."""
+        """Return the equations about a solution (k,) (see `SensorModel.linearised`)."""
         blocks = []
         for ground in (features.points.ground, features.lines.ground.reshape(-1, 3)):
+            # image(x) = image(x0) + J (x - x0): the constant part is image(x0) - J x0.
             columns = self._coefficient_derivatives(coefficients, ground)
             blocks += [columns, self.project(coefficients, ground) - columns @ coefficients]
         return image_equations(features, *blocks[::2], *blocks[1::2])
 
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return image positions, shape (..., n, 2), by the rigorous model with these biases."""
+        """Return scaled image positions, shape (..., n, 2), with biases of shape (..., k)."""
         geographic = self.geographic(ground)
-        # Required by geographic.
-        assert self.scaling is not None
+        assert self.scaling is not None  # otherwise `geographic` has raised an error
         sets = coefficients.reshape(-1, len(self.terms))
         if not len(geographic):
             return np.zeros((*coefficients.shape[:-1], 0, 2))
-        # All sets at once: a point for every set and place.
+        # The scanner projects all at once: each ground point is repeated for each set of biases.
         image = self._scanner_with_biases(np.repeat(sets, len(geographic), axis=0)).project(
             np.tile(geographic, (len(sets), 1)))
         return self.scaling.image(image).reshape(*coefficients.shape[:-1], len(geographic), 2)
@@ -143,19 +146,22 @@ class PushbroomRefine(Refinement):
         return np.asarray(np.moveaxis(ahead - behind, 0, -1) / (2 * _DERIVATIVE_STEP))
 
     def _scanner_with_biases(self, coefficients: FloatArray) -> Pushbroom:
-        """Return one scanner with biases of its own for each point, by coefficients (n, k)."""
+        """Return a scanner that has biases of its own for each of n points.
+
+        `coefficients` (n, k) are those of the terms, in scaled units.
+        """
         assert self.scaling is not None
         sensor = self.sensor
-        # From scaled units to radians: one image unit is so many detectors.
+        # One scaled unit is `image_scale` detectors, each of the angle `ifov` [rad].
         angle = self.scaling.image_scale * sensor.ifov
         bias = dict.fromkeys((*ATTITUDE, *POSITION), np.zeros(len(coefficients)))
         bias |= dict(zip(self.terms, coefficients.T, strict=True))
-        away = np.stack([bias[name] for name in POSITION], axis=1)
+        position_bias = np.stack([bias[name] for name in POSITION], axis=1)
         return replace(
             sensor, roll=_Turned(nominal=sensor.roll, bias=angle * bias["roll"]),
             pitch=_Turned(nominal=sensor.pitch, bias=angle * bias["pitch"]),
             yaw=_Turned(nominal=sensor.yaw, bias=bias["yaw"]),
-            offset=np.asarray(sensor.offset) + angle * sensor.altitude * away)
+            offset=np.asarray(sensor.offset) + angle * sensor.altitude * position_bias)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

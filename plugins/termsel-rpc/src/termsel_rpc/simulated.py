@@ -30,7 +30,10 @@ _NEAREST, _FARTHEST = 5.0, 40.0
 
 
 def nominal_sensor(data_set: str = DATASET_NAME) -> Pushbroom:
-    """Return the scanner as its vendor knows it: with attitude errors, and without jitter."""
+    """Return the scanner of a data set in `NOMINAL` as its vendor knows it.
+
+    Its attitude has the errors `ROLL`, `PITCH`, `YAW` and `ROLL_DRIFT`, and no jitter.
+    """
     true = scene_truth(NOMINAL[data_set]).sensor
     # Time from the middle of the scene to its end [s].
     end = true.centre[0] * true.line_period
@@ -41,7 +44,10 @@ def nominal_sensor(data_set: str = DATASET_NAME) -> Pushbroom:
 
 
 def _with_drift(angle: Angle, by: tuple[float, ...]) -> Angle:
-    """Return an angle whose drift polynomial has `by` added to its first coefficients [rad]."""
+    """Return an angle without jitter, with `by` added to the first coefficients of its drift.
+
+    The drift is a polynomial of time [s] in radians.
+    """
     drift = np.array(angle.drift)
     drift[:len(by)] += by
     return Angle(tuple(drift.tolist()))
@@ -104,22 +110,26 @@ def simulate_matches(wrong: float = 0.3, seed: int = 0) -> FeatureSet:
 
 def _simulate_measured_scene(scene: FeatureSet, kind: np.ndarray[tuple[int], np.dtype[np.str_]],
                              rng: np.random.Generator) -> FeatureSet:
-    """Return a scene with its points measured well, inexactly or wrongly, as `kind` (n,) says."""
+    """Return a scene whose points are measured with the errors that `kind` (n,) names.
+
+    "good" and "inexact" have normal errors of 0.5 and 2 px, "wrong" a good point's error and a
+    mismatch of 5 to 40 px.
+    """
     points = scene.points
     n = len(points)
-    # Every draw is made for all points, so that the seed gives each its own whatever its kind.
+    # Errors are drawn for all points, so that those of one do not depend on the others' kinds.
     noise = rng.standard_normal((n, 2)) * np.where(
         kind == "inexact", _INEXACT_NOISE, _GOOD_NOISE)[:, None]
     # Mismatches lie anywhere within a ring around the true position.
-    turn = rng.uniform(0, 2 * np.pi, n)
-    far = rng.uniform(_NEAREST, _FARTHEST, n)
-    astray = np.column_stack([np.sin(turn), np.cos(turn)]) * far[:, None]
-    image = points.image + noise + np.where(kind == "wrong", 1.0, 0.0)[:, None] * astray
+    direction = rng.uniform(0, 2 * np.pi, n)
+    distance = rng.uniform(_NEAREST, _FARTHEST, n)
+    mismatch = np.column_stack([np.sin(direction), np.cos(direction)]) * distance[:, None]
+    image = points.image + noise + np.where(kind == "wrong", 1.0, 0.0)[:, None] * mismatch
     return replace(scene, points=replace(points, image=image), noise=_GOOD_NOISE)
 
 
 def candidate_quality() -> np.ndarray[tuple[int], np.dtype[np.str_]]:
-    """Return for each point of `simulate_candidates` whether it is good, inexact or wrong, (n,)."""
+    """Return "good", "inexact" or "wrong" for each point of `simulate_candidates`, (n,)."""
     scene = simulate_scene(SCENE, n_points=_POINTS, n_lines=0, noise=0.0)
     kind = np.full(_POINTS, "good", dtype="<U7")
     rng = np.random.default_rng([_SEED, 1])

@@ -50,10 +50,12 @@ _BUDGETS_DRAWN = 60
 
 
 def figures_of(study: Study) -> list[Figure]:
-    """Return the charts that the runs of a study allow.
+    """Return the charts that the runs of a study allow; [] if it ran the strategy auto alone.
 
-    [] if it ran auto alone, which searches nothing.
+    Running times and convergence require traces, a performance profile at least two instances and
+    two methods, and mean ranks a test that compares the methods.
     """
+    # auto searches nothing, so that it has neither evaluations nor a convergence.
     if study.spec.strategies == ("auto",):
         return []
     groups = group(study.rows, study.records, study.spec.measure)
@@ -66,7 +68,7 @@ def figures_of(study: Study) -> list[Figure]:
     # Ratios to the best one require that it has a result, and that nothing is below zero.
     if (len(values) > 1 and len(groups.methods) > 1 and np.isfinite(values).any(axis=1).all()
             and (values >= 0).all()):
-        figures.append(profile(groups))
+        figures.append(performance_profile_chart(groups))
     comparison = compare_methods(groups.methods, values)
     if comparison is not None and comparison.difference is not None:
         figures.append(critical_differences(comparison))
@@ -74,14 +76,14 @@ def figures_of(study: Study) -> list[Figure]:
 
 
 def running_time_chart(groups: Groups, column: int) -> Figure:
-    """Return the ECDF of evaluations (column 0) or CPU seconds (2) over all targets.
+    """Return the ECDF of evaluations (column 0 of traces) or CPU seconds (column 2) to targets.
 
-    A curve is the share of pairs of a run and a target that a method has reached within a budget,
-    over all instances. Targets lie from 100 % to 0.01 % above the optimum, or above the best value
-    of any method where none is proven.
+    A method's curve is the share of its pairs of a run and a target, over all instances, in which
+    the target was reached within a budget. Targets lie from 100 % to 0.01 % above the optimum, or
+    above the best value of any method where no optimum is proven.
     """
     rows: list[dict[str, Any]] = []
-    last = 0.0
+    largest_budget = 0.0
     for method in groups.methods:
         hits = []
         for by_method in groups.instances.values():
@@ -95,22 +97,23 @@ def running_time_chart(groups: Groups, column: int) -> Figure:
         # A logarithmic axis has no zero.
         rows += [{"method": method, "budget": max(budget, 1e-4), "share": share}
                  for budget, share in zip(budgets, shares, strict=True)]
-        last = max([last, *budgets])
+        largest_budget = max([largest_budget, *budgets])
     # All curves go on to the same end, so that they can be compared there.
-    first = min((row["budget"] for row in rows), default=1.0)
-    ends = {row["method"]: row["share"] for row in rows}
-    rows += [{"method": method, "budget": last, "share": share} for method, share in ends.items()]
-    # One that reaches no target is drawn at zero.
+    smallest_budget = min((row["budget"] for row in rows), default=1.0)
+    last_share = {row["method"]: row["share"] for row in rows}
+    rows += [{"method": method, "budget": largest_budget, "share": share}
+             for method, share in last_share.items()]
+    # A method that reaches no target has a curve, too, at zero.
     rows += [{"method": method, "budget": budget, "share": 0.0} for method in groups.methods
-             if method not in ends for budget in (first, last)]
+             if method not in last_share for budget in (smallest_budget, largest_budget)]
     unit = "CPU seconds" if column else "evaluations, with local refinement"
-    drawn = _share_chart(rows, groups.methods, "budget:Q", unit,
+    chart = _share_chart(rows, groups.methods, "budget:Q", unit,
                          "share of runs and targets reached")
     return Figure(
         "ecdf-cpu-seconds" if column else "ecdf-evaluations",
         f"Running times in {'CPU seconds' if column else 'evaluations'}",
         "Higher and further to the left is better. Targets lie 100 % to 0.01 % above the optimum, "
-        "or the best value found.", drawn)
+        "or the best value found.", chart)
 
 
 def _share_chart(rows: list[dict[str, Any]], methods: tuple[str, ...], x_field: str, x_title: str,
@@ -129,10 +132,11 @@ def _share_chart(rows: list[dict[str, Any]], methods: tuple[str, ...], x_field: 
 
 
 def convergence_chart(groups: Groups) -> Figure:
-    """Return the best value by evaluations, median and quartiles, a panel an instance.
+    """Return the chart of the best value by evaluations, with a panel for each instance.
 
-    Budgets are even in their logarithm, as most gains come early. Instances beyond `_MOST_PANELS`
-    are left out. Only where all runs of the quartile have a feasible value is one drawn.
+    Lines are medians over the runs of a method, bands their quartiles. Instances beyond the first
+    `_MOST_PANELS` are left out, and so are budgets at which more than a quarter of the runs has no
+    feasible value yet.
     """
     alt = require_altair()
     rows: list[dict[str, Any]] = []
@@ -161,41 +165,43 @@ def convergence_chart(groups: Groups) -> Figure:
                 scale=scale), y2="high:Q")
     line = base.mark_line(interpolate="step-after").encode(
         y="median:Q", strokeDash=by_method["strokeDash"], strokeWidth=by_method["strokeWidth"])
-    drawn = alt.layer(band, line).properties(width=WIDTH / 2, height=0.3 * WIDTH).facet(
+    chart = alt.layer(band, line).properties(width=WIDTH / 2, height=0.3 * WIDTH).facet(
         facet=alt.Facet("instance:N", title=None), columns=2).resolve_scale(
             x="independent", y="independent")
     return Figure("convergence", "Convergence", "Medians as lines, quartiles as bands. Lines that "
-                  "still fall at their end were given too few evaluations.", drawn)
+                  "still fall at their end were given too few evaluations.", chart)
 
 
-def profile(groups: Groups) -> Figure:
-    """Return the performance profile of the methods over the instances."""
+def performance_profile_chart(groups: Groups) -> Figure:
+    """Return the chart of the performance profiles of the methods over the instances.
+
+    A curve is the share of instances in which a method's median is within a ratio of the best.
+    """
     values = medians_of(groups)
     ratios = np.geomspace(1, 10, 100)
     shares = performance_profile(values, ratios.tolist())
     rows = []
-    for ratio, of_methods in zip(ratios, shares, strict=True):
+    for ratio, method_shares in zip(ratios, shares, strict=True):
         rows += [{"method": method, "ratio": float(ratio), "share": float(share)}
-                 for method, share in zip(groups.methods, of_methods, strict=True)]
-    drawn = _share_chart(rows, groups.methods, "ratio:Q",
+                 for method, share in zip(groups.methods, method_shares, strict=True)]
+    chart = _share_chart(rows, groups.methods, "ratio:Q",
                          "ratio to the best median of the instance", "share of instances")
     return Figure("performance-profile", "Performance profile", "At the left end: how often a "
                   "method is the best. Further right: how often it is within that ratio of the "
-                  "best.", drawn)
+                  "best.", chart)
 
 
 def critical_differences(comparison: Comparison) -> Figure:
-    """Return the mean ranks, with bars over methods that cannot be distinguished.
+    """Return the chart of mean ranks, with bars over methods that cannot be distinguished.
 
     It is figure 1 of Demšar (2006): methods on one axis of mean ranks, with bars over those whose
-    ranks differ by less than Nemenyi's critical difference.
+    ranks differ by less than Nemenyi's critical difference, which `comparison` must have.
     """
     alt = require_altair()
     assert comparison.difference is not None
     order = np.argsort(comparison.ranks, kind="stable")
     names = [comparison.methods[i] for i in order]
     ranks = [comparison.ranks[i] for i in order]
-    # Demšar 2006, J. Mach. Learn. Res. 7, figure 1.
     ends = runs_of_alike_ranks(ranks, comparison.difference)
     axis = alt.X("rank:Q", title="mean rank; 1 is best", scale=alt.Scale(
         domain=[1, len(names)], nice=False))
@@ -211,37 +217,37 @@ def critical_differences(comparison: Comparison) -> Figure:
     if bars:
         layers.append(alt.Chart(chart_rows(bars)).mark_rule(strokeWidth=5, color=CONTROL).encode(
             x=axis, x2="to:Q", y=row))
-    drawn = alt.layer(*layers).properties(width=WIDTH, height=24 * (len(points) + len(bars) + 1))
+    chart = alt.layer(*layers).properties(width=WIDTH, height=24 * (len(points) + len(bars) + 1))
     return Figure("critical-difference", f"Mean ranks over {comparison.instances} instances",
                   "Blue bars join methods that Nemenyi's test cannot distinguish: their ranks "
-                  f"differ by less than {comparison.difference:.2f}.", drawn)
+                  f"differ by less than {comparison.difference:.2f}.", chart)
 
 
 def runs_of_alike_ranks(ranks: list[float], difference: float) -> list[tuple[float, float]]:
-    """Return the longest runs of sorted ranks that are not distinguished, as first and last rank.
+    """Return the first and last rank of each run of ranks that are not distinguished.
 
-    They differ by less than the critical difference; [] if all are distinguished.
+    `ranks` are sorted. The first and last rank of a run differ by less than `difference`; a run
+    has two ranks or more, and is part of no longer one.
     """
     runs: list[tuple[float, float]] = []
-    # From each rank on, the farthest that cannot be distinguished from it; runs within runs are
-    # left out.
     for i, low in enumerate(ranks):
         high = max(rank for rank in ranks[i:] if rank - low < difference)
+        # A run that ends where the one before ends is a part of that.
         if ranks.index(high) > i and not (runs and high <= runs[-1][1]):
             runs.append((low, high))
     return runs
 
 
 def _styles_by_method(methods: tuple[str, ...]) -> dict[str, Any]:
-    """Return colours, dashes and widths of methods.
+    """Return the encodings `color`, `strokeDash` and `strokeWidth` of altair for methods.
 
-    Colours and dashes together distinguish three times as many. The first lines are the widest,
-    so that one shows below another that follows the same values.
+    Dashes change once all colours are used up. Each line is narrower than the one before, so that
+    it does not hide one that has the same values.
     """
     alt = require_altair()
     number = len(METHODS)
     columns = alt.ExprRef("(containerSize()[0] || 560) < 480 ? 2 : 4")
-    # One for all three.
+    # altair joins the legends of the three encodings if they are equal.
     legend = alt.Legend(columns=columns, symbolType="stroke", symbolOpacity=1)
     widths = np.linspace(5.0, 1.6, len(methods)) if len(methods) > 1 else [2.0]
     return {

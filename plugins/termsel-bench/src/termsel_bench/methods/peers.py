@@ -34,26 +34,30 @@ def gdal_spline(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
 def _fit_gdal(features: FeatureSet, *, spline: bool) -> Projection:
     """Return the projection of GDAL's transformation by GCPs, a spline or else a polynomial.
 
-    Raises TermselError if rasterio is not installed; the projection, if GDAL fits nothing.
+    Raises TermselError if rasterio is not installed. GDAL fits when it projects, so that the
+    projection raises it if the points do not determine the transformation.
     """
     with require_import("GDAL requires", "rasterio", "rasterio"):
         from rasterio.control import GroundControlPoint
         from rasterio.errors import TransformError
         from rasterio.transform import GCPTransformer
-    # From the corner.
+    # GDAL counts rows and columns from the corner of the first pixel, termsel from its centre.
     gcps = [GroundControlPoint(row=line + 0.5, col=sample + 0.5, x=x, y=y)
             for (line, sample), (x, y) in zip(features.points.image.tolist(),
                                               features.points.ground[:, :2].tolist(),
                                               strict=True)]
 
     def project(ground: FloatArray) -> FloatArray:
-        """Return image positions of ground places by GDAL."""
+        """Return line and sample (n, 2) of ground positions (n, 3), of which the height is ignored.
+
+        Raises TermselError if GDAL fits nothing to the points.
+        """
         with ExitStack() as stack:
             try:
                 transformer = stack.enter_context(GCPTransformer(gcps, tps=spline))
             except (TransformError, ValueError) as error:
                 raise TermselError(f"GDAL fits nothing: {error}") from error
-            # GDAL counts from the corner of the first pixel, too; op leaves positions as they are.
+            # Without an op, rasterio rounds to whole pixels; 0.5 px leads back to the centre.
             return np.column_stack(transformer.rowcol(
                 ground[:, 0], ground[:, 1], op=lambda value: value)) - 0.5
 
@@ -61,10 +65,10 @@ def _fit_gdal(features: FeatureSet, *, spline: bool) -> Projection:
 
 
 def fit_orthority(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
-    """Return a vendor's RPC with Orthority's refinement.
+    """Return the projection of a vendor's RPC with Orthority's refinement.
 
-    It is a shift and a drift, of one or two points a shift. Raises TermselError without an RPC, or
-    if Orthority is not installed.
+    The refinement is a shift and a drift; with one or two points it is a shift alone. Raises
+    TermselError if the set has no RPC, or if Orthority is not installed.
     """
     rpc = features.rpc
     if rpc is None:
@@ -85,17 +89,20 @@ def fit_orthority(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG00
         "samp_den_coeff": list(rpc.sample_denominator), "err_bias": None, "err_rand": None}
     gcps = [{"ji": (sample, line), "xyz": tuple(ground)} for (line, sample), ground in zip(
         features.points.image.tolist(), features.points.ground.tolist(), strict=True)]
-    # Its documentation asks for more points than terms for the drift.
+    # Orthority's documentation asks for more points than the drift has terms, which are two.
     refined = refine_rpc(camera_rpc, gcps, "shift-drift" if len(gcps) > 2 else "shift")
-    size = features.image_size or (1, 1)
-    camera = RpcCamera((size[1], size[0]), refined)
+    # A camera must have a size, which an RPC does not use; Orthority has samples before lines.
+    lines, samples = features.image_size or (1, 1)
+    camera = RpcCamera((samples, lines), refined)
     return lambda ground: np.asarray(camera.world_to_pixel(ground.T))[::-1].T
 
 
 def fit_opencv_pose(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG001
-    """Return OpenCV's pose of a camera of the stated focal length: SQPNP, then least squares.
+    """Return the projection of OpenCV's pose of a camera: SQPNP, then least squares.
 
-    Raises TermselError without a focal length or four points, or if OpenCV is not installed.
+    The focal length is that of the column `camera_focal`; the principal point is the middle of the
+    image. Raises TermselError if the set states no focal length or size of the image, for fewer
+    than four points, if OpenCV finds no pose, or if it or pyproj is not installed.
     """
     stated = features.points.attributes.get("camera_focal")
     if stated is None or features.image_size is None:
@@ -106,17 +113,18 @@ def fit_opencv_pose(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG
         from pyproj import Transformer
     if len(features.points) < 4:
         raise TermselError("OpenCV's pose requires 4 points")
-    # A camera needs a rectangular frame; about its middle, so that no digits are lost.
+    # Collinearity holds in Cartesian axes. Earth-fixed ones have numbers of 6e6 m; counted from
+    # the middle of the points, they keep their digits.
     geocentric = Transformer.from_crs(features.crs, "EPSG:4978", always_xy=True)
     origin = np.column_stack(geocentric.transform(*features.points.ground.T)).mean(axis=0)
 
-    def places(ground: FloatArray) -> FloatArray:
+    def to_cartesian(ground: FloatArray) -> FloatArray:
         return np.asarray(np.column_stack(geocentric.transform(*ground.T)) - origin)
 
     lines, samples = features.image_size
     focal = float(stated[0])
     camera = np.array([[focal, 0, (samples - 1) / 2], [0, focal, (lines - 1) / 2], [0, 0, 1]])
-    control = places(features.points.ground)
+    control = to_cartesian(features.points.ground)
     # OpenCV has samples before lines.
     image = np.ascontiguousarray(features.points.image[:, ::-1])
     try:
@@ -125,30 +133,35 @@ def fit_opencv_pose(features: FeatureSet, seed: int) -> Projection:  # noqa: ARG
     except cv2.error as error:
         raise TermselError(f"OpenCV fits nothing: {error}") from error
     return lambda ground: np.asarray(cv2.projectPoints(
-        places(ground), turn, shift, camera, None)[0][:, 0, ::-1])
+        to_cartesian(ground), turn, shift, camera, None)[0][:, 0, ::-1])
 
 
 def fit_ransac(features: FeatureSet, seed: int) -> Projection:
-    """Return scikit-learn's RANSAC of a polynomial: affine, or quadratic from 20 points on."""
-    with _fit_sklearn():
+    """Return the projection of scikit-learn's RANSAC: affine, or quadratic from 20 points on.
+
+    Raises TermselError unless there are more points than the polynomial has terms, if no trial
+    finds inliers, or if scikit-learn is not installed.
+    """
+    with _require_sklearn():
         from sklearn.linear_model import LinearRegression, RANSACRegressor
         from sklearn.pipeline import make_pipeline
         from sklearn.preprocessing import PolynomialFeatures, StandardScaler
     positions = _ground_of(features)
-    # As few points as a quadratic model has terms leave nothing to vote.
+    # A trial takes as many points as there are terms, ten for a quadratic model in space; as many
+    # again are left to vote on it.
     degree = 1 if len(features.points) < 20 else 2
     terms = PolynomialFeatures(degree)
-    count = terms.fit_transform(positions[:1]).shape[1]
-    _require(len(positions) > count, "RANSAC", len(positions))
+    n_terms = terms.fit_transform(positions[:1]).shape[1]
+    _require(len(positions) > n_terms, "RANSAC", len(positions))
     model = make_pipeline(StandardScaler(), terms, RANSACRegressor(
-        LinearRegression(fit_intercept=False), min_samples=count, max_trials=500,
-        # Of both axes together.
+        LinearRegression(fit_intercept=False), min_samples=n_terms, max_trials=500,
+        # scikit-learn compares the sum of the absolute errors of line and sample.
         residual_threshold=2 * _RANSAC_PIXELS, random_state=seed))
     return _fit_peer(model, features, positions)
 
 
 def fit_ridge(features: FeatureSet, seed: int) -> Projection:
-    """Return scikit-learn's ridge polynomial, as its user would fit it.
+    """Return the projection of scikit-learn's ridge polynomial, as its user would fit it.
 
     Five folds, drawn with the seed, choose the degree from 1 to 3 and the penalty from `_ALPHAS`.
 
@@ -157,7 +170,7 @@ def fit_ridge(features: FeatureSet, seed: int) -> Projection:
     TermselError
         If scikit-learn is not installed, or for fewer than 5 points.
     """
-    with _fit_sklearn():
+    with _require_sklearn():
         from sklearn.linear_model import Ridge
         from sklearn.model_selection import GridSearchCV, KFold
         from sklearn.pipeline import make_pipeline
@@ -165,8 +178,8 @@ def fit_ridge(features: FeatureSet, seed: int) -> Projection:
     positions = _ground_of(features)
     # Each of five folds needs a point.
     _require(len(positions) >= 5, "scikit-learn", len(positions))
-    # Scaled first, as the penalty is the same for all coefficients. The grid is termsel's own
-    # choice.
+    # Positions are scaled first, as the penalty is the same for all coefficients. The grid of
+    # degrees and penalties is termsel's own choice.
     model = GridSearchCV(
         make_pipeline(StandardScaler(), PolynomialFeatures(include_bias=False), Ridge()),
         {"polynomialfeatures__degree": [1, 2, 3], "ridge__alpha": _ALPHAS},
@@ -174,13 +187,16 @@ def fit_ridge(features: FeatureSet, seed: int) -> Projection:
     return _fit_peer(model, features, positions)
 
 
-def _fit_sklearn() -> Any:
+def _require_sklearn() -> Any:
     """Return scikit-learn; raises TermselError where it is not installed."""
     return require_import("the peer requires", "scikit-learn", "scikit-learn")
 
 
 def _fit_peer(model: Any, features: FeatureSet, positions: FloatArray) -> Projection:
-    """Return the projection of an estimator of scikit-learn, fitted to positions (n, 2 or 3)."""
+    """Return the projection of an estimator of scikit-learn, fitted to positions (n, 2 or 3).
+
+    Raises TermselError if scikit-learn cannot fit it.
+    """
     try:
         model.fit(positions, features.points.image)
     except ValueError as error:

@@ -50,9 +50,10 @@ POINT_COLUMNS = {
 def croissant_description(sets: Iterable[BenchSet]) -> dict[str, Any]:
     """Return the description of simulated sets in Croissant, as JSON-LD.
 
-    Croissant is the format by which machine-learning data are found and loaded: files with
-    checksums, columns with types, and what the data are not.
+    It has the files of each set with their checksums, the columns of points with their types, and
+    a statement of what the data are not.
     """
+    # The sets are gone through twice: for files, and for columns.
     described_sets = list(sets)
     files: list[dict[str, Any]] = []
     for bench_set in described_sets:
@@ -71,7 +72,7 @@ def croissant_description(sets: Iterable[BenchSet]) -> dict[str, Any]:
         "rai:dataCollection": "Simulated from seeds; `termsel bench --files DIR` writes the files.",
         "rai:dataLimitations": "No set has measurements of the real world.",
         "distribution": files,
-        "recordSet": [_points_of(bench_set) for bench_set in described_sets]}
+        "recordSet": [_record_set_of_points(bench_set) for bench_set in described_sets]}
 
 
 MEASURED_COLUMNS = {name: POINT_COLUMNS[name] for name in POINT_COLUMNS if name != "role"}
@@ -81,14 +82,14 @@ MEASURED_COLUMNS = {name: POINT_COLUMNS[name] for name in POINT_COLUMNS if name 
 def croissant_of_measured(names: Sequence[str], files: Mapping[str, str]) -> dict[str, Any]:
     """Return the description of measured sets and of the files that hold them, as JSON-LD.
 
-    `names` are those of the sets, `files` the texts of the files by their names. As in
-    `croissant_description`, with the source and licence of each set, since others measured them.
+    `names` are those of the sets, `files` the texts of all files by their names, that of `FOLDS`
+    included. Each set has its source and licence, since others measured it.
     """
     sets = [read_measured_set(name) for name in names]
-    places = json.loads(files[FOLDS])
+    folds = json.loads(files[FOLDS])
     record_sets = []
     for entry in sets:
-        file = places[entry.name]["file"]
+        file = folds[entry.name]["file"]
         columns = files[file].partition("\n")[0].split(",")
         fields = [{"@type": "cr:Field", "@id": f"{entry.name}/{column}", "name": column,
                    "description": MEASURED_COLUMNS.get(column, ("", "image position [px]"))[1],
@@ -119,8 +120,8 @@ def croissant_of_measured(names: Sequence[str], files: Mapping[str, str]) -> dic
         "recordSet": record_sets}
 
 
-def _points_of(bench_set: BenchSet) -> dict[str, Any]:
-    """Return the record set of the points of a set, a field for each column."""
+def _record_set_of_points(bench_set: BenchSet) -> dict[str, Any]:
+    """Return the JSON-LD record set that describes a set's points, with a field for each column."""
     name = bench_set.name
     fields = [{"@type": "cr:Field", "@id": f"{name}/{column}", "name": column,
                "description": meaning, "dataType": kind,
@@ -132,7 +133,9 @@ def _points_of(bench_set: BenchSet) -> dict[str, Any]:
 
 
 def freeze(folder: Path) -> None:
-    """Write the description and the means of all sets, as they are simulated here, into a folder.
+    """Simulate all sets, and write their description and the means of their columns into a folder.
+
+    Other machines simulate the same but for rounding, which the means show.
     """
     sets = [simulate_set(name) for name in SETS]
     write_text(folder / METADATA, json.dumps(croissant_description(sets), indent=1) + "\n")

@@ -12,23 +12,23 @@ from termsel_block.estimation.starts import intersect
 from termsel_block.estimation.steps import CONVERGED, Steps, shrinkage_of_mean_square, soft_weights
 from termsel_block.estimation.unknowns import Adjusted, BlockUnknowns, Measured
 from termsel_block.evidence.factors import log_bayes_factor
-from termsel_block.evidence.growing import TRIED_BELOW, p_value_of_columns
+from termsel_block.evidence.growing import MAX_P_VALUE, p_value_of_columns
 from termsel_block.evidence.integrating import MAX_INTEGRATED, count_unknown_variances, integrate
 from termsel_block.evidence.variances import estimate_variances, loosening_factors
 from termsel_block.geometry.control import OwnControl
 from termsel_block.geometry.frame import FloatArray
 from termsel_block.geometry.heights import Heights
 
-WRONG = 4.0
+BLUNDER_SIGMAS = 4.0
 """A tie is a blunder if it is so many standard deviations off, in line or in sample.
 
 Control is so by as many at least, and by more where few measurements show its precision.
 """
 
-_ANY = 0.05
+_BLUNDER_CHANCE = 0.05
 """Probability that good control of a block has a row so far off, by which few points are judged."""
 
-AGAINST = -1.0
+MIN_EVIDENCE = -1.0
 """Logarithm of a Bayes factor below which a group is dropped; above, it stays and is shrunk."""
 
 _PRIOR_COUNT = 4.0
@@ -37,34 +37,34 @@ _PRIOR_COUNT = 4.0
 CHI2_MEDIAN_OFFSET = 2 / 3
 """What a distribution chi-square of n degrees of freedom has its median below n, about."""
 
-# Relative change of a standard deviation.
-_SETTLED = 0.02
-# Of one stage at most.
+# Relative change of standard deviations below which they have settled.
+_SETTLED_CHANGE = 0.02
+# Most steps of one stage.
 _STAGE_STEPS = 15
-# First steps of a stage, in which derivatives are renewed, as after shorter ones.
+# First steps of a stage, before each of which derivatives are computed anew.
 _RENEWED_STEPS = 3
-# What weights are wider by in the first steps, while much is bent.
-_WIDE = (8.0, 4.0, 2.0)
-# First steps, in which control keeps its weight.
-_TRUST = len(_WIDE)
-# Times at most, of which two or three are usual.
-_LOOSENED = 20
-# Relative change of a stated standard deviation, below which it stays.
-_LOOSER = 0.1
-# Parameters of images from which variances are estimated once in a stage.
-_SLOW = 2500
-# In px; without it data without noise would have infinite weights.
+# Factors by which ties' weights fall more slowly in the first steps, while residuals are large.
+_WIDENING = (8.0, 4.0, 2.0)
+# Number of these steps, in which control keeps its weight.
+_WIDENED_STEPS = len(_WIDENING)
+# Most rounds of loosening priors, of which two or three are usual.
+_MAX_LOOSENINGS = 20
+# Relative change of a stated standard deviation below which it stays.
+_MIN_LOOSENING = 0.1
+# Number of parameters of all images beyond which variances are estimated once in a stage.
+_MANY_PARAMETERS = 2500
+# Least standard deviation of ties [px]: data without noise would have infinite weights.
 _MIN_SIGMA = 0.01
 
 
 def adjust_block(state: BlockUnknowns, measured: Sequence[Measured], control: Sequence[OwnControl],
                  heights: Heights, *, progress: Callable[[float], None] | None = None,
                  fixed: Sequence[bool] = ()) -> Adjusted:
-    """Adjust a block from its start.
+    """Adjust a block from its start, and return its unknowns with what they show.
 
     Parameters
     ----------
-    state : State
+    state : BlockUnknowns
         The start; it is changed.
     measured, control : sequence
         Of each image.
@@ -82,8 +82,7 @@ def adjust_block(state: BlockUnknowns, measured: Sequence[Measured], control: Se
     factor, by the ratio of Savage and Dickey over the whole block's posterior, is below one is
     dropped. Columns for jitter are tried where residuals support them (`evidence.growing`).
     """
-    # Images share ties with one another, and all ties with the heights, which count as one more
-    # image.
+    # The heights count as one more image, which sees all ties.
     shared = image_pairs(
         [*(of_image.tie for of_image in measured), np.arange(len(state.ties))], len(state.ties))
     run = _Run(state, measured, control, heights, shared)
@@ -91,10 +90,9 @@ def adjust_block(state: BlockUnknowns, measured: Sequence[Measured], control: Se
     state.in_use = state.in_use or [np.ones(len(of_image.tie), bool) for of_image in measured]
     state.control_in_use = state.control_in_use or [np.ones(len(of_image), bool)
                                                     for of_image in control]
-    # Robust weights first: blunders cannot be told before the images are about where they belong.
+    # Weights are robust until the images are about where they belong and blunders can be told.
     steps = run.iterate(robust=True, limit=_STAGE_STEPS, report=lambda s: report(0.4 * s))
-    # Jitter is tried before evidence drops anything, as its columns explain what others would
-    # follow.
+    # Jitter is tried before groups are dropped, as other columns would follow what it explains.
     if run.grow(fixed):
         steps += run.iterate(robust=True, limit=_STAGE_STEPS, report=_show_nothing)
     # Dropping a group changes the evidence of the others, so that a second look may drop more.
@@ -104,26 +102,26 @@ def adjust_block(state: BlockUnknowns, measured: Sequence[Measured], control: Se
             break
         steps += run.iterate(robust=True, limit=_STAGE_STEPS,
                              report=lambda s: report(0.4 + 0.2 * s))
-    # Then blunders are left out for good, and what agrees with the adjustment comes back.
+    # Then blunders are left out; each time measurements that agree again are taken back.
     for _ in range(3):
         if not run.leave_out():
             break
         steps += run.iterate(robust=False, limit=_STAGE_STEPS,
                              report=lambda s: report(0.6 + 0.4 * s))
     steps += run.iterate(robust=False, limit=_STAGE_STEPS, report=report)
-    # By priors as models state them, before these are loosened: contradictions are judged by them.
+    # Contradictions are judged by the priors as models state them, before these are loosened.
     by_priors = [(parameters.copy(), covariance) for parameters, covariance in zip(
         state.parameters, run.solved.image_covariances[:-1], strict=True)]
     score = run.score_of_control() if any(camera.stated_terms for camera in state.cameras) else {}
-    # What terms scatter by depends on their parameters, which move when priors are loosened.
-    for _ in range(_LOOSENED):
+    # Loosened priors let parameters move, which then show again how far they scatter.
+    for _ in range(_MAX_LOOSENINGS):
         if not run.loosen():
             break
         steps += run.iterate(robust=False, limit=_STAGE_STEPS, report=_show_nothing)
-    # Before `move_to_posterior_mean`, which moves images on purpose.
+    # The next step moves images on purpose, and is not to count as the last one.
     moved = run.moved()
     draws = run.move_to_posterior_mean()
-    # Since they were judged, heights alone moved ties that no image uses.
+    # Ties that no image uses have been moved by the heights alone.
     run.place_unused_ties()
     residuals, of_control = run.residuals()
     return Adjusted(
@@ -142,35 +140,36 @@ class _Run(Steps):
     def __init__(self, state: BlockUnknowns, measured: Sequence[Measured],
                  control: Sequence[OwnControl], heights: Heights, shared: Sequence[Shared]) -> None:
         super().__init__(state, measured, control, heights, shared)
-        self.large = sum(len(camera.groups) for camera in state.cameras) > _SLOW
+        self.large = sum(len(camera.groups) for camera in state.cameras) > _MANY_PARAMETERS
 
     def iterate(self, *, robust: bool, limit: int, report: Callable[[float], None]) -> int:
-        """Make steps until nothing moves by `CONVERGED` px; return how many were made.
+        """Make steps until no tie moves by `CONVERGED` px, at most `limit`; return their number.
 
-        At most `limit` are made; `converged` says whether they were enough. `report` is called with
-        the share of `limit` that is done, `robust` is whether weights fall with the residuals.
+        `converged` becomes whether they were enough. With `robust` weights fall with the residuals.
+        `report` is called with the share of `limit` that is done.
         """
         self.converged = False
         for step in range(limit):
             report(step / limit)
-            # From weights that fall at once a lone control point would never return. Nor does a
-            # step that had to be made shorter come nearer along derivatives of elsewhere.
+            # A step that had to be shortened has shown that its derivatives do not hold.
             if step < _RENEWED_STEPS or self.share < 1.0:
                 self.slopes = {}
-            self.step(robust, _WIDE[step] if robust and step < _TRUST else 1.0)
+            # If weights fell at once, a lone control point far off would never count again.
+            self.step(robust, _WIDENING[step] if robust and step < _WIDENED_STEPS else 1.0)
             moved = float(self.moved().max(initial=0.0))
             settled = True
-            if step >= _TRUST and (not self.large or step == _TRUST):
+            if step >= _WIDENED_STEPS and (not self.large or step == _WIDENED_STEPS):
                 settled = self.estimate(robust)
-            if step > _TRUST and moved < CONVERGED and settled:
+            if step > _WIDENED_STEPS and moved < CONVERGED and settled:
                 self.converged = True
                 return step + 1
         return limit
 
     def loosen(self) -> bool:
-        """Widen or narrow the priors that models state to what the images show (in place).
+        """Widen or narrow the priors that models state to what the images show, in the state.
 
-        Return False, and change nothing, where that would change no standard deviation by much.
+        Returns False, and changes nothing, if no standard deviation would change by more than the
+        part `_MIN_LOOSENING`.
         """
         state = self.state
         factors = loosening_factors(state.cameras, state.parameters,
@@ -179,7 +178,7 @@ class _Run(Steps):
         for camera in state.cameras:
             for name, index in camera.stated_terms.items():
                 change = max(change, abs(factors[name] / camera.sigma_factors[index] - 1))
-        if change < _LOOSER:
+        if change < _MIN_LOOSENING:
             return False
         cameras = []
         parameters = []
@@ -193,15 +192,15 @@ class _Run(Steps):
         return True
 
     def move_to_posterior_mean(self) -> list[FloatArray]:
-        """Go to the mean over all variances; return draws of each image's errors, (d, p) each.
+        """Move to the posterior mean over all variances; return draws (d, p) of images' errors.
 
-        That changes `solved`, ties, parameters and variances of the state, and the offset of
-        heights. Where the variances are known or many nothing changes, and there are no draws.
+        It changes `solved`, the ties, parameters and variances of the state, and the offset of
+        heights. If no variances are unknown, or too many, nothing changes, and [] is returned.
         """
         state = self.state
         if not 0 < count_unknown_variances(state.cameras) <= MAX_INTEGRATED:
             return []
-        # Priors as first guessed: the function takes them off again, and draws the variances.
+        # `integrate` expects priors with the first guesses, which it takes off again.
         loose = self.linearised([np.square(camera.prior_sigma) for camera in state.cameras])
         integrated = integrate(loose.reduced.whole(), np.concatenate(loose.steps), state.cameras,
                                state.parameters, loose.reduced.slices,
@@ -227,15 +226,16 @@ class _Run(Steps):
     def estimate(self, robust: bool) -> bool:
         """Estimate the variances of ties, control, heights and parameters from the last solution.
 
-        Each is about a sum of weighted squares over its redundancy. Returns whether the standard
-        deviations of ties, control and heights changed by less than the part `_SETTLED`.
+        Each is a sum of weighted squares over its redundancy, with corrections for robust weights
+        and few measurements. Returns whether the standard deviations of ties, control and heights
+        changed by less than the part `_SETTLED_CHANGE`.
         """
         state = self.state
         covariances = self.solved.image_covariances[:-1]
         before = np.array([state.sigma_ties, state.sigma_control, self.heights.sigma])
         of_ties, of_control = self.residuals()
-        # Parameters that data determine: trace(I - C V^-1), of which control takes the trace of its
-        # hat.
+        # The data determine trace(I - C V^-1) parameters, of which control determines the trace of
+        # its hat matrix.
         determined = by_control = rows = 0.0
         squares = 0.0
         for i, (control, covariance) in enumerate(zip(self.control, covariances, strict=True)):
@@ -245,9 +245,8 @@ class _Run(Steps):
                 sigma = state.sigma_control * control.sigma
                 weight = soft_weights(of_control[i] / sigma) if robust else np.ones(len(control))
                 weight = weight * used
-                # h_n = a_n C a_n^T / s^2 of each row a_n, by the covariance C of the image's
-                # parameters.
-                # Of the equations that the covariance is of: rows elsewhere do not cancel in it.
+                # h_n = a_n C a_n^T / s^2 of each row a_n, with the covariance C of the image's
+                # parameters. The rows must be those of the equations that have this covariance.
                 design = self.design[i]
                 hat = np.einsum("ni,ij,nj->n", design, covariance, design) / sigma**2
                 by_control += float((weight * hat).sum())
@@ -262,20 +261,20 @@ class _Run(Steps):
             total += float((weight * (residual**2).sum(axis=1)).sum())
             weights += 2 * float(weight.sum())
             np.add.at(rays_of_tie, measured.tie, weight)
-        # The place of a tie takes three measurements, or as many as it has.
+        # The position of a tie takes three measurements, or as many as it has.
         freedom = float(
             weights - np.minimum(2 * rays_of_tie, 3).sum() - max(determined - by_control, 0.0))
         # Redundancy: equations of ties and control less the unknowns that they determine.
         self.freedom = freedom + rows - by_control
-        # Weights fall for good measurements, too.
+        # Robust weights are below 1 for good measurements, too, which makes squares too small.
         if robust:
             total /= shrinkage_of_mean_square(max(freedom, 0.0) / max(weights, 1.0), 2)
             squares /= shrinkage_of_mean_square(max(rows - by_control, 0.0) / max(rows, 1.0), 1)
-        # One measurement more than there are unknowns says next to nothing: the variance stays.
+        # With a redundancy of 1 or less the variance stays, as residuals say next to nothing.
         if freedom > 1:
             state.sigma_ties = max(float(np.sqrt(total / freedom)), _MIN_SIGMA)
-        # Few points say little of their own precision: the ties' counts as four of them. This is
-        # about the median of the posterior, whose mean is far above it where points are few.
+        # Few points say little of their own precision, so that the ties' counts as four of them.
+        # The median of the posterior is taken: with few points its mean is far above it.
         expected = max(rows - by_control, 0.0)
         state.sigma_control = float(np.sqrt((squares + _PRIOR_COUNT * state.sigma_ties**2)
                                             / (expected + _PRIOR_COUNT - CHI2_MEDIAN_OFFSET)))
@@ -284,18 +283,18 @@ class _Run(Steps):
             state.cameras, state.parameters, covariances, state.variances)
         self.heights.estimate(state.ties, self.solved.of_ties, rays_of_tie > 1.0)
         after = np.array([state.sigma_ties, state.sigma_control, self.heights.sigma])
-        return bool(np.abs(after / before - 1).max() < _SETTLED)
+        return bool(np.abs(after / before - 1).max() < _SETTLED_CHANGE)
 
     def grow(self, fixed: Sequence[bool]) -> bool:
         """Add columns to images whose residuals support them; return whether any got some.
 
-        `fixed` says of each image whether the user asks for its correction; it may be empty.
+        `fixed` says of each image whether its correction is the user's, to which nothing is added;
+        if it is empty, none is.
         """
         state = self.state
         grown = False
         for i, (camera, measured, residual) in enumerate(zip(
                 state.cameras, self.measured, self.residuals()[0], strict=True)):
-            # A correction that the user asks for is not added to.
             growth = None if len(fixed) and fixed[i] else camera.grown()
             if growth is None or not len(measured.tie):
                 continue
@@ -303,7 +302,7 @@ class _Run(Steps):
             weight = soft_weights(np.hypot(*residual.T) / state.sigma_ties) / state.sigma_ties**2
             columns = larger.first_order(state.ties[measured.tie])[1]
             columns = columns[:, is_new[:columns.shape[1]]]
-            if p_value_of_columns(columns, residual, weight) < TRIED_BELOW:
+            if p_value_of_columns(columns, residual, weight) < MAX_P_VALUE:
                 grown = True
                 state.cameras[i] = larger
                 # New columns begin with zeros and with the variance that is a first guess.
@@ -318,8 +317,8 @@ class _Run(Steps):
     def drop(self, evidence: list[dict[str, float]], fixed: Sequence[bool]) -> bool:
         """Drop groups of columns that the evidence is against; return whether any was dropped.
 
-        The logarithm of the Bayes factor of each group that was weighed is put into `evidence`, a
-        dict for each image. `fixed` is as for `grow`.
+        The logarithm of the Bayes factor of each group that was weighed is put into `evidence`,
+        which has a dict for each image. `fixed` is as in `grow`.
         """
         state = self.state
         dropped = False
@@ -330,16 +329,15 @@ class _Run(Steps):
             names = np.array(camera.groups)
             groups = [name for name in dict.fromkeys(camera.groups) if name not in camera.permanent]
             dropped_groups: set[str] = set()
-            # The last columns first: of nested groups one is of use only with those before it.
+            # The last groups are weighed first: a nested group is of use only with those before it.
             for name in reversed(groups):
                 at = np.flatnonzero(names == name)
-                # By the joint posterior of line and sample: a group goes in both or in none.
+                # Line and sample are weighed together: a group is dropped in both or in none.
                 evidence[i][name] = log_bayes_factor(
                     state.parameters[i][at], covariance[np.ix_(at, at)], state.variances[i][at])
-                if evidence[i][name] < AGAINST:
+                if evidence[i][name] < MIN_EVIDENCE:
                     dropped_groups.add(name)
                 elif camera.nested:
-                    # One can go only after all that follow it.
                     break
             if dropped_groups:
                 dropped = True
@@ -350,10 +348,9 @@ class _Run(Steps):
         return dropped
 
     def place_unused_ties(self) -> None:
-        """Put ties that no image uses where all their rays meet.
+        """Put each tie that no image uses where all its rays meet, if it has two.
 
-        No equation moves such a tie, so that it would be judged where it once was, as by images
-        that were not yet where they belong.
+        No equation of an image moves such a tie, so that it would be judged at an old position.
         """
         state = self.state
         count = np.zeros(len(state.ties))
@@ -362,57 +359,61 @@ class _Run(Steps):
             np.add.at(count, measured.tie, used)
             np.add.at(count_of_rays, measured.tie, 1)
         unused = np.flatnonzero((count == 0) & (count_of_rays > 1))
-        renamed = np.full(len(state.ties), -1)
-        renamed[unused] = np.arange(len(unused))
+        # `intersect` takes ties that are numbered from 0 on.
+        new_number = np.full(len(state.ties), -1)
+        new_number[unused] = np.arange(len(unused))
         rays = []
         for camera, parameters, measured in zip(state.cameras, state.parameters, self.measured,
                                                 strict=True):
-            at = renamed[measured.tie]
-            rays.append((camera, parameters, at[at >= 0], measured.position[at >= 0]))
+            numbers = new_number[measured.tie]
+            is_unused = numbers >= 0
+            rays.append((camera, parameters, numbers[is_unused], measured.position[is_unused]))
         if len(unused):
             state.ties[unused] = intersect(state.ties[unused], rays)
 
     def leave_out(self) -> bool:
-        """Mark measurements as blunders, and take back what agrees; return whether any changed.
+        """Mark which measurements are used and which are blunders; return whether any changed.
 
-        A tie needs two images that use it; both rows of a point or line of control go together.
+        A tie that fewer than two images use is used in none; both rows of a point or line of
+        control are used, or neither.
         """
         state = self.state
         self.place_unused_ties()
         of_ties, of_control = self.residuals()
         changed = False
-        # Of each tie over all images: sum of its largest residuals, and number of its rays.
-        away = np.zeros(len(state.ties))
+        # Of each tie over all images: the sum of the larger residuals of line and sample, and the
+        # number of its rays.
+        residual_sum = np.zeros(len(state.ties))
         rays = np.zeros(len(state.ties))
-        # A tie is judged by line and sample alike: the larger of both counts.
         for measured, residual in zip(self.measured, of_ties, strict=True):
-            np.add.at(away, measured.tie, np.abs(residual).max(axis=1, initial=0.0))
+            np.add.at(residual_sum, measured.tie, np.abs(residual).max(axis=1, initial=0.0))
             np.add.at(rays, measured.tie, 1)
         for i, (measured, residual) in enumerate(zip(self.measured, of_ties, strict=True)):
-            agrees = np.abs(residual).max(axis=1, initial=0.0) <= WRONG * state.sigma_ties
-            # Weights that fall give what two rays differ by to one of them, whichever that is.
+            agrees = np.abs(residual).max(axis=1, initial=0.0) <= BLUNDER_SIGMAS * state.sigma_ties
+            # Robust weights give the whole difference of two rays to either of them, so that the
+            # sum is judged, which has the standard deviation of a difference.
             agrees |= (rays[measured.tie] == 2) & (
-                away[measured.tie] <= WRONG * np.sqrt(2) * state.sigma_ties)
+                residual_sum[measured.tie] <= BLUNDER_SIGMAS * np.sqrt(2) * state.sigma_ties)
             changed |= bool((agrees != state.in_use[i]).any())
             state.in_use[i] = agrees
         count = np.zeros(len(state.ties))
         for measured, used in zip(self.measured, state.in_use, strict=True):
             np.add.at(count, measured.tie, used)
-        # One ray alone says nothing.
         for i, measured in enumerate(self.measured):
             state.in_use[i] = state.in_use[i] & (count[measured.tie] > 1)
-        # By a standard deviation that few measurements show, four of them are no rare distance.
+        # If few measurements show the standard deviation of control, four of them are no rare
+        # distance: Student's quantile for as many rows counts.
         rows = sum(map(len, of_control))
-        limit = max(WRONG, -float(stdtrit(state.freedom_control, _ANY / (2 * max(rows, 1)))))
+        chance = _BLUNDER_CHANCE / (2 * max(rows, 1))
+        limit = max(BLUNDER_SIGMAS, -float(stdtrit(state.freedom_control, chance)))
         for i, (residual, control) in enumerate(zip(of_control, self.control, strict=True)):
             is_blunder = np.abs(residual) > limit * self.residual_deviations(i)
-            # Both rows of a point, or of a line, go together.
             names = {name for name, is_wrong in zip(control.feature, is_blunder, strict=True)
                      if is_wrong}
             agrees = np.array([name not in names for name in control.feature], bool)
             changed |= bool((agrees != state.control_in_use[i]).any())
             state.control_in_use[i] = agrees
-        # Heights of control left out no longer show the offset of all heights.
+        # Control that is left out does not show the offset of heights, either.
         self.heights.keep(state.control_in_use)
         return changed
 

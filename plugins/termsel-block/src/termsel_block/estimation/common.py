@@ -13,12 +13,12 @@ def height_equations(heights: Heights, ties: FloatArray,
                      ) -> tuple[TieRows, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return what heights add to the normal equations of a block of t ties.
 
-    These are the rows of the heights; matrix (2, 2) and right-hand side (2,) of the offset's own
-    equations; and what ties without the offset add to their own, (t, 3, 3) and (t, 3). Of the two
-    image axes of `TieRows` the first is the height. The second has rows of zeros, whose parameter
-    stays zero.
+    The heights count as an image, whose parameter is the offset. Returned are its tie rows; the
+    matrix (2, 2) and right side (2,) of the offset's own equations; and what ties whose heights do
+    not depend on the offset add to their own, (t, 3, 3) and (t, 3). The first image axis is the
+    height; the second has rows of zeros, and a parameter that stays zero.
     """
-    # Of each height: surface + offset - height = 0, weighed by the roughness.
+    # The equation of a height is surface + offset - height = 0, weighted by the roughness.
     observed = heights.tie_observations(ties)
     count = len(ties)
     weight = np.where(observed.joint, observed.weight, 0.0)
@@ -30,7 +30,7 @@ def height_equations(heights: Heights, ties: FloatArray,
     normal, right = heights.offset_equation()
     # Ties without the offset (off the DEM) add to their own equations alone.
     own_weight = observed.weight - weight
-    # Rows by the offset are -1: what is observed grows with it, and the residual gets smaller.
+    # A larger offset makes the residual smaller, so that its derivative is -1.
     return (TieRows(np.arange(count), np.tile(-np.eye(2), (count, 1, 1)), slopes, residual, weight),
             np.diag([normal, 1.0]), np.array([right, 0.0]),
             np.einsum("t,ti,tj->tij", own_weight, observed.row, observed.row),

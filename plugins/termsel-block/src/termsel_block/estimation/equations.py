@@ -19,10 +19,10 @@ from scipy.sparse.linalg import splu
 
 from termsel_block.geometry.frame import FloatArray, IntArray
 
-DENSE = 1500
+MAX_DENSE = 1500
 """Most image parameters for which the reduced matrix is factorised as a dense one."""
 
-WHOLE = 10_000
+MAX_INVERSE = 10_000
 """Most of them for which its inverse is held as a whole: 800 MB."""
 
 Shared = tuple[int, int, IntArray, IntArray]
@@ -76,12 +76,9 @@ class Solved:
         return self.reduced.image_covariances()
 
     def at(self, step: FloatArray, covariance: FloatArray) -> Solved:
-        """Return this solution with another step of all parameters (p,) and their covariance.
-
-        Steps of the ties follow from it: x = H^-1 (b - B^T p).
-        """
+        """Return this solution with another step of all parameters (p,) and their covariance."""
         steps = tuple(step[columns] for columns in self.reduced.slices)
-        # Ties follow the images: x = H^-1 (b - B^T p), so that they change by H^-1 B^T (old - new).
+        # Steps of ties are x = H^-1 (b - B^T p), so that they change by H^-1 B^T (old - new).
         change = np.zeros_like(self.ties)
         for rows, coupling, new, old in zip(self.tie_rows, self.coupling, steps, self.steps,
                                             strict=True):
@@ -90,13 +87,12 @@ class Solved:
                        ties=self.ties + np.einsum("tij,tj->ti", self.of_ties, change))
 
     def covariance_of_ties(self) -> FloatArray:
-        """Return the covariance of each tie's place (t, 3, 3) [m2], parameters' included.
+        """Return the covariances (t, 3, 3) of the ties' positions [m2].
 
-        Beyond `WHOLE` parameters the covariance between images is not held: the ties' are then
-        those with each image's own.
+        Beyond `MAX_INVERSE` parameters covariances between images are not known, and count as 0.
         """
-        # H^-1 + H^-1 B^T C B H^-1, with H of each tie alone, C of all images and B what couples
-        # them.
+        # The covariance is H^-1 + H^-1 B^T C B H^-1, with H of each tie alone, the covariance C of
+        # all images, and B between images and ties.
         total = self.of_ties.copy()
         blocks = self.reduced.inverse
         slices = self.reduced.slices
@@ -111,7 +107,7 @@ class Solved:
             between = gains[i][at_i] @ blocks[slices[i], slices[j]] @ gains[j][at_j].transpose(
                 0, 2, 1)
             ties = self.tie_rows[i].tie[at_i]
-            # Pairs come once, with i before j: the other half is the transpose.
+            # A pair of images comes once; the other way round its contribution is the transpose.
             np.add.at(total, ties, between if i == j else between + between.transpose(0, 2, 1))
         return total
 
@@ -139,23 +135,25 @@ class Reduced:
         return np.asarray(matrix if isinstance(matrix, np.ndarray) else matrix.toarray())
 
     def with_inverse(self, covariance: FloatArray) -> Reduced:
-        """Return a copy with the covariance (size, size) of a posterior in place of the inverse."""
-        # Such as that over all variances, which is wider than that by the estimated ones.
+        """Return a copy whose `inverse` is the covariance (size, size) of a posterior.
+
+        It is that over all variances, which is wider than with the estimated ones.
+        """
         copied = copy(self)
         copied.inverse = covariance
         return copied
 
     @cached_property
     def inverse(self) -> FloatArray | None:
-        """The covariance of all parameters (size, size); None if they are more than `WHOLE`.
+        """The covariance of all parameters (size, size); None if they are more than `MAX_INVERSE`.
 
         Raises numpy.linalg.LinAlgError if the matrix is not positive definite.
         """
-        if self._size > WHOLE:
+        if self._size > MAX_INVERSE:
             return None
         if isinstance(self._matrix, np.ndarray):
             return np.asarray(self.solve(np.eye(self._size)))
-        # Faster than as many solutions with the sparse factors.
+        # LAPACK inverts a dense matrix faster than the sparse factors solve for all columns.
         factor, failed = linalg.lapack.dpotrf(self._matrix.toarray(), overwrite_a=True)
         if failed:
             raise np.linalg.LinAlgError("the reduced matrix is not positive definite")
@@ -163,7 +161,10 @@ class Reduced:
         return np.asarray(np.triu(half) + np.triu(half, 1).T)
 
     def image_covariances(self) -> list[FloatArray]:
-        """Return the covariance (p, p) of each image's parameters, in chunks if they are many."""
+        """Return the covariance (p, p) of each image's parameters.
+
+        If the whole inverse is too large, its columns are computed in chunks.
+        """
         if self.inverse is not None:
             return [self.inverse[columns, columns] for columns in self.slices]
         blocks = []
@@ -187,9 +188,10 @@ class Reduced:
 
 
 def image_pairs(ties: Sequence[IntArray], count: int) -> list[Shared]:
-    """Return which images share ties: (i, j, rows of i, rows of j) with i <= j.
+    """Return each pair of images that share ties, as (i, j, rows of i, rows of j) with i <= j.
 
-    Rows are sorted alike: the k-th of each is the same tie.
+    `ties` has the indices of the ties that each image sees, below `count`. The k-th rows of both
+    images are those of the same tie. An image is paired with itself, too.
     """
     # All measurements in one list, sorted by tie, then by image.
     image = np.repeat(np.arange(len(ties)), [len(tie) for tie in ties])
@@ -202,7 +204,7 @@ def image_pairs(ties: Sequence[IntArray], count: int) -> list[Shared]:
     starts = np.searchsorted(tie, np.arange(count + 1))
     degree = np.diff(starts)
     combinations: list[IntArray] = []
-    # Ties that are seen equally often are treated at once: an array of size a tie.
+    # Ties that are seen equally often are treated at once.
     for size in np.unique(degree[degree > 0]):
         first = starts[:-1][degree == size]
         at = first[:, None] + np.arange(size)
@@ -217,8 +219,8 @@ def image_pairs(ties: Sequence[IntArray], count: int) -> list[Shared]:
     shared = shared[:, order]
     key = key[order]
     cuts = np.flatnonzero(np.diff(key)) + 1
-    return [(int(of_pair[0, 0]), int(of_pair[1, 0]), of_pair[2], of_pair[3])
-            for of_pair in np.split(shared, cuts, axis=1)]
+    return [(int(pair[0, 0]), int(pair[1, 0]), pair[2], pair[3])
+            for pair in np.split(shared, cuts, axis=1)]
 
 
 def solve(
@@ -266,18 +268,19 @@ def solve(
     # H^-1 = L^-T L^-1 by Cholesky's factor of each tie, so that the Schur complement is symmetric.
     root = np.linalg.inv(np.linalg.cholesky(of_ties)).transpose(0, 2, 1)
     inverse = root @ root.transpose(0, 2, 1)
+    # B L^-T of each measurement, and L^-1 b of each tie.
     half = [np.einsum("tki,tij->tkj", c, root[rows.tie])
             for c, rows in zip(coupling, tie_rows, strict=True)]
-    steered = np.einsum("tji,tj->ti", root, right_of_ties)
+    half_right = np.einsum("tji,tj->ti", root, right_of_ties)
     sizes = [len(block) for block in diagonal]
     for i, rows in enumerate(tie_rows):
-        right[i] = right[i] - np.einsum("tkj,tj->k", half[i], steered[rows.tie])
-    # Schur complement: A - B H^-1 B^T, of which half holds B L^-T.
+        right[i] = right[i] - np.einsum("tkj,tj->k", half[i], half_right[rows.tie])
+    # The Schur complement A - B H^-1 B^T.
     matrix = _reduced_matrix(diagonal, half, sharing, sizes)
     reduced = Reduced(matrix, sizes)
     step = reduced.solve(np.concatenate(right))
     steps = tuple(step[columns] for columns in reduced.slices)
-    # And back: the ties by the images' steps, x = H^-1 (b - B^T p).
+    # The steps of the ties follow from those of the images: x = H^-1 (b - B^T p).
     change = right_of_ties.copy()
     for rows, c, of_image in zip(tie_rows, coupling, steps, strict=True):
         np.add.at(change, rows.tie, -np.einsum("tki,k->ti", c, of_image))
@@ -289,16 +292,15 @@ def solve(
 def _reduced_matrix(diagonal: Sequence[FloatArray], half: Sequence[FloatArray],
                     sharing: Sequence[Shared], sizes: Sequence[int],
                     ) -> FloatArray | sparse.csc_matrix:
-    """Return the matrix of the images alone: A_ii - sum of B_i H^-1 B_j^T over common ties.
+    """Return the matrix of the images alone, with blocks A_ij - B_i H^-1 B_j^T.
 
-    `diagonal` are the A_ii (p, p) of the images, `sizes` their p, and `half` is B_i H^(-1/2) of
-    each measurement (n, p, 3) of an image; `sharing` says which images have ties in common. Dense
-    up to `DENSE` parameters, else sparse.
+    `diagonal` are the A_ii (p, p) of the images, and other A_ij are 0; `sizes` are their p. `half`
+    has B_i L^-T of each measurement (n, p, 3) of an image, where H = L L^T, and `sharing` the pairs
+    of images with common ties. The matrix is dense up to `MAX_DENSE` parameters, else sparse.
     """
     total = sum(sizes)
     ends = np.cumsum(sizes)
     begin = ends - sizes
-    # The diagonal blocks are A of each image; those of pairs come from their common ties.
     blocks: dict[tuple[int, int], FloatArray] = {
         (i, i): block.copy() for i, block in enumerate(diagonal)}
     for i, j, at_i, at_j in sharing:
@@ -306,7 +308,7 @@ def _reduced_matrix(diagonal: Sequence[FloatArray], half: Sequence[FloatArray],
         half_j = half[j][at_j].transpose(1, 0, 2).reshape(sizes[j], 3 * len(at_j))
         product = half_i @ half_j.T
         blocks[i, j] = blocks[i, j] - product if (i, j) in blocks else -product
-    if total <= DENSE:
+    if total <= MAX_DENSE:
         matrix = np.zeros((total, total))
         for (i, j), block in blocks.items():
             matrix[begin[i]:ends[i], begin[j]:ends[j]] = block
@@ -319,9 +321,10 @@ def _reduced_matrix(diagonal: Sequence[FloatArray], half: Sequence[FloatArray],
     values = []
     for (i, j), block in blocks.items():
         at = np.indices(block.shape)
-        for first, second, is_wanted in ((at[0] + begin[i], at[1] + begin[j], True),
-                                         (at[1] + begin[j], at[0] + begin[i], i != j)):
-            if is_wanted:
+        # A block off the diagonal is entered a second time, transposed.
+        for first, second, is_entered in ((at[0] + begin[i], at[1] + begin[j], True),
+                                          (at[1] + begin[j], at[0] + begin[i], i != j)):
+            if is_entered:
                 rows.append(first.ravel())
                 columns.append(second.ravel())
                 values.append(block.ravel())

@@ -21,15 +21,15 @@ from termsel_block.geometry.physical import MIN_CONTROL_POINTS, PhysicalCamera, 
 LEAST_TIES = 6
 """Ties with known places from which an image without control and RPC gets its first model."""
 
-# Of control: four points give an affine model in space.
-_LEAST_ROWS = 8
-_SEVERAL = 3
+# Equations of control: those of four points, which determine an affine model in space.
+_MIN_ROWS = 8
+_ENOUGH_TIES = 3
 """Ties that two images share from which on these alone show whether an RPC is of another place."""
-_ROUNDS = 12
-# Fits of a first model, whose perspective is that of the one before.
+_MAX_STEPS = 12
+# Fits of a first model; each takes its perspective from the fit before.
 _PERSPECTIVE_FITS = 3
-# In m.
-_MET = 0.01
+# Largest step of a tie's position after which the intersection ends [m].
+_CONVERGED_M = 0.01
 
 Rays = tuple[Camera, FloatArray, IntArray, FloatArray]
 """A camera, its parameters, and the index and place of each point it sees."""
@@ -52,11 +52,11 @@ class ImageInput:
 
 def start(images: Sequence[ImageInput], count: int, frame: Frame,
           heights: Heights) -> BlockUnknowns:
-    """Return the start of a block.
+    """Return the unknowns with which the adjustment of a block begins.
 
-    Images with an RPC begin with it, those with four control points with a polynomial of these, and
-    the others with the places of their ties, as soon as enough are located by images that have
-    begun.
+    Images with an RPC begin with it. Those with enough control points begin with a model fitted to
+    these, a polynomial unless a model of the sensor is given. The others follow one by one, by ties
+    that images before them locate.
 
     Parameters
     ----------
@@ -65,11 +65,19 @@ def start(images: Sequence[ImageInput], count: int, frame: Frame,
         Number of ties.
     frame : Frame
     heights : Heights
+        What is known of the heights of ties.
+
+    Returns
+    -------
+    BlockUnknowns
+        Cameras, their parameters and the positions of ties. A tie that no two images see is put in
+        the middle of the others.
 
     Raises
     ------
     TermselError
-        Naming the images that nothing holds.
+        If an RPC is of another area than control or ties, or if too little control and ties
+        determine an image; it names the images.
     """
     started: Started = {}
     for i, image in enumerate(images):
@@ -78,7 +86,7 @@ def start(images: Sequence[ImageInput], count: int, frame: Frame,
             control = image.control
             started[i] = camera, _first_parameters(camera, control.local, control.normal,
                                                    control.value)
-    _refuse_elsewhere(images, started, count)
+    _refuse_rpcs_of_other_areas(images, started, count)
     ties = np.full((count, 3), np.nan)
     located = np.zeros(count, bool)
     # Each round begins one image: the one that sees most ties whose positions are known.
@@ -90,9 +98,9 @@ def start(images: Sequence[ImageInput], count: int, frame: Frame,
         best = max(waiting, key=lambda i: int(located[images[i].measured.tie].sum()))
         is_located = located[images[best].measured.tie]
         if is_located.sum() < LEAST_TIES:
-            _refuse_unheld(images, waiting, located)
-        started[best] = _model_by_ties(images[best], is_located, ties, frame)
-    # What no two images see stays in the middle, so that all places are numbers.
+            _refuse_undetermined_images(images, waiting, located)
+        started[best] = _camera_by_ties(images[best], is_located, ties, frame)
+    # All positions must be numbers, also those of ties that no two images see.
     ties[~located] = np.median(ties[located], axis=0) if located.any() else 0.0
     cameras = [started[i][0] for i in range(len(images))]
     state = BlockUnknowns(cameras, [started[i][1] for i in range(len(images))], ties,
@@ -103,82 +111,91 @@ def start(images: Sequence[ImageInput], count: int, frame: Frame,
 
 
 def _camera_by_own_data(image: ImageInput, frame: Frame) -> Camera | None:
-    """Return the camera of an image by its RPC or else its control.
+    """Return the camera of an image by its RPC, or else by its control; None if that is too little.
 
-    None if it has too little of both.
+    A camera by an RPC, and a polynomial, has no fitted parameters yet.
     """
     if image.rpc is not None:
-        # An RPC comes before control, which then corrects it.
+        # The adjustment corrects the RPC by the control.
         return RpcCamera(image.rpc, frame, image.columns)
     if image.physical is not None:
         local, position = image.control.points()
         return image.physical.fitted(
             frame, local, position, image.name) if len(local) >= MIN_CONTROL_POINTS else None
-    if len(image.control) < _LEAST_ROWS:
+    if len(image.control) < _MIN_ROWS:
         return None
+    # Each feature has two rows, normal . position = value. Those of a point are along line and
+    # sample, so that their vectors add up to its position; of a line's vertex it is a point nearby,
+    # which is enough to scale a polynomial.
     measured = image.control.value[:, None] * image.control.normal
-    # Of points; of lines the foot of the line.
     position = measured[0::2] + measured[1::2]
     return _empty_polynomial(image.control.local, position)
 
 
-def _refuse_elsewhere(images: Sequence[ImageInput], started: Started, count: int) -> None:
-    """Refuse RPCs of another place than the image's control, or than its ties by other images.
+def _refuse_rpcs_of_other_areas(images: Sequence[ImageInput], started: Started, count: int) -> None:
+    """Raise TermselError for RPCs of another area than the image's control or its ties.
 
-    Raises
-    ------
-    TermselError
-        Naming the images.
+    `count` is the number of ties. The error names the images.
     """
-    placed: dict[int, FloatArray] = {}
+    ground_of_ties: dict[int, FloatArray] = {}
     for i, (camera, _) in started.items():
         if not isinstance(camera, RpcCamera):
             continue
         image = images[i]
-        control = image.control
-        if len(control):
-            # Half the control farther than the size of the image from where the RPC puts it.
-            computed = camera.project(np.zeros(len(camera.groups)), control.local)
-            away = np.abs(control.value - (control.normal * computed).sum(axis=1))
-            if np.median(away) > 2 * max(np.abs(camera.rpc.image_scale)):
-                raise TermselError(f"the RPC of image {image.name!r} is of another area than its "
-                                   f"control: half of it is {np.median(away):,.0f} px away or more",
-                                   hint="Give the RPC of this image; x must be longitude or "
-                                        "easting.")
+        _refuse_rpc_far_from_control(image, camera)
         # Where the RPC puts the ties on the ground, at its mean height.
         position = image.measured.position
-        placed[i] = np.column_stack([np.ones(len(position)), position]) @ _affine_inverse(
+        ground_of_ties[i] = np.column_stack([np.ones(len(position)), position]) @ _affine_inverse(
             camera, np.zeros(len(camera.groups)))
     far_images = Counter[int]()
     near_images = Counter[int]()
     ties_far = Counter[int]()
     ties_near = Counter[int]()
     for i, j, rows, other_rows in image_pairs([image.measured.tie for image in images], count):
-        if i in placed and j in placed and i != j:
-            width = max(float(started[k][0].area()[1].max()) for k in (i, j))
+        if i in ground_of_ties and j in ground_of_ties and i != j:
+            half_width = max(float(started[k][0].area()[1].max()) for k in (i, j))
             # Both images put their common ties on the ground: are they in different areas?
-            far = np.median(np.abs(placed[i][rows] - placed[j][other_rows])) > 2 * width
-            (ties_far if far else ties_near).update({i: len(rows), j: len(rows)})
-            if len(rows) >= _SEVERAL:
-                (far_images if far else near_images).update((i, j))
-    # One RPC of another place is apart from most images that share ties, and those from it alone.
-    # A tie or two, among many that agree, are left to the search for blunders.
-    named = [i for i in far_images if far_images[i] > near_images[i]] or [
+            distances = np.abs(ground_of_ties[i][rows] - ground_of_ties[j][other_rows])
+            is_far = np.median(distances) > 2 * half_width
+            (ties_far if is_far else ties_near).update({i: len(rows), j: len(rows)})
+            if len(rows) >= _ENOUGH_TIES:
+                (far_images if is_far else near_images).update((i, j))
+    # An RPC of another area is far from most images that share ties with it, while each of these is
+    # far from it alone. If no pair shares enough ties, most ties of an image must be far: a few
+    # among many that agree are left to the search for blunders.
+    refused = [i for i in far_images if far_images[i] > near_images[i]] or [
         i for i in ties_far if ties_far[i] >= ties_near[i]]
-    if named:
-        names = ", ".join(repr(images[i].name) for i in sorted(named)[:5])
+    if refused:
+        names = ", ".join(repr(images[i].name) for i in sorted(refused)[:5])
         raise TermselError(f"the ties of {names} are far from the positions that the RPCs of "
                            "other images give",
                            hint="One of these RPCs is of another image, or the ties are wrong.")
 
 
+def _refuse_rpc_far_from_control(image: ImageInput, camera: RpcCamera) -> None:
+    """Raise TermselError if the RPC puts half of the control beyond the size of the image."""
+    control = image.control
+    if not len(control):
+        return
+    computed = camera.project(np.zeros(len(camera.groups)), control.local)
+    distances = np.abs(control.value - (control.normal * computed).sum(axis=1))
+    # The scale of an RPC is half of its image.
+    if np.median(distances) > 2 * max(np.abs(camera.rpc.image_scale)):
+        raise TermselError(f"the RPC of image {image.name!r} is of another area than its "
+                           f"control: half of it is {np.median(distances):,.0f} px away or more",
+                           hint="Give the RPC of this image; x must be longitude or easting.")
+
+
 def _empty_polynomial(local: FloatArray, image: FloatArray) -> PolynomialCamera:
-    """Return an empty polynomial, scaled to the area that places (n, 3) and positions (n, 2) span.
+    """Return a polynomial without parameters, scaled to the extent of some points.
+
+    `local` (n, 3) are their ground positions [m], `image` (n, 2) their lines and samples.
     """
     low = local.min(axis=0)
     high = local.max(axis=0)
     image_low = image.min(axis=0)
     image_high = image.max(axis=0)
+    # Half an extent is 1 m or 1 px at least, as positions are divided by it.
     return PolynomialCamera((low + high) / 2, max(float((high - low)[:2].max()) / 2, 1.0),
                             max(float((image_high - image_low).max()) / 2, 1.0),
                             (image_low + image_high) / 2)
@@ -186,9 +203,10 @@ def _empty_polynomial(local: FloatArray, image: FloatArray) -> PolynomialCamera:
 
 def _first_parameters(camera: Camera, local: FloatArray, normal: FloatArray,
                       value: FloatArray) -> FloatArray:
-    """Return the parameters (p,) that a camera begins with: its own, or by rows of known places.
+    """Return the parameters (p,) with which a camera begins.
 
-    `local`, `normal` and `value` are those of the rows (see `OwnControl`).
+    A camera of a sensor's model has them already; others are fitted to equations of points whose
+    ground positions are known: `local`, `normal` and `value` as in `_fit_parameters`.
     """
     if isinstance(camera, PhysicalCamera):
         return camera.start
@@ -198,10 +216,10 @@ def _first_parameters(camera: Camera, local: FloatArray, normal: FloatArray,
 
 def _fit_parameters(camera: LinearCamera, local: FloatArray, normal: FloatArray, value: FloatArray,
                     ) -> FloatArray:
-    """Return parameters (p,) by rows of known places and priors, robustly; zeros without rows.
+    """Return robust estimates (p,) of parameters under their priors; zeros without equations.
 
-    A row says that `normal` (2,) times line and sample of the place `local` (3,) is `value` (see
-    `OwnControl`).
+    Equation i says that `normal[i]` (2,) times line and sample of the ground position `local[i]`
+    (3,) is `value[i]` (see `OwnControl`).
     """
     parameters = np.zeros(len(camera.groups))
     if not len(value):
@@ -211,36 +229,45 @@ def _fit_parameters(camera: LinearCamera, local: FloatArray, normal: FloatArray,
     rows = (normal[:, :, None] * columns[:, None]).reshape(len(value), -1)
     # Perspective depends on the parameters of the fit before, so that a few fits are needed.
     for _ in range(_PERSPECTIVE_FITS):
-        fixed = image + camera.perspective(parameters, local)
-        aim = value - (normal * fixed).sum(axis=1)
+        without_parameters = image + camera.perspective(parameters, local)
+        aim = value - (normal * without_parameters).sum(axis=1)
         parameters = _robust_ridge(rows, aim, np.square(camera.prior_sigma))
     return parameters
 
 
-def _model_by_ties(image: ImageInput, is_located: BoolArray, ties: FloatArray, frame: Frame,
-                   ) -> tuple[Camera, FloatArray]:
-    """Return the camera of an image by the ties it sees that have places, and its parameters (p,).
+def _camera_by_ties(image: ImageInput, is_located: BoolArray, ties: FloatArray, frame: Frame,
+                    ) -> tuple[Camera, FloatArray]:
+    """Return the camera of an image and its parameters (p,), fitted to its located ties.
+
+    `is_located` marks those among the ties that the image sees; `ties` (t, 3) are the positions of
+    all. The camera is a polynomial unless a model of the sensor is given.
     """
     local = ties[image.measured.tie[is_located]]
     position = image.measured.position[is_located]
-    camera: Camera = _empty_polynomial(local, position)
-    if image.physical is not None:
+    camera: Camera
+    if image.physical is None:
+        camera = _empty_polynomial(local, position)
+    else:
         camera = image.physical.fitted(frame, local, position, image.name)
-    # Of each tie two rows, its line and its sample.
+    # Two equations of each tie: of its line and of its sample.
     return camera, _first_parameters(camera, np.repeat(local, 2, axis=0),
                                      np.tile(np.eye(2), (len(local), 1)), position.ravel())
 
 
 def _robust_ridge(rows: FloatArray, aim: FloatArray, variances: FloatArray) -> FloatArray:
-    """Return robust estimates (p,) of `rows` x = `aim` under independent priors of zero mean."""
+    """Return robust estimates x (p,) of `rows` x = `aim` [px] under independent priors.
+
+    The priors have zero means and the variances `variances` (p,).
+    """
     weight = np.ones(len(aim))
     estimates: FloatArray = np.zeros(rows.shape[1])
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_STEPS):
         # Normal equations of weighted least squares under priors: (A^T P A + V^-1) x = A^T P b.
         normal = (rows * weight[:, None]).T @ rows + np.diag(1 / variances)
         estimates = np.asarray(np.linalg.solve(normal, (rows * weight[:, None]).T @ aim))
         residual = aim - rows @ estimates
-        # A robust standard deviation, which is not taken to be below 0.3 px.
+        # A robust standard deviation, which is not taken to be below 0.3 px: a few rows may fit
+        # exactly. Below 1 px it does not add weight against the priors.
         scale = max(1.4826 * float(np.median(np.abs(residual))), 0.3)
         weight = soft_weights(residual / scale) / max(scale, 1.0) ** 2
     return np.asarray(estimates)
@@ -248,48 +275,50 @@ def _robust_ridge(rows: FloatArray, aim: FloatArray, variances: FloatArray) -> F
 
 def _locate_ties(images: Sequence[ImageInput], started: Started, ties: FloatArray,
                  located: BoolArray, heights: Heights) -> tuple[FloatArray, BoolArray]:
-    """Return the places (t, 3) of all ties, and which of them two or more started images see (t,).
+    """Return the positions (t, 3) of all ties, and whether two started images see each (t,).
 
-    A tie that fewer see keeps the place it had.
+    Those that two images see are where the rays of all images meet; others keep the position that
+    they have in `ties`.
     """
-    # First where affine maps of the images put them, on average, at middle heights.
+    # A first position is the mean of those by affine maps of the images, at their middle heights.
     count = np.zeros(len(ties))
     total = np.zeros((len(ties), 3))
     for i, (camera, parameters) in sorted(started.items()):
         measured = images[i].measured
         inverse = _affine_inverse(camera, parameters)
-        at = np.column_stack([np.ones(len(measured.tie)), measured.position]) @ inverse
-        middle_height = np.full(len(at), camera.area()[0][2])
-        np.add.at(total, measured.tie, np.column_stack([at, middle_height]))
+        plan = np.column_stack([np.ones(len(measured.tie)), measured.position]) @ inverse
+        middle_height = np.full(len(plan), camera.area()[0][2])
+        np.add.at(total, measured.tie, np.column_stack([plan, middle_height]))
         np.add.at(count, measured.tie, 1)
     is_seen = count > 1
     # Ties that have a position keep it, as a better start than the affine maps.
     fresh = is_seen & ~located
     ties = ties.copy()
     ties[fresh] = total[fresh] / count[fresh, None]
-    # Ties that two images see are numbered by themselves: `intersect` takes no others.
+    # Ties that two images see are numbered anew, as `intersect` takes no others.
     rows = np.flatnonzero(is_seen)
-    renamed = np.full(len(ties), -1)
-    renamed[rows] = np.arange(len(rows))
+    new_number = np.full(len(ties), -1)
+    new_number[rows] = np.arange(len(rows))
     rays = []
     for i, (camera, parameters) in sorted(started.items()):
         measured = images[i].measured
         use = is_seen[measured.tie]
-        rays.append((camera, parameters, renamed[measured.tie[use]], measured.position[use]))
+        rays.append((camera, parameters, new_number[measured.tie[use]], measured.position[use]))
     ties[rows] = intersect(ties[rows], rays, heights)
     return ties, is_seen
 
 
 def intersect(start: FloatArray, rays: Sequence[Rays], heights: Heights | None = None,
               ) -> FloatArray:
-    """Return where the rays of images meet, by least squares, from a start (t, 3) [m].
+    """Return the positions (t, 3) [m] where the rays of images meet, by least squares.
 
-    `rays` has for each image its camera, its parameters, the numbers of its ties (n,) and their
-    line and sample (n, 2). A tie whose rays are parallel stays near its start.
+    The iteration begins at `start` (t, 3). `rays` has for each image its camera, its parameters,
+    the numbers of its ties (n,) and their line and sample (n, 2). With `heights`, what is known of
+    the heights counts, too. A tie whose rays are parallel stays near its start.
     """
     ties = start.copy()
-    for _ in range(_ROUNDS):
-        # Heights, where there are any, hold what nearly parallel rays leave open.
+    for _ in range(_MAX_STEPS):
+        # Known heights determine the direction along rays that are nearly parallel.
         normal, right = ((np.zeros((len(ties), 3, 3)), np.zeros((len(ties), 3)))
                          if heights is None else heights.equations(ties))
         for camera, mean, tie, position in rays:
@@ -298,50 +327,49 @@ def intersect(start: FloatArray, rays: Sequence[Rays], heights: Heights | None =
             slopes = camera.slopes(mean, ties[tie], computed)
             np.add.at(normal, tie, np.einsum("nai,naj->nij", slopes, slopes))
             np.add.at(right, tie, np.einsum("nai,na->ni", slopes, position - computed))
-        # Rays that are parallel meet nowhere: such a place stays near its start.
+        # Parallel rays leave the equations singular; so small a ridge moves no other tie.
         normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
         step = np.linalg.solve(normal, right[..., None])[..., 0]
         ties += step
-        if np.abs(step).max(initial=0.0) < _MET:
+        if np.abs(step).max(initial=0.0) < _CONVERGED_M:
             break
     return ties
 
 
 def _affine_inverse(camera: Camera, parameters: FloatArray) -> FloatArray:
-    """Return the affine map (3, 2) from line and sample to a place at the middle height."""
-    centre, half = camera.area()
+    """Return the affine map (3, 2) from 1, line and sample to the ground [m] at the middle height.
+
+    It is the least-squares map over a grid of 5 by 5 points of the camera's area.
+    """
+    centre, half_extent = camera.area()
     steps = np.linspace(-1, 1, 5)
     grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    local = np.column_stack([centre[:2] + grid * half, np.full(len(grid), centre[2])])
+    local = np.column_stack([centre[:2] + grid * half_extent, np.full(len(grid), centre[2])])
     image = camera.project(parameters, local)
-    # Least squares over a grid: lines and samples by the ground turned round.
     return np.asarray(np.linalg.lstsq(
         np.column_stack([np.ones(len(image)), image]), local[:, :2], rcond=None)[0])
 
 
 def _residual_spread(images: Sequence[ImageInput], state: BlockUnknowns) -> float:
-    """Return a robust standard deviation [px] of all ties' residuals at the start.
-
-    1 without images.
-    """
-    away = [image.measured.position - camera.project(parameters, state.ties[image.measured.tie])
-            for image, camera, parameters in zip(
-                images, state.cameras, state.parameters, strict=True)]
+    """Return a robust standard deviation [px] of all ties' residuals; 1 without images."""
+    residuals = [
+        image.measured.position - camera.project(parameters, state.ties[image.measured.tie])
+        for image, camera, parameters in zip(
+            images, state.cameras, state.parameters, strict=True)]
     # 1.4826 times the median of absolute residuals is the standard deviation of normal ones.
-    return 1.4826 * float(np.median(np.abs(np.concatenate(away)))) if away else 1.0
+    return 1.4826 * float(np.median(np.abs(np.concatenate(residuals)))) if residuals else 1.0
 
 
-def _refuse_unheld(images: Sequence[ImageInput], waiting: Sequence[int],
+def _refuse_undetermined_images(images: Sequence[ImageInput], waiting: Sequence[int],
                    located: BoolArray) -> None:
-    """Raise TermselError for images that nothing holds, with the control and located ties each has.
-    """
-    named = [f"{images[i].name!r} ({len(images[i].control) // 2} control features, "
+    """Raise TermselError that names up to five images, and the control and located ties of each."""
+    descriptions = [f"{images[i].name!r} ({len(images[i].control) // 2} control features, "
              f"{int(located[images[i].measured.tie].sum())} ties whose ground positions other "
              "images give)"
              for i in waiting[:5]]
     further = f" and {len(waiting) - 5} more" if len(waiting) > 5 else ""
     plural = "s" if len(waiting) > 1 else ""
     raise TermselError(
-        f"the image{plural} {', '.join(named)}{further} cannot be oriented",
+        f"the image{plural} {', '.join(descriptions)}{further} cannot be oriented",
         hint=f"Give each an RPC, four control points ({MIN_CONTROL_POINTS} for a model of its "
              f"sensor), or {LEAST_TIES} ties that two images with control or RPC see.")

@@ -22,16 +22,16 @@ CONVERGED = 1e-3
 _HALVINGS = 6
 """Most lengths of a step that are tried, each half of the one before."""
 
-_ROBUST = 2.5
+_HALF_WEIGHT = 2.5
 """Standard deviations at which a weight is a half."""
 
-_BLUNDERS, _AWAY = 0.05, 100.0
+_BLUNDERS, _BLUNDER_RANGE = 0.05, 100.0
 """Share of features that are blunders, and the range of their errors [px]."""
 
-_LEAST_LEFT = 0.1
+_MIN_REMAINING = 0.1
 """Share of an error that a residual of control shows, at least."""
 
-_MOST_OWN = 0.99
+_MAX_OWN_SHARE = 0.99
 """Share of a feature's error that its own image follows, beyond which the others do not judge it.
 """
 _QUANTILES = (np.arange(200) + 0.5) / 200
@@ -64,20 +64,22 @@ class Steps:
         """And their standard deviations [px], which each step then estimates again."""
 
     def step(self, robust: bool, wide: float = 1.0) -> None:
-        """Make a step of Gauss and Newton.
+        """Make a Gauss-Newton step, shortened until the cost does not rise.
 
-        If `robust`, ties and control that are far off have less weight. With `wide` above 1 the
-        weights of ties fall as many times more slowly, and control keeps its weight.
+        If `robust`, ties and control with large residuals have less weight. With `wide` above 1 the
+        weights of ties fall more slowly by that factor, and control keeps its weight.
         """
         self.solved = self.linearised(self.state.variances, robust, wide)
         self._take_step(robust, wide)
 
     def linearised(self, variances: Sequence[FloatArray], robust: bool = False,
                    wide: float = 1.0) -> Solved:
-        """Return the solution of a step's normal equations, by variances of the parameters.
+        """Return the solution of the normal equations of a step; the state does not change.
 
-        Of each image they are (A'PA + V^-1) dx = A'Pr - V^-1 x, with the derivatives A of its
-        measurements, their weights P and residuals r, and the prior variances V of its parameters.
+        `variances` are those of the priors of each image's parameters, V. The equations of an image
+        are (A'PA + V^-1) dx = A'Pr - V^-1 x, with the derivatives A of its measurements, their
+        weights P and residuals r. `robust` and `wide` are as in `step`. Raises TermselError if the
+        block is not determined.
         """
         state = self.state
         tie_rows = []
@@ -92,7 +94,7 @@ class Steps:
             weight = np.where(state.in_use[i], state.sigma_ties**-2, 0.0)
             if robust:
                 weight = weight * soft_weights(np.hypot(*residual.T) / (wide * state.sigma_ties))
-            # Derivatives by the tie's position change little: they are kept until `slopes` is
+            # Derivatives by the tie's position change little, and are kept until `slopes` is
             # emptied.
             if i not in self.slopes:
                 self.slopes[i] = camera.slopes(parameters, local, computed)
@@ -119,9 +121,10 @@ class Steps:
                                hint="Give control to an image, or RPCs, or more ties.") from error
 
     def _take_step(self, robust: bool, wide: float) -> None:
-        """Take the step, halved until the cost no longer rises.
+        """Take the step of `solved`, halved until the cost does not rise.
 
-        The state stays where none is finite.
+        `_HALVINGS` lengths are tried. The shortest step is taken even if the cost rises, unless the
+        cost is not finite: then the state stays as it was.
         """
         state = self.state
         solved = self.solved
@@ -131,7 +134,6 @@ class Steps:
         before = self._cost(robust, wide)
         offset = heights.offset
         start = [self._positions_of_ties(i) for i in range(len(parameters))]
-        # Halved until the posterior no longer falls: full, half, quarter and so on.
         for halvings in range(_HALVINGS):
             self.share = 0.5**halvings
             state.ties = ties + self.share * solved.ties
@@ -142,40 +144,42 @@ class Steps:
                     state.cameras, parameters, solved.steps[:-1], start, self._tie_moves(),
                     solved.tie_rows[:-1], strict=True)]
             heights.offset = offset + self.share * float(solved.steps[-1][0])
-            # A step too far may leave no camera at all, whose cost is nan and no improvement.
+            # After a step too far no camera may see a tie: the cost is NaN then, and not accepted.
             with np.errstate(over="ignore", invalid="ignore"):
                 after = self._cost(robust, wide)
             if after <= before * (1 + CONVERGED):
                 return
-        # No camera is there.
         if not np.isfinite(after):
             state.parameters = parameters
             state.ties = ties
             heights.offset = offset
 
     def _cost(self, robust: bool, wide: float) -> float:
-        """Return what a step makes less: -2 log of the posterior density, up to a constant."""
+        """Return the cost that steps lower: -2 log of the posterior density, up to a constant.
+
+        It is the sum of squares over variances of heights, priors, ties and control. `robust` and
+        `wide` are as in `step`.
+        """
         state = self.state
         of_ties, of_control = self.residuals()
         total = self.heights.cost(state.ties)
-        # Sum of squares over variances: of priors, of ties, of control, and of heights.
         for i, control in enumerate(self.control):
             total += float((state.parameters[i]**2 / state.variances[i]).sum())
-            # Robust: s / (1 + s / c^2), whose weight is that of `soft_weights`, and which no
-            # blunder outgrows.
+            # The robust cost s / (1 + s / c^2) of a square s has the weights of `soft_weights`, and
+            # is c^2 at most, whatever a blunder is.
             square = (of_ties[i]**2).sum(axis=1) / state.sigma_ties**2
-            total += float((square / (1 + square / (wide * _ROBUST)**2 * robust))
+            total += float((square / (1 + square / (wide * _HALF_WEIGHT)**2 * robust))
                            @ state.in_use[i])
             square = (of_control[i] / (state.sigma_control * control.sigma))**2
-            far = square / _ROBUST**2 * (robust and wide == 1.0)
+            far = square / _HALF_WEIGHT**2 * (robust and wide == 1.0)
             total += float((square / (1 + far)) @ state.control_in_use[i])
         return total
 
     def residual_deviations(self, i: int) -> FloatArray:
-        """Return the standard deviations of the residuals of an image's control (n,) [px].
+        """Return the standard deviations (n,) of the residuals of an image's control [px].
 
-        A row that counts draws the image to itself, so that its residual is less than its error.
-        One that is left out has the image's error in its residual, too.
+        A row that counts draws the image to itself, so that its residual is smaller than its error.
+        The residual of one that is left out has the error of the image, too.
         """
         control = self.control[i]
         if not len(control):
@@ -183,19 +187,18 @@ class Steps:
         rows = self.design[i]
         covariance = self.solved.image_covariances[i]
         square = self.noise[i]**2
-        # Variance of the position by the image's own parameters, over that of the measurement.
-        by_image = np.einsum("np,pq,nq->n", rows, covariance, rows) / square
-        # A row of weight w draws the image by w a C a^T / s^2: its residual keeps the rest.
-        remaining = np.maximum(1 - self.weights[i] * by_image, _LEAST_LEFT)
-        return np.asarray(np.sqrt(square * remaining * (remaining + by_image)))
+        # a C a^T / s^2 of each row a: the variance of the predicted position over that of the
+        # measurement. A row of weight w keeps 1 - w a C a^T / s^2 of its error as residual.
+        ratio = np.einsum("np,pq,nq->n", rows, covariance, rows) / square
+        remaining = np.maximum(1 - self.weights[i] * ratio, _MIN_REMAINING)
+        return np.asarray(np.sqrt(square * remaining * (remaining + ratio)))
 
     def score_of_control(self) -> dict[tuple[int, str], float]:
-        """Return the logarithm of the density of each feature of control, by all the others.
+        """Return the logarithm of the density of each feature of control as the others predict it.
 
-        By image and feature. By the equations of the last step: leaving a feature out divides its
-        residuals, and their variances, by what of them the others do not explain. Where that is
-        next to nothing, they say nothing of it, and there is no entry. A feature is a blunder with
-        a small probability, so that those which an adjustment has to leave out speak against it.
+        Keys are the number of the image and the name of the feature. Predictions are by the
+        equations of the last step. A feature that the others do not predict has no entry. With a
+        small probability a feature is a blunder, so that one which was left out lowers the score.
         """
         score: dict[tuple[int, str], float] = {}
         of_control = self.residuals()[1]
@@ -205,28 +208,28 @@ class Steps:
                 at = np.flatnonzero(names == name)
                 rows = self.design[i][at]
                 sigma = self.noise[i][at]
-                away = of_control[i][at]
+                residual = of_control[i][at]
                 noise = np.diag(sigma**2)
                 by_image = rows @ self.solved.image_covariances[i] @ rows.T
                 spread = noise + by_image
                 # Left out, the feature has residuals (I - H)^-1 r, with H = a C a^T / s^2.
                 if self.state.control_in_use[i][at[0]]:
-                    if np.linalg.eigvalsh(by_image / np.outer(sigma, sigma))[-1] > _MOST_OWN:
+                    if np.linalg.eigvalsh(by_image / np.outer(sigma, sigma))[-1] > _MAX_OWN_SHARE:
                         continue
                     gain = noise @ np.linalg.inv(noise - by_image)
                     spread = gain @ noise
-                    away = gain @ away
-                # A mixture: normal with the probability of good control, and anywhere with that of
-                # a blunder.
-                density = np.exp(-away @ np.linalg.solve(spread, away) / 2) / np.sqrt(
+                    residual = gain @ residual
+                # The density is a mixture: normal for good control, uniform for a blunder.
+                density = np.exp(-residual @ np.linalg.solve(spread, residual) / 2) / np.sqrt(
                     np.linalg.det(2 * np.pi * spread))
                 score[i, name] = float(np.log(
-                    (1 - _BLUNDERS) * density + _BLUNDERS / _AWAY**len(at)))
+                    (1 - _BLUNDERS) * density + _BLUNDERS / _BLUNDER_RANGE**len(at)))
         return score
 
     def _fixed_at_ties(self, i: int) -> Fixed:
-        """Return the part of an image's model at its ties that no parameter changes, kept for
-        reuse.
+        """Return the part of an image's model at its ties that does not depend on parameters.
+
+        It is kept until the camera or the ties are replaced.
         """
         camera = self.state.cameras[i]
         ties = self.state.ties
@@ -244,14 +247,14 @@ class Steps:
 
     def _equations_of_control(self, i: int, camera: Camera, control: OwnControl, robust: bool,
                               ) -> tuple[FloatArray, FloatArray]:
-        """Return what an image's control adds to its normal equations, (p, p) and (p,).
+        """Return what an image's control adds to its normal matrix (p, p) and right side (p,).
 
-        Both are zeros without control.
+        Both are zeros without control. Rows, weights and deviations of the equations are kept in
+        `design`, `weights` and `noise`.
         """
         p = len(camera.groups)
         if not len(control):
             return np.zeros((p, p)), np.zeros(p)
-        # Kept for `residual_deviations` and for the estimates of variances: of the same equations.
         rows = self._control_rows(i, camera, control)
         residual = self._control_residuals(i, camera, control)
         self.design[i] = rows
@@ -279,17 +282,15 @@ class Steps:
     def moved(self) -> FloatArray:
         """Return the largest move of a tie in each image by the last step, (images,) [px].
 
-        Of an image without ties it is the largest step of a parameter, which is in px, too.
+        For an image without ties it is the largest step of a parameter, which is in px, too.
         """
         return np.array([
-            # Without ties, the step of the parameters says how far an image moved.
             float(np.abs(moved[rows.weight > 0] if len(rows.tie) else step).max(initial=0.0))
             for rows, step, moved in zip(self.solved.tie_rows[:-1], self.solved.steps[:-1],
                                          self._tie_moves(), strict=True)])
 
     def _tie_moves(self) -> list[FloatArray]:
-        """Return for each image how far the last step moves its ties, to first order, (n, 2) [px].
-        """
+        """Return the moves (n, 2) [px] of each image's ties by the last step, to first order."""
         # dx of the parameters and dX of the ties move a position by A dx + B dX.
         return [rows.rows @ step + np.einsum("nai,ni->na", rows.slopes, self.solved.ties[rows.tie])
                 for rows, step in zip(self.solved.tie_rows[:-1], self.solved.steps[:-1],
@@ -313,11 +314,11 @@ class Steps:
 
 def soft_weights(ratio: FloatArray) -> FloatArray:
     """Return weights 1 / (1 + (r / c)^2)^2 of residuals r in standard deviations, 1 at r = 0."""
-    return np.asarray(1 / (1 + (ratio / _ROBUST) ** 2) ** 2)
+    return np.asarray(1 / (1 + (ratio / _HALF_WEIGHT) ** 2) ** 2)
 
 
 def shrinkage_of_mean_square(share: float, axes: int) -> float:
-    """Return what such weights make of the mean square of residuals that are no blunders.
+    """Return the factor by which `soft_weights` lower the mean square of normal residuals.
 
     Parameters
     ----------

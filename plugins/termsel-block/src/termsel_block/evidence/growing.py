@@ -7,12 +7,12 @@ from scipy.special import fdtrc
 
 from termsel_block.geometry.frame import FloatArray
 
-TRIED_BELOW = 1e-3
+MAX_P_VALUE = 1e-3
 """Probability by chance below which columns are tried; the whole block decides afterwards."""
 
 
 def p_value_of_columns(columns: FloatArray, residuals: FloatArray, weight: FloatArray) -> float:
-    """Return the probability that residuals follow columns so well by chance, by a test F.
+    """Return the probability that residuals follow columns so well by chance, by an F test.
 
     Parameters
     ----------
@@ -30,8 +30,8 @@ def p_value_of_columns(columns: FloatArray, residuals: FloatArray, weight: Float
 
     Notes
     -----
-    Places of the ties have taken up about half of what they measure, so that each of n counts once
-    and not for line and for sample. The test only says what is worth trying.
+    The positions of ties have taken up about half of their measurements, so that each of n counts
+    once, and not for line and for sample. The test only shows what is worth trying.
     """
     n = len(columns)
     n_parameters = 2 * columns.shape[1]

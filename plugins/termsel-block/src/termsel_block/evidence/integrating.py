@@ -17,7 +17,7 @@ MAX_INTEGRATED = 200
 """Parameters with unknown variances above which the variances are taken as estimated: many images
 show them, and the time grows with the cube."""
 
-_FIRST, _KEPT = 100, 400
+_BURN_IN, _N_DRAWS = 100, 400
 """Draws until the chain has forgotten its start, and draws after that, which count."""
 
 _SIGMA_GRID = np.geomspace(1e-3, 30.0, 101)
@@ -27,7 +27,7 @@ _MIN_IMAGE_RATIO, _MAX_IMAGE_RATIO = 0.03, 30.0
 """Standard deviation of an image's own parameters over that of all images."""
 
 
-_PRECISIONS = 1e-6, 1e6
+_PRECISION_RANGE = 1e-6, 1e6
 """Of priors, over those of the first guesses."""
 
 
@@ -109,33 +109,32 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
     center, J. Comput. Graph. Stat. 20(3), 531-570).
     """
     at, scale, groups = _unknown_variances(cameras, slices)
-    # Parameters are differences from the point of linearisation, so that zero is the prior's mean.
     current = np.concatenate(parameters)[at]
     if of_offset is not None:
         groups.append(_Group((np.array([len(at)]),), np.zeros(1, np.intp), np.nan))
         at = np.append(at, slices[-1].start)
         scale = np.append(scale, of_offset**-0.5)
         current = np.append(current, 0.0)
-    # All other parameters are eliminated: they are normal, given those with unknown variances.
+    # Given the parameters with unknown variances all others are normal, and are eliminated.
     eliminated = np.setdiff1d(np.arange(len(normal)), at)
-    # Without the priors, and about zero: what the measurements say of the unknown parameters.
-    of_data = normal.copy()
+    # The equations of the data alone: the priors of the first guesses are taken off.
+    data_normal = normal.copy()
     aim = normal @ step
-    of_data[at, at] -= scale**-2
+    data_normal[at, at] -= scale**-2
     aim[at] += current / scale**2
-    inner = linalg.cho_factor(of_data[np.ix_(eliminated, eliminated)])
-    gain = linalg.cho_solve(inner, of_data[np.ix_(eliminated, at)])
-    # Schur complement of the others, in units of the first guesses.
-    complement = of_data[np.ix_(at, at)] - of_data[np.ix_(at, eliminated)] @ gain
+    inner = linalg.cho_factor(data_normal[np.ix_(eliminated, eliminated)])
+    gain = linalg.cho_solve(inner, data_normal[np.ix_(eliminated, at)])
+    # The Schur complement of the eliminated ones, in units of the first guesses.
+    complement = data_normal[np.ix_(at, at)] - data_normal[np.ix_(at, eliminated)] @ gain
     matrix = complement * np.outer(scale, scale)
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
-    # What ties cannot show is zero.
+    # Rounding may leave eigenvalues below zero for what ties cannot show.
     matrix = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    # And its right side, so that matrix @ x = right is what data alone say of x.
+    # matrix @ x = right is what the data alone say of the parameters x, counted from zero.
     right = (aim[at] - gain.T @ aim[eliminated]) * scale + matrix @ (current / scale)
     means, draws, covariance = _sample_variances(matrix, right, groups)
     middle = means.mean(axis=0)
-    # And what the others are by them.
+    # The matrix from these parameters to all, with the eliminated ones as they follow.
     to_all = np.zeros((len(normal), len(at)))
     to_all[at] = np.diag(scale)
     to_all[eliminated] = -gain * scale
@@ -144,26 +143,27 @@ def integrate(normal: FloatArray, step: FloatArray, cameras: Sequence[Camera],
     full_covariance[np.ix_(eliminated, eliminated)] += inverse_inner
     mean = to_all @ (middle - current / scale)
     mean[eliminated] += inverse_inner @ aim[eliminated]
-    # Draws of all parameters: those of the chain, and noise of the others that are eliminated.
-    away = (draws - middle) @ to_all.T
+    # Draws of the errors of all: those of the chain, and noise of the eliminated ones given these.
+    errors = (draws - middle) @ to_all.T
     noise = np.random.default_rng(1).standard_normal((len(draws), len(eliminated)))
-    away[:, eliminated] += linalg.solve_triangular(inner[0], noise.T, lower=inner[1]).T
-    # At the mean what the measurements pull with is what the prior does.
-    pulled = right - matrix @ middle
+    errors[:, eliminated] += linalg.solve_triangular(inner[0], noise.T, lower=inner[1]).T
+    # A known precision q of the prior has the same mean x if right - matrix @ x = q x.
+    pull_of_data = right - matrix @ middle
     precision = np.full(len(normal), np.nan)
     for columns in chain.from_iterable(group.images for group in groups):
         square = float(middle[columns] @ middle[columns])
-        # Nothing is measured where nothing differs from what is expected: the guess stays.
-        ratio = float(middle[columns] @ pulled[columns]) / square if square > 0 else 1.0
-        precision[at[columns]] = np.clip(ratio, *_PRECISIONS) / scale[columns] ** 2
-    return Integrated(mean, full_covariance, away, precision)
+        # If the mean is zero the first guess stays.
+        ratio = float(middle[columns] @ pull_of_data[columns]) / square if square > 0 else 1.0
+        precision[at[columns]] = np.clip(ratio, *_PRECISION_RANGE) / scale[columns] ** 2
+    return Integrated(mean, full_covariance, errors, precision)
 
 
 def _unknown_variances(cameras: Sequence[Camera], slices: Sequence[slice],
                        ) -> tuple[IntArray, FloatArray, list[_Group]]:
-    """Return which parameters (k,) have unknown variances, first guesses (k,), and the groups.
+    """Return the indices (k,) of parameters with unknown variances, first guesses (k,), and groups.
 
-    Numbers of parameters are those of `slices`; the first guesses are standard deviations.
+    Indices are those of `slices`; the first guesses are standard deviations. Groups have indices
+    among the k.
     """
     at: list[int] = []
     scale: list[float] = []
@@ -178,13 +178,13 @@ def _unknown_variances(cameras: Sequence[Camera], slices: Sequence[slice],
         for scale_name, group in dict(zip(camera.scales, camera.groups, strict=True)).items():
             if group in camera.fixed_variance:
                 continue
-            of_scale = np.flatnonzero(names == scale_name)
-            members.setdefault(group, []).append(len(at) + np.arange(len(of_scale)))
+            in_scale = np.flatnonzero(names == scale_name)
+            members.setdefault(group, []).append(len(at) + np.arange(len(in_scale)))
             scales.setdefault(group, []).append(scale_name)
-            at += (columns.start + of_scale).tolist()
-            scale += sigma[of_scale].tolist()
-            # No variance below what the camera states, whatever the data say.
-            ratio = float((least_sigma[of_scale] / sigma[of_scale]).max())
+            at += (columns.start + in_scale).tolist()
+            scale += sigma[in_scale].tolist()
+            # The standard deviation of a group is at least the least one that its cameras state.
+            ratio = float((least_sigma[in_scale] / sigma[in_scale]).max())
             min_ratio[group] = max(min_ratio.get(group, _SIGMA_GRID[0]), ratio)
     groups = [_Group(tuple(images), np.unique(scales[name], return_inverse=True)[1],
                      min_ratio[name])
@@ -194,20 +194,22 @@ def _unknown_variances(cameras: Sequence[Camera], slices: Sequence[slice],
 
 def _sample_variances(matrix: FloatArray, right: FloatArray, groups: Sequence[_Group],
                       ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return means by variances (d, k), draws (d, k), and the covariance (k, k) of all.
+    """Return means (d, k) and draws (d, k) of parameters, and their covariance (k, k).
 
-    Units are the first guesses.
+    The data say matrix @ x = right. In each of d rounds of Gibbs' sampler variances are drawn by
+    parameters, and parameters, of which the mean is kept, by variances. Units are the first
+    guesses.
     """
     rng = np.random.default_rng(0)
     k = len(right)
     shared = [1.0 if np.isnan(group.min_ratio) else max(0.3, group.min_ratio) for group in groups]
     of_images = [np.ones(len(group.images)) for group in groups]
     of_scale = [np.ones(group.scale.max() + 1) for group in groups]
-    means = np.empty((_KEPT, k))
-    draws = np.empty((_KEPT, k))
+    means = np.empty((_N_DRAWS, k))
+    draws = np.empty((_N_DRAWS, k))
     total = np.zeros((k, k))
     precision = np.empty(k)
-    for round_ in range(-_FIRST, _KEPT):
+    for round_ in range(-_BURN_IN, _N_DRAWS):
         for group, common, image_ratios, scale_ratios in zip(groups, shared, of_images, of_scale,
                                                              strict=True):
             for columns, ratio in zip(group.images, image_ratios * scale_ratios[group.scale],
@@ -226,32 +228,35 @@ def _sample_variances(matrix: FloatArray, right: FloatArray, groups: Sequence[_G
         for number, group in enumerate(groups):
             shared[number], of_images[number], of_scale[number] = _draw_scales(
                 x, (matrix, right), group, of_images[number], of_scale[number], rng)
-    total = np.tril(total) / _KEPT
-    away = means - means.mean(axis=0)
+    total = np.tril(total) / _N_DRAWS
+    deviations = means - means.mean(axis=0)
     # Law of total variance: the mean of covariances plus the covariance of means.
-    return means, draws, total + np.tril(total, -1).T + away.T @ away / _KEPT
+    return means, draws, total + np.tril(total, -1).T + deviations.T @ deviations / _N_DRAWS
 
 
 def _draw_scales(x: FloatArray, equations: tuple[FloatArray, FloatArray], group: _Group,
                  of_images: FloatArray, of_scale: FloatArray, rng: np.random.Generator,
                  ) -> tuple[float, FloatArray, FloatArray]:
-    """Return draws of a group's standard deviations, and scale the parameters `x` with the first.
+    """Return draws of a group's standard deviations, and scale its parameters in `x` with them.
 
-    They are that of the group itself, those of its images over that of their scale, and those of
-    its scales over that of the group; `of_images` and `of_scale` are the latter two as they were.
-    `equations` of the data are a matrix (p, p) and a right side (p,).
+    Returned are that of the group itself, those of its images over that of their scale, and those
+    of its scales over that of the group; `of_images` and `of_scale` are the last draws of the
+    latter two. `equations` are those of the data, a matrix (k, k) and a right side (k,).
     """
     matrix, right = equations
     squares = np.array([float(x[columns] @ x[columns]) for columns in group.images])
     count = np.array([len(columns) for columns in group.images])
 
-    def drawn(squares_by_shared: FloatArray, number: IntArray) -> FloatArray:
-        """Return draws of ratios: their squares are scaled inverse chi-squared."""
+    def draw_ratios(squares_by_shared: FloatArray, number: IntArray) -> FloatArray:
+        """Return draws of ratios, whose squares are scaled inverse chi-squared.
+
+        The sums of squares are of `number` parameters, divided by the shared variance.
+        """
         square = (squares_by_shared + OWN_WEIGHT) / rng.chisquare(OWN_WEIGHT + number)
         return np.clip(np.sqrt(square), _MIN_IMAGE_RATIO, _MAX_IMAGE_RATIO)
 
     if np.isnan(group.min_ratio):
-        return 1.0, drawn(squares, count), of_scale
+        return 1.0, draw_ratios(squares, count), of_scale
     grid = _SIGMA_GRID[group.min_ratio * 0.999 <= _SIGMA_GRID]
     # Half t with TAIL degrees of freedom, on a grid of logarithms.
     prior = np.log(grid) - (TAIL + 1) / 2 * np.log1p(grid**2 / TAIL)
@@ -259,16 +264,17 @@ def _draw_scales(x: FloatArray, equations: tuple[FloatArray, FloatArray], group:
     common = _draw_from_grid(grid, prior - count.sum() * np.log(grid) - strain / 2 / grid**2, rng)
     # Scales of a group follow it as images follow their scale.
     if len(of_scale) > 1:
-        of_scale = drawn(np.bincount(group.scale, squares / (common * of_images)**2).astype(float),
-                         np.bincount(group.scale, count).astype(np.intp))
-    of_images = drawn(squares / (common * of_scale[group.scale])**2, count)
+        of_scale = draw_ratios(
+            np.bincount(group.scale, squares / (common * of_images)**2).astype(float),
+            np.bincount(group.scale, count).astype(np.intp))
+    of_images = draw_ratios(squares / (common * of_scale[group.scale])**2, count)
     columns = np.concatenate(group.images)
-    # Interwoven: x / common is held, and common is drawn by the data that x has to fit.
+    # Interweaving: x / common is kept, and common is drawn again, by the data that x has to fit.
     shape = x[columns] / common
-    pulled = matrix[:, columns] @ shape
-    # The logarithm of the likelihood is linear and quadratic in the common standard deviation.
-    bend = float(shape @ pulled[columns])
-    slope = float(shape @ right[columns] - pulled @ x) + common * bend
+    product = matrix[:, columns] @ shape
+    # The logarithm of the likelihood is a quadratic polynomial of the common standard deviation.
+    bend = float(shape @ product[columns])
+    slope = float(shape @ right[columns] - product @ x) + common * bend
     rescaled = _draw_from_grid(grid, prior - grid**2 * bend / 2 + grid * slope, rng)
     x[columns] = rescaled * shape
     return rescaled, of_images, of_scale

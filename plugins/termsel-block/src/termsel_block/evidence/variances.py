@@ -25,7 +25,7 @@ TAIL = 4.0
 def estimate_variances(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
                        covariances: Sequence[FloatArray], variances: Sequence[FloatArray],
               ) -> list[FloatArray]:
-    """Return the new variance of each parameter of each image [px2].
+    """Return the new variance of the prior of each parameter of each image [px2].
 
     Parameters
     ----------
@@ -33,6 +33,7 @@ def estimate_variances(cameras: Sequence[Camera], parameters: Sequence[FloatArra
     parameters, covariances : sequence of ndarray, shapes (p,) and (p, p)
         Of each image, of the posterior with the present variances.
     variances : sequence of ndarray, shape (p,)
+        The present variances. Those of groups that a camera fixes stay.
 
     Notes
     -----
@@ -74,7 +75,7 @@ def estimate_variances(cameras: Sequence[Camera], parameters: Sequence[FloatArra
 
 def loosening_factors(cameras: Sequence[Camera], parameters: Sequence[FloatArray],
                       covariances: Sequence[FloatArray]) -> dict[str, float]:
-    """Return by how much the standard deviations that a model states of its terms are too small.
+    """Return the factors by which to multiply the standard deviations that a model states.
 
     All images of the model are taken together, as a sensor may turn faster than most in all of
     them.
@@ -88,16 +89,15 @@ def loosening_factors(cameras: Sequence[Camera], parameters: Sequence[FloatArray
     Returns
     -------
     dict of float
-        By name of each term of `Camera.stated_terms`: the factor by which the model's standard
-        deviation is multiplied; 1 where the images show the term as the model states it, or not at
-        all.
+        By name of each term of `Camera.stated_terms`. A factor is about 1 if the images show the
+        term as the model states it, or not at all.
     """
     squares: dict[str, list[float]] = {}
     for camera, mean, covariance in zip(cameras, parameters, covariances, strict=True):
         # E[x^2] of the posterior: mean^2 + variance.
         moments = mean**2 + np.diag(covariance)
         for name, index in camera.stated_terms.items():
-            # Back to units of the model's statement, which an earlier round may have loosened.
+            # Earlier rounds may have loosened the prior: back to units of what the model states.
             stated_moment = moments[index] * camera.sigma_factors[index] ** 2
             squares.setdefault(name, []).append(float(stated_moment))
     # The model's statement, 1, counts as OWN_WEIGHT images do: (sum x^2 + w 1) / (n + w).
@@ -108,19 +108,20 @@ def loosening_factors(cameras: Sequence[Camera], parameters: Sequence[FloatArray
 
 def posterior_mean(mean: FloatArray, variance: FloatArray, prior: FloatArray,
                    guess: FloatArray) -> float:
-    """Return the mean of the posterior of the variance that values have in common.
+    """Return the posterior mean of the variance that k values have in common.
 
-    Each value has its posterior (mean, variance) and the variance of its present prior, shape (k,);
-    `guess` is the scale of the variance's own prior, a half t of standard deviations.
+    `mean`, `variance` and `prior` (k,) are the posterior mean and variance of each value and the
+    variance of its present prior. The common standard deviation has a half t distribution as its
+    prior, whose scale is the geometric mean of `guess` (k,).
     """
     sigma = float(np.exp(np.log(guess).mean())) * _RATIO_GRID[:, None]
-    # What the measurements alone say of each value: its posterior without its prior.
+    # The posterior of each value without its prior is what the measurements alone say.
     precision = np.maximum(1 / variance - 1 / prior, 0.0)
     right = mean / variance
     # Marginal likelihood of normal values under each variance, times the prior of half t.
     spread = 1 + sigma**2 * precision
     logarithm = 0.5 * (right**2 * sigma**2 / spread - np.log(spread)).sum(axis=1)
-    # On a logarithmic grid the measure of a standard deviation is itself.
+    # On a logarithmic grid a density is multiplied by the standard deviation itself.
     weight = np.exp(logarithm - logarithm.max()) * _RATIO_GRID / (1 + _RATIO_GRID**2 / TAIL) ** (
         (TAIL + 1) / 2)
     return float((weight * sigma[:, 0] ** 2).sum() / weight.sum())

@@ -42,22 +42,22 @@ _EXAMPLE = "termsel block-example DIR writes a block to begin with."
 # TOML has no null.
 _KINDS = {kind: words for kind, words in KINDS_OF_JSON.items() if kind != "null"} | {
     "str": "text in quotes"}
-# In a note.
+# Ties that a note names.
 _NAMED_TIES = 5
-# In a message.
+# Images that a message names.
 _NAMED_IMAGES = 8
-# Ties and control features of an image.
+# Fewest ties and control features of an image, together.
 _MIN_FEATURES = 3
-# Bytes of an image's name, in UTF-8.
+# Most bytes of an image's name, in UTF-8.
 _LONGEST_IMAGE_NAME = 100
-# Lines or samples: no image has as many.
-_LARGEST = 1e7
-# Times the reach of the other ties of the image.
-_TOO_FAR = 20.0
-# In px: of ties that are all near each other.
-_LEAST_REACH = 500.0
-# In px; no measurement is repeated to that.
-_SAME = 1e-3
+# Lines or samples that no image has.
+_MAX_POSITION = 1e7
+# Ratio of a tie's distance to the reach of the other ties of the image, beyond which it is wrong.
+_MAX_REACH_RATIO = 20.0
+# Least reach [px], for ties that are all near each other.
+_MIN_REACH = 500.0
+# Difference [px] below which two measurements are copies: nobody repeats one so exactly.
+_SAME_POSITION = 1e-3
 
 
 class _Image(msgspec.Struct, forbid_unknown_fields=True):
@@ -98,7 +98,8 @@ def read_block(path: Path | str) -> Block:
     Raises
     ------
     TermselError
-        Naming file and place of what is wrong.
+        If the file, or one that it names, is missing or wrong, if an image has too few ties and
+        control, or if ties look like copies; the error has the file and, if known, the line.
 
     Examples
     --------
@@ -127,8 +128,7 @@ def read_block(path: Path | str) -> Block:
     images = tuple(_read_image(image, folder, crs, dem, path) for image in stated.image)
     files = [stated.ties] if isinstance(stated.ties, str) else list(stated.ties)
     ties, notes = read_ties([folder / file for file in files], names)
-    # An image without ties or control hangs in the air, and one given twice would count double.
-    _refuse_alone(images, ties, path)
+    _refuse_unconnected_images(images, ties, path)
     _refuse_copies(names, ties, path)
     files += [stated.dem] if stated.dem else []
     for image in stated.image:
@@ -136,7 +136,7 @@ def read_block(path: Path | str) -> Block:
     return Block(crs, images, ties, dem, notes, tuple(folder / file for file in files))
 
 
-def _refuse_alone(images: Sequence[BlockImage], ties: Ties, path: Path) -> None:
+def _refuse_unconnected_images(images: Sequence[BlockImage], ties: Ties, path: Path) -> None:
     """Raise TermselError for the first image with fewer ties and control than `_MIN_FEATURES`."""
     count = np.bincount(ties.image, minlength=len(images))
     for image, n in zip(images, count.tolist(), strict=True):
@@ -151,29 +151,33 @@ def _refuse_alone(images: Sequence[BlockImage], ties: Ties, path: Path) -> None:
 def _refuse_copies(names: Sequence[str], ties: Ties, path: Path) -> None:
     """Raise TermselError if ties look like copied rows.
 
-    That is: `_MIN_FEATURES` or more at one place of an image, or at the same ones in two images.
+    They do if all ties of an image, `_MIN_FEATURES` or more, are at one position, or if all that
+    two images share are at the same positions in both.
     """
     rows_of_image = [np.flatnonzero(ties.image == i) for i in range(len(names))]
     for name, rows in zip(names, rows_of_image, strict=True):
-        # Copied rows: no two ties of an image are at one place by chance.
-        if len(rows) >= _MIN_FEATURES and np.ptp(ties.position[rows], axis=0).max() < _SAME:
+        if len(rows) < _MIN_FEATURES:
+            continue
+        if np.ptp(ties.position[rows], axis=0).max() < _SAME_POSITION:
             raise TermselError(f"all {len(rows)} ties of image {name!r} are at one position in it",
                                file=path, hint="Check the columns line and sample of the ties.")
-    # Of images that share ties: are all measured alike in both?
     for i, j, first, second in image_pairs(
             [ties.tie[rows] for rows in rows_of_image], len(ties.names)):
         if i == j or len(first) < _MIN_FEATURES:
             continue
         difference = (ties.position[rows_of_image[i][first]]
                       - ties.position[rows_of_image[j][second]])
-        if np.abs(difference).max() < _SAME:
+        if np.abs(difference).max() < _SAME_POSITION:
             raise TermselError(f"images {names[i]!r} and {names[j]!r} have all {len(first)} "
                                "common ties at the same positions", file=path,
                                hint="Remove the one that is a copy, or correct its ties.")
 
 
 def _key_in_words(key: str) -> str:
-    """Return what a key of the file is called, such as "rpc of image number 4" of image[3].rpc."""
+    """Return the words for a decoder's key, such as "rpc of image number 4" for image[3].rpc.
+
+    They are "the file" for the file as a whole.
+    """
     in_image = re.match(r"image\[(\d+)\]\.?(.*)", key)
     if in_image is None:
         return key or "the file"
@@ -183,28 +187,28 @@ def _key_in_words(key: str) -> str:
 
 
 def _image_in_words(location: str) -> str:
-    """Return which image a decoder's location lies in, such as " of image number 2"."""
+    """Return the image of a decoder's location, such as " of image number 2"; "" if it has none."""
     image = re.search(r"image\[(\d+)\]", location)
     return f" of image number {int(image[1]) + 1}" if image else ""
 
 
 def _refuse_unknown_key(message: str, text: str, path: Path) -> None:
-    """Raise TermselError if the message of a decoder is of an unknown key; else return.
+    """Raise TermselError if the message of a decoder is about an unknown key.
 
-    The error has the line of the key in the text of the file, and the nearest known key. A file of
-    a study, whose keys are others, is told apart.
+    The error has the line of the key in the text of the file, and the nearest known key. For the
+    file of a study it has the command for that.
     """
     unknown = re.match(r"Object contains unknown field `(.+?)`(.*)", message)
     if unknown is None:
         return
-    of_image = _image_in_words(unknown[2])
-    keys = (_Image if of_image else _File).__struct_fields__
+    image_words = _image_in_words(unknown[2])
+    keys = (_Image if image_words else _File).__struct_fields__
     near = get_close_matches(unknown[1], keys, n=1)
     if re.search(r"^\s*(problems|solvers|seeds)\s*=", text, re.MULTILINE):
         raise TermselError("this file is of a study, not of a block", file=path,
                            hint=f"Run it by termsel compare {path} --out DIR.")
     guess = f"Did you mean {near[0]!r}? " if near else ""
-    raise TermselError(f"unknown key {unknown[1]!r}{of_image or ' of a block'}", file=path,
+    raise TermselError(f"unknown key {unknown[1]!r}{image_words or ' of a block'}", file=path,
                        line=_line_of(unknown[1], text),
                        hint=f"{guess}Known: {', '.join(keys)}.")
 
@@ -217,16 +221,15 @@ def _line_of(key: str, text: str) -> int | None:
 
 
 def _check_names(names: Sequence[str], path: Path) -> None:
-    """Raise TermselError for names that cannot be folders' or are not unique, and for a lone image.
+    """Raise TermselError for names that cannot be those of folders, and for fewer than two images.
 
-    Each image's result gets a folder of its name, on any system, so that names differ in more than
-    capitals and hold no separator.
+    The result of an image gets a folder of its name, so that names must differ in more than
+    capitals, and have no separator.
     """
     for name, count in Counter(names).items():
         if count > 1:
             raise TermselError(f"{count} images are called {name!r}", file=path,
                                hint="Give each image a different name.")
-        # A name is a folder's name: no separator, no dot before it, printable, not too long.
         if (not name.strip() or name != Path(name).name or name.startswith(".")
                 or not name.isprintable() or len(name.encode()) > _LONGEST_IMAGE_NAME):
             short_name = name if len(name) <= _LONGEST_IMAGE_NAME else f"{name[:20]}..."
@@ -234,7 +237,7 @@ def _check_names(names: Sequence[str], path: Path) -> None:
                                "a folder of that name", file=path,
                                hint="Use letters, digits, - and _, and at most "
                                     f"{_LONGEST_IMAGE_NAME} bytes.")
-    # Windows and macOS do not show capitals in names of files.
+    # Windows and macOS do not distinguish capitals in the names of files.
     for folder, count in Counter(name.casefold() for name in names).items():
         if count > 1:
             same_folder = [repr(name) for name in names if name.casefold() == folder]
@@ -251,8 +254,9 @@ def _read_image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: 
     """Return an image of the block with size, RPC and control read from its files.
 
     `stated` is its entry in the file `path` of a block, in `folder`; `crs` and `dem` are those of
-    the block. An RPC that the raster has is used if none is named. Raises TermselError for files
-    that do not fit together.
+    the block. If no RPC is named, that of the raster is used if it has one. Raises TermselError if
+    a file is missing or wrong, for an RPC in a block without a CRS, for a model that the image
+    cannot have, and for an RPC that termsel fitted to the control.
     """
     for key in ("points", "lines", "rpc", "image"):
         file = getattr(stated, key)
@@ -268,13 +272,12 @@ def _read_image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: 
     if stated.rpc:
         rpc_file = folder / stated.rpc
         rpc = read_rpc(rpc_file)
-    # Many rasters carry their RPC as tags or next to them.
     elif raster is not None:
-        # An image need not have one.
+        # Many rasters have an RPC in their tags or next to them, but none is required.
         with suppress(TermselError):
             rpc = read_delivered_rpc(raster)
             rpc_file = None if rpc is None else raster
-    # Before minutes of adjustment.
+    # Corrections of RPCs are written by termsel-rpc, after minutes of adjustment.
     if rpc is not None and find_spec("termsel_rpc") is None:
         raise TermselError("an image with an RPC requires the package termsel-rpc, which is not "
                            "installed", file=rpc_file,
@@ -292,7 +295,7 @@ def _read_image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: 
     if stated.points or stated.lines:
         features = _control_features(stated, folder, crs, dem, path)
         if rpc is not None and (makers := makers_of(rpc, features)):
-            # Not all control of a large set is recognised.
+            # The record of an RPC may list part of a large set of control alone.
             at_least = "at least " if is_cut(rpc) else ""
             other_control = "" if is_cut(rpc) else ", or other control"
             raise TermselError(
@@ -309,7 +312,8 @@ def _read_image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: 
 def _check_model(stated: _Image, options: Mapping[str, Any], has_rpc: bool, path: Path) -> None:
     """Raise TermselError for a model that an image cannot have, or options that it does not take.
 
-    `has_rpc` says whether the image has an RPC; `path` is the file of the block, for messages.
+    Corrections require an RPC, other models that there is none; `path` is the file of the block,
+    for messages.
     """
     if stated.model in CORRECTIONS:
         if not has_rpc and stated.model != "auto":
@@ -324,13 +328,13 @@ def _check_model(stated: _Image, options: Mapping[str, Any], has_rpc: bool, path
     if has_rpc:
         raise TermselError(f"image {stated.name!r} has the model {stated.model!r}", file=path,
                            hint=f"Known with an RPC: {', '.join(CORRECTIONS)}.")
-    # Made only to refuse bad options now, in the words of the file.
+    # The model is made only to refuse bad options now, with the file in the error.
     try:
         with options_of_file(path):
             get("models", stated.model)(**options)
     except TermselError as error:
         hint = hint_for_block(error.hint)
-        # Most of the known ones have no priors.
+        # Most models that the hint would list have no priors, and so cannot be used here.
         if error.code == "model-unknown":
             hint = f"{hint.partition('Known:')[0]}{MODELS}"
         raise TermselError(f"image {stated.name!r}: {error.what}", file=path,
@@ -339,18 +343,21 @@ def _check_model(stated: _Image, options: Mapping[str, Any], has_rpc: bool, path
 
 def _without_height(stated: _Image, folder: Path, crs: str) -> frozenset[str]:
     """Return the ids of an image's points and lines whose files state no height."""
-    # Read without the DEM, which would fill the heights in.
+    # With the DEM the heights would be filled in.
     features = _read_control(stated, folder, crs, None)
     points = features.points
     lines = features.lines
-    blank = np.concatenate([np.isnan(points.ground[:, 2]),
-                            np.isnan(lines.ground[..., 2]).any(axis=1)])
-    return frozenset(name for name, none in zip(
-        [*points.ids, *lines.ids], blank.tolist(), strict=True) if none)
+    is_missing = np.concatenate([np.isnan(points.ground[:, 2]),
+                                 np.isnan(lines.ground[..., 2]).any(axis=1)])
+    return frozenset(name for name, has_none in zip(
+        [*points.ids, *lines.ids], is_missing.tolist(), strict=True) if has_none)
 
 
 def _read_control(stated: _Image, folder: Path, crs: str, dem: Path | None) -> FeatureSet:
-    """Return the control of an image as `termsel.read` has it."""
+    """Return the control of an image as `termsel.read` reads it, with heights from the DEM if any.
+
+    Errors of it are raised with hints for the file of a block.
+    """
     try:
         return read(folder / stated.points if stated.points else None,
                     folder / stated.lines if stated.lines else None, crs=crs, dem=dem,
@@ -364,8 +371,9 @@ def _read_control(stated: _Image, folder: Path, crs: str, dem: Path | None) -> F
 def _part_of(stated: _Image, folder: Path) -> dict[str, Any]:
     """Return the options that read the points of an image from a file of several images.
 
-    Such a file is a list of OpenDroneMap, or one of marks. The image is found by the name of its
-    file, or by that of the image in the block, with or without the ending.
+    {} if the image has no file of points, or that is of one image. The image is found by its name
+    in the block or that of its file, with or without the ending. Raises TermselError if the file
+    has no points of it.
     """
     if stated.points is None:
         return {}
@@ -388,11 +396,11 @@ def _control_features(stated: _Image, folder: Path, crs: str, dem: Path | None,
                       path: Path) -> FeatureSet:
     """Return the control of an image, in the CRS of the block and with heights.
 
-    Raises TermselError if it is in another CRS, or a height is known neither by it nor by the DEM.
+    Raises TermselError if it is in another CRS, or if a height is neither stated nor in the DEM.
     """
     points = folder / stated.points if stated.points else None
     features = _read_control(stated, folder, crs, dem)
-    # Control of another CRS would be transformed by none of what follows.
+    # Nothing that follows would transform it.
     if normalise(features.crs) != crs:
         raise TermselError(f"the control of image {stated.name!r} is in "
                            f"{short_crs_name(features.crs)}, the block in {short_crs_name(crs)}",
@@ -411,15 +419,17 @@ def _control_features(stated: _Image, folder: Path, crs: str, dem: Path | None,
 def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple[str, ...]]:
     """Return the ties of tables id,image,line,sample and of ASP's match files, and notes.
 
+    Ties in one image alone are left out, and a note says so.
+
     Raises
     ------
     TermselError
-        For a table that cannot be read, an unknown image, a tie measured twice in one image, or if
-        no tie is in two images.
+        For a file that cannot be read, an unknown image, a tie that is measured twice in one image
+        or lies far from all others, and if no tie is in two images.
     """
     index = {name: i for i, name in enumerate(images)}
     first_at: dict[tuple[str, int], tuple[Path, int]] = {}
-    # Of each measurement in the order of `first_at`.
+    # Line and sample of each measurement, in the order of `first_at`.
     positions: list[tuple[float, float]] = []
     matches = [file for file in files if is_asp(file)]
     for file, number, name, (image_name, *position) in asp_rows(matches, images):
@@ -444,15 +454,14 @@ def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple
             first_at[name, image] = file, line
             positions.append((_number_of_cell(row["line"], file, line, "line"),
                               _number_of_cell(row["sample"], file, line, "sample")))
-    # The first position out of any image, by row and by line or sample.
-    for k, axis in np.argwhere(np.abs(np.array(positions).reshape(-1, 2)) > _LARGEST)[:1]:
+    # Only the first position that is in no image is reported.
+    for k, axis in np.argwhere(np.abs(np.array(positions).reshape(-1, 2)) > _MAX_POSITION)[:1]:
         file, line = list(first_at.values())[k]
         column = ("line", "sample")[axis]
         raise TermselError(f"{positions[k][axis]:g} is no {column} of an image", file=file,
                            line=None if file in matches else line, column=column,
                            hint="Write positions in px, such as 1234.5.")
-    _refuse_far(first_at, positions, images, matches)
-    # Ties in one image alone say nothing: they are left out, and a note says so.
+    _refuse_remote_ties(first_at, positions, images, matches)
     count = Counter(name for name, _ in first_at)
     names = tuple(name for name in count if count[name] > 1)
     single = [name for name in count if count[name] == 1]
@@ -475,29 +484,30 @@ def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple
                 table[:, 2:]), notes
 
 
-def _refuse_far(first_at: Mapping[tuple[str, int], tuple[Path, int]],
+def _refuse_remote_ties(first_at: Mapping[tuple[str, int], tuple[Path, int]],
                 positions: Sequence[tuple[float, float]], images: Sequence[str],
                 matches: Sequence[Path]) -> None:
     """Raise TermselError for a tie that is farther from its image's others than any image reaches.
 
     `first_at` has file and line of each measurement, by tie and number of its image in `images`;
-    `positions` are line and sample of these measurements, and `matches` the files of ties.
+    `positions` are line and sample of these measurements. Files in `matches` are binary, so that
+    the error has no line of them.
     """
     measured = np.array(positions).reshape(-1, 2)
     image_of = np.array([image for _, image in first_at], int)
     for image, name in enumerate(images):
-        of_image = np.flatnonzero(image_of == image)
-        if not len(of_image):
+        in_image = np.flatnonzero(image_of == image)
+        if not len(in_image):
             continue
-        # About the median, so that the wrong one does not move the middle.
-        middle = np.median(measured[of_image], axis=0)
-        away = np.abs(measured[of_image] - middle).max(axis=1)
+        # The median is not moved by a wrong tie, as the mean is.
+        middle = np.median(measured[in_image], axis=0)
+        distances = np.abs(measured[in_image] - middle).max(axis=1)
         # Half of the width or height that nine of ten ties take.
-        reach = max(float(np.quantile(away, 0.9, method="lower")), _LEAST_REACH)
-        worst = int(away.argmax())
-        if away[worst] <= _TOO_FAR * reach:
+        reach = max(float(np.quantile(distances, 0.9, method="lower")), _MIN_REACH)
+        worst = int(distances.argmax())
+        if distances[worst] <= _MAX_REACH_RATIO * reach:
             continue
-        at = int(of_image[worst])
+        at = int(in_image[worst])
         file, line = list(first_at.values())[at]
         tie = list(first_at)[at][0]
         raise TermselError(
@@ -509,16 +519,16 @@ def _refuse_far(first_at: Mapping[tuple[str, int], tuple[Path, int]],
 
 
 def _table_rows(file: Path) -> list[tuple[int, dict[str, str]]]:
-    """Return number of line and cells (id, image, line, sample) of each row of a table of ties.
+    """Return the number of the line, from 1, and the cells by column of each row of a table.
 
-    Raises TermselError if the table cannot be read, or lacks one of these columns.
+    Columns are id, image, line and sample. Raises TermselError, with the file, if the table cannot
+    be read, if it has none or two of one of these columns, or if a row has too few or many cells.
     """
     try:
         require_regular(file)
         with file.open(newline="", encoding="utf-8-sig") as opened:
             reader = csv.reader(opened)
             header = [cell.strip().lower() for cell in next(reader, [])]
-            # The column of each meaning, of which there must be exactly one.
             at = {}
             for meaning, aliases in COLUMNS.items():
                 columns = [i for i, cell in enumerate(header) if cell in aliases]
@@ -558,7 +568,9 @@ def _table_rows(file: Path) -> list[tuple[int, dict[str, str]]]:
 
 
 def _number_of_cell(text: str, file: Path, line: int, column: str) -> float:
-    """Return the finite number in a cell; raises TermselError with its place if it is none."""
+    """Return the finite number in a cell; raises TermselError, with file, line and column, if it
+    has none.
+    """
     with suppress(ValueError):
         value = float(text)
         if math.isfinite(value):

@@ -35,13 +35,13 @@ log = logging.getLogger("termsel.block")
 RECORD, SUMMARY, PAGE, TIES, SCHEMA_FILE = _FILES = (
     "block.json", "summary.txt", "report.html", "ties.csv", "block.schema.json")
 
-_MOST_TIES = {"smooth": 400, "polynomial": 200}
-_MOST_TIES_PHYSICAL, _MOST_TIES_OTHERS = 40, 120
+_MAX_TIES = {"smooth": 400, "polynomial": 200}
+_MAX_TIES_PHYSICAL, _MAX_TIES_OTHERS = 40, 120
 """Ties of an image that its own result keeps as control, by its model: with more it is the block's
 model no better than a tenth of what the block predicts, and takes longer.
 """
 
-_TESTED = {"tested": True}
+_WITHOUT_BLUNDER_TEST = {"tested": True}
 """Option of a run whose control and ties the block has looked at for blunders."""
 
 _INTERVALS, _PER_INTERVAL = 32, 5
@@ -78,19 +78,19 @@ def require_free_folder(folder: Path, names: list[str], *, overwrite: bool,
     if (folder / RECORD).exists() and not overwrite:
         raise TermselError("there is a block in this folder already", file=folder,
                            hint="Choose another --out, or add --overwrite.")
-    # A file of such a name without a block next to it is somebody else's.
-    strange = [name for name in _FILES
+    # A file of such a name without a block next to it is not termsel's.
+    foreign = [name for name in _FILES
                if (folder / name).exists() and not (folder / RECORD).exists()]
-    if strange:
+    if foreign:
         raise TermselError("the block would replace this file, which is not part of one",
-                           file=folder / strange[0], hint="Choose another --out.")
+                           file=folder / foreign[0], hint="Choose another --out.")
     existing = [name for name in names if (folder / name).exists() and not overwrite]
     if existing:
         raise TermselError("the result of an image would replace this", file=folder / existing[0],
                            hint="Choose another --out, or add --overwrite.")
-    # The nearest folder above that is there must allow new ones.
-    above = next(parent for parent in folder.absolute().parents if parent.exists())
-    if (folder.exists() and not folder.is_dir()) or not os.access(above, os.W_OK):
+    # The folder is made in the nearest one above it that exists.
+    existing_parent = next(parent for parent in folder.absolute().parents if parent.exists())
+    if (folder.exists() and not folder.is_dir()) or not os.access(existing_parent, os.W_OK):
         raise TermselError("cannot make this folder", file=folder, hint="Choose another --out.")
 
 
@@ -144,7 +144,6 @@ def write_block(result: BlockResult, folder: Path | str, *, overwrite: bool = Fa
             (new_folder / name).mkdir()
             write_result(image_result(result, i, record), new_folder / name)
             if progress is not None:
-                # The record last: `together` puts it in place when all else is there.
                 progress((i + 1) / len(names))
         for file, text in {
                 TIES: ties_csv(result), SUMMARY: text_of(record),
@@ -157,24 +156,23 @@ def write_block(result: BlockResult, folder: Path | str, *, overwrite: bool = Fa
 
 
 def _write_page(result: BlockResult, record: BlockRecord, path: Path) -> None:
-    """Write the page of a block whose numbers are there; a page that cannot be is left out."""
+    """Write the page of a block; if it cannot be drawn, warn, and remove that of an earlier block.
+    """
     try:
         write_text(path, page_of(result, record))
     except (TermselError, MemoryError) as error:
         why = error.what if isinstance(error, TermselError) else "out of memory"
         log.warning("Warning: %s is missing: %s. All else is there.", path, why.rstrip("."))
-        # That of the block before.
         if not path.is_symlink():
             path.unlink(missing_ok=True)
 
 
 def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
-    """Return an image's own result: its model, fitted to its control and to ties at their places.
+    """Return an image's own result: its model, fitted to its control and to its adjusted ties.
 
-    At the optimum of the block that fit has the block's parameters, but for the priors. The block
-    has named what is wrong of its ties and control, which is not looked for again. What the
-    places of the ties have in common is not seen in one image, so the result states the RMSE that
-    the block predicts.
+    But for the priors, that fit has the block's parameters. Blunders are not looked for again.
+    Since one image does not show what errors its ties have in common, the result states the RMSE
+    that the block predicts.
     """
     image = result.block.images[i]
     state = result.adjusted.state
@@ -182,18 +180,17 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
     name = correction_of(result, i)
     source = f"image {image.name} of a block"
     if name == "polynomial":
-        fitted = run(features=features, source=source, options=_TESTED)
+        fitted = run(features=features, source=source, options=_WITHOUT_BLUNDER_TEST)
     elif image.rpc is None:
         fitted = run("rfm-terms", features=features, solver="all-terms", criterion="press",
-                    model=name, source=source, options={**image.options, **_TESTED})
+                    model=name, source=source, options={**image.options, **_WITHOUT_BLUNDER_TEST})
     else:
         rpc = {"file": (image.rpc_file or Path(f"{image.name}.RPB")).name, **asdict(image.rpc)}
-        # The same correction as the block's: every term of it, estimated again with ties as
-        # control.
+        # All terms of the block's correction are estimated again, with ties as control.
         model = f"rpc-{name}"
         options: dict[str, object] = {"rpc": json.dumps(rpc)}
-        # A shift is the least model that a result has; its estimate is about zero then.
         if name == "none":
+            # A result needs a term: the estimated shift is about zero.
             model = "rpc-shift"
         elif name == "smooth":
             model = "rpc-jitter"
@@ -201,7 +198,7 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
             intervals = max(2, min(_INTERVALS, len(features.points) // _PER_INTERVAL))
             options |= {"across": True, "intervals": intervals}
         fitted = run("rfm-terms", features=features, solver="all-terms", criterion="press",
-                    model=model, source=source, options={**options, **_TESTED})
+                    model=model, source=source, options={**options, **_WITHOUT_BLUNDER_TEST})
     image_record = record.images[i]
     note = (f"The places of {int(state.in_use[i].sum())} ties come from a block of "
             f"{len(record.images)} images. By the block points in this image have an RMSE of "
@@ -210,7 +207,7 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
             "is part of that, and of the uncertainty, not of the residuals. Blunders among "
             "control and ties are named by the "
             "block.")
-    # What the block's covariance says more than the image's own fit does.
+    # The part of the block's covariance that the image's own fit does not have.
     shared = shared_sigma(result, i, features, fitted.sigma(features.points.ground))
     return fitted.with_(notes=(note, *fitted.notes), shared_sigma=shared,
                    predicted=Predicted(image_record.predicted, image_record.low, image_record.high,
@@ -218,18 +215,18 @@ def image_result(result: BlockResult, i: int, record: BlockRecord) -> Result:
 
 
 def _control_and_ties(result: BlockResult, i: int, image: BlockImage) -> FeatureSet:
-    """Return control points and lines without blunders, and ties in use as control points.
+    """Return the features of an image, with its ties in use as control points.
 
-    Ties are at their adjusted places, at most as many as the model of the image takes in good time.
+    Ties are at their adjusted positions, at most as many as its model takes in good time. Points
+    that the block rejected have the role off, and such lines are left out.
     """
     state = result.adjusted.state
     ties = result.block.ties
     in_image = np.flatnonzero(ties.image == i)[state.in_use[i]]
     if isinstance(result.camera(i), PhysicalCamera):
-        most_ties = _MOST_TIES_PHYSICAL
+        most_ties = _MAX_TIES_PHYSICAL
     else:
-        most_ties = _MOST_TIES.get(correction_of(result, i), _MOST_TIES_OTHERS)
-    # Evenly over the list, which is in the order of the ties.
+        most_ties = _MAX_TIES.get(correction_of(result, i), _MAX_TIES_OTHERS)
     if len(in_image) > most_ties:
         in_image = in_image[np.linspace(0, len(in_image) - 1, most_ties).astype(int)]
     names = [f"tie-{ties.names[k]}" for k in ties.tie[in_image]]
@@ -255,13 +252,15 @@ def _control_and_ties(result: BlockResult, i: int, image: BlockImage) -> Feature
 
 
 def ties_csv(result: BlockResult) -> str:
-    """Return the places of ties with their standard deviations [m] as a table."""
+    """Return the positions of ties, with their standard deviations [m], as CSV.
+
+    Ties that are in use in fewer than two images have no position, and are left out.
+    """
     rows: list[list[object]] = [["id", "x", "y", "z", "sigma_east", "sigma_north", "sigma_up",
                                  "images"]]
     for name, ground, sigma, n in zip(
             result.block.ties.names, result.ties.tolist(), result.sigma_ties.tolist(),
             times_seen(result).tolist(), strict=True):
-        # A tie that one image sees has no position of its own.
         if n > 1:
             rows.append([name, *(f"{value:.10g}" for value in ground),
                          *(f"{value:.4g}" for value in sigma), n])

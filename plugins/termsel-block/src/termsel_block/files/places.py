@@ -71,7 +71,7 @@ def write_places(folder: Path | str, target: Path | str, *, overwrite: bool = Fa
                            hint=f"Known: {', '.join(writers)}.")
     require_replaceable([target], reads=[folder / RECORD, folder / TIES], overwrite=overwrite)
     ids, values, crs = _read_ties(folder)
-    # Written in a private folder first: the target is replaced by a whole file or not at all.
+    # Written in a private folder first, so that the target is replaced by a complete file.
     with private_folder() as private:
         complete = private / f"places{target.suffix.lower()}"
         writers[target.suffix.lower()](complete, target, ids, values, crs)

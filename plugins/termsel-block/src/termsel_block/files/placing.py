@@ -56,9 +56,9 @@ def place_together(folder: Path, last: str) -> Iterator[Path]:
 
 
 def _move_into_place(files: list[Path], new: Path, old: Path, folder: Path) -> None:
-    """Move files from `new` to where they belong in `folder`; what was there goes to `old`.
+    """Move files from `new` to their places in `folder`, and those that were there to `old`.
 
-    If one cannot be moved, or on an interruption, all move back and the error goes on.
+    If one cannot be moved, or on an interruption, all are moved back and the error is raised.
     """
     moves: list[tuple[Path, Path]] = []
     new_folders: list[Path] = []
@@ -70,14 +70,13 @@ def _move_into_place(files: list[Path], new: Path, old: Path, folder: Path) -> N
                     (folder / subfolder).mkdir()
                     new_folders.append(folder / subfolder)
                 (old / subfolder).mkdir(exist_ok=True)
-            # What is there moves to `old`, then the new file takes its place; moves are kept to go
-            # back.
+            # The old file is moved away, then the new one takes its place.
             for start, end in ((folder / name, old / name), (file, folder / name)):
                 if os.path.lexists(start):
                     start.rename(end)
                     moves.append((start, end))
         sync(folder)
-    # On an interruption, too: everything moves back in the opposite order.
+    # BaseException has interruptions, too; moves are undone in the opposite order.
     except BaseException:
         for start, end in reversed(moves):
             end.rename(start)

@@ -18,13 +18,13 @@ _GROUND_STEP = 1.0
 DISTANCE = 700e3
 """Metres from an imaging satellite to its ground: most are 450 to 900 km away."""
 
-_EARTH = 6371e3
+_EARTH_RADIUS = 6371e3
 """Radius of the Earth [m]."""
 
-_UNSURE = 0.3
+_DISTANCE_SPREAD = 0.3
 """Relative standard deviation of that distance."""
 
-_STRAIGHTEST = 0.0002
+_MIN_QUADRATIC = 0.0002
 """Terms of degree 2 of the straightest images, in half images: of ten real ones whose vendors' RPCs
 were at hand they are 0.0001 to 0.0019 (root mean squares), 0.0007 in the middle."""
 
@@ -92,9 +92,9 @@ class Camera(ABC):
         """Return the camera with those of its parameters that are true in the mask `keep` (p,)."""
 
     def fixed(self, local: FloatArray) -> Fixed:
-        """Return the part of the model at places (n, 3) that no parameter changes, or None.
+        """Return the part of the model at positions (n, 3) that does not depend on parameters.
 
-        `project` and `jacobian` take it, so that it is computed once.
+        `project` and `jacobian` take it, so that it is computed once. None if there is none.
         """
         return None
 
@@ -108,10 +108,9 @@ class Camera(ABC):
         """Return the derivatives (n, 2, p) of line and sample by the parameters."""
 
     def slopes(self, parameters: FloatArray, local: FloatArray, image: FloatArray) -> FloatArray:
-        """Return the derivatives (n, 2, 3) [px/m] of line and sample by the place.
+        """Return the derivatives (n, 2, 3) [px/m] of line and sample by the position.
 
-        `image` is where the camera sees the places `local` (n, 3), so that it is not computed
-        again.
+        They are at `local` (n, 3), of which `image` (n, 2) are the line and sample.
         """
         slopes = np.empty((len(local), 2, 3))
         for axis in range(3):
@@ -122,22 +121,27 @@ class Camera(ABC):
 
     def parameters_after_step(self, parameters: FloatArray, step: FloatArray, aim: FloatArray,
                               local: FloatArray) -> FloatArray:
-        """Return parameters (p,) after a step (p,), which moves places (n, 3) to an aim (n, 2).
+        """Return parameters (p,) after a step (p,).
 
-        A linear camera reaches the aim by the step alone.
+        To first order the step moves the images of `local` (n, 3) to `aim` (n, 2), which cameras
+        that are not linear may use to correct it.
         """
         return np.asarray(parameters + step)
 
-    def with_priors(self, of_terms: Mapping[str, float], parameters: FloatArray,
+    def with_priors(self, factors: Mapping[str, float], parameters: FloatArray,
                     ) -> tuple[Camera, FloatArray]:
-        """Return the camera with other standard deviations of stated terms, and parameters by them.
+        """Return the camera with other priors of stated terms, and parameters in their units.
+
+        `factors` are by name of the term (see `sigma_factors`). A camera without stated terms is
+        returned as it is.
         """
         return self, parameters
 
     def grown(self) -> tuple[LinearCamera, BoolArray] | None:
-        """Return the camera with further columns, which residuals may support; None if none.
+        """Return the camera with further columns that residuals may support, and a mask of these.
 
-        With it a mask (p,) of the parameters that are new.
+        The mask (p,) marks the new parameters of the larger camera. None if there are no further
+        columns.
         """
         return None
 
@@ -158,23 +162,22 @@ class LinearCamera(Camera):
         """Return the known part (n, 2) [px] and the columns (n, m) at places of the frame."""
 
     def perspective(self, parameters: FloatArray, local: FloatArray) -> FloatArray | float:
-        """Return what parameters (2m,) add besides their columns, (n, 2) [px]; 0 unless overridden.
-        """
+        """Return what parameters (2m,) add besides their columns, (n, 2) [px]; here 0."""
         return 0.0
 
     def fixed(self, local: FloatArray) -> Fixed:
-        """Return the known part and the columns, by far the longest to compute."""
+        """Return the known part (n, 2) [px] and the columns (n, m)."""
         return self.first_order(local)
 
     def project(self, parameters: FloatArray, local: FloatArray, fixed: Fixed = None) -> FloatArray:
-        """Return line and sample: known part + columns times parameters + perspective."""
+        """Return line and sample (n, 2) [px]: known part + columns @ parameters + perspective."""
         image, columns = fixed or self.first_order(local)
         return np.asarray(image + columns @ split_by_axis(parameters)
                           + self.perspective(parameters, local))
 
     def jacobian(self, parameters: FloatArray, local: FloatArray, fixed: Fixed = None,
                  ) -> FloatArray:
-        """Return the columns, for the line by its parameters and for the sample by its own."""
+        """Return the derivatives (n, 2, 2m): the columns, in a block for each axis."""
         _, columns = fixed or self.first_order(local)
         n, m = columns.shape
         derivatives = np.zeros((n, 2, 2 * m))
@@ -225,16 +228,16 @@ class RpcCamera(LinearCamera):
         self.min_sigma = (1e-4,) * len(self.groups)
 
     def with_parameters(self, keep: BoolArray) -> RpcCamera:
-        """Return the camera with the columns that are true in the mask `keep` (2m,).
-
-        Groups are dropped in the line and in the sample together, so that the mask has the same
-        columns in its second half, and the first tells.
-        """
+        """Return the camera with the columns that are true in the mask `keep` (2m,)."""
+        # Groups are kept in line and sample alike, so that the first half of the mask is enough.
         return RpcCamera(self.rpc, self.frame, [name for name, is_kept in zip(
             self.columns, keep[:len(self.columns)], strict=True) if is_kept])
 
     def grown(self) -> tuple[RpcCamera, BoolArray] | None:
-        """Return the camera with all groups, and which parameters are new; None if it has them."""
+        """Return the camera with all groups, and a mask of the new parameters.
+
+        None if it has the columns for jitter already.
+        """
         if self.SMOOTH in self.columns:
             return None
         larger = RpcCamera(self.rpc, self.frame, groups_of(self.SMOOTH))
@@ -243,7 +246,7 @@ class RpcCamera(LinearCamera):
         return larger, np.tile(is_new, 2)
 
     def area(self) -> tuple[FloatArray, FloatArray]:
-        """Return middle and half widths of the RPC's area."""
+        """Return the middle (3,) and the half widths (2,) of the RPC's area in the frame [m]."""
         rpc = self.rpc
         middle = np.array(rpc.ground_offset)
         corners = self.frame.from_geodetic(np.stack([middle - rpc.ground_scale,
@@ -271,11 +274,13 @@ def groups_of(correction: str) -> tuple[str, ...]:
 
 
 def _cosine_functions(lines: FloatArray) -> FloatArray:
-    """Return functions (`_WAVES`, n) of lines in half images, each without its part in 1 and l."""
-    # Beyond the image nothing wanders on.
+    """Return `_WAVES` cosines of lines (n,), as (`_WAVES`, n), without their parts in 1 and l.
+
+    Lines are in half images from the middle; well beyond the image the values stay the same.
+    """
     lines = np.clip(lines, -1.2, 1.2)
     number = np.arange(1, _WAVES + 1)[:, None]
-    # The integral of cosine and line over that of the line's square.
+    # The part in l: the integral of the cosine times l, over that of l^2.
     linear = 6 * ((-1.0) ** number - 1) / (np.pi * number) ** 2
     return np.asarray((np.cos(np.pi * number * (lines + 1) / 2) - linear * lines) / number)
 
@@ -311,12 +316,12 @@ class PolynomialCamera(LinearCamera):
         self.half_image = half_image
         self.powers = tuple(powers)
         self.groups = tuple(_group(p) for p in powers) * 2
-        # Perspective over an image is its ground by the distance, known to a third as that is.
-        perspective = _UNSURE * half_ground / DISTANCE
+        # The perspective over an image is its ground divided by the distance, and as uncertain.
+        perspective = _DISTANCE_SPREAD * half_ground / DISTANCE
         prior_sigma = {_QUADRATIC: 0.003, _CUBIC: 0.0005, _RELIEF: max(perspective, 0.003)}
-        min_sigma = {_QUADRATIC: _STRAIGHTEST, _RELIEF: perspective / 2}
-        # Terms of degree 0 and 1 are free, but for heights: a metre up moves a place in the image
-        # at most some one metre along the ground.
+        min_sigma = {_QUADRATIC: _MIN_QUADRATIC, _RELIEF: perspective / 2}
+        # Terms of degree 0 and 1 are free but for heights: a metre up moves the image by about a
+        # metre on the ground at most.
         self.prior_sigma = tuple(
             half_image * prior_sigma.get(name, 0.5 if power[2] else 10.0)
             for name, power in zip(self.groups, self.powers * 2, strict=True))
@@ -324,38 +329,37 @@ class PolynomialCamera(LinearCamera):
                                for name in self.groups)
 
     def with_parameters(self, keep: BoolArray) -> PolynomialCamera:
-        """Return the camera with some of its monomials: those that are true in `keep` (2m,).
-
-        The mask has the same monomials for the line as for the sample.
-        """
+        """Return the camera with the monomials that are true in the mask `keep` (2m,)."""
+        # The mask has the same monomials for the line as for the sample.
         powers = [power for power, is_kept in zip(
             self.powers, keep[:len(self.powers)], strict=True) if is_kept]
         return PolynomialCamera(self.centre, self.half, self.half_image, self.middle, powers)
 
     def perspective(self, parameters: FloatArray, local: FloatArray) -> FloatArray | float:
-        """Return the perspective (n, 2) [px] of the rays that parameters (2m,) of x, y, z describe.
-        """
+        """Return the perspective (n, 2) [px] at positions (n, 3), by the ray of parameters."""
         scaled = (local - self.centre) / self.half
         forms = self._quadratic_forms(split_by_axis(parameters)[self._slopes])
-        # The quadratic form p^T F p of each place p, for line and sample.
+        # p^T F p of each scaled position p, with the forms F of line and sample.
         return np.asarray(np.einsum("ni,aij,nj->na", scaled, forms, scaled))
 
     def jacobian(self, parameters: FloatArray, local: FloatArray, fixed: Fixed = None,
                  ) -> FloatArray:
-        """Return the derivatives by all parameters, those of the perspective, too."""
+        """Return the derivatives (n, 2, 2m) by all parameters, with those of the perspective."""
         derivatives = super().jacobian(parameters, local, fixed)
         m = len(self.powers)
         scaled = (local - self.centre) / self.half
         step = 1e-4 * self.half_image
-        of_slopes = split_by_axis(parameters)[self._slopes]
-        # Only the terms of degree 1 turn the rays: central differences of their quadratic forms.
+        slopes = split_by_axis(parameters)[self._slopes]
+        # The ray depends on the terms of degree 1 alone: central differences of the forms by these.
         for axis, (k, at) in product(range(2), enumerate(self._slopes)):
-            ahead = of_slopes.copy()
-            behind = of_slopes.copy()
+            ahead = slopes.copy()
+            behind = slopes.copy()
             ahead[k, axis] += step
             behind[k, axis] -= step
-            slope = (self._quadratic_forms(ahead) - self._quadratic_forms(behind)) / (2 * step)
-            derivatives[:, :, axis * m + at] += np.einsum("ni,aij,nj->na", scaled, slope, scaled)
+            form_slope = (self._quadratic_forms(ahead)
+                          - self._quadratic_forms(behind)) / (2 * step)
+            derivatives[:, :, axis * m + at] += np.einsum(
+                "ni,aij,nj->na", scaled, form_slope, scaled)
         return derivatives
 
     @property
@@ -364,21 +368,24 @@ class PolynomialCamera(LinearCamera):
         return [self.powers.index(axis) for axis in _AXES]
 
     def _quadratic_forms(self, slopes: FloatArray) -> FloatArray:
-        """Return what line and sample add, quadratic in places (2, 3, 3), by their slopes (3, 2).
+        """Return the quadratic forms (2, 3, 3) of the perspective in line and sample.
+
+        `slopes` (3, 2) are the terms of x, y and z in line and sample. The forms are zeros if the
+        ray is nearly level, as no image from above has it.
         """
         line, sample = slopes.T
-        # Where neither line nor sample changes: across the gradients of both.
+        # Along the ray neither line nor sample changes: it is across the gradients of both.
         ray = np.cross(line, sample)
-        # No image from above has a ray that is nearly level: it gets no perspective.
         if abs(ray[2]) <= 1e-3 * np.linalg.norm(ray):
             return np.zeros((2, 3, 3))
-        # Of length 1, and downwards.
+        # The ray has length 1, and leads downwards.
         ray *= -np.sign(ray[2]) / np.linalg.norm(ray)
-        # Where the ground that one sample sees is a line later.
+        # m of the class: the way on the ground that changes the line by 1, and the sample by 0.
         way = np.array([sample[1], -sample[0]]) / (line[0] * sample[1] - line[1] * sample[0])
-        away = ray - (ray[:2] @ way) * line
-        return np.stack([-self.half / _EARTH * np.outer(line, (0, 0, 1)),
-                         -self.half / DISTANCE * np.outer(sample, away)])
+        # r p - (r m) l, as a linear form of p.
+        distance_form = ray - (ray[:2] @ way) * line
+        return np.stack([-self.half / _EARTH_RADIUS * np.outer(line, (0, 0, 1)),
+                         -self.half / DISTANCE * np.outer(sample, distance_form)])
 
     @property
     def scales(self) -> tuple[str, ...]:
@@ -390,7 +397,7 @@ class PolynomialCamera(LinearCamera):
         return self.centre, np.full(2, self.half)
 
     def first_order(self, local: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the image's middle for each place (n, 2) [px], and the monomials (n, m)."""
+        """Return the middle of the image for each position (n, 2) [px], and monomials (n, m)."""
         x, y, z = ((local - self.centre) / self.half).T
         columns = np.stack([x**a * y**b * z**c for a, b, c in self.powers], axis=1)
         return np.tile(self.middle, (len(local), 1)), columns
@@ -399,7 +406,7 @@ class PolynomialCamera(LinearCamera):
 def _group(power: tuple[int, ...]) -> str:
     """Return the group of a monomial by its exponents of x, y and z.
 
-    Up to degree 1 affine; beyond it relief if z has a part in it, else quadratic or cubic.
+    It is affine up to degree 1, relief beyond it if z is in it, and else quadratic or cubic.
     """
     degree = sum(power)
     if degree < 2:

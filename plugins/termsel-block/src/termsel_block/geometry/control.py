@@ -41,8 +41,8 @@ class OwnControl:
         return len(self.value)
 
     def points(self) -> tuple[FloatArray, FloatArray]:
-        """Return places (n, 3) [m] and image positions (n, 2) [px] of the points alone."""
-        # The two rows of a point measure in different directions, those of a line in the same one.
+        """Return the positions (n, 3) [m] and line and sample (n, 2) [px] of the points alone."""
+        # The two rows of a point have different directions, those of a line the same one.
         at = np.flatnonzero((self.normal[::2] != self.normal[1::2]).any(axis=1))
         return self.local[2 * at], np.stack([self.value[2 * at], self.value[2 * at + 1]], axis=1)
 
@@ -50,7 +50,7 @@ class OwnControl:
 def control_equations(features: FeatureSet | None, frame: Frame) -> OwnControl:
     """Return the equations of points with the role control, check or none, and of all lines.
 
-    Two rows of a point (line, sample), two of a line (its vertices); no rows without features.
+    A point has two rows, its line and its sample, and a line one for each vertex. None has no rows.
     """
     if features is None:
         return OwnControl(np.empty((0, 3)), np.empty((0, 2)), np.empty(0), np.empty(0), ())
@@ -58,10 +58,10 @@ def control_equations(features: FeatureSet | None, frame: Frame) -> OwnControl:
     lines = features.lines
     n = len(points)
     k = len(lines)
-    # Only ratios count: the standard deviation of all control is estimated by the block.
+    # Deviations are relative, as the block estimates that of all control.
     sigma = np.ones((n, 2)) if points.sigma is None else points.sigma / np.median(points.sigma)
-    across = np.ones(k) if lines.sigma is None else lines.sigma / np.median(lines.sigma)
-    # A line n . (line, sample) = rho: both its ground vertices must lie on it.
+    line_sigma = np.ones(k) if lines.sigma is None else lines.sigma / np.median(lines.sigma)
+    # Both ground vertices of a line lie on the image line normal . (line, sample) = rho.
     normal, rho = line_normals(lines)
     axes = np.tile(np.eye(2), (n, 1))
     return OwnControl(
@@ -69,7 +69,7 @@ def control_equations(features: FeatureSet | None, frame: Frame) -> OwnControl:
                         frame.local(lines.ground.reshape(-1, 3))]),
         np.concatenate([axes, np.repeat(normal, 2, axis=0)]),
         np.concatenate([points.image.ravel(), np.repeat(rho, 2)]),
-        np.concatenate([sigma.ravel(), np.repeat(across, 2)]),
+        np.concatenate([sigma.ravel(), np.repeat(line_sigma, 2)]),
         tuple(np.repeat(points.ids, 2).tolist() + np.repeat(lines.ids, 2).tolist()))
 
 

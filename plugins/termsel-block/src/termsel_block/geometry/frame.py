@@ -45,12 +45,11 @@ class Frame:
 
     @classmethod
     def at(cls, ground: FloatArray, crs: str) -> Self:
-        """Return the frame at the middle of places of a CRS, shape (n, 3)."""
+        """Return the frame at the medians of ground coordinates (n, 3) of a CRS."""
         middle = np.median(ground, axis=0)
         if crs == LOCAL:
             return cls(crs, middle, np.eye(3))
-        # The axes of a local tangent plane at the middle: east, north, up, in earth-fixed
-        # coordinates.
+        # East, north and up at the middle, in Earth-fixed coordinates.
         geodetic = to_wgs84(crs)(middle[None])
         lon, lat = np.radians(geodetic[0, :2])
         east = [-np.sin(lon), np.cos(lon), 0.0]

@@ -16,17 +16,17 @@ from termsel_block.geometry.frame import BoolArray, FloatArray, Frame, IntArray
 Surface = Callable[[FloatArray], FloatArray]
 """Heights [m] at ground coordinates x and y (n, 2), above what their CRS says."""
 
-# In m.
-_SLOPE_OVER = 10.0
-_LIKE_GROUND, _LIKE_ERRORS = 6.0, 30.0
+# Distance over which the slope of a surface is taken [m].
+_SLOPE_STEP = 10.0
+_MAX_COUNT_GROUND, _MAX_COUNT_DEM = 6.0, 30.0
 """Independent heights in an image at most: neighbours share hills, and a DEM's errors."""
-OFF = 10.0
+DEM_OFFSET_SIGMA = 10.0
 """Standard deviation of how far a DEM is off as a whole [m]: most are by another geoid."""
-_OF_GROUND, _OF_ERRORS = 20.0, 5.0
-"""Usual roughness of level ground and of a DEM's errors [m]: it counts as `_AS_MANY` ties do."""
-# In m.
+_GROUND_ROUGHNESS, _DEM_ROUGHNESS = 20.0, 5.0
+"""Usual roughness of level ground and of a DEM's errors [m]; it counts as `_PRIOR_COUNT` ties."""
+# Least roughness [m].
 _MIN_ROUGHNESS = 0.5
-_AS_MANY = 2.0
+_PRIOR_COUNT = 2.0
 # Robust standard deviations beyond which a height shows nothing more of the roughness.
 _OUTLYING = 4.0
 _MAD = 1.4826
@@ -55,9 +55,9 @@ class ControlHeights:
     of_rows: tuple[IntArray, ...] = ()
 
     def in_use_by_most(self, rows: Sequence[BoolArray]) -> BoolArray:
-        """Return which heights (h,) are in use in most of the rows that images have of them.
+        """Return which heights (k,) are in use in more than half of the rows that have them.
 
-        `rows` says of each image which of its rows of control are in use.
+        `rows` marks the rows of control in use, (n,) of each image.
         """
         votes = np.zeros(len(self.over))
         for index, used in zip(self.of_rows, rows, strict=True):
@@ -126,55 +126,52 @@ class Heights:
 
     def __post_init__(self) -> None:
         if np.isnan(self.sigma):
-            self.sigma = self.spread if self.surface is None else _OF_ERRORS
+            self.sigma = self.spread if self.surface is None else _DEM_ROUGHNESS
         self.control = self._heights_near_median(self.control_heights.over)
 
     def keep(self, rows: Sequence[BoolArray]) -> None:
-        """Take the heights of control most of whose rows are in use (see `in_use_by_most`)."""
+        """Keep the heights of control of which most rows are in use (see `in_use_by_most`)."""
         is_agreed = self.control_heights.in_use_by_most(rows)
         self.control = self._heights_near_median(self.control_heights.over[is_agreed])
 
     def _heights_near_median(self, over: FloatArray) -> FloatArray:
-        """Return the heights that are not far from the median of all.
-
-        An image without control follows the offset, so that a wrong height would shift it before
-        its row is told as a blunder. The prior counts as one height more.
-        """
+        """Return the heights over the surface that are not far from the median of all."""
+        # A wrong height would shift images without control, which follow the offset, before its row
+        # is found to be a blunder. The mean of the prior, 0, counts as one more height.
         with_prior = np.append(over, 0.0)
-        middle = np.median(with_prior)
-        # The prior counts as `_AS_MANY` heights of the usual roughness: a few that agree are no
-        # proof.
-        scale = _MAD * np.median(np.abs(with_prior - middle))
-        variance = (len(with_prior) * scale**2 + _AS_MANY * self._usual_roughness**2) / (
-            len(with_prior) + _AS_MANY)
-        return np.asarray(over[np.abs(over - middle) <= _OUTLYING * np.sqrt(variance)])
+        median = np.median(with_prior)
+        # The usual roughness counts as `_PRIOR_COUNT` heights, as a few may agree by chance.
+        scale = _MAD * np.median(np.abs(with_prior - median))
+        variance = (len(with_prior) * scale**2 + _PRIOR_COUNT * self._usual_roughness**2) / (
+            len(with_prior) + _PRIOR_COUNT)
+        return np.asarray(over[np.abs(over - median) <= _OUTLYING * np.sqrt(variance)])
 
     @property
     def _usual_roughness(self) -> float:
         """Usual roughness of what is over the surface [m]."""
-        return _OF_GROUND if self.surface is None else _OF_ERRORS
+        return _GROUND_ROUGHNESS if self.surface is None else _DEM_ROUGHNESS
 
     @property
     def _max_count(self) -> float:
         """Heights of one image or of control that count by themselves."""
-        return _LIKE_GROUND if self.surface is None else _LIKE_ERRORS
+        return _MAX_COUNT_GROUND if self.surface is None else _MAX_COUNT_DEM
 
     def tie_observations(self, ties: FloatArray) -> Observed:
-        """Return each tie's height as an observation of how far the surface is above it."""
+        """Return the heights of ties (t, 3) as observations against the surface."""
         away, joint = self._depth_below_surface(ties)
-        # Heights of a crowded image weigh less, so that all together count as `_max_count` at most.
+        # Heights of an image with many ties weigh less, so that all count as `_max_count` at most.
         weight = np.full(len(ties), self.sigma**-2 / max(self.crowd / self._max_count, 1.0))
         weight[~joint] = self.spread**-2
         row = np.zeros((len(ties), 3))
-        # Up is up, within the milliradians that a block is wide.
+        # The vertical of the frame is that of any tie, within the milliradians that a block spans.
         row[:, 2] = 1.0
         if self.surface is not None:
             height = self.surface(self.frame.ground(ties)[:, :2])
             # A slope of the ground makes the height over it depend on east and north, too.
             for axis in range(2):
                 shifted = ties.copy()
-                shifted[:, axis] += _SLOPE_OVER
-                slope = (self.surface(self.frame.ground(shifted)[:, :2]) - height) / _SLOPE_OVER
+                shifted[:, axis] += _SLOPE_STEP
+                slope = (self.surface(self.frame.ground(shifted)[:, :2]) - height) / _SLOPE_STEP
                 row[:, axis] = np.where(np.isfinite(slope), -slope, 0.0)
         return Observed(row, away, weight, joint)
 
@@ -186,32 +183,32 @@ class Heights:
                 (observed.weight * observed.away)[:, None] * observed.row)
 
     def offset_equation(self) -> tuple[float, float]:
-        """Return what prior and control add to the normal equation of the offset.
+        """Return what prior and control add to the normal equation of a change of the offset.
 
-        That is the weight [1/m2] and the right side [1/m], for a change of the offset as it is now.
+        They are a weight [1/m2] and a right side [1/m].
         """
-        # Normal equation (p + n w) o = w sum(h) of the offset o, less its value now.
+        # (p + n w) do = w sum(h - o) - p o, with n heights h of control and the present offset o.
         prior = self._weight_of_prior()
         weight = self._weight_of_control()
         return (prior + weight * len(self.control),
                 weight * float((self.control - self.offset).sum()) - prior * self.offset)
 
     def _weight_of_prior(self) -> float:
-        """Return the weight [1/m2] of the prior of the offset, whose mean is 0.
-
-        A DEM that is hundreds of metres off is not of the kind that is expected.
-        """
-        return (self.spread / 2 if self.surface is None else max(OFF, self.far, self.doubt)) ** -2
+        """Return the weight [1/m2] of the prior of the offset, whose mean is 0."""
+        # A DEM that is found to be hundreds of metres off gets a prior as wide as that.
+        if self.surface is None:
+            sigma = self.spread / 2
+        else:
+            sigma = max(DEM_OFFSET_SIGMA, self.far, self.doubt)
+        return sigma**-2
 
     def guessed_offset_weight(self) -> float | None:
-        """Return the weight [1/m2] of the prior of the offset if it is a guess, that of a DEM.
-
-        It is a guess as few DEMs are far off, but by any length. None without a DEM.
-        """
+        """Return the weight [1/m2] of the prior of a DEM's offset; None without a DEM."""
+        # That of a DEM is a guess: few are far off, but these by any length.
         return None if self.surface is None else self._weight_of_prior()
 
     def _weight_of_control(self) -> float:
-        """Return the weight [1/m2] of one height of control; all weigh as `_max_count` at most."""
+        """Return the weight [1/m2] of a height of control; all count as `_max_count` at most."""
         return self.sigma**-2 / max(len(self.control) / self._max_count, 1.0)
 
     def cost(self, ties: FloatArray) -> float:
@@ -223,12 +220,14 @@ class Heights:
                      + self._weight_of_control() * ((self.control - self.offset) ** 2).sum())
 
     def estimate(self, ties: FloatArray, covariance: FloatArray, is_seen: BoolArray) -> None:
-        """Estimate the roughness by the ties (t, 3) that are seen, and by control.
+        """Estimate the roughness by the ties that are seen and the heights of control, in place.
 
         Parameters
         ----------
+        ties : ndarray, shape (t, 3)
         covariance : ndarray, shape (t, 3, 3)
-            Of the ties' places, with the images as they are [m2].
+            Of the ties' positions, given the images [m2].
+        is_seen : ndarray of bool, shape (t,)
         """
         self.far = abs(self.offset)
         all_seen = self.tie_observations(ties)
@@ -237,30 +236,28 @@ class Heights:
         away = all_seen.away[at]
         # The variance of each height over the surface, by that of its position.
         variance = np.einsum("ti,tij,tj->t", row, covariance[at], row)
-        # As if each tie had the whole of its own prior, and not the part that crowding leaves.
+        # The weight of a tie's prior, lowered in `tie_observations`, is replaced by the full one.
         precision = np.maximum(1 / variance - all_seen.weight[at], 0.0) + self.sigma**-2
-        # Expected squares: residual plus variance, and heights of control as they are.
+        # The expected square of a height is residual^2 + variance; those of control are known.
         square = np.concatenate([away**2 + 1 / precision, (self.control - self.offset) ** 2])
         if not len(square):
             return
-        # Far heights count as those at the limit, so that a tower or a hole does not make hills.
+        # Squares are limited, so that a tower or a hole does not make the ground rough.
         largest_square = (_OUTLYING * _MAD) ** 2 * float(np.median(square))
         self.sigma = max(float(np.sqrt(
-            (np.minimum(square, largest_square).sum() + _AS_MANY * self._usual_roughness**2)
-            / (len(square) + _AS_MANY))), _MIN_ROUGHNESS)
+            (np.minimum(square, largest_square).sum() + _PRIOR_COUNT * self._usual_roughness**2)
+            / (len(square) + _PRIOR_COUNT))), _MIN_ROUGHNESS)
 
     def _depth_below_surface(self, ties: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return by how much ties (t, 3) are below the surface, (t,) [m], and which it covers,
-        (t,).
+        """Return the depths (t,) [m] of ties (t, 3) below the surface, and which have the offset.
 
-        The offset is part of it where the surface covers the tie, or there is none.
+        The offset is added to the surface except off the DEM, where the mean height is taken.
         """
         ground = self.frame.ground(ties)
         heights = self.frame.heights(ground)
-        over = self.mean - heights
+        below_mean = self.mean - heights
         if self.surface is None:
-            return over + self.offset, np.ones(len(ties), bool)
+            return below_mean + self.offset, np.ones(len(ties), bool)
         surface = self.surface(ground[:, :2])
-        # Off the DEM the mean height holds, and the offset has no part in it.
         is_known = np.isfinite(surface)
-        return np.where(is_known, surface + self.offset - heights, over), is_known
+        return np.where(is_known, surface + self.offset - heights, below_mean), is_known

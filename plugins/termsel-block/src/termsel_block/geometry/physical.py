@@ -19,7 +19,7 @@ from termsel_block.geometry.frame import BoolArray, FloatArray, Frame
 MIN_CONTROL_POINTS = 3
 """Control points from which such a model begins."""
 
-ABSURD = 0.01
+MAX_MISFIT_SHARE = 0.01
 """Error over the extent of an image from which on a model is not that of its points, and ties are
 no measurements."""
 
@@ -29,7 +29,7 @@ MODELS = ("An image without an RPC takes auto, or a model whose terms have prior
 _TERM_STEP = 1e-4
 """Change of a term, in its standard deviations, by which places are differentiated."""
 
-_BENDINGS = 2
+_CORRECTIONS = 2
 """Corrections of a step, which is bent."""
 
 _STEP_WEIGHT = 0.01
@@ -41,7 +41,7 @@ _FREE_SIGMA = 10.0
 _MEASURED_SHARE = 0.1
 """Share of a prior's variance that measurements take, from which on they show of the term."""
 
-_NAMED_FROM = 3.0
+_MIN_NAMED_SIGMAS = 3.0
 """Standard deviations beyond which a term is named."""
 
 
@@ -103,7 +103,7 @@ class PhysicalCamera(Camera):
             raise TermselError(f"the terms of the model {self.model.name!r} have no priors, which "
                                "few points need", hint=MODELS)
         self.has_prior = inverse_sigma > 0
-        # Relative to the smallest standard deviation; a term without a prior is free to move.
+        # The smallest standard deviation is taken for 1.
         relative = inverse_sigma.max() / np.maximum(inverse_sigma, 1e-300)
         self.scale = np.where(self.has_prior, relative, _FREE_SIGMA)
         self.start = terms / self.scale
@@ -125,17 +125,18 @@ class PhysicalCamera(Camera):
         return self
 
     def project(self, parameters: FloatArray, local: FloatArray, fixed: Fixed = None) -> FloatArray:
-        """Return line and sample (n, 2) [px] of places (n, 3) by the model's equations."""
+        """Return line and sample (n, 2) [px] of positions (n, 3) by the model's equations."""
         return np.asarray(self._project_with_terms((parameters * self.scale)[None], local)[0])
 
     def jacobian(self, parameters: FloatArray, local: FloatArray, fixed: Fixed = None,
                  ) -> FloatArray:
-        """Return the derivatives (n, 2, p) by central differences, for all terms at once."""
+        """Return the derivatives (n, 2, p) of line and sample by the parameters."""
         return self._jacobian_and_image(parameters, local)[0]
 
     def _jacobian_and_image(self, parameters: FloatArray,
                             local: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the derivatives (n, 2, p), and line and sample (n, 2), by one projection."""
+        # Central differences of all terms; the last set of terms is the parameters themselves.
         terms = parameters * self.scale
         steps = _TERM_STEP * np.diag(self.scale)
         images = self._project_with_terms(
@@ -146,63 +147,67 @@ class PhysicalCamera(Camera):
 
     def parameters_after_step(self, parameters: FloatArray, step: FloatArray, aim: FloatArray,
                               local: FloatArray) -> FloatArray:
-        """Return parameters after a step (see `Camera.parameters_after_step`).
+        """Return parameters (p,) near those after a step, whose images are nearly at the aim.
 
-        Altitude, pixel and period together hardly show. A step along them is bent back to where it
-        has to be seen, else only small ones would make things better.
+        See `Camera.parameters_after_step`. Without positions it is the step alone.
         """
+        # Altitude, pixel and period together hardly change the image, so that a step along them is
+        # long, and to second order leaves its aim. Without correction only short steps would help.
         stepped = super().parameters_after_step(parameters, step, aim, local)
-        bent = stepped
-        for _ in range(_BENDINGS if len(local) else 0):
-            slopes, image = self._jacobian_and_image(bent, local)
-            rows = slopes.reshape(-1, bent.size)
-            misses = (aim - image).ravel()
-            # Least squares of the misses, which stay near the step in what does not show:
-            # (J^T J + w I) d = J^T m + w (stepped - bent).
-            right = rows.T @ misses + _STEP_WEIGHT * (stepped - bent)
-            bent = np.asarray(bent + np.linalg.solve(
-                rows.T @ rows + _STEP_WEIGHT * np.eye(bent.size), right))
-        return bent
+        corrected = stepped
+        for _ in range(_CORRECTIONS if len(local) else 0):
+            slopes, image = self._jacobian_and_image(corrected, local)
+            rows = slopes.reshape(-1, corrected.size)
+            residuals = (aim - image).ravel()
+            # (J^T J + w I) d = J^T r + w (stepped - corrected): least squares of the residuals,
+            # which keeps what they do not show near the step.
+            right = rows.T @ residuals + _STEP_WEIGHT * (stepped - corrected)
+            corrected = np.asarray(corrected + np.linalg.solve(
+                rows.T @ rows + _STEP_WEIGHT * np.eye(corrected.size), right))
+        return corrected
 
-    def with_priors(self, of_terms: Mapping[str, float], parameters: FloatArray,
+    def with_priors(self, factors: Mapping[str, float], parameters: FloatArray,
                     ) -> tuple[PhysicalCamera, FloatArray]:
-        """Return the camera with other standard deviations, and its parameters (p,) by them.
+        """Return the camera with other standard deviations, and its parameters (p,) in these units.
 
         Parameters
         ----------
-        of_terms : mapping
-            What the standard deviation of each stated term is times that of the model.
+        factors : mapping
+            Standard deviation of each stated term, divided by that of the model.
+        parameters : ndarray, shape (p,)
         """
         other_camera = copy(self)
         other_camera.sigma_factors = np.ones(parameters.size)
         for name, index in self.stated_terms.items():
-            other_camera.sigma_factors[index] = of_terms[name]
-        # Terms stay what they are: a larger unit makes smaller parameters.
+            other_camera.sigma_factors[index] = factors[name]
+        # The terms do not change, so that a larger unit makes smaller parameters.
         ratio = other_camera.sigma_factors / self.sigma_factors
         other_camera.scale = self.scale * ratio
         other_camera.start = self.start / ratio
         return other_camera, np.asarray(parameters / ratio)
 
     def area(self) -> tuple[FloatArray, FloatArray]:
-        """Return middle and half widths of the ground that the start knows."""
+        """Return the middle (3,) and half widths (2,) [m] of the ground of the points at the start.
+        """
         return self._area
 
     def contradicted(self, parameters: FloatArray, covariance: FloatArray) -> Contradiction:
-        """Return how far parameters (p,) are from the model's priors.
+        """Return how much parameters contradict the model's priors.
 
         Parameters
         ----------
+        parameters : ndarray, shape (p,)
         covariance : ndarray, shape (p, p)
             Of their posterior.
 
         Notes
         -----
-        Where the priors are true, a posterior mean has the variance of the prior less that of the
-        posterior. What measurements do not show has neither, and is left out.
+        If the priors are true, a posterior mean has the variance of the prior less that of the
+        posterior. Directions in which measurements show nothing are left out.
         """
         at = np.flatnonzero(self.has_prior)
         mean = parameters[at]
-        # Directions and variances of I - C, the covariance of a posterior mean by true priors.
+        # The covariance of a posterior mean by true priors is I - C.
         values, vectors = np.linalg.eigh(np.eye(len(at)) - covariance[np.ix_(at, at)])
         is_measured = values > _MEASURED_SHARE
         square = float(((vectors[:, is_measured].T @ mean) ** 2 / values[is_measured]).sum())
@@ -210,22 +215,23 @@ class PhysicalCamera(Camera):
         names = np.array(self.model.terms)[at]
         farthest = np.argsort(-np.abs(mean))[:3]
         named = [f"{names[k]} by {abs(mean[k]):.1f}" for k in farthest
-                 if abs(mean[k]) > _NAMED_FROM]
+                 if abs(mean[k]) > _MIN_NAMED_SIGMAS]
         return Contradiction(float(chdtrc(freedom, square)), square / freedom, tuple(named))
 
     def _project_with_terms(self, terms: FloatArray, local: FloatArray) -> FloatArray:
-        """Return line and sample (q, n, 2) [px] of places (n, 3) by each of q sets of terms (q, k).
+        """Return line and sample (q, n, 2) [px] of positions (n, 3) by each of q sets of terms.
 
-        NaN by terms that are no camera.
+        They are NaN for terms (q, p) by which the positions are not seen.
         """
-        # A step to no camera at all gives nan here, and is then made shorter.
+        # A step too far leads there, which the cost shows.
         with np.errstate(all="ignore"):
             scaled = self.model.project(terms, self.scaling.ground(self.frame.ground(local)))
         return np.asarray(self.scaling.pixels(scaled))
 
 
 def hint_for_block(hint: str | None) -> str:
-    """Return a hint for the commands of one image as one for the file of a block."""
+    """Return a hint for the commands of one image in the words of the file of a block; "" of None.
+    """
     hint = hint or ""
     if "--rpc" in hint:
         return ("Name the RPC as rpc of the image, control as points, and a correction as model, "
@@ -242,9 +248,11 @@ class PhysicalModel:
     options: Mapping[str, Any]
 
     def fitted(self, frame: Frame, local: FloatArray, image: FloatArray, of: str) -> PhysicalCamera:
-        """Return the camera fitted to places (n, 3) seen at (n, 2) in an image called `of`.
+        """Return the camera fitted to points of an image called `of`.
 
-        Raises TermselError if it cannot be fitted, or misses half of the points absurdly.
+        `local` (n, 3) are their positions in the frame [m], `image` (n, 2) their lines and samples.
+        Raises TermselError if it cannot be fitted, or if the median of its residuals is beyond
+        `MAX_MISFIT_SHARE` of the extent of the points.
         """
         points = Points(tuple(map(str, range(len(local)))), image, frame.ground(local))
         try:
@@ -253,11 +261,12 @@ class PhysicalModel:
         except TermselError as error:
             raise TermselError(f"image {of!r}: {error.what}",
                                hint=hint_for_block(error.hint)) from error
-        # Up to half of the points may be blunders; a model that misses more is not theirs.
-        missed = float(np.median(np.hypot(*(image - camera.project(camera.start, local)).T)))
-        if not missed <= ABSURD * float(np.ptp(image, axis=0).max()):
+        # Up to half of the points may be blunders. The median is NaN if so many are not seen.
+        median = float(np.median(np.hypot(*(image - camera.project(camera.start, local)).T)))
+        fits = median <= MAX_MISFIT_SHARE * float(np.ptp(image, axis=0).max())
+        if not fits:
             raise TermselError(f"image {of!r}: model {self.name!r} misses half of its points by "
-                               f"{missed:,.0f} px or more",
+                               f"{median:,.0f} px or more",
                                hint="Check the options of the model, above all the sensor, and "
                                     "the points.")
         return camera

@@ -26,18 +26,18 @@ from termsel_block.joint import BlockResult
 from termsel_block.shown.record import BlockRecord, WrongControl, WrongTie, times_seen
 from termsel_block.shown.summary import block_facts, read_in, reason_of
 
-# Ties in a picture.
 _SIGMA_COLOURS = ("#5aae3c", "#2f8fa0", "#8a5cc9")
 """Colours of dots from a small to a large uncertainty, seen on light and dark pages."""
-_DRAWN_TIES = 3000
-# Images in the picture of their RMSE.
-_IMAGES = 40
-# Images whose outlines have colours of their own.
-_TOLD_APART = 20
+# Most ties in a picture.
+_MAX_TIES = 3000
+# Most images in the picture of their RMSE.
+_MAX_IMAGES = 40
+# Most images whose outlines have colours of their own.
+_MAX_COLOURS = 20
 # Px of a map: its longer side, and the least of the other.
-_SIDE, _NARROW = 560.0, 220.0
-# Measurements left out that the page names.
-_LISTED = 50
+_MAP_SIDE, _MIN_MAP_SIDE = 560.0, 220.0
+# Most rejected observations that the page names.
+_MAX_LISTED = 50
 
 
 def page_of(result: BlockResult, record: BlockRecord) -> str:
@@ -87,14 +87,14 @@ def _image_table(record: BlockRecord) -> TableBlock:
 
 def _images_shown(record: BlockRecord) -> str:
     """Return how many images of all are shown, as part of a sentence; empty if all are."""
-    has_more = len(record.images) > _IMAGES
-    return f"; {_IMAGES} of {len(record.images)} are shown" if has_more else ""
+    has_more = len(record.images) > _MAX_IMAGES
+    return f"; {_MAX_IMAGES} of {len(record.images)} are shown" if has_more else ""
 
 
 def _ties_shown(result: BlockResult) -> str:
     """Return how many ties of all are shown, as part of a sentence; empty if all are."""
     count = len(_located_ties(result))
-    return f"; {_DRAWN_TIES:,} of {count:,} are shown" if count > _DRAWN_TIES else ""
+    return f"; {_MAX_TIES:,} of {count:,} are shown" if count > _MAX_TIES else ""
 
 
 def _located_ties(result: BlockResult) -> IntArray:
@@ -103,9 +103,10 @@ def _located_ties(result: BlockResult) -> IntArray:
 
 
 def _rejected_table(record: BlockRecord) -> Iterator[TableBlock | str]:
-    """Yield a table of rejected observations, control then ties, the worst of each first.
+    """Yield a table of rejected observations, and a line on how many are left out, if any.
 
-    After it a line on how many it leaves out, if any; nothing if no observation was rejected.
+    The table has control and then ties, the worst of each first. Nothing is yielded if no
+    observation was rejected.
     """
     rejected: list[tuple[str, WrongTie | WrongControl]] = [
         ("control", wrong) for wrong in record.wrong_control]
@@ -115,57 +116,59 @@ def _rejected_table(record: BlockRecord) -> Iterator[TableBlock | str]:
     columns: tuple[str, ...] = ("id", "image", "kind", "distance [px]", "remark")
     rows: list[tuple[str, ...]] = [
         (wrong.id, wrong.image, kind, f"{wrong.error:.1f}", reason_of(wrong, record))
-        for kind, wrong in rejected[:_LISTED]]
+        for kind, wrong in rejected[:_MAX_LISTED]]
     if not any(row[-1] for row in rows):  # nothing to remark
         columns, rows = columns[:-1], [row[:-1] for row in rows]
     yield TableBlock("Observations that were rejected, the worst first", columns, rows)
-    if len(rejected) > _LISTED:
-        yield f"{len(rejected) - _LISTED} more are in block.json."
+    if len(rejected) > _MAX_LISTED:
+        yield f"{len(rejected) - _MAX_LISTED} more are in block.json."
 
 
 def _ground_chart(result: BlockResult) -> Any:
-    """Return a chart of the ground: ties, control and the hulls of images, with one scale [km]."""
+    """Return a chart of the ground [km] with ties, control and the hulls of the images' ties.
+
+    Both axes have one scale. An image of fewer than three ties, or of ties on a line, has no hull.
+    """
     import altair as alt
     from scipy.spatial import ConvexHull, QhullError
 
     ties = result.block.ties
     state = result.adjusted.state
-    placed = _located_ties(result)
-    # Evenly over the list, as many as a browser draws in good time.
-    drawn = placed[np.linspace(0, len(placed) - 1, min(_DRAWN_TIES, len(placed))).astype(int)]
+    located = _located_ties(result)
+    # As many as a browser draws in good time, evenly over the list.
+    shown = located[np.linspace(0, len(located) - 1, min(_MAX_TIES, len(located))).astype(int)]
     dots = [{"east": float(e), "north": float(n), "sigma": float(s)} for e, n, s in zip(
-        state.ties[drawn, 0] / 1000, state.ties[drawn, 1] / 1000, result.sigma_ties[drawn, 2],
+        state.ties[shown, 0] / 1000, state.ties[shown, 1] / 1000, result.sigma_ties[shown, 2],
         strict=True)]
-    # Images may share control: each position is drawn once.
+    # Control that several images share is drawn once.
     control = np.unique(np.concatenate([
         control_of_image.local[used, :2] for control_of_image, used in zip(
             result.control, state.control_in_use, strict=True)]) / 1000, axis=0)
     marks = [{"east": float(e), "north": float(n)} for e, n in control]
     outlines = []
     for i, image in enumerate(result.block.images):
-        of_image = ties.tie[ties.image == i]
-        outline = state.ties[of_image[np.isin(of_image, placed)], :2] / 1000
+        image_ties = ties.tie[ties.image == i]
+        ground = state.ties[image_ties[np.isin(image_ties, located)], :2] / 1000
         try:
-            hull = ConvexHull(outline).vertices
+            hull = ConvexHull(ground).vertices
         except (QhullError, ValueError):
-            # Fewer than three, or on a line.
             continue
         # The outline is closed: the first vertex comes again at the end.
-        outlines += [{"east": float(outline[k, 0]), "north": float(outline[k, 1]), "order": order,
+        outlines += [{"east": float(ground[k, 0]), "north": float(ground[k, 1]), "order": order,
                       "image": image.name} for order, k in enumerate([*hull, hull[0]])]
-    all_ground = [state.ties[placed, :2] / 1000, control]
+    all_ground = [state.ties[located, :2] / 1000, control]
     (x_of, width), (y_of, height) = _equal_scales(np.concatenate(all_ground))
     x = alt.X("east:Q", title="east [km]", scale=alt.Scale(domain=x_of, nice=False),
               axis=alt.Axis(tickCount=width / 60))
     y = alt.Y("north:Q", title="north [km]", scale=alt.Scale(domain=y_of, nice=False),
               axis=alt.Axis(tickCount=height / 60))
     names = list(dict.fromkeys(row["image"] for row in outlines))
-    # More than _TOLD_APART nobody tells apart.
+    # Nobody tells more than _MAX_COLOURS colours apart.
     palette = {"range": METHODS[:len(names)]} if len(names) <= len(METHODS) else {
         "scheme": "tableau20"}
     colour = alt.Color("image:N", title="image", sort=names, legend=alt.Legend(columns=6),
                        scale=alt.Scale(domain=names, **palette))
-    if len(names) > _TOLD_APART:
+    if len(names) > _MAX_COLOURS:
         colour = alt.value("#888")
     hulls = alt.Chart(chart_rows(outlines)).mark_line(strokeWidth=1.5).encode(
         x=x, y=y, order="order:Q", detail="image:N", color=colour)
@@ -179,26 +182,26 @@ def _ground_chart(result: BlockResult) -> Any:
 
 
 def _equal_scales(ground: FloatArray) -> list[tuple[list[float], float]]:
-    """Return domain [km] and size [px] of either axis, with as many px a kilometre in both."""
+    """Return domain [km] and size [px] of each axis for points (n, 2), with one scale."""
     low = ground.min(axis=0)
     high = ground.max(axis=0)
     # A margin of 2 % on each side.
     extent = np.maximum(1.04 * (high - low), 1e-3)
-    scale = _SIDE / extent.max()
-    # A narrow block still gets a map that can be read: the short side is made longer.
-    extent = np.maximum(extent, _NARROW / scale)
+    scale = _MAP_SIDE / extent.max()
+    # The short side of a narrow block is made longer, so that its map can be read.
+    extent = np.maximum(extent, _MIN_MAP_SIDE / scale)
     return [([float(middle - half), float(middle + half)], float(2 * half * scale))
             for middle, half in zip((low + high) / 2, extent / 2, strict=True)]
 
 
 def _tie_rmse_chart(record: BlockRecord) -> Any:
-    """Return a chart of two bars an image: the RMSE of its ties, and the predicted one.
+    """Return a chart with two bars for each image: the RMSE of its ties, and the predicted one.
 
-    The least certain images come first, and of many only the first _IMAGES are shown.
+    The least certain images come first; of many the first `_MAX_IMAGES` are shown.
     """
     import altair as alt
 
-    images = sorted(record.images, key=lambda image: -image.uncertainty)[:_IMAGES]
+    images = sorted(record.images, key=lambda image: -image.uncertainty)[:_MAX_IMAGES]
     rows = []
     for image in images:
         rows.append({"image": image.name, "what": "ties", "px": image.rmse_ties})
@@ -212,14 +215,15 @@ def _tie_rmse_chart(record: BlockRecord) -> Any:
 
 
 def _residual_histogram(result: BlockResult) -> Any:
-    """Return a histogram of the distances [px] of ties from the model; the last bar is all beyond.
+    """Return a histogram of the distances [px] of ties from the model.
+
+    The last bar has all distances of nearly six standard deviations and more.
     """
     import altair as alt
-
-    far = np.concatenate([np.hypot(*residuals.T) for residuals in result.adjusted.residuals])
-    # All beyond six standard deviations are one bar, so that the others can be seen.
+    distances = np.concatenate([np.hypot(*residuals.T) for residuals in result.adjusted.residuals])
+    # Without a limit a few blunders would make all others one bar.
     limit = 6 * result.adjusted.state.sigma_ties
-    count, edges = np.histogram(np.minimum(far, limit), bins=24, range=(0, limit))
+    count, edges = np.histogram(np.minimum(distances, limit), bins=24, range=(0, limit))
     rows = [{"from": float(a), "to": float(b), "count": int(n)}
             for a, b, n in zip(edges[:-1], edges[1:], count, strict=True)]
     return alt.Chart(chart_rows(rows)).mark_rect(color=CONTROL).encode(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 from typing import Any
 
 import msgspec
@@ -19,17 +20,17 @@ from termsel_block.joint import BlockResult
 
 BLOCK_SCHEMA = "termsel-block-1"
 
-_COARSE = 2.0
+_COARSE_PX = 2.0
 """Standard deviation of a tie [px] that is worth a doubt."""
 _LARGE_CORRECTION = 50.0
 """Difference of a correction over an image [px]: vendors' RPCs drift by far less."""
-_NAMED_IMAGES, _MOVING = 3, 1e-3
+_NAMED_IMAGES, _MIN_MOVE = 3, 1e-3
 """Images that are named, and how far one moves that has not settled [px]."""
-_FEW = 0.5
+_MIN_SHARE_IN_USE = 0.5
 """Share of an image's ties or control in use below which they are hardly all blunders."""
-_BEYOND = 2.0
+_MAX_HALF_RANGES = 2.0
 """Half ranges of an RPC's heights beyond which no ground is: vendors state them with a margin."""
-_OFF = 12.0
+_LARGE_DEM_OFFSET = 12.0
 """Metres that a DEM is off as a whole: geoid and ellipsoid are tens apart."""
 
 
@@ -129,14 +130,14 @@ def block_schema() -> dict[str, Any]:
 def record_of(result: BlockResult) -> BlockRecord:
     """Return the record of a block: images, ties, blunders, figures and notes, as in block.json.
 
-    `independent` is None without independent check points on the ground.
+    `independent` is None without independent points that two images see.
     """
     block = result.block
     adjusted = result.adjusted
     images = [_image_record(result, i) for i in range(len(block.images))]
     space = errors_in_space(result)
     joined_images = connected_images(block.ties.tie, block.ties.image, len(block.images))
-    # A tie in a single image has no place of its own in space.
+    # A tie in a single image has no position of its own.
     east, north, up = np.median(result.sigma_ties[times_seen(result) > 1], axis=0).tolist()
     parts = []
     for indices in joined_images:
@@ -155,7 +156,10 @@ def record_of(result: BlockResult) -> BlockRecord:
 
 
 def _advice_on_photos(result: BlockResult) -> str:
-    """Return the way out for photos that were taken for images of an unknown scanner, or ""."""
+    """Return advice for photos that may be taken for images of a scanner; "" if none may be.
+
+    Two images or more without an RPC and a model may be photos.
+    """
     unknown = [image for image in result.block.images if image.rpc is None
                and image.model == "auto"]
     if len(unknown) < 2:
@@ -165,17 +169,25 @@ def _advice_on_photos(result: BlockResult) -> str:
 
 
 def doubts_about_block(result: BlockResult) -> list[str]:
-    """Return what is unlikely of good data, as sentences with advice; [] if nothing is."""
+    """Return sentences with advice on what is unlikely of good data; [] if nothing is."""
+    return [*_doubts_about_adjustment(result),
+            *chain.from_iterable(_doubts_about_image(result, i)
+                                 for i in range(len(result.block.images))),
+            *_doubts_about_dem(result)]
+
+
+def _doubts_about_adjustment(result: BlockResult) -> list[str]:
+    """Return doubts about RPCs, ties, convergence, roles and models of the whole block."""
     adjusted = result.adjusted
     notes = [f"Image {image.name}: {doubt}" for image in result.block.images
              if image.rpc is not None and (doubt := rpc_without_record(image.rpc))]
-    if adjusted.state.sigma_ties > _COARSE:
+    if adjusted.state.sigma_ties > _COARSE_PX:
         notes.append(f"Ties agree to {adjusted.state.sigma_ties:.1f} px only, which is coarse for "
                     "measurements: check RPCs and ties, and that line and sample are not "
                     "exchanged." + _advice_on_photos(result))
     if not adjusted.converged:
         worst = [result.block.images[i].name for i in np.argsort(-adjusted.moved)[:_NAMED_IMAGES]
-                 if adjusted.moved[i] > _MOVING]
+                 if adjusted.moved[i] > _MIN_MOVE]
         notes.append((f"Images that still moved in the last step: {', '.join(worst)}. Give them "
                      if worst else "The precision of ties and control did not settle. Give images "
                      ) + "more control points or ties, or a plainer model.")
@@ -185,53 +197,62 @@ def doubts_about_block(result: BlockResult) -> list[str]:
         notes.append(f"{count_in_words(n_check, 'observation')} with the role check "
                      f"{'is' if n_check == 1 else 'are'} adjusted as control: only block-select "
                      "selects. Points with the role independent assess.")
-    notes += doubts_of_models(result.block, adjusted)
-    for i, image in enumerate(result.block.images):
-        used = adjusted.state.in_use[i]
-        if len(used) and used.mean() < _FEW:
-            notes.append(f"{(~used).sum()} of {len(used)} ties of {image.name} were left out: "
-                         "check "
-                        "its model, and whether the ties are of this image.")
-        control = adjusted.state.control_in_use[i]
-        if len(control) and control.mean() < _FEW:
-            notes.append(f"{(~control).sum() / len(control):.0%} of the control of {image.name} "
-                         "was rejected: check its coordinates and heights, and those of the DEM "
-                         "if there is one.")
-        # Ties and control may be of another image, another unit, or another datum: each shows
-        # elsewhere.
-        ties = adjusted.state.ties[result.block.ties.tie[result.block.ties.image == i]]
-        camera = result.camera(i)
-        if isinstance(camera, RpcCamera) and len(control):
-            heights = result.frame.geodetic(result.control[i].local)[:, 2]
-            # Heights of control over the mean height of the RPC, in half ranges of the RPC's
-            # heights.
-            over = heights - camera.rpc.ground_offset[2]
-            low = float(np.abs(over).min())
-            if low > _BEYOND * abs(camera.rpc.ground_scale[2]):
-                notes.append(f"The control of {image.name} is {low:.0f} m or more "
-                            f"{'above' if over[0] > 0 else 'below'} the mean height of its RPC: "
-                            "check the unit of its heights and what they refer to.")
-        if isinstance(camera, RpcCamera) and len(ties):
-            # What the correction adds over the image: constant for a shift, and then nothing to
-            # say.
-            bent = camera.correction(adjusted.state.parameters[i], ties)
-            if np.ptp(bent, axis=0).max() > _LARGE_CORRECTION:
-                notes.append(f"The correction of the RPC of {image.name} differs by "
-                            f"{np.ptp(bent, axis=0).max():.0f} px over the image: is it of another "
-                            "image?")
-    # Without control nothing but RPCs shows it, which are judged by a block without the DEM.
-    if (result.block.dem is not None and any(map(len, result.control))
-            and abs(adjusted.offset) > _OFF):
-        notes.append(
-            sentence_on_common_offset(-adjusted.offset, "the ground", "by control and ties"))
+    return notes + doubts_of_models(result.block, adjusted)
+
+
+def _doubts_about_image(result: BlockResult, i: int) -> list[str]:
+    """Return doubts about the ties, the control and the RPC of the i-th image."""
+    adjusted = result.adjusted
+    image = result.block.images[i]
+    notes = []
+    used = adjusted.state.in_use[i]
+    if len(used) and used.mean() < _MIN_SHARE_IN_USE:
+        notes.append(f"{(~used).sum()} of {len(used)} ties of {image.name} were left out: check "
+                     "its model, and whether the ties are of this image.")
+    control = adjusted.state.control_in_use[i]
+    if len(control) and control.mean() < _MIN_SHARE_IN_USE:
+        notes.append(f"{(~control).sum() / len(control):.0%} of the control of {image.name} was "
+                     "rejected: check its coordinates and heights, and those of the DEM if there "
+                     "is one.")
+    camera = result.camera(i)
+    if not isinstance(camera, RpcCamera):
+        return notes
+    if len(control):
+        heights = result.frame.geodetic(result.control[i].local)[:, 2]
+        above_mean = heights - camera.rpc.ground_offset[2]
+        least = float(np.abs(above_mean).min())
+        # The scale of an RPC's heights is half of their range.
+        if least > _MAX_HALF_RANGES * abs(camera.rpc.ground_scale[2]):
+            notes.append(f"The control of {image.name} is {least:.0f} m or more "
+                         f"{'above' if above_mean[0] > 0 else 'below'} the mean height of its "
+                         "RPC: check the unit of its heights and what they refer to.")
+    ties = adjusted.state.ties[result.block.ties.tie[result.block.ties.image == i]]
+    if len(ties):
+        # A shift is the same all over the image, and shows nothing, however large it is.
+        correction = camera.correction(adjusted.state.parameters[i], ties)
+        difference = np.ptp(correction, axis=0).max()
+        if difference > _LARGE_CORRECTION:
+            notes.append(f"The correction of the RPC of {image.name} differs by "
+                         f"{difference:.0f} px over the image: is it of another image?")
     return notes
 
 
-def doubts_about_predictions(images: Sequence[ImageRecord]) -> list[str]:
-    """Return which images independent points contradict, as a sentence; [] if they do none.
+def _doubts_about_dem(result: BlockResult) -> list[str]:
+    """Return a doubt about the heights of a DEM that control contradicts; [] without control."""
+    offset = result.adjusted.offset
+    # Without control RPCs alone contradict a DEM, for which `joint` adjusts a block without it.
+    if (result.block.dem is None or not any(map(len, result.control))
+            or abs(offset) <= _LARGE_DEM_OFFSET):
+        return []
+    return [sentence_on_common_offset(-offset, "the ground", "by control and ties")]
 
-    What control, ties and DEM have in common is in none of their residuals, and so in no interval.
+
+def doubts_about_predictions(images: Sequence[ImageRecord]) -> list[str]:
+    """Return a sentence on the images whose independent points are beyond their interval.
+
+    [] if chance explains all of them.
     """
+    # Errors that control, ties and DEM have in common are in no residual, and so in no interval.
     assessed = [image for image in images if image.independent is not None]
     beyond = []
     for image in assessed:
@@ -253,7 +274,7 @@ def doubts_about_predictions(images: Sequence[ImageRecord]) -> list[str]:
 def _image_record(result: BlockResult, i: int) -> ImageRecord:
     """Return the record of the image with the index `i`.
 
-    Its independent figures are None and 0 without independent check points.
+    Without independent check points their RMSE is None, and their number 0.
     """
     image = result.block.images[i]
     state = result.adjusted.state
@@ -279,7 +300,8 @@ def _image_record(result: BlockResult, i: int) -> ImageRecord:
 def correction_of(result: BlockResult, i: int) -> str:
     """Return the model of an image in one word.
 
-    A correction of an RPC, "none", or the model's name.
+    It is the largest correction of an RPC that is kept, "none" if none is, "polynomial", or the
+    name of a model.
     """
     camera = result.camera(i)
     if not isinstance(camera, RpcCamera):
@@ -289,7 +311,7 @@ def correction_of(result: BlockResult, i: int) -> str:
 
 
 def _datum_in_words(images: Sequence[ImageRecord]) -> str:
-    """Return in words what defines the position of the block on the ground: RPCs or control."""
+    """Return words on what defines the position of the block on the ground: control, or RPCs."""
     features = sum(image.control for image in images)
     if not features:
         return ("the vendor's RPCs, as there is no control: the absolute accuracy is theirs, and "
@@ -299,8 +321,7 @@ def _datum_in_words(images: Sequence[ImageRecord]) -> str:
 
 
 def _rejected_ties(result: BlockResult) -> list[WrongTie]:
-    """Return the measurements of ties that are out of use with their errors [px], the worst first.
-    """
+    """Return the measurements of ties that are not in use, with their errors [px], worst first."""
     wrong_ties = []
     ties = result.block.ties
     seen = times_seen(result)
@@ -322,7 +343,7 @@ def _rejected_control(result: BlockResult) -> list[WrongControl]:
         errors: dict[str, float] = {}
         for k in np.flatnonzero(~used):
             name = control.feature[k]
-            # Both rows of a feature together: the root of the sum of squares.
+            # The error of a feature is the root of the sum of squares of its two rows.
             errors[name] = float(np.hypot(errors.get(name, 0.0), residual[k]))
         wrong_control += [WrongControl(name, result.block.images[i].name, error)
                   for name, error in errors.items()]
@@ -341,14 +362,14 @@ def times_seen(result: BlockResult) -> IntArray:
 def connected_images(tie: Any, image: Any, count: int) -> list[list[int]]:
     """Return the groups of images that ties join, directly or by others, as lists of numbers.
 
-    `tie` and `image` (n,) are those of each measurement, `count` is the number of images. An image
-    without ties is a group by itself.
+    `tie` and `image` (n,) are those of each measurement, of which there is one at least; `count` is
+    the number of images. An image without ties is a group by itself.
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
     ties = int(tie.max()) + 1
-    # A graph of images and ties: an edge is a measurement, and a component what ties join.
+    # The nodes of the graph are images and ties, and its edges measurements.
     graph = coo_matrix((np.ones(len(tie)), (image, count + tie)), shape=(count + ties,) * 2)
     _, component = connected_components(graph, directed=False)
     component = component[:count]

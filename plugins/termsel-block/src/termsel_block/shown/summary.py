@@ -9,14 +9,14 @@ from shlex import quote
 from termsel.toolkit import count_in_words
 from termsel.toolkit.charts import Fact
 from termsel.toolkit.coordinates import short_crs_name
-from termsel_block.estimation.adjustment import WRONG
+from termsel_block.estimation.adjustment import BLUNDER_SIGMAS
 from termsel_block.shown.record import BlockRecord, ImageRecord, WrongControl, WrongTie
 
 LINES = 12
 """Lines of the first screen, that of the folder included."""
-_FEWEST_ROWS = 2
+_MIN_ROWS = 2
 """Images that the first screen lists whatever else it says."""
-_PARTS = 10
+_MAX_PARTS = 10
 """Parts of a block that a caution lists."""
 _MAX_REJECTED_NAMED = 3
 """Rejected observations that are named."""
@@ -31,9 +31,10 @@ def text_of(record: BlockRecord) -> str:
 
 
 def first_screen(record: BlockRecord, folder: str) -> str:
-    """Return data, images, accuracy and outliers in twelve lines, with where they were written.
+    """Return data, images, accuracy and outliers, with where they were written, as lines of text.
 
-    Of many images the least certain are listed. Cautions may need more lines than there are.
+    They are `LINES` lines unless cautions require more. Of many images the least certain are
+    listed.
     """
     control = sum(image.control for image in record.images)
     shown = [fact for fact in block_facts(record) if fact.label not in ("Precision", "Next")
@@ -43,7 +44,7 @@ def first_screen(record: BlockRecord, folder: str) -> str:
              f"{quote(f'{folder}/{next_image}')}   (the least certain image)"]
     rows = LINES - len(lines) - 4  # without what was read, the header and two empty lines
     if rows < len(record.images):
-        rows = max(rows - 1, _FEWEST_ROWS)  # one line counts those that are not listed
+        rows = max(rows - 1, _MIN_ROWS)  # one line counts those that are not listed
     return "\n".join([read_in(record), "", *_image_rows(record, rows), "", *lines]) + "\n"
 
 
@@ -113,16 +114,16 @@ def _caution_lines(record: BlockRecord) -> Iterator[str]:
     yield from record.notes
     if len(record.parts) > 1:
         joined_images = []
-        for names in record.parts[:_PARTS]:
+        for names in record.parts[:_MAX_PARTS]:
             joined_images.append(", ".join(names[:4]) + (", ..." if len(names) > 4 else ""))
         yield (f"No tie joins {len(record.parts)} parts of this block, so each is adjusted "
                f"separately: {' | '.join(joined_images)}.")
 
 
 def _blunder_line(record: BlockRecord) -> str:
-    """Return a line with the number of rejected observations, or "none detected" of how many.
+    """Return a line on rejected observations, or on how many were tested if none was rejected.
 
-    The first _MAX_REJECTED_NAMED are named with their errors, those of control before ties.
+    The first `_MAX_REJECTED_NAMED` are named with their errors, those of control before ties.
     """
     ties = len(record.wrong_ties)
     control = len(record.wrong_control)
@@ -142,7 +143,8 @@ def _blunder_line(record: BlockRecord) -> str:
 def _image_rows(record: BlockRecord, most: int) -> list[str]:
     """Return a header and a row for each image.
 
-    If there are more than `most`, for the least certain.
+    Of more than `most` images, rows are those of the least certain, and a line has the number of
+    the others.
     """
     rows = [("image", "model", "GCPs", "ties", "ties px", "predicted px", "90 %",
              "ICPs px")]
@@ -163,8 +165,7 @@ def _image_rows(record: BlockRecord, most: int) -> list[str]:
     if len(listed) < len(record.images):
         n_others = len(record.images) - len(listed)
         lines.append(f"{count_in_words(n_others, 'image')} more, with less uncertainty: "
-                     "summary.txt has "
-                     "all.")
+                     "summary.txt has all.")
     return lines
 
 
@@ -185,7 +186,7 @@ def reason_of(wrong: WrongTie | WrongControl, record: BlockRecord) -> str:
 
     It is "" for one that is far from where others see it.
     """
-    if isinstance(wrong, WrongTie) and wrong.error <= WRONG * record.sigma_ties:
+    if isinstance(wrong, WrongTie) and wrong.error <= BLUNDER_SIGMAS * record.sigma_ties:
         return "now in one image only"
     if isinstance(wrong, WrongTie) and wrong.any_ray:
         return "its images contradict one another: one of them is off by more"

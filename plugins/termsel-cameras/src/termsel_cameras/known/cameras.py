@@ -86,16 +86,17 @@ FIELDS = ("focal", "focal_spread", "principal_point", "distortion", "size", "sou
 
 
 def camera_named(name: str) -> SurveyCamera | dict[str, Any]:
-    """Return the camera of a name, or the content of a camera file.
+    """Return the type of camera of a name, or the content of a camera file NAME.json.
 
-    A file is JSON with ``focal`` [px], and perhaps ``focal_spread``, relative, ``principal_point``,
-    line and sample [px], ``distortion``, k1, k2, p1, p2, k3, and ``size``, lines and samples of the
-    photos [px].
+    A camera file has ``focal`` [px], and may have ``focal_spread``, relative, ``principal_point``,
+    line and sample [px], ``distortion``, k1, k2, p1, p2, k3, ``size``, lines and samples of the
+    photos [px], and ``source``.
 
     Raises
     ------
     TermselError
-        If there is neither, or the file is no such file.
+        If there is neither a type nor a file of that name, or if the file is no JSON, lacks
+        ``focal`` or has another field.
     """
     key = name.strip().lower().replace(" ", "-").replace("_", "-")
     if key in CAMERAS:

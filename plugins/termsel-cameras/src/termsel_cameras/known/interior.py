@@ -36,7 +36,7 @@ STATED_REACH = 0.0005
 POSITION_SPREAD = 50.0
 """Standard deviation of a position without one [m]: a navigator's, or a phone's at worst."""
 
-LARGEST_SPREAD = 0.5
+MAX_SPREAD = 0.5
 """Relative standard deviation at which a focal length is not known: a slip in the unit."""
 
 FIXED = "fixed"
@@ -135,12 +135,14 @@ class Interior:
 
 
 def interior_of(features: FeatureSet) -> Interior | None:
-    """Return what columns of the points say of their camera; None where they do not say it.
+    """Return what columns of the points state of their camera.
+
+    None if they state neither a camera nor a focal length, whatever else they state.
 
     Raises
     ------
     TermselError
-        If what they say cannot be understood, or does not suffice for a focal length in px.
+        If a column cannot be understood, or if they do not suffice for a focal length in px.
     """
     stated = {name: value for name in INTERIOR_NAMES if (value := _stated_value(features, name))}
     if "camera" not in stated and "camera_focal" not in stated:
@@ -148,22 +150,26 @@ def interior_of(features: FeatureSet) -> Interior | None:
     size = features.image_size
     named = camera_named(stated["camera"]) if "camera" in stated else None
     if isinstance(named, SurveyCamera):
-        interior = _camera_of_type(named, stated, size)
+        interior = _interior_of_type(named, stated, size)
     elif named is not None:
-        interior = _camera_of_file(named, stated["camera"])
+        interior = _interior_of_content(named, stated["camera"])
         # An image tells its own size.
         size = size or _size_of_file(named, stated["camera"])
     else:
-        interior = _focal_length(stated, None, size)
-    interior = _with_spreads(_with_middle(interior, stated, size), stated)
+        interior = _interior_of_focal(stated, None, size)
+    interior = _with_spreads(_with_principal_point(interior, stated, size), stated)
     if "camera_distortion" in stated:
         interior = replace(interior,
                            distortion=_parse_numbers(stated, "camera_distortion", range(1, 6)))
-    return _with_source_in_exif(_with_place(interior, stated), _stated_value(features, FROM_EXIF))
+    interior = _with_position(interior, stated)
+    return _with_source_in_exif(interior, _stated_value(features, FROM_EXIF))
 
 
 def _with_source_in_exif(interior: Interior, from_exif: str) -> Interior:
-    """Return an interior that says what of it the EXIF told: names of options with blanks."""
+    """Return an interior whose `source` and `from_exif` say what of it is from the EXIF.
+
+    `from_exif` has the names of those options, with blanks between; "" if there are none.
+    """
     names = tuple(from_exif.split())
     if "camera_focal" in names:
         return replace(interior, from_exif=names,
@@ -175,9 +181,9 @@ def _with_source_in_exif(interior: Interior, from_exif: str) -> Interior:
 
 
 def _stated_value(features: FeatureSet, name: str) -> str:
-    """Return the one value of a column of the points; "" if they have none.
+    """Return the value that a column of the points has; "" if it is blank or missing.
 
-    Raises TermselError if they have several.
+    Raises TermselError if it has several values.
     """
     values = {str(value).strip() for value in features.points.attributes.get(name, ())} - {""}
     if len(values) > 1:
@@ -186,11 +192,12 @@ def _stated_value(features: FeatureSet, name: str) -> str:
     return values.pop() if values else ""
 
 
-def _focal_length(stated: Mapping[str, str], named: SurveyCamera | None,
+def _interior_of_focal(stated: Mapping[str, str], named: SurveyCamera | None,
                   size: tuple[int, int] | None) -> Interior:
-    """Return an interior with the focal length that is stated in px, or in mm.
+    """Return an interior with the focal length that is stated in px or mm, and its spread.
 
-    Millimetres need the size of a pixel: as stated, or by the camera's type and the image's size.
+    Millimetres require the size of a pixel: that which is stated, or that by the type `named` of
+    the camera and the `size` of the image. Raises TermselError if it is not known.
     """
     text = stated["camera_focal"].lower().replace(" ", "")
     if not text.endswith("mm"):
@@ -198,17 +205,17 @@ def _focal_length(stated: Mapping[str, str], named: SurveyCamera | None,
         return Interior(_require_positive(focal, "camera_focal"))
     (mm,) = _parse_numbers({"camera_focal": text.removesuffix("mm")}, "camera_focal", (1,))
     pixel, spread = _pixel_size(stated, named, size)
-    # What calibrations leave of a focal length in mm is nothing next to the scan.
+    # A focal length in mm is stated to a part in a thousand; the size of a pixel is less certain.
     return Interior(_require_positive(mm, "camera_focal") / pixel, np.hypot(spread, 0.001),
                     source=f"the focal length of {mm:g} mm")
 
 
-def _camera_of_type(named: SurveyCamera, stated: Mapping[str, str],
+def _interior_of_type(named: SurveyCamera, stated: Mapping[str, str],
                     size: tuple[int, int] | None) -> Interior:
-    """Return the interior of a camera of a known type, with a stated focal length if there is one.
+    """Return the interior of a type of camera; a focal length that is stated comes before its own.
     """
     if "camera_focal" in stated:
-        interior = _focal_length(stated, named, size)
+        interior = _interior_of_focal(stated, named, size)
     else:
         pixel, spread = _pixel_size(stated, named, size)
         interior = Interior(named.focal / pixel, float(np.hypot(spread, named.spread)))
@@ -217,25 +224,26 @@ def _camera_of_type(named: SurveyCamera, stated: Mapping[str, str],
 
 
 def interior_of_file(path: str) -> Interior:
-    """Return what a camera file says.
+    """Return the interior that a camera file states.
 
     Raises
     ------
     TermselError
-        If there is none, or it is of a type, whose pixels only an image shows.
+        If there is no such file, if it is wrong, or if `path` is the name of a type of camera,
+        whose pixels are known only with an image.
     """
     content = camera_named(path)
     if isinstance(content, SurveyCamera):
         raise TermselError(f"the camera {path!r} is a type, whose focal length in px is not known",
                            hint="State focal in px, or a camera file NAME.json.")
-    return _camera_of_file(content, path)
+    return _interior_of_content(content, path)
 
 
-def _camera_of_file(content: Mapping[str, Any], path: str) -> Interior:
-    """Return the interior that the content of a camera file states; `path` is for messages.
+def _interior_of_content(content: Mapping[str, Any], path: str) -> Interior:
+    """Return the interior that the content of a camera file states.
 
-    Only the focal length is needed. Raises TermselError where it is missing or not positive, and
-    for other values that are no numbers, or not as many as expected.
+    The focal length is required. Raises TermselError, which names `path`, for a focal length or
+    spread that is not positive, and for values that are not as many numbers as expected.
     """
     values = {name: _numbers_as_text(content.get(name)) for name in (
         "focal", "focal_spread", "principal_point", "distortion")}
@@ -243,7 +251,7 @@ def _camera_of_file(content: Mapping[str, Any], path: str) -> Interior:
     interior = Interior(
         _require_positive(focal, f"focal of {path}"), source=f"the camera file {path}")
     if values["focal_spread"]:
-        interior = replace(interior, focal_spread=_focal_spread(
+        interior = replace(interior, focal_spread=_parse_focal_spread(
             values["focal_spread"], f"focal_spread of {path}", interior.focal, is_relative=True))
     if values["principal_point"]:
         line, sample = _parse_numbers(values, "principal_point", (2,))
@@ -278,9 +286,9 @@ def _pixel_size(stated: Mapping[str, str], named: SurveyCamera | None,
                 size: tuple[int, int] | None) -> tuple[float, float]:
     """Return the size of a pixel [mm], and its relative standard deviation.
 
-    It is stated in micrometres, or follows from the width of a named camera [mm] and the image's
-    lines and samples, `size`. Raises TermselError where neither is known, or the stated size is no
-    positive number.
+    It is the stated size, or else the longer side of the format of the type `named` divided by
+    that of the image, `size`. Raises TermselError if the type or the image's size is not known
+    either, and for a stated size that is no positive number.
     """
     if "camera_pixel" in stated:
         return _stated_pixel_size(stated["camera_pixel"]), _STATED_PIXEL_SPREAD
@@ -309,47 +317,48 @@ def _stated_pixel_size(text: str) -> float:
 
 
 def _is_from_sensor(named: SurveyCamera, size: tuple[int, int]) -> bool:
-    """Return whether an image of this size has the pixels of the camera's sensor, or enlarged ones.
+    """Return whether an image has the shape of the camera's sensor, at whatever resolution.
 
-    An image of any other shape is a scan, as is every image of a camera for film.
+    An image of another shape is a scan, and so is every image of a camera for film.
     """
     if named.pixels == (0, 0):
         return False
-    # A photo that was turned for display is as wide as its camera is high.
-    enlarged = max(size) / max(named.pixels)
-    expected = min(named.pixels) * enlarged
+    # Longer and shorter sides are compared, as a photo may be turned for display.
+    enlargement = max(size) / max(named.pixels)
+    expected = min(named.pixels) * enlargement
     difference = abs(min(size) - expected)
     return bool(difference < _SAME_SHAPE * min(size))
 
 
-def _with_middle(interior: Interior, stated: Mapping[str, str],
+def _with_principal_point(interior: Interior, stated: Mapping[str, str],
                  size: tuple[int, int] | None) -> Interior:
-    """Return an interior with the principal point [px].
+    """Return an interior with the principal point [px] and the scale of its prior.
 
-    It is the stated one, or the middle of an image of known size; without either the interior stays
-    as it is.
+    It is the point that is stated, or that of the interior, or the middle of an image of known
+    size. If there is none of these the interior is returned as it is.
     """
-    # Half the diagonal of the image, of which the scale of the prior of the principal point is a
-    # share.
-    half = np.nan if size is None else float(np.hypot(*size)) / 2
+    half_diagonal = np.nan if size is None else float(np.hypot(*size)) / 2
     if "camera_principal_point" in stated:
         line, sample = _parse_numbers(stated, "camera_principal_point", (2,))
         interior = replace(interior, line=line, sample=sample)
     if np.isfinite(interior.line):
-        return replace(interior, reach=STATED_REACH * (interior.focal if size is None else half))
+        # The focal length stands for half the diagonal of an image of unknown size.
+        return replace(
+            interior, reach=STATED_REACH * (interior.focal if size is None else half_diagonal))
     if size is None:
         return interior
     line, sample = (np.array(size) - 1.0) / 2.0
-    return replace(interior, line=float(line), sample=float(sample), reach=REACH * half)
+    return replace(interior, line=float(line), sample=float(sample), reach=REACH * half_diagonal)
 
 
 def _with_spreads(interior: Interior, stated: Mapping[str, str]) -> Interior:
-    """Return an interior with the standard deviations that are stated of it; others stay.
+    """Return an interior with the stated spreads of focal length and principal point.
 
-    Raises TermselError for that of a principal point which is not known.
+    A spread that is not stated stays as it is. Raises TermselError for the spread of a principal
+    point that is not known.
     """
     if "camera_focal_spread" in stated:
-        interior = replace(interior, focal_spread=_focal_spread(
+        interior = replace(interior, focal_spread=_parse_focal_spread(
             stated["camera_focal_spread"], "camera_focal_spread", interior.focal))
     if "camera_principal_point_spread" in stated:
         name = "camera_principal_point_spread"
@@ -363,10 +372,12 @@ def _with_spreads(interior: Interior, stated: Mapping[str, str]) -> Interior:
     return interior
 
 
-def _focal_spread(text: str, name: str, focal: float, *, is_relative: bool = False) -> float:
-    """Return the relative standard deviation of a focal length [px] that a text states.
+def _parse_focal_spread(text: str, name: str, focal: float, *, is_relative: bool = False) -> float:
+    """Return the relative standard deviation that a text such as "0.3%" or "5px" states.
 
-    A number without a unit is relative in camera files, and else refused, as 0.3 may mean 0.3%.
+    `focal` [px] is the focal length that it is of, and `name` that of the option, for messages. A
+    number without a unit is relative if `is_relative`, as in camera files. Raises TermselError for
+    any other number without a unit, as 0.3 may mean 0.3%, and from `MAX_SPREAD` on.
     """
     text = text.lower().replace(" ", "")
     if text == FIXED:
@@ -377,25 +388,25 @@ def _focal_spread(text: str, name: str, focal: float, *, is_relative: bool = Fal
     except TermselError as error:
         error.hint = f"Write 0.3% or 5px, or {FIXED}."
         raise
-    # 0 is said of a calibrated camera; a variance of 0 would make the adjustment singular.
+    # People state 0 of a calibrated camera; a variance of 0 would make the adjustment singular.
     if number == 0.0:
         return FIXED_SPREAD
     if not unit and not is_relative:
         raise TermselError(f"{name}={text} has no unit",
                            hint=f"Write {text}% or {text}px, or {FIXED}.")
     spread = _require_positive(number, name) / {"%": 100.0, "px": focal, "": 1.0}[unit]
-    if spread >= LARGEST_SPREAD:
+    if spread >= MAX_SPREAD:
         raise TermselError(f"{name}={text} is {spread:.0%} of the focal length",
                            hint=f"Write 0.3% or 5px, or {FIXED}.")
     return max(spread, FIXED_SPREAD)
 
 
-def _with_place(interior: Interior, stated: Mapping[str, str]) -> Interior:
-    """Return an interior with the camera's rough place or height above ground, if they are stated.
+def _with_position(interior: Interior, stated: Mapping[str, str]) -> Interior:
+    """Return an interior with the camera's position and flying height, as far as they are stated.
     """
     if "camera_position" in stated:
-        x, y, z, *given = _parse_numbers(stated, "camera_position", (3, 4, 5))
-        spreads = [_require_positive(spread, "camera_position") for spread in given]
+        x, y, z, *stated_spreads = _parse_numbers(stated, "camera_position", (3, 4, 5))
+        spreads = [_require_positive(spread, "camera_position") for spread in stated_spreads]
         interior = replace(interior, position=(x, y, z),
                            position_spread=spreads[0] if spreads else POSITION_SPREAD,
                            position_height_spread=spreads[1] if len(spreads) > 1 else np.nan)
@@ -406,7 +417,9 @@ def _with_place(interior: Interior, stated: Mapping[str, str]) -> Interior:
 
 
 def _parse_numbers(stated: Mapping[str, str], name: str, counts: Any) -> tuple[float, ...]:
-    """Return the numbers of a text such as "1,2,3"; raises TermselError for another count of them.
+    """Return the numbers of the text `stated[name]`, such as "1,2,3".
+
+    Raises TermselError, which names it, unless they are finite and their count is among `counts`.
     """
     try:
         numbers = tuple(float(number) for number in stated[name].replace(";", ",").split(","))
@@ -422,7 +435,8 @@ def _parse_numbers(stated: Mapping[str, str], name: str, counts: Any) -> tuple[f
 
 def _require_positive(number: float, name: str) -> float:
     """Return the number; raises TermselError if it is not positive."""
-    if not number > 0.0:
+    is_positive = number > 0.0
+    if not is_positive:
         raise TermselError(f"{name} is {number:g}, which is not positive",
                            hint="Give a number above 0.")
     return number

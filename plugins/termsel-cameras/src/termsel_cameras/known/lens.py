@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_DISTORTION_STEPS, _CLOSE = 50, 1e-12
-_SHARES = (0.25, 0.5, 0.75, 1.0)
+_MAX_STEPS, _CONVERGED = 50, 1e-12
+_TESTED_SHARES = (0.25, 0.5, 0.75, 1.0)
 
 
 @dataclass(frozen=True)
@@ -37,11 +37,14 @@ class Lens:
         return not any((self.k1, self.k2, self.p1, self.p2, self.k3))
 
     def distorted(self, ideal: FloatArray) -> FloatArray:
-        """Return where ideal places (..., 2), x and y, are seen; NaN where the lens folds back."""
+        """Return the image positions (..., 2) to which the lens moves ideal ones.
+
+        Both are x and y divided by the focal length. NaN where the lens was found to fold back
+        (see `_radius_grows`).
+        """
         x = ideal[..., 0]
         y = ideal[..., 1]
-        # Brown (1971), as OpenCV has it: r^2 = x^2 + y^2, x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2
-        # p1 x y + p2 (r^2 + 2 x^2), and y' with x and y exchanged.
+        # The equations of the class.
         r2 = x**2 + y**2
         radial_factor = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
         distorted_x = x * radial_factor + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x**2)
@@ -51,28 +54,34 @@ class Lens:
                         np.nan)
 
     def _radius_grows(self, r2: FloatArray) -> BoolArray:
-        """Return whether the distorted radius grows with the ideal one up to these squares r2."""
-        holds = np.ones(r2.shape, dtype=bool)
+        """Return whether the distorted radius grows with the ideal one, tested at four radii.
+
+        Their squares are a quarter, a half, three quarters and all of `r2`. Beyond a radius where
+        it shrinks, two ideal positions have one image.
+        """
+        grows = np.ones(r2.shape, dtype=bool)
         with np.errstate(all="ignore"):
-            for share in _SHARES:
-                s2 = share * r2
+            for share_of_r2 in _TESTED_SHARES:
+                s2 = share_of_r2 * r2
                 # d/dr of r (1 + k1 r^2 + k2 r^4 + k3 r^6).
-                holds &= 1.0 + s2 * (3 * self.k1 + s2 * (5 * self.k2 + s2 * 7 * self.k3)) > 0.0
-        return holds
+                grows &= 1.0 + s2 * (3 * self.k1 + s2 * (5 * self.k2 + s2 * 7 * self.k3)) > 0.0
+        return grows
 
     def ideal(self, measured: FloatArray) -> FloatArray:
-        """Return the ideal places (..., 2), x and y, of places that are seen.
+        """Return the ideal positions (..., 2) of measured ones, the inverse of `distorted`.
 
-        NaN where the lens has none.
+        NaN where the iteration does not come within 1e-6 of the measured position, as beyond the
+        radius where the lens folds back.
         """
         if self.is_ideal:
             return measured
         ideal = np.array(measured, dtype=np.float64)
         with np.errstate(all="ignore"):
-            for _ in range(_DISTORTION_STEPS):
-                # m(ideal) = seen: what is left is taken off, as the distortion is small.
+            for _ in range(_MAX_STEPS):
+                # A fixed-point iteration for distorted(ideal) = measured. It converges since the
+                # distortion changes little with the position.
                 residual = measured - self.distorted(ideal)
                 ideal = ideal + residual
-                if not (np.abs(residual) > _CLOSE).any():
+                if not (np.abs(residual) > _CONVERGED).any():
                     break
         return np.where(np.abs(residual) < 1e-6, ideal, np.nan)

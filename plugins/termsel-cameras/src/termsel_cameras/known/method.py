@@ -27,14 +27,14 @@ from termsel_cameras.known.interior import FIXED_SPREAD, Interior, interior_of
 from termsel_cameras.known.lens import FloatArray
 from termsel_cameras.known.model import TAILS, KnownFrame
 
-FEWEST = 3
+MIN_POINTS = 3
 """Points that determine the place and the turn of a camera."""
 
-MISFIT = 25.0
+MAX_SIGMA = 25.0
 """Standard deviation of a measurement [px] beyond which the points are not those of the camera, or
-`MISFIT_PART` of their half extent, if that is more."""
+`MAX_SIGMA_SHARE` of their half extent, if that is more."""
 
-MISFIT_PART = 0.05
+MAX_SIGMA_SHARE = 0.05
 
 CONTRADICTION = 4.0
 """Standard deviations by which a focal length of the points alone contradicts the stated one."""
@@ -47,7 +47,7 @@ CLEARLY_BETTER = 2.0
 """How many times as large the median error in leave-one-out is with the stated focal length, if a
 free one predicts clearly better. Both limits together refuse none of 100 real photos."""
 
-FEWEST_TO_CONTRADICT = 6
+MIN_POINTS_TO_CONTRADICT = 6
 """Points from which on they contradict a focal length: of fewer, one blunder looks like another."""
 
 FREE_FOCAL_SPREAD = 0.7
@@ -77,9 +77,9 @@ class ByKnownCamera(Estimator):
                                    control, scaling, used)
 
     def refit(self, fitted: Fit, control: FeatureSet) -> Fit:
-        """Return the camera of other control that is next to a fit's.
+        """Return the fit to other control whose camera a descent from a fit's camera leads to.
 
-        Raises Undetermined if none is.
+        Raises Undetermined if it leads to none that has all points in front.
         """
         model = fitted.model
         assert isinstance(model, KnownFrame)
@@ -93,34 +93,41 @@ class ByKnownCamera(Estimator):
 
     def _fit_of_camera(self, model: KnownFrame, camera: Pinhole, control: FeatureSet,
                        scaling: Scaling, used: BoolArray) -> Fit:
-        """Return a camera as a fit, with the held-out errors of the points in use."""
+        """Return a camera as a fit to the features in use, with the held-out errors of these.
+
+        `used` (n,) marks them in `control`, which is not scaled.
+        """
         in_use = control.take(used)
         values = model.values_of(camera.camera)
-        equations = 2 * len(in_use)
-        count = round(camera.effective)
+        n_equations = 2 * len(in_use)
+        # An adjustment counts terms in whole numbers; the fit's trace is the number itself, to
+        # which terms with a prior add less than one each.
+        n_terms = round(camera.effective)
         errors = _errors_of(model, camera, scaling.features(in_use).points.image)
         # Coefficients have no variances of their own: the spread of positions is that of the
         # cameras under the prior, see `spread`.
-        adjustment = Adjustment(values, np.full(len(values), np.nan), count, equations,
-                                rank=count, condition=np.nan, sigma0=camera.sigma, converged=True)
+        adjustment = Adjustment(values, np.full(len(values), np.nan), n_terms, n_equations,
+                                rank=n_terms, condition=np.nan, sigma0=camera.sigma,
+                                converged=True)
         return Fit(model, scaling, control, np.ones(len(values), dtype=bool), used, adjustment,
                    estimator=self, trace=camera.effective,
                    stored_held_out=HeldOut.of(errors * scaling.image_scale, in_use))
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
-        """Return the mean square errors at scaled places (see `Estimator.spread`).
-
-        A measurement with Student's errors shows (t + 2) / (t + 4) of what a normal one of the
-        same scale does, and its variance is t / (t - 2) of the square of that.
-        """
+        """Return the mean square errors at scaled ground positions (see `Estimator.spread`)."""
         model = fitted.model
         assert isinstance(model, KnownFrame)
         camera = _camera_of(fitted)
         design, _ = camera.measured.system(
             camera.camera, np.ones((1, len(camera.measured.image))), camera.sigma)
+        # With D = Q R the covariance of the unknowns is (R' R)^-1, so that positions, of which the
+        # derivatives are J, have the factors J R^-1.
         _, r = np.linalg.qr(design[0])
         slopes = _derivatives_through_lens(model, camera, model.local(ground))
         factors = np.linalg.solve(r.T, slopes.reshape(-1, r.shape[1]).T).T.reshape(slopes.shape)
+        # Errors of Student's distribution with t degrees of freedom: a measurement has
+        # (t + 2) / (t + 4) of the information of a normal one of that scale, and t / (t - 2) of
+        # its variance.
         factors = factors * np.sqrt((TAILS + 4.0) / (TAILS + 2.0))
         noise = camera.sigma**2 * TAILS / (TAILS - 2.0)
         return Spread((factors**2).sum(axis=2), np.full(2, noise), factors)
@@ -132,27 +139,31 @@ class ByKnownCamera(Estimator):
 
 
 def _errors_of(model: KnownFrame, camera: Pinhole, image: FloatArray) -> FloatArray:
-    """Return measured minus predicted by the others of each point (n, 2), scaled, lens included."""
+    """Return measured positions `image` (n, 2) minus those that the other points predict, scaled.
+    """
+    # A camera's errors are those of an ideal lens.
     ideal = camera.measured.image
     return np.asarray(image - model.with_lens(ideal - camera.errors))
 
 
 def _derivatives_through_lens(model: KnownFrame, camera: Pinhole, ground: FloatArray) -> FloatArray:
-    """Return derivatives of what is seen of places (m, 3) by the unknowns, (m, 2, 9)."""
+    """Return derivatives of image positions by the unknowns, (m, 2, 9), for `ground` (m, 3)."""
     slopes: FloatArray = camera.camera.slopes(ground)[0]
     if model.lens.is_ideal:
         return slopes
+    # The chain rule: derivatives of the lens, by central differences, times those of the camera.
     ideal = camera.camera.image(ground)[0]
-    bent = np.empty((len(ideal), 2, 2))
+    lens_slopes = np.empty((len(ideal), 2, 2))
     for axis in range(2):
         step = _DERIVATIVE_STEP * np.eye(2)[axis]
-        bent[:, :, axis] = ((model.with_lens(ideal + step) - model.with_lens(ideal - step))
-                            / (2 * _DERIVATIVE_STEP))
-    return np.asarray(bent @ slopes)
+        lens_slopes[:, :, axis] = (
+            (model.with_lens(ideal + step) - model.with_lens(ideal - step))
+            / (2 * _DERIVATIVE_STEP))
+    return np.asarray(lens_slopes @ slopes)
 
 
 def _camera_of(fitted: Fit) -> Pinhole:
-    """Return the camera that a fit was made of."""
+    """Return the camera of a fit, estimated again by the features in use."""
     model = fitted.model
     assert isinstance(model, KnownFrame)
     in_use = fitted.control.take(fitted.used)
@@ -164,40 +175,41 @@ class KnownCamera(Method):
     """The camera that columns of the points, options of reading or the image's EXIF show."""
 
     def declines(self, control: FitData) -> str | None:
-        """Return why no camera is known, or the points are not for one.
+        """Return why the method cannot fit a camera to the control; None if it can.
 
-        What is said wrongly of a camera is an error, which the run shows.
+        Raises TermselError if the camera is stated wrongly, since the user meant to state one.
         """
         features = control.features
         interior = interior_of(features)
         if interior is None:
             return "the focal length of a camera is not stated"
-        if len(features.lines) or len(features.points) < FEWEST:
-            return f"it is for {FEWEST} control points or more, without lines"
+        if len(features.lines) or len(features.points) < MIN_POINTS:
+            return f"it is for {MIN_POINTS} control points or more, without lines"
         if features.without_height():
             return "it needs heights, as by --dem FILE"
         return None
 
     def fit(self, control: FitData) -> Fit:
-        """Return the camera fitted to all features.
+        """Return the camera fitted to all features, with the position in the EXIF if that agrees.
 
         Raises Undetermined if the camera is not stated, or if the points are plainly not its own.
         """
         interior = _interior_of_points(control)
-        alone = self._without_exif_position(control, interior)
-        if alone is not None and _contradicts(alone, interior):
-            return alone
+        free_fit = self._fit_without_exif_position(control, interior)
+        if free_fit is not None and _contradicts_position(free_fit, interior):
+            return free_fit
         try:
             return self._fit_of_interior(control, interior)
         except Undetermined:
-            # What nobody stated must not spoil what was measured.
-            if alone is not None:
-                return alone
+            # A position that the user did not state must not spoil what was measured.
+            if free_fit is not None:
+                return free_fit
             raise
 
-    def _without_exif_position(self, control: FitData, interior: Interior) -> Fit | None:
-        """Return the fit without the position that EXIF told; None if it told none, or if the
-        points do not determine a camera without.
+    def _fit_without_exif_position(self, control: FitData, interior: Interior) -> Fit | None:
+        """Return the fit without the position in the EXIF.
+
+        None if the EXIF has none, or if the points do not determine the camera without it.
         """
         if not interior.has_exif_position:
             return None
@@ -209,14 +221,15 @@ class KnownCamera(Method):
     def _fit_of_interior(self, control: FitData, interior: Interior) -> Fit:
         """Return the camera of an interior fitted to all features.
 
-        Raises Undetermined if the points are plainly not its own.
+        Raises Undetermined if the points do not determine it, leave residuals beyond `MAX_SIGMA`,
+        or show another focal length.
         """
         model = KnownFrame.of(interior, mirrored=is_mirrored(control))
         fitted = self.estimator.fit(model, control.features, control.scaling,
                                     np.ones(len(model.terms), dtype=bool),
                                     np.ones(len(control), dtype=bool))
         sigma = fitted.adjustment.sigma0 * control.scaling.image_scale
-        largest_sigma = max(MISFIT, MISFIT_PART * control.scaling.image_scale)
+        largest_sigma = max(MAX_SIGMA, MAX_SIGMA_SHARE * control.scaling.image_scale)
         if sigma > largest_sigma:
             raise Undetermined(
                 f"the points are not those of {interior.source}: they leave {sigma:.0f} px, and "
@@ -258,47 +271,51 @@ class KnownCamera(Method):
                 f"{_exif_position_in_words(fitted, interior)}")
 
     def doubt(self, fitted: Fit) -> str:
-        """Return that the position in EXIF is left out, and how far it is off; "" if it is not."""
+        """Return a sentence on a position in the EXIF that is not used; "" if there is none."""
         interior = _interior_of_points(FitData.of(fitted.control))
         if not _leaves_exif_position_out(fitted, interior):
             return ""
-        off, _ = _offset_of_position(fitted, interior)
+        offset, _ = _offset_of_position(fitted, interior)
         return (f"The position in the EXIF is not used: the points show the camera "
-                f"{np.hypot(*off[:2]):,.0f} m away from it in plan and {abs(off[2]):,.0f} m in "
-                "height. If the position is right, check the CRS of the points and their heights.")
+                f"{np.hypot(*offset[:2]):,.0f} m away from it in plan and "
+                f"{abs(offset[2]):,.0f} m in height. If the position is right, check the CRS of "
+                "the points and their heights.")
 
 
 def _leaves_exif_position_out(fitted: Fit, interior: Interior) -> bool:
-    """Return whether a fit is one without the position that the EXIF told."""
+    """Return whether the EXIF has a position, and the fit was made without one."""
     return interior.has_exif_position and not fitted.model.options["position"]
 
 
-def _contradicts(alone: Fit, interior: Interior) -> bool:
-    """Return whether the camera of the points alone is elsewhere than a position says."""
-    off, spread = _offset_of_position(alone, interior)
-    east, north, up = off / spread
+def _contradicts_position(free_fit: Fit, interior: Interior) -> bool:
+    """Return whether a fit without the stated position has its camera too far from that."""
+    offset, spread = _offset_of_position(free_fit, interior)
+    east, north, up = offset / spread
     return bool(max(np.hypot(east, north), abs(up)) > FAR_FROM_POSITION)
 
 
-def _offset_of_position(alone: Fit, interior: Interior) -> tuple[FloatArray, FloatArray]:
-    """Return how far the camera of points alone is from a position, and its deviations [m], (3,).
+def _offset_of_position(free_fit: Fit, interior: Interior) -> tuple[FloatArray, FloatArray]:
+    """Return the offset of a fit's camera from the stated position, and its deviations, (3,) each.
 
-    These are east, north and up. The deviations are those of the camera and of the position.
+    Both are east, north and up [m]. The fit was made without the position, so that the variances
+    of the camera and of the position add.
     """
-    model = alone.model
+    model = free_fit.model
     assert isinstance(model, KnownFrame)
-    camera = _camera_of(alone)
+    camera = _camera_of(free_fit)
     stated = KnownFrame.of(interior, mirrored=bool(model.options["mirrored"])).prepared(
-        alone.scaling, alone.control.crs)
-    place, spread = stated.rough_position(camera.measured.ground)
-    assert place is not None
-    assert spread is not None
+        free_fit.scaling, free_fit.control.crs)
+    position, position_spread = stated.position_prior(camera.measured.ground)
+    assert position is not None
+    assert position_spread is not None
     design, _ = camera.measured.system(camera.camera, np.ones((1, len(camera.measured.image))),
                                        camera.sigma)
-    # The covariance of the unknowns is P P' with P = D^+, and that of the place J P P' J'.
+    # The covariance of the unknowns is P P' with P = D^+, and that of the position J P P' J'; the
+    # first six unknowns are the turn and the shift, on which alone the position depends.
     factors = camera.camera.slopes_of_position[0] @ np.linalg.pinv(design[0])[:6]
-    own = np.linalg.norm(factors, axis=1)
-    return (model.unit * (camera.camera.position[0] - place), model.unit * np.hypot(own, spread))
+    camera_spread = np.linalg.norm(factors, axis=1)
+    return (model.unit * (camera.camera.position[0] - position),
+            model.unit * np.hypot(camera_spread, position_spread))
 
 
 def _refuse_contradicted(fitted: Fit, interior: Interior) -> None:
@@ -310,7 +327,7 @@ def _refuse_contradicted(fitted: Fit, interior: Interior) -> None:
     """
     stated = _camera_of(fitted)
     # A camera whose points fit as well as points usually do is not wrong by much.
-    if len(fitted.control) < FEWEST_TO_CONTRADICT or stated.sigma <= stated.measured.usual:
+    if len(fitted.control) < MIN_POINTS_TO_CONTRADICT or stated.sigma <= stated.measured.usual:
         return
     free = _free_camera(stated)
     if free is None:
@@ -342,7 +359,8 @@ _LEAST_RATIO = 5.0
 
 
 def _free_camera(stated: Pinhole) -> Pinhole | None:
-    """Return the camera of the same points with a focal length and a place that are not stated."""
+    """Return the camera of the same points with focal length and position free; None if none fits.
+    """
     measured = stated.measured
     return camera_of(replace(
         measured, focal_spread=max(FREE_FOCAL_SPREAD, measured.focal_spread),
@@ -358,12 +376,12 @@ def _focal_spread(camera: Pinhole) -> float:
 
 
 def _median_error(camera: Pinhole) -> float:
-    """Return the median distance of points from where the others predict them, scaled."""
+    """Return the median distance of the points from where the other points predict them, scaled."""
     return float(np.median(np.linalg.norm(camera.errors, axis=1)))
 
 
 def _focal_in_words(interior: Interior) -> str:
-    """Return with which standard deviation the stated focal length took part."""
+    """Return a sentence on the focal length that was stated, and how well it is known."""
     if interior.focal_spread <= FIXED_SPREAD:
         return "It is fixed, as stated."
     spread = interior.focal_spread * interior.focal
@@ -374,13 +392,14 @@ def _focal_in_words(interior: Interior) -> str:
 
 
 def _focal_of_points(fitted: Fit) -> str:
-    """Return a sentence where the points cannot show whether the focal length is right; else ""."""
-    if fitted.used.sum() < FEWEST_TO_CONTRADICT:
+    """Return a sentence if the points cannot show whether the focal length is right; else ""."""
+    if fitted.used.sum() < MIN_POINTS_TO_CONTRADICT:
         return " So few points cannot show whether it is right."
     free = _free_camera(_camera_of(fitted))
     spread = np.inf if free is None else _focal_spread(free)
     if spread < VAGUE_FOCAL:
         return ""
+    # Beyond half of its prior the figure would be the prior's rather than the points'.
     if spread < FREE_FOCAL_SPREAD / 2:
         known_to = f": alone they tell it to {100 * spread:.0f} %"
     else:
@@ -408,12 +427,13 @@ def _interior_of_points(control: FitData) -> Interior:
 
 
 def is_mirrored(control: FitData) -> bool:
-    """Return whether the image is mirrored: lines run to the left of samples from above."""
+    """Return whether the image is mirrored against the ground as seen from above."""
     points = control.features.points
     plan = control.scaled.points.ground[:, :2]
     columns = np.column_stack([np.ones(len(plan)), plan])
     slopes = np.linalg.lstsq(columns, points.image, rcond=None)[0][1:]
-    # Scaled ground axes run east and north, lines downwards.
+    # Scaled ground axes run east and north, lines downwards: the determinant of line and sample
+    # by east and north is positive unless the image is mirrored.
     return bool(np.linalg.det(slopes) < 0.0)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -36,14 +37,14 @@ TAILS = 4.0
 """Degrees of freedom of measurements: few are wild, but more than normal errors are (Lange, Little
 and Taylor 1989)."""
 
-USUAL, EXPERIENCE = 2.0, 2.0
+USUAL_SIGMA, EXPERIENCE = 2.0, 2.0
 """Standard deviation of a measurement as it usually is [px], and the degrees of freedom that this
 counts as next to residuals."""
 
 STATED_EXPERIENCE = 8.0
 """The same where the points state it."""
 
-LEAST = 0.1
+MIN_SIGMA = 0.1
 """Least standard deviation of a measurement [px]."""
 
 TILT = 0.1
@@ -51,20 +52,20 @@ TILT = 0.1
 vertical, within 3 deg (Manual of Photogrammetry), those of the war and of small aircraft within 6;
 but some are oblique."""
 
-SOMEWHERE = 0.3
+UNKNOWN_REACH = 0.3
 """Scale of the prior of the principal point about the middle of the control, by its half extent,
 where nothing shows it."""
 
 UNKNOWNS = 6
 """Of a camera whose interior is known: its place and its turn."""
 
-UNKNOWNS_OF_MIDDLE = 2
+UNKNOWNS_OF_PRINCIPAL = 2
 """Of a principal point that nothing shows: points determine it wholly, unlike one that is known."""
 
-APART = 0.05
+MIN_SEPARATION = 0.05
 """Part of its distance by which two places of a camera differ, if they are two."""
 
-ALIKE = 6.0
+MAX_COST_DIFFERENCE = 6.0
 """Twice the logarithm of the likelihood by which two cameras must differ, if points show them."""
 
 CAMERA_FILE = Option("camera", None, "A camera file NAME.json: focal, principal point and "
@@ -78,9 +79,9 @@ KNOWN_FRAME_TERMS = ("turn-line", "turn-sample", "turn-view", "shift-line", "shi
 
 
 def options_of_camera(path: str) -> dict[str, Any]:
-    """Return the options of the model that a camera file stands for.
+    """Return the options of `KnownFrame` that a camera file states; `line` only if it has one.
 
-    What it states, as its own values.
+    Raises TermselError for a file that cannot be read or states no focal length.
     """
     known = interior_of_file(path)
     options: dict[str, Any] = {"focal": known.focal, "focal_spread": known.focal_spread,
@@ -123,7 +124,7 @@ class KnownFrame(SensorModel):
 
     @classmethod
     def of(cls, interior: Interior, *, mirrored: bool) -> KnownFrame:
-        """Return the model of what is known of a camera."""
+        """Return the model with the options that state an interior; NaN is not stated."""
         def text(numbers: tuple[float, ...]) -> str:
             return ",".join(map(repr, numbers))
 
@@ -153,22 +154,26 @@ class KnownFrame(SensorModel):
     # image.
 
     def local(self, ground: FloatArray) -> FloatArray:
-        """Return scaled places (n, 3) in units of `unit`, east, north and up of the middle."""
+        """Return scaled ground positions (n, 3) as east, north and up of the middle, over `unit`.
+
+        Raises TermselError if the model is not prepared.
+        """
         if self.scaling is None:
             raise TermselError("the model is not prepared: its position on Earth is not known",
                                hint="Fit it, or call its method prepared first.")
-        return self._places_in_metres(ground) / self.unit
+        return self._to_metres(ground) / self.unit
 
     @cached_property
     def unit(self) -> float:
-        """Metres by one unit of scaled places: the half extent of the control."""
-        corners = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
-        west, east, south, north = self._places_in_metres(corners)
+        """Metres that one unit of `local` has: the half extent of the control."""
+        edges = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
+        west, east, south, north = self._to_metres(edges)
         return float(max(np.linalg.norm(east - west), np.linalg.norm(north - south))) / 2.0
 
-    def _places_in_metres(self, ground: FloatArray) -> FloatArray:
-        """Return scaled places (n, 3) in metres east, north and up of the middle of the control."""
+    def _to_metres(self, ground: FloatArray) -> FloatArray:
+        """Return scaled ground positions (n, 3) in metres east, north and up of the middle."""
         assert self.scaling is not None
+        # Without a CRS of the Earth the axes are taken to be a plane's.
         if self.crs in ("", LOCAL):
             return np.asarray(ground * np.array(self.scaling.ground_scale))
         origin, axes = self._frame
@@ -176,7 +181,7 @@ class KnownFrame(SensorModel):
 
     @cached_property
     def _frame(self) -> tuple[FloatArray, FloatArray]:
-        """Middle of the control, Earth-fixed, and east, north and up there, as rows."""
+        """Middle of the control, Earth-fixed (3,), and east, north and up there, rows of (3, 3)."""
         middle = self.geographic(np.zeros((1, 3)))
         lon, lat = np.radians(middle[0, :2])
         east = np.array([-np.sin(lon), np.cos(lon), 0.0])
@@ -195,12 +200,12 @@ class KnownFrame(SensorModel):
         """Scale of the prior of the principal point, scaled."""
         assert self.scaling is not None
         stated = self.options["reach"]
-        return SOMEWHERE if stated is None else stated / self.scaling.image_scale
+        return UNKNOWN_REACH if stated is None else stated / self.scaling.image_scale
 
     @property
     def _unknowns(self) -> int:
         """How many numbers the points determine."""
-        return UNKNOWNS if self.options["reach"] is not None else UNKNOWNS + UNKNOWNS_OF_MIDDLE
+        return UNKNOWNS if self.options["reach"] is not None else UNKNOWNS + UNKNOWNS_OF_PRINCIPAL
 
     @property
     def focal(self) -> float:
@@ -216,66 +221,78 @@ class KnownFrame(SensorModel):
         """Return scaled image positions (..., 2) of an ideal lens as this one has them."""
         return self._apply_lens(image, self.lens.distorted)
 
-    def _apply_lens(self, image: FloatArray, bend: Any) -> FloatArray:
-        """Return scaled image positions once the lens has bent their rays, or straightened them."""
+    def _apply_lens(self, image: FloatArray,
+                    lens_map: Callable[[FloatArray], FloatArray]) -> FloatArray:
+        """Return scaled image positions (..., 2) after a map of positions in units of the lens."""
         if self.lens.is_ideal:
             return image
         assert self.scaling is not None
-        away = (self.scaling.pixels(image) - self.principal) / self.options["focal"]
-        # The lens counts x, along samples, first.
-        bent = bend(away[..., ::-1])[..., ::-1]
-        return self.scaling.image(self.principal + self.options["focal"] * bent)
+        offsets = (self.scaling.pixels(image) - self.principal) / self.options["focal"]
+        # The lens has x, along samples, first; here lines are first.
+        mapped = lens_map(offsets[..., ::-1])[..., ::-1]
+        return self.scaling.image(self.principal + self.options["focal"] * mapped)
 
     # The camera by points.
 
     def measured(self, features: FeatureSet, noise: float | None) -> Measured:
-        """Return scaled control points with all that is known of the camera."""
+        """Return scaled control points, their weights (n, 2), and all that is known of the camera.
+
+        `noise` [px] is the standard deviation of a measurement that the file states, None if it
+        states none; deviations of the points come before it.
+        """
         assert self.scaling is not None
         points = features.points
         scale = self.scaling.image_scale
         sigma = points.sigma
         weights = np.ones((len(points), 2)) if sigma is None else np.median(sigma) / sigma
+        # Features are scaled, and so are their deviations: `scale` turns them into px.
         stated = noise if sigma is None else float(np.median(sigma)) * scale
         ground = self.local(points.ground)
-        position, spread = self.rough_position(ground)
+        position, spread = self.position_prior(ground)
         return Measured(
             ground, self.without_lens(points.image), weights,
             self.scaling.image(self.principal), self.reach, self.focal, np.ones(3),
-            LEAST / scale, focal_spread=float(self.options["focal_spread"]), place=position,
+            MIN_SIGMA / scale, focal_spread=float(self.options["focal_spread"]), place=position,
             place_spread=spread, tilt=TILT, tails=TAILS, unknowns=self._unknowns,
-            usual=(USUAL if stated is None else stated) / scale,
+            usual=(USUAL_SIGMA if stated is None else stated) / scale,
             experience=EXPERIENCE if stated is None else STATED_EXPERIENCE)
 
-    def rough_position(self, ground: FloatArray) -> tuple[FloatArray | None, FloatArray | None]:
-        """Return the rough place of the camera and its standard deviations (3,), by `unit`.
+    def position_prior(self, ground: FloatArray) -> tuple[FloatArray | None, FloatArray | None]:
+        """Return the stated position of the camera and its standard deviations, (3,) each.
 
-        NaN for coordinates that are not stated; None and None if none is. Of two heights that are
-        stated the one with the smaller standard deviation counts.
+        Both are east, north and up of the middle, divided by `unit`, and NaN for coordinates that
+        are not stated; two None if none is. `ground` (n, 3) are the control points in the same
+        units: the option `height` counts from their mean height. Of a height of the position and
+        one by `height`, that of the smaller standard deviation is returned.
         """
         position = np.full(3, np.nan)
         spread = np.full(3, np.nan)
         if self.options["position"]:
             assert self.scaling is not None
-            stated = np.array([list(map(float, self.options["position"].split(",")))])
-            position = self.local(self.scaling.ground(stated))[0]
+            coordinates = [float(number) for number in self.options["position"].split(",")]
+            position = self.local(self.scaling.ground(np.array([coordinates])))[0]
             spread = np.full(3, self.options["position_spread"] / self.unit)
             if self.options["position_height_spread"] is not None:
                 spread[2] = self.options["position_height_spread"] / self.unit
         height = self.options["height"]
         if height is not None:
             height_spread = self.options["height_spread"] * height / self.unit
-            if not spread[2] <= height_spread:
+            height_is_stated = bool(np.isfinite(spread[2]))
+            if not height_is_stated or height_spread < spread[2]:
                 position[2] = ground[:, 2].mean() + height / self.unit
                 spread[2] = height_spread
         return (position, spread) if np.isfinite(position).any() else (None, None)
 
     def camera(self, features: FeatureSet, noise: float | None) -> Pinhole:
-        """Return the camera that scaled control points support.
+        """Return the robust estimate of the camera by scaled control points.
+
+        `noise` is as in `measured`.
 
         Raises
         ------
         Undetermined
-            If none has all points in front, or two see them alike.
+            If no camera has all points in front, or if there are three points, and two cameras
+            see them alike.
         """
         measured = self.measured(features, noise)
         camera = camera_of(measured)
@@ -288,20 +305,19 @@ class KnownFrame(SensorModel):
         return camera
 
     def _camera_of_three_points(self, measured: Measured, camera: Pinhole) -> Pinhole:
-        """Return the camera of three points.
+        """Return `camera`, the best of three points, if no other one explains them as well.
 
-        Raises Undetermined if another one explains them as well.
-
-        Up to four cameras see three points alike (Grunert 1841).
+        Raises Undetermined if another one, elsewhere, costs nearly the same: up to four cameras
+        see three points alike (Grunert 1841).
         """
+        # The first of the cameras is the best one.
         cameras = cameras_of(measured)
         rows = np.ones((len(cameras), 3))
         costs = measured.costs(cameras, rows, camera.sigma)
-        far = np.linalg.norm(cameras.position[0])
-        # Cameras that cost nearly the same and stand elsewhere: the points do not distinguish them.
-        distances = np.linalg.norm(cameras.position - cameras.position[0], axis=1)
-        elsewhere = distances > APART * far
-        as_good = costs < costs[0] + ALIKE
+        distance_to_ground = np.linalg.norm(cameras.position[0])
+        separations = np.linalg.norm(cameras.position - cameras.position[0], axis=1)
+        elsewhere = separations > MIN_SEPARATION * distance_to_ground
+        as_good = costs < costs[0] + MAX_COST_DIFFERENCE
         if not (as_good & elsewhere)[1:].any():
             return camera
         raise Undetermined("two cameras see the three control points alike",
@@ -309,22 +325,25 @@ class KnownFrame(SensorModel):
                                 "a fourth point.")
 
     def values_of(self, camera: Cameras) -> FloatArray:
-        """Return the values of terms of one camera, (9,)."""
+        """Return the values of the terms (9,), as in `KNOWN_FRAME_TERMS`, of the first camera."""
         turn = vector_of(camera.rotation[0] @ self._downwards.T)
         middle = camera.middle[0] - self._middle
         return np.array([*turn, *camera.shift[0], np.log(camera.focal[0] / self.focal), *middle])
 
     def camera_of(self, values: FloatArray) -> Cameras:
-        """Return the cameras of values of terms (s, 9), s of them."""
+        """Return the s cameras that have these values of the terms, (s, 9)."""
         rotation = rotation_matrices(values[:, :3]) @ self._downwards
         return Cameras(rotation, values[:, 3:6], self.focal * np.exp(values[:, 6]),
                        self._middle + values[:, 7:])
 
     @property
     def _downwards(self) -> FloatArray:
-        """Rotation of a camera that looks straight down with lines to the south."""
-        turned = -1.0 if self.options["mirrored"] else 1.0
-        return np.array([[0.0, -1.0, 0.0], [turned, 0.0, 0.0], [0.0, 0.0, -1.0]])
+        """Axes of a camera that looks straight down: lines to the south, samples to the east.
+
+        Rows of (3, 3) are line, sample and view. In a mirrored image samples run to the west.
+        """
+        sample_direction = -1.0 if self.options["mirrored"] else 1.0
+        return np.array([[0.0, -1.0, 0.0], [sample_direction, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
     @property
     def _middle(self) -> FloatArray:
@@ -335,7 +354,7 @@ class KnownFrame(SensorModel):
     # What a sensor model does.
 
     def sensor_figures(self, coefficients: FloatArray) -> tuple[SensorFigure, ...]:
-        """Return place, angles, focal length and principal point of the camera."""
+        """Return the figures of a camera: position, angles, focal length and principal point."""
         assert self.scaling is not None
         camera = self.camera_of(np.asarray(coefficients)[None])
         focal = float(camera.focal[0]) * self.scaling.image_scale
@@ -350,10 +369,10 @@ class KnownFrame(SensorModel):
         return self.with_lens(ideal).reshape(*np.shape(coefficients)[:-1], len(ground), 2)
 
     def denominators(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return distances from the camera along its view, for both axes, (..., n, 2)."""
+        """Return the depths of ground points along the view, which both axes share, (..., n, 2)."""
         values = np.reshape(coefficients, (-1, len(KNOWN_FRAME_TERMS)))
-        far = self.camera_of(values).in_camera_axes(self.local(ground))[..., 2]
-        return np.stack([far, far], axis=-1).reshape(
+        depths = self.camera_of(values).in_camera_axes(self.local(ground))[..., 2]
+        return np.stack([depths, depths], axis=-1).reshape(
             *np.shape(coefficients)[:-1], len(ground), 2)
 
     def start(self, features: FeatureSet) -> FloatArray:
@@ -365,10 +384,10 @@ class KnownFrame(SensorModel):
         return self.linearised(features, self.start(features))
 
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations:
-        """Return the equations about a solution, with the priors of the interior.
+        """Return the equations of scaled points and lines, linearised about a solution (9,).
 
-        Terms of the interior have priors: the focal length by its stated spread, the lens by what
-        it may do at the edge of the image. They count against a noise of `USUAL` px.
+        The last three terms have priors: the logarithm of the focal length with the standard
+        deviation `focal_spread`, and the principal point with `reach` in each axis.
         """
         assert self.scaling is not None
         derivatives = []
@@ -384,7 +403,8 @@ class KnownFrame(SensorModel):
             derivatives.append(jacobian)
             constants.append(self.project(coefficients, ground) - jacobian @ coefficients)
         equations = image_equations(features, *derivatives, *constants)
-        noise = USUAL / self.scaling.image_scale
+        # An equation of a prior weighs by the noise, taken to be usual, over the prior's deviation.
+        noise = USUAL_SIGMA / self.scaling.image_scale
         prior = np.zeros(len(KNOWN_FRAME_TERMS))
         prior[6] = noise / self.options["focal_spread"]
         prior[7:] = noise / self.reach

@@ -43,21 +43,14 @@ class CameraOptions:
 
     def read(self, features: FeatureSet, options_given: Mapping[str, Any],
              image: Path | str | None) -> FeatureSet:
-        """Return features with what options say of the camera as columns of the points.
+        """Return features with what is stated of the camera as columns of the points.
 
-        Without options and columns the EXIF of the image shows it, where there is one.
+        The EXIF of the image states it where neither options nor columns name a camera or a focal
+        length. The features are returned as they are if nothing states anything. Notes are logged
+        on what the EXIF stated, and if nothing shows the principal point. Raises TermselError for
+        options that cannot be understood, or that are of no use without points or a focal length.
         """
-        stated = {name: str(options_given[name]) for name in INTERIOR_NAMES
-                  if options_given.get(name) is not None}
-        attributes = features.points.attributes
-        sources = {"camera", "camera_focal"}
-        if image is not None and not sources & stated.keys() and not sources & attributes.keys():
-            of_exif = options_of_exif(Path(image), features)
-            from_exif = " ".join(name for name in of_exif if name not in stated)
-            stated = {**of_exif, **stated, **({FROM_EXIF: from_exif} if of_exif else {})}
-        in_mm = stated.get("camera_focal", "").lower().rstrip().endswith("mm")
-        if image is not None and in_mm and not {"camera", "camera_pixel"} & stated.keys():
-            stated = _with_pixel(stated, Path(image))
+        stated = self._stated_options(features, options_given, image)
         if not stated:
             return features
         if not len(features.points):
@@ -66,17 +59,17 @@ class CameraOptions:
         columns = {name: np.array([value] * len(features.points), dtype=object)
                    for name, value in stated.items()}
         described = replace(features, points=replace(
-            features.points, attributes={**attributes, **columns}))
-        # What somebody types is refused where it cannot be understood; the choice of a model would
-        # only pass over this camera.
-        given = [name for name in INTERIOR_NAMES if options_given.get(name) is not None]
+            features.points, attributes={**features.points.attributes, **columns}))
+        # Options are refused here if they cannot be understood, as the choice of a model would pass
+        # over the camera in silence.
+        typed_names = [name for name in INTERIOR_NAMES if options_given.get(name) is not None]
         interior = interior_of(described)
-        if given and interior is None:
+        if typed_names and interior is None:
             raise TermselError(
-                f"{', '.join(given)} {'is' if len(given) == 1 else 'are'} of a camera whose focal "
-                "length nothing states",
+                f"{', '.join(typed_names)} {'is' if len(typed_names) == 1 else 'are'} of a camera "
+                "whose focal length nothing states",
                 hint="Add camera_focal, or camera with its name or file; or leave "
-                     f"{'it' if len(given) == 1 else 'them'} out.", name=given[0])
+                     f"{'it' if len(typed_names) == 1 else 'them'} out.", name=typed_names[0])
         if interior is not None and not np.isfinite(interior.line):
             log.warning("Note: nothing shows the size of the image, so the principal point is "
                         "taken to be somewhere about the middle of the points, and a photo of few "
@@ -87,9 +80,33 @@ class CameraOptions:
             log.warning("Note: %s", _exif_in_words(interior), extra={ONCE: "the camera in EXIF"})
         return described
 
+    @staticmethod
+    def _stated_options(features: FeatureSet, options_given: Mapping[str, Any],
+                        image: Path | str | None) -> dict[str, str]:
+        """Return the options of the camera that the user or the EXIF of the image states, as texts.
+
+        Options of the user come before the EXIF, which is read only if a camera or a focal length
+        is stated neither by them nor by columns. `FROM_EXIF` then names the options of the EXIF. A
+        focal length in mm gets the size of a pixel from the EXIF, too.
+        """
+        stated = {name: str(options_given[name]) for name in INTERIOR_NAMES
+                  if options_given.get(name) is not None}
+        if image is None:
+            return stated
+        sources = {"camera", "camera_focal"}
+        if not sources & stated.keys() and not sources & features.points.attributes.keys():
+            exif = options_of_exif(Path(image), features)
+            from_exif = " ".join(name for name in exif if name not in stated)
+            stated = {**exif, **stated, **({FROM_EXIF: from_exif} if exif else {})}
+        in_mm = stated.get("camera_focal", "").lower().rstrip().endswith("mm")
+        if in_mm and not {"camera", "camera_pixel"} & stated.keys():
+            stated = _with_pixel(stated, Path(image))
+        return stated
+
 
 def _exif_in_words(interior: Interior) -> str:
-    """Return what the EXIF of the image tells of the camera, how well, and how to state another."""
+    """Return a sentence on what the EXIF states of the camera, how well, and how to state another.
+    """
     focal = (f"the focal length of the camera, {interior.focal:,.0f} px to "
              f"{100.0 * interior.focal_spread:.2g} %,")
     source = "taken from the EXIF of the image (one standard deviation each)"
@@ -103,7 +120,7 @@ def _exif_in_words(interior: Interior) -> str:
 def options_of_exif(image: Path, features: FeatureSet) -> dict[str, str]:
     """Return what the EXIF of an image states of its camera, by the names of options.
 
-    Empty if it states neither a known camera nor a focal length.
+    {} if it states neither a known camera nor a focal length.
     """
     size, tags = _size_and_tags(image)
     focal = _focal_of(tags, size)
@@ -119,22 +136,26 @@ def exif_tags(dataset: Any) -> dict[str, str]:
 
 
 def _focal_of(tags: Mapping[str, str], size: tuple[int, int]) -> dict[str, str]:
-    """Return the camera by its name, or else its focal length [px], as options; {} without both."""
+    """Return the option `camera` if the camera is known, or else `camera_focal` [px].
+
+    {} if the tags show neither. `size` is lines and samples of the image.
+    """
     model = " ".join((tags.get("Make", ""), tags.get("Model", ""))).strip().lower()
     name = model.replace(" ", "-")
     if name in CAMERAS:
         return {"camera": name}
-    pixels = float(np.hypot(*size))
+    diagonal_pixels = float(np.hypot(*size))
     equivalent = _number(tags.get("FocalLengthIn35mmFilm", ""))
     if equivalent > 0.0:
-        return {"camera_focal": f"{equivalent / DIAGONAL * pixels:.1f}"}
+        return {"camera_focal": f"{equivalent / DIAGONAL * diagonal_pixels:.1f}"}
     focal = _number(tags.get("FocalLength", ""))
     pixel = _pixel_of(tags, size)
     return {"camera_focal": f"{focal / pixel:.1f}"} if focal > 0.0 and pixel > 0.0 else {}
 
 
 def _pixel_of(tags: Mapping[str, str], size: tuple[int, int]) -> float:
-    """Return the size of a pixel [mm] by EXIF; 0 if it states none."""
+    """Return the size of a pixel [mm] by EXIF, its resolution or its focal lengths; 0 without both.
+    """
     per_unit = _number(tags.get("FocalPlaneXResolution", ""))
     # Millimetres of EXIF's units of resolution: 2 is an inch, 3 a centimetre.
     unit = {2: 25.4, 3: 10.0}.get(round(_number(tags.get("FocalPlaneResolutionUnit", "2"))), 0.0)
@@ -144,18 +165,18 @@ def _pixel_of(tags: Mapping[str, str], size: tuple[int, int]) -> float:
         return unit / per_unit * full_width / max(size)
     focal = _number(tags.get("FocalLength", ""))
     equivalent = _number(tags.get("FocalLengthIn35mmFilm", ""))
-    # Both lengths give the same number of pixels, one of them on a film of known diagonal.
+    # The equivalent focal length is by DIAGONAL as the real one is by the diagonal of the sensor.
     return DIAGONAL * focal / (equivalent * float(np.hypot(*size))) if equivalent > 0.0 else 0.0
 
 
 def _with_pixel(stated: Mapping[str, str], image: Path) -> dict[str, str]:
-    """Return options with the size of a pixel, by EXIF, that a focal length in mm needs.
+    """Return options with `camera_pixel` by EXIF, which a focal length in mm requires.
 
-    Raises TermselError where the image does not state it.
+    Raises TermselError if the image does not state it.
     """
     size, tags = _size_and_tags(image)
     pixel = _pixel_of(tags, size)
-    if not pixel > 0.0:
+    if pixel <= 0.0:
         raise TermselError(
             f"camera_focal={stated['camera_focal']} is in mm, and the image has no EXIF that says "
             "how large its pixels are", file=image, name="camera_focal",
@@ -171,7 +192,11 @@ def _size_and_tags(image: Path) -> tuple[tuple[int, int], dict[str, str]]:
 
 
 def _position_of(tags: Mapping[str, str], crs: str) -> dict[str, str]:
-    """Return the place of the camera in a CRS as an option; {} if the GPS tags or the CRS lack."""
+    """Return the option `camera_position` in a CRS, with its standard deviations.
+
+    {} if the tags have no position or height, if there is no CRS of the Earth, or if the position
+    has no coordinates in it.
+    """
     latitude, longitude = (
         _parse_degrees(tags.get(f"GPS{name}", "")) for name in ("Latitude", "Longitude"))
     if crs in ("", LOCAL) or latitude is None or longitude is None or "GPSAltitude" not in tags:
@@ -180,11 +205,10 @@ def _position_of(tags: Mapping[str, str], crs: str) -> dict[str, str]:
     west = tags.get("GPSLongitudeRef", "E").strip().upper() == "W"
     position = np.array([[-longitude if west else longitude, -latitude if south else latitude,
                           _number(tags["GPSAltitude"])]])
-    placed = transformation_between("EPSG:4979", crs)(position)[0]
-    # A place beyond the area of the CRS has no coordinates in it.
-    if not np.isfinite(placed).all():
+    in_crs = transformation_between("EPSG:4979", crs)(position)[0]
+    if not np.isfinite(in_crs).all():
         return {}
-    x, y, z = placed.tolist()
+    x, y, z = in_crs.tolist()
     return {"camera_position": f"{x!r},{y!r},{z!r},{EXIF_POSITION_SPREAD:g},"
                                f"{EXIF_HEIGHT_SPREAD:g}"}
 

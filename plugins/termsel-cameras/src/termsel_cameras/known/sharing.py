@@ -34,28 +34,28 @@ SHORTEST_FOCAL, LONGEST_FOCAL = 0.4, 6.0
 DISTORTIONS = (-0.1, -0.05, -0.02, 0.0, 0.02, 0.05)
 """Radial distortions k1 that are tried."""
 
-BESIDE, FOCALS_BESIDE = 1.12, 5
+NEAR_FACTOR, FOCALS_PER_DISTORTION = 1.12, 5
 """Factor up to which focal lengths are tried with each distortion, and how many."""
 
 FIRST_STEPS, STEPS_OF_SIMPLEX = (0.03, 0.015), 60
 """Sides of the first simplex of log f and k1, and costs that it may ask for."""
 
-UNLIKE = 4.0
+DOUBTFUL_RATIO = 4.0
 """Ratio of the residuals of a photo to the median from which on its points are doubted."""
 
 PHOTOS_ALONE = 4
 """Photos that are asked for a focal length of their own."""
 
-HELD = 1e-6
-"""Relative standard deviation that holds a focal length where it is tried."""
+FIXED_FOCAL_SPREAD = 1e-6
+"""Relative standard deviation that fixes a focal length at the value that is tried."""
 
-UNKNOWN = np.array([0.1, 0.05])
+UNKNOWN_SPREADS = np.array([0.1, 0.05])
 """Standard deviations of log f and of k1 where the cost is not bent upwards."""
 
-WIDTHS = (0.02, 0.01)
+FIRST_DIFFERENCES = (0.02, 0.01)
 """Differences of log f and of k1 by which the cost is bent at first."""
 
-FARTHEST, ROUNDS = 4.0, 6
+MAX_STEP, NEWTON_STEPS = 4.0, 6
 """Largest step, by these, and how many are taken."""
 
 USUAL_DISTORTION = 0.03
@@ -108,34 +108,37 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
     Raises
     ------
     TermselError
-        If no photo shows the camera.
+        If no photo has enough points with heights, if the points do not determine a focal length,
+        or if with none all points are in front of the cameras.
     """
     controls = [without_independent(photo) for photo in photos]
-    tells = [len(photo.points) >= MIN_POINTS_OF_PHOTO and not photo.without_height()
-             for photo in controls]
+    is_used = [len(photo.points) >= MIN_POINTS_OF_PHOTO and not photo.without_height()
+               for photo in controls]
     data = [FitData.of(replace(photo, image_size=size))
-            for photo, is_telling in zip(controls, tells, strict=True) if is_telling]
+            for photo, is_in_use in zip(controls, is_used, strict=True) if is_in_use]
     if not data:
-        fewest = f"{MIN_POINTS_OF_PHOTO} control points with heights"
+        requirement = f"{MIN_POINTS_OF_PHOTO} control points with heights"
         if any(len(photo.points) >= MIN_POINTS_OF_PHOTO for photo in photos):
-            raise TermselError(f"no photo has {fewest}: the points have no heights",
+            raise TermselError(f"no photo has {requirement}: the points have no heights",
                                hint="Add a column z, for example with heights from a DEM.")
-        raise TermselError(f"no photo has {fewest}", hint="Measure more points in each photo.")
+        raise TermselError(f"no photo has {requirement}",
+                           hint="Measure more points in each photo.")
     flight = _Flight(data)
     longer = float(max(size))
     ends = (SHORTEST_FOCAL * longer, LONGEST_FOCAL * longer)
     if focal is not None:
         ends = (0.8 * focal, 1.25 * focal)
     step = (ends[1] / ends[0]) ** (1.0 / (FOCALS_TRIED - 1))
-    best = flight.least(np.geomspace(*ends, FOCALS_TRIED), 0.0)
-    best = flight.least(best * np.geomspace(1.0 / step, step, FOCALS_TRIED_NEAR), 0.0)
-    # Oblique photos have sharp minima between places of the grid: each photo alone shows its own.
-    # One that shows none has a focal length far outside of all that is tried.
-    shown = [alone for alone in flight.focals_of_each(best) if _is_near(alone, ends)]
-    best = flight.least(np.array([*shown, best]), 0.0, afresh=True)
+    best = flight.focal_of_least_cost(np.geomspace(*ends, FOCALS_TRIED), 0.0)
+    best = flight.focal_of_least_cost(best * np.geomspace(1.0 / step, step, FOCALS_TRIED_NEAR), 0.0)
+    # Oblique photos have sharp minima, which the grid may miss: each of them shows its own focal
+    # length. One far outside of all that are tried is no such minimum.
+    single_focals = [focal_of_one for focal_of_one in flight.focals_of_each(best)
+                     if _is_near(focal_of_one, ends)]
+    best = flight.focal_of_least_cost(np.array([*single_focals, best]), 0.0, afresh=True)
     solution, covariance = _minimum_of_two_unknowns(
         lambda values: flight.penalised_cost(float(np.exp(values[0])), float(values[1])),
-        flight.near_least(best))
+        flight.start_near_least(best))
     shared_focal = float(np.exp(solution[0]))
     if not _is_near(shared_focal, ends):
         if focal is None:
@@ -150,7 +153,7 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
     spread = float(np.clip(np.sqrt(covariance[0, 0]), 1e-4, 0.1))
     sigma = flight.cost(shared_focal, float(solution[1]))[1]
     residuals = np.full(len(photos), np.nan)
-    residuals[tells] = flight.residuals()
+    residuals[is_used] = flight.residuals()
     return SharedCamera(shared_focal, spread, float(solution[1]), sigma, photos=len(data),
                         points=sum(len(photo) for photo in data),
                         residuals=tuple(residuals.tolist()))
@@ -158,11 +161,11 @@ def shared_camera(photos: Sequence[FeatureSet], size: tuple[int, int],
 
 def _is_near(focal: float, ends: tuple[float, float]) -> bool:
     """Return whether a focal length is within the ends of what is tried, or next to them."""
-    return ends[0] / BESIDE <= focal <= ends[1] * BESIDE
+    return ends[0] / NEAR_FACTOR <= focal <= ends[1] * NEAR_FACTOR
 
 
 def unlike_photos(names: Sequence[object], residuals: Sequence[float]) -> list[str]:
-    """Return photos that a shared camera leaves far larger residuals of than of most, with these.
+    """Return the photos whose residuals with a shared camera are far above the median, with these.
 
     Examples
     --------
@@ -172,7 +175,7 @@ def unlike_photos(names: Sequence[object], residuals: Sequence[float]) -> list[s
     usual = float(np.nanmedian(residuals))
     return [f"{name} ({residual:.2g} px)"
             for name, residual in zip(names, residuals, strict=True)
-            if residual > UNLIKE * usual]
+            if residual > DOUBTFUL_RATIO * usual]
 
 
 class _Flight:
@@ -184,7 +187,10 @@ class _Flight:
         self.cameras: list[Pinhole | None] = [None] * len(photos)
 
     def focals_of_each(self, focal: float) -> list[float]:
-        """Return the focal lengths [px] that some of the photos show, each without the others."""
+        """Return the focal lengths [px] that the first `PHOTOS_ALONE` photos show by themselves.
+
+        Each search begins at `focal` [px]. Photos that show none are left out.
+        """
         focals = []
         for i, photo in enumerate(self.photos[:PHOTOS_ALONE]):
             measured = self._model_of_photo(
@@ -194,12 +200,11 @@ class _Flight:
                 focals.append(float(camera.camera.focal[0]) * photo.scaling.image_scale)
         return focals
 
-    def least(self, focals: FloatArray, k1: float, *, afresh: bool = False) -> float:
-        """Return that of the focal lengths [px] whose cost is least.
+    def focal_of_least_cost(self, focals: FloatArray, k1: float, *, afresh: bool = False) -> float:
+        """Return the one of the focal lengths [px] that has the least cost with a distortion k1.
 
-        `afresh` looks for the camera of each photo anew, not next to the last one.
-
-        Raises TermselError if none has one.
+        With `afresh` the camera of each photo is looked for anew for each focal length, not next to
+        the last one. Raises TermselError if with none of them all photos have a camera.
         """
         costs = []
         for focal in focals:
@@ -215,9 +220,10 @@ class _Flight:
         return float(focals[int(np.argmin(costs))])
 
     def cost(self, focal: float, k1: float) -> tuple[float, float]:
-        """Return the cost of all photos together, and the noise that they leave [px].
+        """Return the cost of all photos together, and the median of their noise [px].
 
-        Both are infinite if a photo has no camera of this focal length and distortion.
+        Both are infinite if a photo has no camera of this focal length and distortion. Otherwise
+        the cameras that were found are kept, as starts for the next search.
         """
         total = 0.0
         for i, photo in enumerate(self.photos):
@@ -227,13 +233,14 @@ class _Flight:
                 return np.inf, np.inf
             self.cameras[i] = camera
             rows = np.ones((1, len(photo)))
-            # Twice the minus logarithm of the likelihood, whose size depends on the noise, too.
+            # Twice the minus logarithm of the likelihood of 2 n normal errors: their squares by
+            # the variance, and 2 n log(variance) = 4 n log(sigma).
             total += (float(camera.measured.costs(camera.camera, rows, camera.sigma)[0])
                       + 4.0 * len(photo) * float(np.log(camera.sigma)))
         return total, float(np.median(self.residuals()))
 
     def residuals(self) -> list[float]:
-        """Return the noise that the last cameras leave of each photo [px]."""
+        """Return the noise of each photo [px] with its last camera; photos without are left out."""
         return [camera.sigma * photo.scaling.image_scale
                 for camera, photo in zip(self.cameras, self.photos, strict=True)
                 if camera is not None]
@@ -243,19 +250,20 @@ class _Flight:
         """
         return self.cost(focal, k1)[0] + (k1 / USUAL_DISTORTION) ** 2
 
-    def near_least(self, focal: float) -> FloatArray:
-        """Return log f and k1 near those of the least cost, about a focal length of k1 = 0 [px].
+    def start_near_least(self, focal: float) -> FloatArray:
+        """Return log f and k1 (2,) near the least cost, by a grid and a simplex.
 
-        A distortion that is left out changes the focal length by up to a tenth: the least cost is
-        at the end of a narrow, bent valley, so that neither is found with the other held.
+        `focal` [px] is the best focal length without distortion. A distortion that is left out
+        changes it by up to a tenth.
         """
-        tried = [(float(tried_focal), k1) for k1 in DISTORTIONS
-                 for tried_focal in focal * np.geomspace(1.0 / BESIDE, BESIDE, FOCALS_BESIDE)]
-        costs = [self.penalised_cost(*pair) for pair in tried]
-        best_focal, best_k1 = tried[int(np.argmin(costs))]
+        focals = focal * np.geomspace(1.0 / NEAR_FACTOR, NEAR_FACTOR, FOCALS_PER_DISTORTION)
+        pairs = [(float(tried_focal), k1) for k1 in DISTORTIONS for tried_focal in focals]
+        costs = [self.penalised_cost(*pair) for pair in pairs]
+        best_focal, best_k1 = pairs[int(np.argmin(costs))]
         start = np.array([np.log(best_focal), best_k1])
         corners = start + np.array([[0.0, 0.0], [FIRST_STEPS[0], 0.0], [0.0, FIRST_STEPS[1]]])
-        # Costs at k1 = 0 left cameras that differ: the valley is followed by a simplex.
+        # The least cost is at the end of a narrow, bent valley, which a simplex follows; with one
+        # of the two fixed the other would not be found.
         minimum = minimize(
             lambda values: self.penalised_cost(float(np.exp(values[0])), float(values[1])), start,
             method="Nelder-Mead", options={"initial_simplex": corners, "maxfev": STEPS_OF_SIMPLEX,
@@ -263,57 +271,62 @@ class _Flight:
         return np.asarray(minimum.x)
 
     def _model_of_photo(self, i: int, focal: float, k1: float) -> KnownFrame:
-        """Return the model of a photo with a focal length and a distortion that are held."""
+        """Return the prepared model of the i-th photo with a fixed focal length and distortion."""
         photo = self.photos[i]
         size = photo.features.image_size
         assert size is not None
         line, sample = (np.array(size) - 1.0) / 2.0
         reach = REACH * float(np.hypot(*size)) / 2.0
         distortion = (k1, 0.0, 0.0, 0.0, 0.0)
-        interior = Interior(focal, HELD, float(line), float(sample), reach, distortion)
+        interior = Interior(
+            focal, FIXED_FOCAL_SPREAD, float(line), float(sample), reach, distortion)
         return KnownFrame.of(interior, mirrored=self.mirrored[i]).prepared(
             photo.scaling, photo.features.crs)
 
     def _camera_of_photo(self, i: int, measured: Measured) -> Pinhole | None:
         """Return the camera of the i-th photo; None if none has all points in front of it.
 
-        It is looked for next to the last one, farther away as the focal length grows.
+        It is looked for next to the last one, and if there is none there, anew.
         """
-        before = self.cameras[i]
-        if before is None:
+        last = self.cameras[i]
+        if last is None:
             return camera_of(measured)
-        grown = measured.focal / before.camera.focal
-        shift = before.camera.shift * np.array([1.0, 1.0, float(grown[0])])
-        start = replace(before.camera, shift=shift, focal=np.array([measured.focal]))
+        # With a longer focal length the camera is farther away, so that the scale is the same.
+        ratio = measured.focal / last.camera.focal
+        shift = last.camera.shift * np.array([1.0, 1.0, float(ratio[0])])
+        start = replace(last.camera, shift=shift, focal=np.array([measured.focal]))
         return camera_next_to(measured, start) or camera_of(measured)
 
 
 def _minimum_of_two_unknowns(cost: Callable[[FloatArray], float],
                              start: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return where a cost of log f and k1 is least, and their covariance (2, 2).
+    """Return log f and k1 (2,) where a cost is least, and their covariance (2, 2).
 
-    Newton steps by differences: a longer focal length and a distortion do nearly the same to a
-    photo, so that neither can be found with the other held.
+    The search takes Newton's steps, with derivatives by differences. If the cost is nowhere convex
+    the covariance is that of `UNKNOWN_SPREADS`.
     """
     best = start
-    least = cost(best)
-    widths = np.array(WIDTHS)
-    covariance = np.diag(UNKNOWN**2)
-    for _ in range(ROUNDS):
+    least_cost = cost(best)
+    # Slopes and bends are counted by steps of these widths, and so have the unit of the cost.
+    widths = np.array(FIRST_DIFFERENCES)
+    covariance = np.diag(UNKNOWN_SPREADS**2)
+    for _ in range(NEWTON_STEPS):
         ahead = np.array([cost(best + step) for step in np.diag(widths)])
         behind = np.array([cost(best - step) for step in np.diag(widths)])
         along_diagonal = cost(best + widths)
         if np.isfinite([*ahead, *behind, along_diagonal]).all():
             slopes = (ahead - behind) / 2.0
-            bends = np.diag(ahead + behind - 2.0 * least)
-            bends[0, 1] = bends[1, 0] = along_diagonal - ahead.sum() + least
+            bends = np.diag(ahead + behind - 2.0 * least_cost)
+            bends[0, 1] = bends[1, 0] = along_diagonal - ahead.sum() + least_cost
             if np.linalg.eigvalsh(bends)[0] > 0.0:
-                # The cost is -2 log likelihood, so that its Hessian is twice the inverse of theirs.
+                # The cost is -2 log likelihood: its Hessian is twice the inverse of the covariance.
                 covariance = 2.0 * np.linalg.inv(bends) * np.outer(widths, widths)
-                step = np.clip(-np.linalg.solve(bends, slopes), -FARTHEST, FARTHEST) * widths
-                stepped = cost(best + step)
-                if stepped < least:
-                    best, least = best + step, stepped
+                step = np.clip(-np.linalg.solve(bends, slopes), -MAX_STEP, MAX_STEP) * widths
+                next_cost = cost(best + step)
+                if next_cost < least_cost:
+                    best = best + step
+                    least_cost = next_cost
+                    # Differences are halved only once the step is within them.
                     if (np.abs(step) > widths).any():
                         continue
         widths = widths / 2.0

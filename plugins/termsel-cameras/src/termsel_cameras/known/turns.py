@@ -9,13 +9,14 @@ FloatArray = NDArray[np.float64]
 
 
 def vector_of(rotation: FloatArray) -> FloatArray:
-    """Return the vector of a rotation (3, 3).
+    """Return the axis of a rotation (3, 3) times its angle, from 0 to pi [rad].
 
-    By way of the quaternion whose largest part is found first, as the others then are sure, too
-    (Shepperd 1978, J. Guid. Control 1(3)).
+    The way is by the quaternion, of which the largest component is found first, as others are
+    divided by it (Shepperd 1978, J. Guid. Control 1(3)).
     """
     trace = float(np.trace(rotation))
-    # 4 q_i^2 - 1 of the four components, but for the trace: the largest is divided by.
+    # 4 q_i^2 is 1 - trace + 2 R_ii for the vector's components and 1 + trace for the scalar q_3:
+    # the order of these is that of R_ii and the trace.
     candidates = np.append(np.diag(rotation), trace)
     i = int(np.argmax(candidates))
     q = np.empty(4)
@@ -30,6 +31,7 @@ def vector_of(rotation: FloatArray) -> FloatArray:
         q[j] = rotation[j, i] + rotation[i, j]
         q[k] = rotation[k, i] + rotation[i, k]
         q[3] = rotation[k, j] - rotation[j, k]
+    # q and -q are one rotation; that with q_3 >= 0 has the angle up to pi.
     q /= np.linalg.norm(q) * (1.0 if q[3] >= 0.0 else -1.0)
     # q = (axis sin(angle / 2), cos(angle / 2)).
     sine = float(np.linalg.norm(q[:3]))

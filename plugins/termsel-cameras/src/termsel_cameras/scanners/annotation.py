@@ -38,7 +38,7 @@ FloatArray = NDArray[np.float64]
 ORBIT_MARGIN = 60.0
 """Time before and after the image of which state vectors are kept [s]."""
 
-TIMED = 1e-5
+MAX_TIME_RESIDUAL = 1e-5
 """Largest part of the times of a lattice that the delay of echoes does not explain [s]: they are
 rounded to 1e-6 s."""
 
@@ -109,9 +109,10 @@ def annotation_of(given: str, swath: str = "") -> Annotation:
     Parameters
     ----------
     given : str
-        The name of an annotation, of the image or product that it is of, or a text.
+        The path of an annotation, of its image or its product, or a text by `Annotation.text`,
+        which begins with a brace.
     swath : str
-        Which swath of a product, where it has several.
+        The swath of a product that has several.
 
     Raises
     ------
@@ -132,12 +133,13 @@ def annotation_of(given: str, swath: str = "") -> Annotation:
 
 
 def annotation_file(path: Path, swath: str = "", polarisation: str = "") -> Path:
-    """Return the annotation of an image or product, or the path of one itself.
+    """Return the path of the annotation of an image or product; any other file is returned itself.
 
     Raises
     ------
     TermselError
-        If there is none, or several fit whose geometries differ.
+        If there is no file, if no image of the product has that swath and polarisation, or if
+        several have, and their geometries differ.
     """
     images = images_of(path)
     if not images:
@@ -161,14 +163,14 @@ def _geometry_text(path: Path) -> str:
 @lru_cache(maxsize=8)  # a file is read by format, image and model; its time of change is a key
 def _read(path: Path, _changed: int) -> Annotation:
     """Return the annotation of a file; `_changed`, its time of change, only renews the cache."""
-    root = _root(path)
+    root = _root_of_file(path)
     try:
         return _annotation_from_xml(root, path.name)
     except TermselError as error:
         raise TermselError(f"{path}: {error.what}", hint=_HINT) from error
 
 
-def _root(path: Path) -> ElementTree.Element:
+def _root_of_file(path: Path) -> ElementTree.Element:
     """Return the root element of an XML file; raises TermselError if it is none."""
     try:
         return ElementTree.fromstring(content_of(path))
@@ -179,9 +181,7 @@ def _root(path: Path) -> ElementTree.Element:
 def is_annotation(path: Path, head: bytes | None = None) -> bool:
     """Return whether a file is an annotation of Sentinel-1, by its first elements.
 
-    False if unreadable.
-
-    `head` is its beginning, if it has been read.
+    `head` is its beginning, if it has been read. False if it cannot be read.
     """
     try:
         if head is None:
@@ -192,14 +192,14 @@ def is_annotation(path: Path, head: bytes | None = None) -> bool:
 
 
 def lattice_of(path: Path) -> tuple[LatticePoint, ...]:
-    """Return the lattice of points of an annotation.
+    """Return the points of the lattice in an annotation, in its order.
 
     Raises
     ------
     TermselError
         If the file cannot be read, or has no lattice.
     """
-    root = _root(path)
+    root = _root_of_file(path)
     points = root.findall(LATTICE)
     if not points:
         raise TermselError(f"{path}: geolocationGridPointList has no points", hint=_HINT)
@@ -211,11 +211,11 @@ def lattice_of(path: Path) -> tuple[LatticePoint, ...]:
 
 
 def _annotation_from_xml(root: ElementTree.Element, name: str) -> Annotation:
-    """Return the annotation of a Sentinel-1 product.
+    """Return the annotation with the root `root` of its XML, in the file `name`.
 
-    `root` is that of the XML, `name` of its file. Images in ground range (GRD) have polynomials to
-    slant range, those in slant range (SLC) bursts. Raises TermselError for other XML, and for
-    intervals, sizes or orbits that cannot be.
+    Images in ground range (GRD) have polynomials from slant range, those in slant range (SLC) may
+    have bursts. Raises TermselError for other XML, if an element is missing or wrong, and if the
+    orbit does not cover the image.
     """
     mission = (root.findtext("adsHeader/missionId") or "").strip()
     if root.tag != "product" or not mission.startswith("S1"):
@@ -250,13 +250,13 @@ def _annotation_from_xml(root: ElementTree.Element, name: str) -> Annotation:
 
 def _middle_range_time(root: ElementTree.Element, start: float, interval: float,
                        bursts: tuple[Burst, ...]) -> float | None:
-    """Return the two-way time of echoes [s] that arrive when the lines of the image say.
+    """Return the two-way time [s] of the echoes by whose arrival the lines are counted.
 
-    A processor counts the lines by when the echoes from the middle of the swath arrive. Others
-    were sent at another time: a place in two-way time r is at zero Doppler (r - middle) / 2 after
-    the time of its line. The lattice states line, r and the time of zero Doppler of its points.
-    None where it does not, or follows another rule.
+    They are those from the middle of the swath. None if the lattice does not state the line, the
+    two-way time and the time of zero Doppler of its points, or if these follow another rule.
     """
+    # Echoes with the two-way time r are at zero Doppler (r - middle) / 2 after the time of their
+    # line. Each point of the lattice shows the middle so.
     points = root.findall(LATTICE)
     names = ("line", "slantRangeTime", "azimuthTime")
     if not points or any(point.find(name) is None for point in points for name in names):
@@ -268,34 +268,34 @@ def _middle_range_time(root: ElementTree.Element, start: float, interval: float,
     number = np.searchsorted([burst.line for burst in origins], lines, side="right") - 1
     first_lines = np.array([burst.line for burst in origins])[number]
     first_times = np.array([burst.time for burst in origins])[number]
-    of_lines = first_times + (lines - first_lines) * interval
-    middles = range_times - 2.0 * (times - of_lines)
+    line_times = first_times + (lines - first_lines) * interval
+    middles = range_times - 2.0 * (times - line_times)
     middle = float(np.median(middles))
-    return round(middle, 7) if np.abs(middles - middle).max() < 2.0 * TIMED else None
+    return round(middle, 7) if np.abs(middles - middle).max() < 2.0 * MAX_TIME_RESIDUAL else None
 
 
 def _lattice_area(root: ElementTree.Element) -> tuple[tuple[float, ...], ...]:
-    """Return least and largest longitude, latitude [deg] and height [m] of the lattice.
+    """Return least, then largest longitude, latitude [deg] and height [m] of the lattice.
 
-    () without one.
-
-    East of 180 degrees where it crosses the date line.
+    () if there is no lattice. Across the date line longitudes count from 0 to 360.
     """
     points = root.findall(LATTICE)
     if not points:
         return ()
-    places = np.array([[number_of(point, name) for name in ("longitude", "latitude", "height")]
+    ground = np.array([[number_of(point, name) for name in ("longitude", "latitude", "height")]
                        for point in points])
-    if np.ptp(places[:, 0]) > 180.0:  # across the date line
-        places[:, 0] %= 360.0
-    return tuple(map(tuple, np.stack([places.min(axis=0), places.max(axis=0)]).tolist()))
+    if np.ptp(ground[:, 0]) > 180.0:
+        ground[:, 0] %= 360.0
+    return tuple(map(tuple, np.stack([ground.min(axis=0), ground.max(axis=0)]).tolist()))
 
 
 def _parse_orbit(root: ElementTree.Element, start: float, duration: float,
                  ) -> tuple[FloatArray, FloatArray]:
-    """Return times (m,) [s] and states (m, 6) [m, m/s] of the satellite, from `start` on.
+    """Return times (m,) [s] and states (m, 6) of the satellite: positions [m], velocities [m/s].
 
-    Raises TermselError if they do not cover the image, or are not Earth-fixed.
+    Times count from `start`, the first line; states more than `ORBIT_MARGIN` before it or after
+    `duration` [s] are left out. Raises TermselError if they do not cover the image, or are not
+    Earth-fixed.
     """
     vectors = root.findall("generalAnnotation/orbitList/orbit")
     frames = {(vector.findtext("frame") or "Earth Fixed").strip() for vector in vectors}
@@ -318,7 +318,7 @@ def _ground_ranges(root: ElementTree.Element, start: float) -> tuple[GroundRange
     """Return the polynomials from slant to ground range, in the order of time.
 
     Their times count from `start` [s]. Raises TermselError if there are none, if one has no
-    coefficients, or if times do not grow.
+    coefficients, or if they are not in the order of time.
     """
     records = root.findall("coordinateConversion/coordinateConversionList/coordinateConversion")
     ranges = []
@@ -336,7 +336,9 @@ def _ground_ranges(root: ElementTree.Element, start: float) -> tuple[GroundRange
 
 
 def _parse_bursts(root: ElementTree.Element, start: float, lines: int) -> tuple[Burst, ...]:
-    """Return the bursts of a TOPS image, with time from `start` [s] and first line; () for others.
+    """Return the bursts of a TOPS image of `lines` lines each; () if the image has no bursts.
+
+    Their times count from `start` [s].
     """
     return tuple(Burst(time=seconds_of(text_of(burst, "azimuthTime")) - start, line=number * lines)
                  for number, burst in enumerate(root.findall("swathTiming/burstList/burst")))

@@ -37,9 +37,9 @@ class NamedScanner(Method):
     """The scanner that a column of the points names."""
 
     def declines(self, control: FitData) -> str | None:
-        """Return why no scanner is known, or the points are not for one.
+        """Return why the method cannot fit a scanner to the control; None if it can.
 
-        A name that no sensor has is an error, which the run shows.
+        Raises TermselError for a name that no sensor has, since the user meant to name one.
         """
         features = control.features
         named = sensor_of(control)
@@ -58,11 +58,9 @@ class NamedScanner(Method):
         return None
 
     def fit(self, control: FitData) -> Fit:
-        """Return the fit of the scanner that the points name.
+        """Return the scanner that the points name, fitted to all features.
 
         Raises Undetermined if they name none.
-
-        The track follows from whether lines run to the north or to the south.
         """
         named = sensor_of(control)
         if not named:
@@ -71,10 +69,11 @@ class NamedScanner(Method):
         if not isinstance(model, Scanner):
             return _with_all_terms(self.estimator, model, control)
         prepared = model.prepared(control.scaling, control.features.crs)
+        # The satellite flies to the north if latitudes grow with lines.
         latitude = prepared.geographic(control.scaled.points.ground)[:, 1]
         line = control.features.points.image[:, 0]
-        north = float((latitude - latitude.mean()) @ (line - line.mean()))
-        model = Scanner(sensor=named, track="ascending" if north > 0 else "descending")
+        covariance = float((latitude - latitude.mean()) @ (line - line.mean()))
+        model = Scanner(sensor=named, track="ascending" if covariance > 0 else "descending")
         return _with_all_terms(self.estimator, model, control)
 
     def model(self, heights: bool) -> SensorModel | None:
@@ -86,7 +85,7 @@ class NamedScanner(Method):
         return 0.0
 
     def describe(self, fitted: Fit) -> str:
-        """Return whose constants were used."""
+        """Return a sentence on the metadata, or on the sensor and the source of its constants."""
         if isinstance(fitted.model, TrackedScanner):
             return f"The points name the metadata {fitted.model.source}, with orbit and attitude."
         assert isinstance(fitted.model, Scanner)
@@ -99,9 +98,9 @@ class NamedRadar(Method):
     """The radar whose annotation a column of the points names."""
 
     def declines(self, control: FitData) -> str | None:
-        """Return why no annotation is named, or the points are not for one.
+        """Return why the method cannot fit a radar to the control; None if it can.
 
-        An annotation that cannot be read is an error, which the run shows.
+        Raises TermselError for an annotation that cannot be read.
         """
         features = control.features
         named = sensor_of(control)
@@ -115,9 +114,9 @@ class NamedRadar(Method):
         return None
 
     def settles(self, control: FitData) -> str | None:
-        """Return that the points were computed from the annotation, whose geometry is exact.
+        """Return why no other method need be tried: the points are the annotation's own lattice.
 
-        Raises TermselError where they are a lattice over bursts that overlap.
+        None if they are not. Raises TermselError if they are a lattice over bursts that overlap.
         """
         if control.lattice is None or not names_annotation(sensor_of(control)):
             return None
@@ -128,11 +127,9 @@ class NamedRadar(Method):
                 "and timing are valid between them, too, so nothing is fitted to them.")
 
     def fit(self, control: FitData) -> Fit:
-        """Return the fit of the shifts of the radar that the points name.
+        """Return the radar that the points name, with shifts fitted to all features.
 
-        No shift of its own lattice.
-
-        Raises Undetermined if they name none.
+        No shift is fitted to its own lattice. Raises Undetermined if they name none.
         """
         named = sensor_of(control)
         if not names_annotation(named):
@@ -150,20 +147,20 @@ class NamedRadar(Method):
         return 0.0
 
     def describe(self, fitted: Fit) -> str:
-        """Return a sentence on whose annotation was used.
+        """Return sentences on the annotation, and on the error of measurements if it was assumed.
 
-        "" for its own lattice, where `settles` says it.
+        "" if the points are its own lattice, of which `settles` says so.
         """
         assert isinstance(fitted.model, Radar)
         if not fitted.effective:
-            return ""  # as `settles` says it
-        named = (f"The points name the annotation {fitted.model.source}, with orbit, timing and "
-                 "ranges.")
+            return ""
+        statement = (f"The points name the annotation {fitted.model.source}, with orbit, timing "
+                     "and ranges.")
         points = fitted.control.take(fitted.used).points
         if len(points) > MAX_UNTELLING_POINTS or points.sigma is not None:
-            return named
-        return (f"{named} So few points do not show their own error: it is taken as about half a "
-                "pixel. If you know it, give it in the columns sigma_line and sigma_sample.")
+            return statement
+        return (f"{statement} So few points do not show their own error: it is taken as about half "
+                "a pixel. If you know it, give it in the columns sigma_line and sigma_sample.")
 
 
 def names_annotation(named: str) -> bool:
@@ -174,7 +171,7 @@ def names_annotation(named: str) -> bool:
 
 
 def _radar_of_points(control: FitData) -> Radar:
-    """Return the radar that the points name, with the options that all of them have."""
+    """Return the radar that the points name; its options are those that all points have alike."""
     options: dict[str, Any] = {}
     for name in OF_RADAR:
         values = set(control.features.points.attributes.get(name, ()))

@@ -48,7 +48,7 @@ def seconds_of(text: str) -> float:
 
     Raises TermselError if the text is no time.
     """
-    # The fraction may have more digits than a datetime keeps.
+    # The fraction may have more digits than the microseconds of a datetime.
     whole, _, fraction = text.removesuffix("Z").partition(".")
     try:
         return (datetime.fromisoformat(whole) - EPOCH).total_seconds() + float(

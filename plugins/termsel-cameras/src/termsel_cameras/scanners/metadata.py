@@ -84,10 +84,7 @@ def metadata_of(given: str) -> Metadata:
 
 @lru_cache(maxsize=2)  # a file is read by format, image and model; its time of change is a key
 def _read(path: Path, _changed: int) -> Metadata:
-    """Return the metadata of a file; `_changed`, its time of change, only renews the cache.
-
-    It is cached as a candidate of auto asks many times.
-    """
+    """Return the metadata of a file; `_changed`, its time of change, only renews the cache."""
     try:
         root = ElementTree.fromstring(read_data(path))
     except (ElementTree.ParseError, ValueError, LookupError) as error:
@@ -99,12 +96,11 @@ def _read(path: Path, _changed: int) -> Metadata:
 
 
 def _metadata_of_dimap(root: ElementTree.Element, name: str) -> Metadata:
-    """Return the metadata of a SPOT scene of level 1A.
+    """Return the metadata of a SPOT scene of level 1A, in the file `name`.
 
-    Times count from that of the centre line. Positions and velocities, attitude and look angles are
-    cut to what the scene needs, with the neighbours by which they are interpolated; of thousands of
-    look angles some are enough, as they vary smoothly. Raises TermselError for other files and
-    levels, and where orbit or attitude do not cover the scene.
+    Times count from that of the centre line. Orbit and attitude are those within `MARGIN` of the
+    scene, and look angles those of `NODES` detectors. Raises TermselError for other files and
+    levels, and if orbit or attitude do not cover the scene.
     """
     strip = root.find("Data_Strip")
     if root.tag != "Dimap_Document" or strip is None:
@@ -132,34 +128,37 @@ def _metadata_of_dimap(root: ElementTree.Element, name: str) -> Metadata:
         if len(when) < 2 or (np.diff(when) <= 0).any() or when[0] > ends[1] or when[-1] < ends[0]:
             raise TermselError(f"{block} does not cover the time of the scene",
                                hint="Give METADATA.DIM of this scene, as the vendor delivers it.")
-    near, close = (_times_about_scene(when, ends) for when in (times, moments))
+    orbit_slice, attitude_slice = (_slice_about_scene(when, ends) for when in (times, moments))
     looks = _parse_look_angles(strip)
+    # Look angles vary smoothly, so that some of the thousands are enough.
     keep = np.unique(np.linspace(0, len(looks) - 1, min(NODES, len(looks))).round().astype(int))
     return Metadata(
         name, (lines, samples), line, period,
         (strip.findtext(".//STAR_TRACKER_USED") or "").strip().upper() == "Y",
-        _numbers_in_tuples(times[near]),
-        _numbers_in_tuples(states[near, :3]),  # positions
-        _numbers_in_tuples(states[near, 3:]),  # velocities
-        _numbers_in_tuples(moments[close]), _numbers_in_tuples(angles[close]),
+        _numbers_in_tuples(times[orbit_slice]),
+        _numbers_in_tuples(states[orbit_slice, :3]),  # positions
+        _numbers_in_tuples(states[orbit_slice, 3:]),  # velocities
+        _numbers_in_tuples(moments[attitude_slice]), _numbers_in_tuples(angles[attitude_slice]),
         _numbers_in_tuples(looks[keep, 0] - 1.0),
         _numbers_in_tuples(looks[keep, 1:]))
 
 
-def _times_about_scene(times: FloatArray, ends: FloatArray) -> slice:
-    """Return the slice of times from `MARGIN` before the scene to as much after it.
+def _slice_about_scene(times: FloatArray, ends: FloatArray) -> slice:
+    """Return the slice of sorted times (m,) [s] from `MARGIN` before the scene to as much after it.
 
-    It takes one more at either end, if there is one. `ends` are the first and last moment [s].
+    `ends` (2,) are the times of the first and last line [s]. If there is one, one more time is in
+    it at either end, by which values there are interpolated.
     """
     first, last = np.searchsorted(times, ends + np.array([-MARGIN, MARGIN]))
     return slice(max(int(first) - 1, 0), int(last) + 1)
 
 
 def _parse_attitude(strip: ElementTree.Element, start: float) -> tuple[FloatArray, FloatArray]:
-    """Return times (m,) [s from `start`] and angles (m, 3) [rad] of the satellite.
+    """Return times (m,) [s from `start`] and yaw, pitch and roll (m, 3) [rad] of the satellite.
 
-    They are the corrected angles, or else the integral of the angular speeds, 0 in the middle.
-    Raises TermselError if there are neither.
+    They are the corrected angles, or else the integrals of the angular speeds, which are 0 at
+    `start`. Values that the file calls out of range are left out. Raises TermselError if there are
+    neither.
     """
     below = "Satellite_Attitudes"
     for where in (f"{below}/Corrected_Attitudes/Corrected_Attitude/Angles",
@@ -170,7 +169,8 @@ def _parse_attitude(strip: ElementTree.Element, start: float) -> tuple[FloatArra
             continue
         times = np.array([seconds_of(text_of(element, "TIME")) - start for element in elements])
         values = np.array([[number_of(element, name) for name in ANGLES] for element in elements])
-        if where.endswith("Speeds"):  # by trapezia; the biases take what is constant
+        if where.endswith("Speeds"):
+            # The integral by trapezia; the biases of the model take its unknown constant.
             steps = np.diff(times)[:, None] * (values[1:] + values[:-1]) / 2
             values = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
             values -= [np.interp(0.0, times, element) for element in values.T]
@@ -179,9 +179,9 @@ def _parse_attitude(strip: ElementTree.Element, start: float) -> tuple[FloatArra
 
 
 def _parse_look_angles(strip: ElementTree.Element) -> FloatArray:
-    """Return detectors, counted from 1, with their two look angles [rad], (m, 3).
+    """Return the number of each detector, from 1, with its angles PSI_X and PSI_Y [rad], (m, 3).
 
-    Raises TermselError if they are not in a row.
+    Raises TermselError if there are fewer than two, or if numbers or PSI_Y are not in order.
     """
     first = strip.find("Sensor_Configuration/Instrument_Look_Angles_List/Instrument_Look_Angles")
     elements = [] if first is None else first.findall("Look_Angles_List/Look_Angles")

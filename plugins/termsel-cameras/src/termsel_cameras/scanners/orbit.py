@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 MAJOR, ECCENTRICITY = 6378137.0, 0.00669437999014
 GRAVITY, TURNING = 3.986004418e14, 7.292115e-5
 
-SECANT_STEPS, FIRST_STEP, NO_SLOPE, FAR = 12, 1e-3, 1e-10, 200.0
+SECANT_STEPS, FIRST_STEP, ZERO_SLOPE, MAX_TIME = 12, 1e-3, 1e-10, 200.0
 """Steps of the secant method to the time at which a place is seen, the first one's length, the
 share of the camera's slope that counts as none, and the longest time [s]."""
 
@@ -61,10 +61,12 @@ def axes_at(lon: float, lat: float) -> FloatArray:
 
 
 def heading_of(inclination: float, latitude: float, *, ascending: bool) -> float:
-    """Return the heading of an orbit over a place, clockwise from north [rad].
+    """Return the heading of an orbit at a latitude, clockwise from north [rad].
 
-    Relative to axes that do not turn with the Earth.
+    `inclination` and `latitude` are in degrees. The axes do not turn with the Earth. Beyond the
+    largest latitude of the orbit the heading is that there, east or west.
     """
+    # sin(heading) = cos(inclination) / cos(latitude).
     sine = np.clip(np.cos(np.radians(inclination)) / np.cos(np.radians(latitude)), -1.0, 1.0)
     east = float(np.arcsin(sine))
     return east if ascending else np.pi - east
@@ -72,17 +74,20 @@ def heading_of(inclination: float, latitude: float, *, ascending: bool) -> float
 
 def observe_targets(
         cameras: Cameras, target: FloatArray, origin: FloatArray, axes: FloatArray) -> FloatArray:
-    """Return time [s] and slope to port of targets, shape (p, n, 2); NaN where none is seen.
+    """Return the times [s] at which cameras see targets, and the slopes to port, (p, n, 2).
 
-    The targets (n, 3) and the place (3,) are Earth-fixed [m], the axes (3, 3) are those there.
+    `target` (n, 3) and `origin` (3,), the place that is seen at the time 0, are Earth-fixed [m];
+    `axes` (3, 3) are east, north and up there. NaN where no time within `MAX_TIME` is found.
     """
     centre = axes @ origin
     ground = target @ axes.T
     sine = np.sin(cameras.heading)
     cosine = np.cos(cameras.heading)
-    none = np.zeros_like(sine)
-    course = np.stack([sine, cosine, none], axis=1)
-    right = np.stack([cosine, -sine, none], axis=1)
+    zeros = np.zeros_like(sine)
+    course = np.stack([sine, cosine, zeros], axis=1)
+    right = np.stack([cosine, -sine, zeros], axis=1)
+    # The satellite is where the ray from the origin meets the sphere of the orbit:
+    # |centre + d ray| = radius is solved for the distance d.
     ray = course * cameras.ahead[:, None] + right * cameras.side[:, None] + [0.0, 0.0, 1.0]
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     radius = MAJOR + cameras.altitude
@@ -95,19 +100,23 @@ def observe_targets(
     orbit = np.cross(outward, forward)
     motion = np.sqrt(GRAVITY / radius**3)
     pole = np.broadcast_to(axes[:, 2], orbit.shape)
-    # The camera looks along the ray; lines follow each other along the track, but for the yaw.
+    # The camera looks back along the ray; its first axis is along the track, turned by the yaw.
     x = course * np.cos(cameras.yaw)[:, None] + right * np.sin(cameras.yaw)[:, None]
     x = x - ray * (x * ray).sum(axis=1, keepdims=True)
     x /= np.linalg.norm(x, axis=1, keepdims=True)
     frame = np.stack([x, np.cross(ray, x), -ray], axis=2)
 
     def view(time: FloatArray) -> FloatArray:
-        """Return how far the view of places is off line and sample at a time: 0 when they are seen.
+        """Return the slopes of targets ahead and to port in the camera at given times, (p, n, 2).
+
+        A target is seen when the first one is 0. `time` is (p, n) [s].
         """
+        # The satellite moves along its orbit, and the Earth turns below: both are undone.
         from_camera = rotate(rotate(ground[None], pole, TURNING * time), orbit,
                              -motion[:, None] * time) - station[:, None]
-        misses = from_camera @ frame
-        slopes = misses[..., :2] / misses[..., 2:]
+        in_camera = from_camera @ frame
+        slopes = in_camera[..., :2] / in_camera[..., 2:]
+        # Attitude is a polynomial of time, in small angles.
         roll, pitch, yaw = (cameras.rates[:, i, None] * time
                             + cameras.changes[:, i, None] * time**2 / 2 for i in range(3))
         return np.stack([slopes[..., 0] - pitch - yaw * slopes[..., 1],
@@ -115,20 +124,23 @@ def observe_targets(
 
     time = np.zeros((len(radius), len(ground)))
     if len(radius) > 1:
-        # Cameras by which others are differentiated see all at nearly the same times.
+        # Cameras are given for derivatives, and see a target at nearly the same time.
         first = observe_targets(cameras.first(), target, origin, axes)[0, :, 0]
         time += np.where(np.isfinite(first), first, 0.0)
     step = np.full_like(time, FIRST_STEP)
     with np.errstate(all="ignore"):
-        misses = view(time)
+        slopes = view(time)
         for _ in range(SECANT_STEPS):
-            time = np.clip(time + step, -FAR, FAR)
-            before, misses = misses[..., 0], view(time)
-            at = misses[..., 0]
-            change = at - before
-            step = np.where(np.abs(change) > 1e-13, -at * step / change, 0.0)
-            if np.abs(at).max(initial=0.0) < NO_SLOPE:
+            time = np.clip(time + step, -MAX_TIME, MAX_TIME)
+            last_ahead = slopes[..., 0]
+            slopes = view(time)
+            ahead = slopes[..., 0]
+            change = ahead - last_ahead
+            step = np.where(np.abs(change) > 1e-13, -ahead * step / change, 0.0)
+            if np.abs(ahead).max(initial=0.0) < ZERO_SLOPE:
                 break
-        image = np.stack([time, misses[..., 1]], axis=2)
-        image[~(np.abs(at) < 1e-6)] = np.nan
+        image = np.stack([time, slopes[..., 1]], axis=2)
+        # A slope that is NaN is none of a target that is seen, either.
+        is_seen = np.abs(ahead) < 1e-6
+        image[~is_seen] = np.nan
     return image

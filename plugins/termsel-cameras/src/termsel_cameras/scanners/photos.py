@@ -70,7 +70,7 @@ show nothing: half of it, by the spread in the image, is as much as can be measu
 MIN_PHOTO_POINTS, MAX_PHOTO_POINTS = 6, 20
 """Numbers of points for which the candidates are: more show as much as the physics."""
 
-AMISS = 2.0
+MAX_MISFIT = 2.0
 """Misfit of points and priors together, by what it is expected to be, beyond which a camera is not
 of this kind: it is at most about 1.2 where it is, and seldom below 3 where it is not."""
 
@@ -91,69 +91,75 @@ class Photo(Physical):
 
     def local(self, ground: FloatArray) -> FloatArray:
         """Return scaled places in metres east, north and up of the control's middle, (n, 3)."""
-        return _local(ground, require_scaling(self.scaling), self.crs)
+        return _to_local(ground, require_scaling(self.scaling), self.crs)
 
     def starts(self, features: FeatureSet) -> FloatArray:
-        """Return the values of terms (s, k) from which fits begin.
+        """Return the values of terms (s, k) from which fits to scaled points begin.
 
-        Of an affine map, or of a pinhole view.
+        One start is the pinhole camera of an oblique view; if there is none, or the option
+        `oblique` is off, there are three of the affine map of the points.
         """
         slopes = self.slopes_of(features)
-        # How north is seen shows the turn; the area of a unit square shows the scale.
+        # The direction of north in the image shows the turn, the area of a unit square the scale.
         turn = np.arctan2(slopes[1, 1], slopes[0, 1])
         starts = np.zeros((3, len(self.terms)))
         starts[:, self.terms.index("turn")] = turn / TURN
         starts[:, self.terms.index("scale")] = np.log(
             np.sqrt(np.abs(np.linalg.det(slopes)) + 1e-12) * self._ground_extent()) / SCALE
-        # Three starts: short, usual and long focal lengths have minima of their own.
+        # Short, usual and long focal lengths may lead to minima of their own.
         starts[:, self.terms.index("focal")] = (-1.0, 0.0, 1.0)
-        of_view = self.starts_of_view(features) if self.options["oblique"] else starts[:0]
-        return of_view if len(of_view) else starts
+        view_starts = self.starts_of_view(features) if self.options["oblique"] else starts[:0]
+        return view_starts if len(view_starts) else starts
 
     def starts_of_view(self, features: FeatureSet) -> FloatArray:
-        """Return the terms (1, k) of the pinhole camera of the points; (0, k) if they have none."""
+        """Return the values of terms (1, k) of the pinhole camera of scaled points.
+
+        (0, k) if they have none, or if it has their middle behind it.
+        """
         points = features.points
         pinhole = pinhole_of(FeatureSet(points, crs=self.crs), require_scaling(self.scaling))
-        # The middle of the points must be in front of the camera.
-        if pinhole is None or not pinhole.matrix[2, 0] > 0.0:
+        # The entry of the matrix is the depth of the middle of the points.
+        if pinhole is None or pinhole.matrix[2, 0] <= 0.0:
             return np.zeros((0, len(self.terms)))
-        # f (q1, q2) and q3 of 1, X, Y and Z, without the principal point.
-        away = np.append(pinhole.camera.middle[0], 0.0)
-        matrix = pinhole.matrix - np.outer(away, pinhole.matrix[2])
+        # Without the principal point the rows are f q1, f q2 and q3, of 1, X, Y and Z.
+        principal = np.append(pinhole.camera.middle[0], 0.0)
+        matrix = pinhole.matrix - np.outer(principal, pinhole.matrix[2])
         steps = self.local(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]))[:, :2]
-        # By metres to the east and to the north instead of scaled X and Y.
+        # Derivatives by scaled X and Y become those by metres to the east and to the north.
         plane = matrix[:, 1:3] @ np.linalg.inv((steps[:2] - steps[2]).T)
         focal = float(pinhole.camera.focal[0])
-        return np.array([self._start_of(plane, matrix[:, 0], focal, pinhole.camera.middle[0])])
+        return np.array([
+            self._terms_of_view(plane, matrix[:, 0], focal, pinhole.camera.middle[0])])
 
-    def _start_of(self, plane: FloatArray, middle: FloatArray, focal: float,
-                  principal: FloatArray) -> list[float]:
-        """Return the values of terms of a camera of some focal length, by what it sees.
+    def _terms_of_view(self, plane: FloatArray, middle: FloatArray, focal: float,
+                       principal: FloatArray) -> list[float]:
+        """Return the values of terms of a pinhole camera with a scaled focal length.
 
-        `plane`, (3, 2), and `middle`, (3,), are of east, north and the middle of the ground, about
-        the principal point.
+        `plane` (3, 2) has the columns of its matrix for east and north [1/m], `middle` (3,) that of
+        the middle of the ground; both are about `principal`, the principal point (2,).
         """
-        # Without the focal length it is a rotation times a scale.
+        # Divided by the focal length, the columns are those of a rotation times a scale.
         columns = plane / np.array([[focal], [focal], [1.0]])
         size = float(np.linalg.norm(columns, axis=0).mean())
         turn, tilts = _turn_and_tilts(columns, mirrored=bool(self.options["mirrored"]))
-        # Where the middle is seen from the principal point.
-        away = middle[:2] / middle[2]
-        middle_seen = principal + away
+        # The image position of the middle of the ground, from the principal point and scaled.
+        offset = middle[:2] / middle[2]
+        line, sample = principal + offset
         values = dict.fromkeys(self.terms, 0.0) | {
-            "line": middle_seen[0], "sample": middle_seen[1], "turn": turn / TURN,
+            "line": line, "sample": sample, "turn": turn / TURN,
             "scale": np.log(focal * size / middle[2] * self._ground_extent()) / SCALE,
             "focal": np.log(focal / FOCAL_PRIOR) / FOCAL_SPREAD,
             "tilt-line": tilts[0] / self.tilt, "tilt-sample": tilts[1] / self.tilt,
-            "middle-line": away[0] / MIDDLE, "middle-sample": away[1] / MIDDLE}
+            "middle-line": offset[0] / MIDDLE, "middle-sample": offset[1] / MIDDLE}
         return [values[name] for name in self.terms]
 
     def slopes_of(self, features: FeatureSet) -> FloatArray:
-        """Return the slopes of scaled image positions by metres east and north, shape (2, 2).
+        """Return the slopes of scaled image positions by metres east and north, (2, 2).
 
-        Their determinant is positive where lines run to the south and samples to the east.
+        Rows are east and north, columns line and sample. The determinant is positive unless the
+        image is mirrored.
         """
-        # Heights are left out: a tilt would take them up, and be wrong.
+        # Heights are left out: as a further column they would take up what the tilt does.
         plan = self.local(features.points.ground)[:, :2]
         return np.asarray(np.linalg.lstsq(np.column_stack([np.ones(len(plan)), plan]),
                                           features.points.image)[0][1:])
@@ -164,29 +170,32 @@ class Photo(Physical):
 
     def seen(self, x: dict[str, FloatArray], ground: FloatArray,
              ray: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return places in the camera's axes (p, n, 3) by distance, and focal lengths (p, 1).
+        """Return ground points in the axes of p cameras (p, n, 3), and focal lengths (p, 1).
 
-        `ray`, shape (p, 3), leads to the control's middle: along lines, samples and the view.
+        The axes are along lines, samples and the view, and lengths are divided by the depth of the
+        control's middle. `x` has the values (p,) of terms by name, `ground` (n, 3) is scaled, and
+        `ray` (p, 3) leads from the camera to the middle of the control.
         """
         focal = FOCAL_PRIOR * np.exp(FOCAL_SPREAD * x["focal"])
         scale = np.exp(SCALE * x["scale"]) / self._ground_extent()
-        turned = self.rotation_of(x)
-        # Relative to the middle of the control, and by the distance of the camera from it.
-        in_camera = self.local(ground) @ turned.transpose(0, 2, 1)
-        return (np.asarray(in_camera * (scale / focal)[:, None, None] + ray[:, None, :]),
+        from_middle = self.local(ground) @ self.rotation_of(x).transpose(0, 2, 1)
+        # A metre of ground is `scale` in the image, and so scale / focal of the depth.
+        return (np.asarray(from_middle * (scale / focal)[:, None, None] + ray[:, None, :]),
                 focal[:, None])
 
     def rotation_of(self, x: dict[str, FloatArray]) -> FloatArray:
         """Return the directions of lines, samples and the view, as rows of (p, 3, 3)."""
         sine = np.sin(TURN * x["turn"])
         cosine = np.cos(TURN * x["turn"])
-        none = np.zeros_like(sine)
-        # Axes of a level camera: line to the south, sample to the east, view downwards.
-        down = -1.0 if self.options["mirrored"] else 1.0
-        level = np.stack([np.stack([down * sine, -down * cosine, none], axis=1),
-                          np.stack([cosine, sine, none], axis=1),
-                          np.stack([none, none, none - 1.0], axis=1)], axis=1)
+        zeros = np.zeros_like(sine)
+        # Axes of a level camera: line to the south, sample to the east, view downwards; then they
+        # are turned about the vertical. In a mirrored image lines run the other way.
+        line_sign = -1.0 if self.options["mirrored"] else 1.0
+        level = np.stack([np.stack([line_sign * sine, -line_sign * cosine, zeros], axis=1),
+                          np.stack([cosine, sine, zeros], axis=1),
+                          np.stack([zeros, zeros, zeros - 1.0], axis=1)], axis=1)
         turned = level
+        # Each tilt turns an axis of the image and the view in their plane.
         for i, name in enumerate(("tilt-line", "tilt-sample")):
             s = np.sin(self.tilt * x[name])[:, None]
             c = np.cos(self.tilt * x[name])[:, None]
@@ -209,22 +218,20 @@ class Photo(Physical):
         raise NotImplementedError
 
 
-def _local(ground: FloatArray, scaling: Scaling, crs: str) -> FloatArray:
-    """Return scaled places in metres east, north and up of the control's middle, (n, 3)."""
-    # A local frame is plane already.
+def _to_local(ground: FloatArray, scaling: Scaling, crs: str) -> FloatArray:
+    """Return scaled ground positions (n, 3) in metres east, north and up of the control's middle.
+    """
+    # Without a CRS of the Earth coordinates are those of a plane already.
     if crs in ("", "local"):
         return np.asarray(ground * scaling.ground_scale)
-    # In space, as the Earth bends by metres within a photo.
+    # Others go by Earth-fixed coordinates, as the Earth bends by metres within a photo.
     middle, axes = _middle_and_axes(scaling, crs)
     return np.asarray((to_geocentric(_geographic(ground, scaling, crs)) - middle) @ axes.T)
 
 
 def _geographic(ground: FloatArray, scaling: Scaling, crs: str) -> FloatArray:
-    """Return longitude, latitude [deg] and height [m] of scaled places, (n, 3)."""
+    """Return longitude, latitude [deg] and height [m], (n, 3), of scaled ground positions."""
     return to_wgs84(crs)(scaling.unscaled(ground))
-
-
-# Fits ask thousands of times about the same control.
 
 
 @lru_cache(maxsize=32)  # a photo is asked for with each set of parameters
@@ -237,23 +244,23 @@ def _middle_and_axes(scaling: Scaling, crs: str) -> tuple[FloatArray, FloatArray
 @lru_cache(maxsize=32)  # a photo is asked for with each set of parameters
 def _ground_extent_of(scaling: Scaling, crs: str) -> float:
     """Return how far the eastern edge of the control is from its middle [m]."""
-    return float(np.linalg.norm(_local(np.array([[1.0, 0.0, 0.0]]), scaling, crs)))
+    return float(np.linalg.norm(_to_local(np.array([[1.0, 0.0, 0.0]]), scaling, crs)))
 
 
 def _turn_and_tilts(columns: FloatArray, *, mirrored: bool) -> tuple[float, tuple[float, float]]:
-    """Return the turn and the tilts [rad] of a camera, by where it sees east and north, (3, 2).
+    """Return the turn and the two tilts [rad] by which `Photo.rotation_of` gives a camera's axes.
 
-    They are those that `Photo.seen` turns the level axes by: lines about samples, then samples
-    about what results.
+    `columns` (3, 2) are about east and north in these axes, times a scale.
     """
     # The nearest matrix with orthonormal columns (Procrustes).
     u, _, v = np.linalg.svd(columns, full_matrices=False)
     east, north = (u @ v).T
     up = np.cross(east, north) * (1.0 if mirrored else -1.0)
     line, sample, view = np.column_stack([east, north, up])
-    if view[2] > 0.0:  # a camera looks down
+    # A camera looks down; one that looks up sees a plane in the same image.
+    if view[2] > 0.0:
         line, sample, view = (axis * [1.0, 1.0, -1.0] for axis in (line, sample, view))
-    # Tilts are undone in the opposite order: the second first.
+    # `rotation_of` tilts the line first and then the sample, which is undone first.
     second = float(np.arctan(-sample[2] / min(view[2], -1e-9)))
     level = np.cos(second) * sample + np.sin(second) * view
     between = np.cos(second) * view - np.sin(second) * sample
@@ -285,33 +292,33 @@ class FrameCamera(Photo):
         """Return scaled positions on the film (p, n, 2), about where the middle is seen."""
         middle = MIDDLE * np.stack([x["middle-line"], x["middle-sample"]], axis=1)
         focal = FOCAL_PRIOR * np.exp(FOCAL_SPREAD * x["focal"])
-        # Towards the middle of the control, which need not be the principal point.
+        # The middle of the control need not be seen at the principal point.
         ray = np.column_stack([middle / focal[:, None], np.ones(len(focal))])
         in_camera, focal = self.seen(x, ground, ray)
-        # Central projection; behind the camera nothing is seen.
+        # Central projection: NaN behind the camera.
         ideal = focal[..., None] * in_camera[..., :2] / np.where(
             in_camera[..., 2:] > 0, in_camera[..., 2:], np.nan)
-        radius = (ideal**2).sum(axis=2, keepdims=True)
-        # Distortion grows with the third power of the radius.
-        bent = RADIAL / require_scaling(
-            self.scaling).image_scale * x["radial"][:, None, None] * radius
-        line, sample = np.moveaxis(ideal * (1.0 + bent), -1, 0)
+        squared_radius = (ideal**2).sum(axis=2, keepdims=True)
+        # Radial distortion is a factor 1 + k r^2, and so grows with the third power of r.
+        distortion = RADIAL / require_scaling(
+            self.scaling).image_scale * x["radial"][:, None, None] * squared_radius
+        line, sample = np.moveaxis(ideal * (1.0 + distortion), -1, 0)
         affinity = FILM * x["affinity"][:, None]
         shear = FILM * x["shear"][:, None]
         return (np.stack([line * (1.0 + affinity) + shear * sample, sample], axis=-1)
                 - middle[:, None])
 
     def sensor_figures(self, coefficients: FloatArray) -> tuple[SensorFigure, ...]:
-        """Return place, angles, focal length and principal point of the camera."""
+        """Return the figures of the camera: position, angles, focal length and principal point."""
         scaling = require_scaling(self.scaling)
         x = dict(zip(self.terms, np.asarray(coefficients)[:, None], strict=True))
-        away = MIDDLE * np.array([x["middle-line"][0], x["middle-sample"][0]])
+        offset = MIDDLE * np.array([x["middle-line"][0], x["middle-sample"][0]])
         focal = float(FOCAL_PRIOR * np.exp(FOCAL_SPREAD * x["focal"][0]))
         scale = float(np.exp(SCALE * x["scale"][0])) / self._ground_extent()
         rotation = self.rotation_of(x)[0]
-        # In the camera's axes a place is R X scale / focal + ray, which is 0 at the camera.
-        centre = -np.append(away / focal, 1.0) * focal / scale @ rotation
-        principal = np.array([[x["line"][0], x["sample"][0]]]) - away
+        # In the camera's axes a point X is R X scale / focal + ray, which is 0 at the camera.
+        centre = -np.append(offset / focal, 1.0) * focal / scale @ rotation
+        principal = np.array([[x["line"][0], x["sample"][0]]]) - offset
         orientation = exterior_orientation(rotation, centre, self.local, scaling, self.crs)
         return camera_figures(orientation, focal * scaling.image_scale,
                               scaling.pixels(principal)[0])
@@ -356,8 +363,7 @@ class FewOfPhoto(Method):
     camera: type[Photo] = FrameCamera
 
     def declines(self, control: FitData) -> str | None:
-        """Return why the features are not for a photo, as part of a sentence; None if they may be.
-        """
+        """Return why the features are not for a photo; None if they may be."""
         features = control.features
         if len(features.lines) or len(features.points) < MIN_PHOTO_POINTS:
             return (f"it is for {MIN_PHOTO_POINTS} to {MAX_PHOTO_POINTS} control points, without "
@@ -365,7 +371,6 @@ class FewOfPhoto(Method):
         # Without relief tilt and focal length are not distinguished.
         if features.without_height():
             return "it needs heights"
-        # Tilt and focal length would be guesses elsewhere.
         if not control.heights and not self._has_relief(control):
             return "it needs heights that differ"
         return None
@@ -377,32 +382,32 @@ class FewOfPhoto(Method):
         assert isinstance(model, Photo)
         *plan, up = model.local(points.ground).T
         columns = np.column_stack([np.ones(len(up)), *plan])
-        # Heights off a plane: a plane seen at a slant is only tilted ground.
+        # A plane seen at a slant does not distinguish tilt from focal length, either.
         off_plane = up - columns @ np.linalg.lstsq(columns, up)[0]
         return bool(np.linalg.norm(off_plane) > RELIEF * np.sqrt(np.var(plan, axis=1).sum()))
 
     def tried(self, data: FitData) -> bool:
-        """Return whether the points say that they are of a photo.
-
-        To try cameras on every image would take auto several times as long. What supports an
-        oblique view gets termsel's own pinhole camera.
-        """
+        """Return whether the points name this kind of camera as their sensor."""
+        # With these cameras on every image auto would take several times as long.
         return sensor_of(data) == self.camera.name
 
     @staticmethod
     def _is_oblique(control: FitData) -> bool:
-        """Return whether the points support a view of unlike distances from the camera."""
+        """Return whether the nearest point is much closer to the camera than the middle is.
+
+        False if the points support no view at all.
+        """
         view = view_of(control.scaled.points)
         return view is not None and view.depth < OBLIQUE
 
     def fit(self, control: FitData) -> Fit:
         """Return the camera fitted to all features.
 
-        Raises Undetermined if they are plainly not a photo's.
+        Raises Undetermined if the fit does not converge, or its misfit is beyond `MAX_MISFIT`.
         """
         model = self.camera().prepared(control.scaling, control.features.crs)
         assert isinstance(model, Photo)
-        # A negative determinant: east and north are seen the other way round.
+        # A negative determinant shows that the image is mirrored.
         model = self.camera(mirrored=bool(np.linalg.det(model.slopes_of(control.scaled)) < 0),
                             oblique=self._is_oblique(control))
         fitted = self.estimator.fit(model, control.features, control.scaling,
@@ -410,12 +415,14 @@ class FewOfPhoto(Method):
                                     np.ones(len(control), dtype=bool))
         camera = fitted.model
         assert isinstance(camera, Photo)
-        # Place, turn and scale are free; all else is expected to be one standard deviation off.
+        # Line, sample, turn and scale are free, and k - 4 of the k terms have priors: 2 n + k - 4
+        # equations less k terms leave a cost of 2 n - 4 to be expected.
         misfit = camera.cost(control.scaled, fitted.adjustment.coefficients)[0] / (
             2 * len(control) - 4)
-        if misfit > AMISS:
+        if misfit > MAX_MISFIT:
             raise Undetermined(f"the points are not those of {self.title}: the misfit is "
-                               f"{misfit:.1f} times what is expected, and the most is {AMISS:g}",
+                               f"{misfit:.1f} times what is expected, and the most is "
+                               f"{MAX_MISFIT:g}",
                                hint="Check the points and heights, or choose another model.")
         return fitted
 
@@ -424,11 +431,11 @@ class FewOfPhoto(Method):
         return self.camera() if heights else None
 
     def size(self, heights: bool) -> float:
-        """Return infinity: the priors hold what the features do not determine."""
+        """Return infinity, which puts the camera after all models that the features determine."""
         return np.inf
 
     def describe(self, fitted: Fit) -> str:
-        """Return sentences on what camera the fit found: its focal length and its tilt."""
+        """Return sentences on the camera of the fit: its steps, its focal length and its tilt."""
         values: dict[str, Any] = fitted.coefficients
         focal = FOCAL_PRIOR * np.exp(FOCAL_SPREAD * values["focal"])
         assert isinstance(fitted.model, Photo)

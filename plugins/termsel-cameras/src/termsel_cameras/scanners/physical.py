@@ -34,14 +34,14 @@ BoolArray = NDArray[np.bool_]
 NOISE = 0.7
 """Standard deviation of a measurement, by which priors are weighed, where none is stated [px]."""
 
-USUAL, EXPERIENCE, STATED = 0.55, 2.0, 20.0
+USUAL_SIGMA, EXPERIENCE, STATED = 0.55, 2.0, 20.0
 """Usual standard deviation of a measurement [px], the degrees of freedom that it counts as where
 residuals are few, and those of one that is stated."""
 
 INTERVAL = 0.95
 """Share of errors below the upper end of an interval of 90 %."""
 
-OF_LATTICE = 1.0
+MAX_LATTICE_RMS = 1.0
 """Distance of points from where metadata see them, up to which they are a lattice that was computed
 from these [px]: lattices of radar images differ by up to half a pixel."""
 
@@ -51,7 +51,7 @@ DERIVATIVE_STEP = 1e-4
 MAX_STEPS, CONVERGED_GAIN = 100, 1e-3
 """Most steps of a fit; it has converged where a step would gain less than this share."""
 
-BEND, AHEAD = 0.1, 0.4
+BEND_STEP, MAX_BEND = 0.1, 0.4
 """Part of a step by which its bend is told, and the most that the bend may be of the step."""
 
 HUBER = 3.0
@@ -99,22 +99,23 @@ class Physical(SensorModel):
         return self.terms_
 
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return image positions of ground points, shape (..., n, 2); NaN where none is seen."""
+        """Return scaled image positions (..., n, 2) of ground points; NaN where one is not seen."""
         values = np.reshape(coefficients, (-1, len(self.terms)))
         return self.image_of(values, ground).reshape(
             *np.shape(coefficients)[:-1], len(ground), 2)
 
     def slopes(self, values: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return derivatives of image positions by the terms, shape (n, 2, k)."""
+        """Return derivatives (n, 2, k) of scaled image positions by the terms at `values` (k,)."""
+        # Central differences of all terms, in one call.
         steps = DERIVATIVE_STEP * np.eye(len(values))
-        # Central differences, of all terms in one call.
         images = self.image_of(np.concatenate([values + steps, values - steps]), ground)
         k = len(values)
         return np.moveaxis(images[:k] - images[k:], 0, -1) / (2 * DERIVATIVE_STEP)
 
     def prior(self) -> FloatArray:
-        """Return the weights of the pseudo-observations that terms are 0, shape (k,)."""
-        # A term of one standard deviation weighs as much as an error of the size of the noise.
+        """Return the weights (k,) of the equations x = 0 of the terms, 0 for those without a prior.
+        """
+        # A term of 1, its standard deviation, counts as an error of the size of the noise.
         weights = np.full(len(self.terms), NOISE / require_scaling(self.scaling).image_scale)
         weights[:self.free] = 0.0
         return weights
@@ -131,7 +132,7 @@ class Physical(SensorModel):
         return self.linearised(features, self.start(features))
 
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations:
-        """Return the equations about a solution, with those of the priors."""
+        """Return the equations of scaled points and lines about a solution (k,), and the priors."""
         rows = []
         for ground in (features.points.ground, features.lines.ground.reshape(-1, 3)):
             columns = self.slopes(coefficients, ground)
@@ -144,41 +145,49 @@ class Physical(SensorModel):
     def solved(self, features: FeatureSet) -> CameraSolution:
         """Return the best robust fit to scaled points from all starts.
 
-        A run asks for the same one many times: the last ones are kept. Raises Undetermined where no
-        start sees the points.
+        Raises Undetermined if from no start all points are seen.
         """
+        # A run asks for the same solution many times. Neither models nor points can be keys of a
+        # cache, but bytes can.
         try:
-            # Bytes, as neither models nor points can be keys of a cache.
             pickled = pickle.dumps((self, features.points))
         except (AttributeError, TypeError, pickle.PicklingError):
             # The class is defined in a function, or an option is no plain value.
             return _best_solution(self, features.points)
-        return _cached_best_fit(pickled)
+        return _cached_best_solution(pickled)
 
     def cost(self, features: FeatureSet, values: FloatArray) -> tuple[float, FloatArray]:
-        """Return Huber's loss of scaled points and priors, and residuals (n, 2), by the noise."""
+        """Return Huber's loss of scaled points and priors, and the weighted residuals (n, 2).
+
+        Both are divided by the noise. The loss is NaN if a point is not seen.
+        """
         points = features.points
         unit = NOISE / require_scaling(self.scaling).image_scale
-        away = ((points.image - self.image_of(values[None], points.ground)[0])
-                * _point_weights(features) / unit)
-        large = np.linalg.norm(away, axis=1)
-        # Square near 0, linear beyond, and smooth where they meet.
-        loss = np.where(large > HUBER, 2 * HUBER * large - HUBER**2, large**2)
-        return float(loss.sum() + ((self.prior() / unit * values) ** 2).sum()), away
+        residuals = ((points.image - self.image_of(values[None], points.ground)[0])
+                     * _point_weights(features) / unit)
+        lengths = np.linalg.norm(residuals, axis=1)
+        # Quadratic near 0, linear beyond HUBER, and smooth where they meet.
+        loss = np.where(lengths > HUBER, 2 * HUBER * lengths - HUBER**2, lengths**2)
+        return float(loss.sum() + ((self.prior() / unit * values) ** 2).sum()), residuals
 
     def _distance_from_tangent(
             self, values: FloatArray, step: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return how far image positions at the end of a step are off its tangent, (n, 2)."""
-        # The second derivative along the step, by a central difference.
-        ends = values + BEND * np.array([[1.0], [0.0], [-1.0]]) * step
-        before, middle, behind = self.image_of(ends, ground)
-        return np.asarray((before - 2 * middle + behind) / (2 * BEND**2))
+        """Return the offsets (n, 2) of image positions from the tangent at the end of a step.
 
-    def descended(self, features: FeatureSet, start: FloatArray) -> CameraSolution | None:
-        """Return where damped steps from a start end (Levenberg 1944, Marquardt 1963).
+        `values` (k,) are those where the step (k,) begins.
+        """
+        # Half the second derivative along the step, by a central difference.
+        ends = values + BEND_STEP * np.array([[1.0], [0.0], [-1.0]]) * step
+        ahead, middle, behind = self.image_of(ends, ground)
+        return np.asarray((ahead - 2 * middle + behind) / (2 * BEND_STEP**2))
 
-        Steps follow a bend to second order (Transtrum, Machta and Sethna 2011, Phys. Rev. E 83,
-        036701, section VIII).
+    def descend(self, features: FeatureSet, start: FloatArray) -> CameraSolution | None:
+        """Return the solution at the end of damped steps from a start (Levenberg 1944, Marquardt
+        1963).
+
+        Steps are corrected to second order (Transtrum, Machta and Sethna 2011, Phys. Rev. E 83,
+        036701, section VIII). None if not all points are seen at the start, or on the way. The
+        solution has not converged if `MAX_STEPS` are not enough.
         """
         points = features.points
         prior = self.prior()
@@ -189,48 +198,51 @@ class Physical(SensorModel):
         converged = False
         steps = 0
         values = start
-        # Of the free terms the best values are known: the mean of what is left.
+        # The free terms are shifts of line and sample: their best values are the mean residuals.
         if self.free:
-            misses = points.image - self.image_of(values[None], points.ground)[0]
+            residuals = points.image - self.image_of(values[None], points.ground)[0]
             values = values.copy()
-            values[:self.free] += misses.mean(axis=0)[:self.free]
+            values[:self.free] += residuals.mean(axis=0)[:self.free]
         least_cost, residuals = self.cost(features, values)
         if not np.isfinite(least_cost):
             return None
         while steps < MAX_STEPS and damping < 1e8:
-            # Weights of the reweighted squares whose gradient is that of Huber's loss.
+            # Roots of the weights with which squares have the gradient of Huber's loss.
             distances = np.linalg.norm(residuals, axis=1)
             huber_weights = np.sqrt(HUBER / np.maximum(distances, HUBER))[:, None]
             slopes = self.slopes(values, points.ground)
             A = (slopes * (huber_weights * weight / unit)[..., None]).reshape(-1, len(values))
             if not np.isfinite(A).all():
                 return None
-            # The negative gradient, of priors, too.
+            # (A' A + W + damping diag(A' A + W)) step = A' r - W x, with the squared weights W of
+            # the priors. Damping in proportion to the diagonal makes units of terms irrelevant.
             right = A.T @ (huber_weights * residuals).ravel() - size**2 * values
             normal = A.T @ A + np.diag(size**2)
-            # Damped in proportion to the diagonal, so that units of terms do not count.
             inverse = np.linalg.pinv(normal + damping * np.diag(np.diag(normal) + 1e-12),
                                      hermitian=True)
             full_step = inverse @ right
-            # The way bends where altitude, pixel and period make up for each other.
-            bent = self._distance_from_tangent(values, full_step, points.ground)
-            correction = inverse @ (A.T @ (huber_weights * weight / unit * bent).ravel())
-            largest = AHEAD * np.linalg.norm(full_step)
-            if np.isfinite(correction).all() and np.linalg.norm(correction) < largest:
+            # The valley of the cost bends where altitude, pixel and period make up for each other.
+            offsets = self._distance_from_tangent(values, full_step, points.ground)
+            correction = inverse @ (A.T @ (huber_weights * weight / unit * offsets).ravel())
+            largest_correction = MAX_BEND * np.linalg.norm(full_step)
+            if np.isfinite(correction).all() and np.linalg.norm(correction) < largest_correction:
                 full_step = full_step - correction
-            # A step is taken only where it helps; else a shorter one is tried.
-            next_cost, misses = self.cost(features, values + full_step)
+            # A step that does not lower the cost, or leads where a point is not seen and the cost
+            # is NaN, is not taken: a shorter one is tried.
+            next_cost, next_residuals = self.cost(features, values + full_step)
             steps += 1
-            if not next_cost < least_cost:
+            is_lower = next_cost < least_cost
+            if not is_lower:
                 damping *= 10.0
                 continue
             converged = least_cost - next_cost < CONVERGED_GAIN * (1.0 + least_cost)
             values = values + full_step
             least_cost = next_cost
-            residuals = misses
+            residuals = next_residuals
             damping = damping / 10.0
             if converged:
                 break
+        # So large a damping means that no step lowers the cost any more.
         return CameraSolution(values, least_cost, steps, converged or damping >= 1e8)
 
 
@@ -242,12 +254,12 @@ class RobustFit(Estimator):
 
     def fit(self, model: Any, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Fit a camera (see `Estimator.fit`) with all its terms.
+        """Fit a camera (see `Estimator.fit`) with all its terms to the points in use.
 
-        The camera is not linear in its terms: iterated first, then taken as linear about the
-        solution for the errors without each point. Terms under a prior count by what the points
-        determine of them, so that `effective` is no whole number. Raises Undetermined for lines,
-        and where the iteration does not converge.
+        Errors of held-out points are those of the equations that are linear about the solution.
+        Terms under a prior count by what the points determine of them, so that `effective` is no
+        whole number. Raises Undetermined for lines, if from no start all points are seen, and if
+        the fit does not converge.
         """
         ready = model.prepared(scaling, control.crs)
         used_features = control.take(used)
@@ -260,24 +272,24 @@ class RobustFit(Estimator):
             raise Undetermined(f"the fit of {model.name!r} did not converge in {solution.steps} "
                                "steps",
                                hint="Measure more control, or name the sensor.")
-        # From here on the camera counts as linear about the solution.
         equations = ready.linearised(scaled, solution.values)
         values = solution.values
         residuals, effective, errors = _without_each(equations, values, len(used_features.points))
-        count = round(effective)
-        # Deviations under a prior are not those of least squares.
+        # An adjustment counts terms in whole numbers; the fit's trace is the effective number.
+        n_terms = round(effective)
+        # Standard deviations under a prior are not those of least squares.
         unknown = np.full(len(values), np.nan)
         freedom = max(len(residuals) - effective, 1.0)
         weight = _point_weights(scaled)
         return Fit(ready, scaling, control, np.ones(len(values), dtype=bool), used,
-                   Adjustment(values, unknown, count, len(residuals), count, np.nan,
+                   Adjustment(values, unknown, n_terms, len(residuals), n_terms, np.nan,
                               float(np.sqrt(residuals @ residuals / freedom)), steps=solution.steps,
                               converged=True),
                    self, effective,
                    HeldOut.of(errors / weight * scaling.image_scale, used_features))
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
-        """Return the mean square errors at scaled places (see `Estimator.spread`)."""
+        """Return the mean square errors at scaled ground positions (see `Estimator.spread`)."""
         model = fitted.model
         values = fitted.adjustment.coefficients
         assert isinstance(model, Physical)
@@ -285,9 +297,9 @@ class RobustFit(Estimator):
         unit = NOISE / fitted.scaling.image_scale
         noise = self.noise(fitted)
         assert equations.prior is not None
-        # Priors keep their weight, whatever the noise turned out to be.
+        # The priors do not depend on the noise: N = A' A / noise^2 + diag(1 / prior sigma^2).
         normal = equations.A.T @ equations.A / noise**2 + np.diag((equations.prior / unit) ** 2)
-        # Of the covariance of the terms, so that variances are sums of squares.
+        # With a root of the covariance of the terms, variances of positions are sums of squares.
         root = np.linalg.cholesky(np.linalg.pinv(normal, hermitian=True)
                                   + 1e-14 * np.eye(len(values)))
         factors = model.slopes(values, ground) @ root
@@ -295,8 +307,11 @@ class RobustFit(Estimator):
 
 
     def noise(self, fitted: Fit) -> float:
-        """Return the scaled standard deviation of a measurement, as the residuals show it."""
-        # Few points may fit by chance: no measurement is that good.
+        """Return the scaled standard deviation of a measurement, as the residuals show it.
+
+        It is 0.3 of the usual noise at least.
+        """
+        # Residuals of few points may be small by chance.
         return max(fitted.adjustment.sigma0, 0.3 * NOISE / fitted.scaling.image_scale)
 
 
@@ -313,11 +328,13 @@ class ShiftFit(RobustFit):
 
     def fit(self, model: Any, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Return the fit of the shifts; none are fitted to points that are the radar's own lattice.
+        """Fit the shifts (see `RobustFit.fit`); they are 0 if the points are the camera's lattice.
+
+        Raises Undetermined as `RobustFit.fit` does.
         """
         ready = model.prepared(scaling, control.crs)
         used_features = control.take(used)
-        # A computed lattice has no errors of measurement to be corrected by.
+        # A lattice that was computed has no errors of measurement, so that nothing is fitted to it.
         errors = as_stated(ready, FitData(used_features, scaling, heights=True))
         if errors is None:
             return super().fit(model, control, scaling, terms, used)
@@ -329,7 +346,10 @@ class ShiftFit(RobustFit):
                    self, 0.0, HeldOut.of(errors, used_features))
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
-        """Return the mean square errors at scaled places (see `Estimator.spread`)."""
+        """Return the mean square errors at scaled ground positions (see `Estimator.spread`).
+
+        If the points are the camera's lattice, they are those of the residuals alone.
+        """
         if fitted.effective > 0.0:
             return super().spread(fitted, ground)
         shape = len(ground), 2
@@ -337,55 +357,57 @@ class ShiftFit(RobustFit):
                       np.zeros((*shape, len(fitted.model.terms))))
 
     def noise(self, fitted: Fit) -> float:
-        """Return the scaled noise of measurements by which normal intervals hold.
+        """Return the scaled noise of measurements, widened so that normal intervals of 90 % hold.
 
-        Its square is the mean of the squares that residuals show and that are usual, weighed by
-        degrees of freedom. Where these are few the noise may be another: 90 % of errors are within
-        Student's t times it. It is widened so that they are within the normal quantile.
+        Before that its square is the mean of the squares that residuals show and that are usual, or
+        stated, each weighed by its degrees of freedom.
         """
         from scipy.special import ndtri, stdtrit  # other models need not import it
 
         points = fitted.control.take(fitted.used).points
-        usual = USUAL if points.sigma is None else float(np.median(points.sigma))
+        usual = USUAL_SIGMA if points.sigma is None else float(np.median(points.sigma))
         usual /= fitted.scaling.image_scale
         experience = EXPERIENCE if points.sigma is None else STATED
         residual_freedom = max(2 * len(points) - fitted.effective, 0.0)
-        # Squares of experience and of residuals together, each by its freedom.
         freedom = experience + residual_freedom
         squares = experience * usual**2 + residual_freedom * fitted.adjustment.sigma0**2
-        # The normal interval of this noise is then Student's of the freedom.
-        widened = stdtrit(freedom, INTERVAL) / ndtri(INTERVAL)
-        return float(np.sqrt(squares / freedom) * widened)
+        # Errors by a noise of few degrees of freedom have Student's distribution: the ratio of its
+        # quantile to the normal one makes the normal interval as wide.
+        widening = stdtrit(freedom, INTERVAL) / ndtri(INTERVAL)
+        return float(np.sqrt(squares / freedom) * widening)
 
 
 def as_stated(ready: Physical, control: FitData) -> FloatArray | None:
-    """Return how far points are from where a camera without corrections sees them, (n, 2) [px].
+    """Return the offsets (n, 2) [px] of points from the image of a camera without corrections.
 
-    None where they are no lattice that was computed from its metadata.
+    `ready` is a prepared model. None unless the points are a lattice whose offsets have an RMS
+    below `MAX_LATTICE_RMS`, and so was computed from the metadata of the camera.
     """
     if control.lattice is None:
         return None
-    # Values of 0: the camera as metadata state it.
+    # With all terms 0 the camera is as its metadata state it.
     points = control.scaled.points
     stated_image = ready.image_of(np.zeros((1, len(ready.terms))), points.ground)[0]
     errors = (points.image - stated_image) * control.scaling.image_scale
-    close = np.sqrt((errors**2).sum(axis=1).mean()) < OF_LATTICE
+    close = np.sqrt((errors**2).sum(axis=1).mean()) < MAX_LATTICE_RMS
     return np.asarray(errors) if close else None
 
 
 @lru_cache(maxsize=8)  # a fit, its errors and its spread need it
-def _cached_best_fit(pickled: bytes) -> CameraSolution:
-    """Return the best fit of a model to scaled points, given pickled so that they can be cached."""
+def _cached_best_solution(pickled: bytes) -> CameraSolution:
+    """Return the best solution of a model and scaled points, which are given as a pickled pair."""
     return _best_solution(*pickle.loads(pickled))
 
 
 def _best_solution(model: Physical, points: Points) -> CameraSolution:
-    """Return the solution of the least cost from all starts; raises Undetermined if none has one.
+    """Return the solution of least cost from all starts of a model.
+
+    Raises Undetermined if from none all points are seen.
     """
     features = FeatureSet(points)
     ends: list[CameraSolution] = [
         solution for start in model.starts(features)
-        if (solution := model.descended(features, start))]
+        if (solution := model.descend(features, start))]
     if not ends:
         raise Undetermined(f"model {model.name!r} finds no camera that sees the control",
                            hint="Check the sensor, the track and the axes of the points.")
@@ -393,9 +415,9 @@ def _best_solution(model: Physical, points: Points) -> CameraSolution:
 
 
 def _point_weights(features: FeatureSet) -> FloatArray:
-    """Return the weights of points by their stated standard deviations, shape (n, 2)."""
+    """Return weights (n, 2) by the standard deviations of points, 1 for the median; 1 without any.
+    """
     sigma = features.points.sigma
-    # By the median, so that the usual point weighs 1.
     if sigma is None:
         return np.ones((len(features.points), 2))
     return np.asarray(np.median(sigma) / sigma)
@@ -403,18 +425,20 @@ def _point_weights(features: FeatureSet) -> FloatArray:
 
 def _without_each(equations: Equations, values: FloatArray, count: int,
                   ) -> tuple[FloatArray, float, FloatArray]:
-    """Return residuals, effective parameters and errors of points (n, 2) by all others.
+    """Return residuals (2 n,), the number of effective parameters, and held-out errors (n, 2).
 
-    To first order: P^-1 v of the rows of a point, P the part of the residuals that it leaves.
+    `count` is the number n of points, `values` (k,) the solution about which the equations are
+    linear. An error is measured minus predicted by all other points, to first order.
     """
     A = equations.A
     prior = equations.prior
     assert prior is not None
     residuals = equations.b - A @ values
-    # The hat matrix: fitted from measured values.
-    gain = A @ np.linalg.pinv(A.T @ A + np.diag(prior**2), hermitian=True) @ A.T
+    # The hat matrix, which turns measured into fitted values.
+    hat = A @ np.linalg.pinv(A.T @ A + np.diag(prior**2), hermitian=True) @ A.T
     rows = np.arange(2 * count).reshape(count, 2)
-    # r / (1 - h), for both coordinates of a point at once.
-    redundancies = np.eye(2) - gain[rows[:, :, None], rows[:, None, :]]
+    # (I - H_ii)^-1 r_i with the block H_ii (2, 2) of a point; the ridge is for points that alone
+    # determine a term.
+    redundancies = np.eye(2) - hat[rows[:, :, None], rows[:, None, :]]
     errors = np.linalg.solve(redundancies + 1e-9 * np.eye(2), residuals[rows][..., None])[..., 0]
-    return residuals, float(np.trace(gain)), np.asarray(errors, dtype=np.float64)
+    return residuals, float(np.trace(hat)), np.asarray(errors, dtype=np.float64)

@@ -51,12 +51,17 @@ class Image:
 
 
 def images_of(path: Path) -> tuple[Image, ...]:
-    """Return the images of a product, each by its annotation; none where it is no product.
+    """Return the images of a product, each by its annotation.
 
     Parameters
     ----------
     path : pathlib.Path
-        A folder, zip, annotation or image.
+        A folder, its zip, its manifest.safe, or an image.
+
+    Returns
+    -------
+    tuple of Image
+        Empty if the path is no product of Sentinel-1, cannot be read, or is an annotation itself.
     """
     try:
         if path.is_dir():
@@ -72,7 +77,7 @@ def images_of(path: Path) -> tuple[Image, ...]:
     if path.name.lower() == "manifest.safe":
         return _images_in_order(_annotations_in_folder(path.parent))
     if head in _TIFF:
-        return tuple(_image_of_annotation(place) for place in _annotation_of_image(path))
+        return tuple(map(_image_of_annotation, _annotation_of_image(path)))
     return ()
 
 
@@ -84,36 +89,38 @@ def is_image(path: Path, head: bytes) -> bool:
 
 def choose_images(images: tuple[Image, ...], path: Path, swath: str | None,
                   polarisation: str | None) -> tuple[Image, ...]:
-    """Return the images of a swath and a polarisation.
+    """Return the images of a swath and a polarisation; "" or None stands for any.
+
+    `path` is that of the product, for messages.
 
     Raises
     ------
     TermselError
         If there is none, or they are of several swaths.
     """
-    wanted = [image for image in images
-              if swath in (None, "") or image.swath.casefold() == str(swath).casefold()]
-    wanted = [image for image in wanted if polarisation in (None, "")
-              or image.polarisation.casefold() == str(polarisation).casefold()]
+    matching = [image for image in images
+                if swath in (None, "") or image.swath.casefold() == str(swath).casefold()]
+    matching = [image for image in matching if polarisation in (None, "")
+                or image.polarisation.casefold() == str(polarisation).casefold()]
     listed = ", ".join(image.name for image in images)
-    if not wanted:
-        asked = " ".join(filter(None, (swath, polarisation)))
-        raise TermselError(f"the product has no image {asked!r}: it has {listed}", file=path,
+    if not matching:
+        request = " ".join(filter(None, (swath, polarisation)))
+        raise TermselError(f"the product has no image {request!r}: it has {listed}", file=path,
                            hint="Choose one with --set swath=... and --set polarisation=....")
-    swaths = sorted({image.swath for image in wanted})
+    swaths = sorted({image.swath for image in matching})
     if len(swaths) > 1:
         raise TermselError(f"the product has images of the swaths {', '.join(swaths)}: {listed}",
                            file=path, hint=f"Choose one with --set swath={swaths[0]}.")
-    return tuple(wanted)
+    return tuple(matching)
 
 
 def content_of(path: Path) -> bytes:
-    """Return the bytes of an annotation, which may be in a zip that is named like a folder.
+    """Return the bytes of an annotation, whose path may lead into a zip as into a folder.
 
     Raises
     ------
     TermselError
-        If it is not there, or cannot be read.
+        If it does not exist, cannot be read, or has more than `LARGEST` bytes.
     """
     if path.is_file():
         return read_data(path)
@@ -144,9 +151,9 @@ def time_of_change(path: Path) -> int:
 
 
 def _annotations_in_folder(folder: Path) -> list[Path]:
-    """Return the annotations of a product's folder, or of the one in a folder around it.
+    """Return the annotations of a product's folder, or of the only product in a folder.
 
-    [] if none.
+    [] if there are none, or if the folder has several products.
     """
     inner = folder / "annotation"
     if not inner.is_dir():
@@ -161,7 +168,9 @@ def _annotations_in_folder(folder: Path) -> list[Path]:
 
 
 def _annotations_in_zip(path: Path) -> list[Path]:
-    """Return the annotations in the zip of a product, as paths that lead into it; [] if it is none.
+    """Return the annotations in the zip of a product, as paths that lead into it.
+
+    [] if there are none, if it is damaged, or if it has more than `MOST_FILES` files.
     """
     try:
         with zipfile.ZipFile(path) as packed:
@@ -170,18 +179,23 @@ def _annotations_in_zip(path: Path) -> list[Path]:
         return []
     if len(names) > MOST_FILES:
         return []
-    inside = [PurePosixPath(name) for name in names]
-    return [path / name for name in inside if name.parent.name == "annotation"
+    members = [PurePosixPath(name) for name in names]
+    # A name with .. or from the root would lead out of the zip.
+    return [path / name for name in members if name.parent.name == "annotation"
             and ".." not in name.parts and not name.is_absolute() and _is_annotation(name.name)]
 
 
 def _annotation_of_image(image: Path) -> list[Path]:
-    """Return the annotation of an image, in the folder next to its own or beside it; [] if none."""
+    """Return a list of the annotation of an image; [] if there is none.
+
+    It is in the folder annotation next to that of the image, or in the image's own folder.
+    """
+    # A cloud-optimised copy is named as the image, with -cog.
     stem = re.sub("-cog$", "", image.stem, flags=re.IGNORECASE)
     folders = (image.parent.parent / "annotation", image.parent)
-    places = [folder / f"{name}.xml" for folder in folders
-              for name in dict.fromkeys((image.stem, stem))]
-    return [place for place in places if place.is_file()][:1]
+    candidates = [folder / f"{name}.xml" for folder in folders
+                  for name in dict.fromkeys((image.stem, stem))]
+    return [candidate for candidate in candidates if candidate.is_file()][:1]
 
 
 def _is_annotation(name: str) -> bool:
@@ -199,4 +213,4 @@ def _image_of_annotation(annotation: Path) -> Image:
 
 def _images_in_order(annotations: list[Path]) -> tuple[Image, ...]:
     """Return the images of annotations, in the order of their paths."""
-    return tuple(_image_of_annotation(place) for place in sorted(annotations, key=os.fspath))
+    return tuple(map(_image_of_annotation, sorted(annotations, key=os.fspath)))

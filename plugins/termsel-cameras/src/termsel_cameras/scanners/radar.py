@@ -33,7 +33,7 @@ NEWTON_STEPS, LAST_STEP = 20, 1e-10
 DEGREES = 1e-5
 """Step of longitude and latitude by which image positions are differentiated."""
 
-BEYOND = 0.25
+MAX_BEYOND = 0.25
 """Part of the swath beyond which polynomials of ground range say nothing."""
 
 BISTATIC = Option(
@@ -140,20 +140,24 @@ class Radar(Physical):
         return np.zeros((1, len(RADAR_TERMS)))
 
     def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return scaled image positions (p, n, 2) by values of terms (p, k)."""
+        """Return scaled image positions (p, n, 2) of scaled ground positions by terms (p, k)."""
         image = self.unshifted(self.geographic(ground))
-        stated = self.annotation
-        spacing = np.array([stated.line_spacing, stated.sample_spacing])
-        # How far a place is from the middle of the image, in parts of its half.
-        middle = (np.array(stated.size) - 1.0) / 2.0
-        aside = (image - middle) / np.maximum(middle, 1.0)
-        shift = SHIFT * values[:, None, :2] + RATE_METRES * values[:, None, 2:] * aside      # [m]
+        annotation = self.annotation
+        spacing = np.array([annotation.line_spacing, annotation.sample_spacing])
+        # Positions from the middle of the image, from -1 to 1, by which shifts change.
+        middle = (np.array(annotation.size) - 1.0) / 2.0
+        from_middle = (image - middle) / np.maximum(middle, 1.0)
+        # [m], and then [px] by the spacing of lines and samples.
+        shift = SHIFT * values[:, None, :2] + RATE_METRES * values[:, None, 2:] * from_middle
         shifted = image + shift / spacing
         return np.asarray(
             require_scaling(self.scaling).image(shifted.reshape(-1, 2)).reshape(shifted.shape))
 
     def unshifted(self, geographic: FloatArray) -> FloatArray:
-        """Return line and sample (n, 2) [px] by the annotation alone; NaN where none is seen.
+        """Return line and sample (n, 2) [px] by the annotation alone.
+
+        NaN for a point that the radar does not see, or whose ground range is beyond that of the
+        annotation's polynomials.
 
         Parameters
         ----------
@@ -163,9 +167,9 @@ class Radar(Physical):
         stated = self.annotation
         time, distance, is_visible = zero_doppler(stated, to_geocentric(geographic))
         if self.options["bistatic"] and stated.middle_range_time is not None:
-            # Lines are counted by when echoes from the middle of the swath arrive: an echo that is
-            # late by tau - tau_middle, tau = 2 R / c, has its zero Doppler half of that earlier on
-            # the annotation's clock, as the platform flies between transmission and echo.
+            # Lines are counted by the arrival of echoes from the middle of the swath. An echo with
+            # the two-way time tau = 2 R / c is on the line of (tau - tau_middle) / 2 before its
+            # zero Doppler, as the satellite flies on between transmission and echo.
             time = time - (2.0 * distance / LIGHT - stated.middle_range_time) / 2.0
         first_time, first_line = self._first_line
         line = first_line + (time - first_time) / stated.line_interval
@@ -175,9 +179,9 @@ class Radar(Physical):
             sample = (2.0 * distance / LIGHT - stated.first_range_time) * stated.sampling_rate
         image = np.stack([line, sample], axis=1)
         samples = stated.size[1]
-        is_beyond = np.abs(sample - samples / 2.0) > (0.5 + BEYOND) * samples
+        is_beyond = np.abs(sample - samples / 2.0) > (0.5 + MAX_BEYOND) * samples
         if stated.ground_ranges:
-            # A slant range counts at any distance; a polynomial of ground range does not.
+            # Slant range is valid at any distance, a polynomial of ground range near the swath.
             is_visible &= ~is_beyond
         image[~is_visible] = np.nan
         return image
@@ -190,35 +194,43 @@ class Radar(Physical):
                 f"{annotation.source}: its lattice does not state by which echoes lines are timed",
                 hint="Leave out --set bistatic=....")
 
-    def on_ground(self, image: FloatArray, near_places: FloatArray) -> FloatArray:
-        """Return places (n, 3) that are seen at image positions (n, 2); NaN where none is found.
+    def on_ground(self, image: FloatArray, known_ground: FloatArray) -> FloatArray:
+        """Return the ground positions (n, 3) that are seen at image positions (n, 2).
 
-        Their heights are those between given places (m, 3), WGS84 longitude, latitude [deg] and
-        ellipsoidal height [m]; the annotation alone counts, without shifts.
+        They are by the annotation alone, without shifts. Heights are interpolated in the image
+        between those of `known_ground` (m, 3). Both are WGS84 longitude, latitude [deg] and
+        ellipsoidal height [m]. NaN where none is found.
         """
         from scipy.interpolate import griddata  # other models need not import it
 
-        seen_image = self.unshifted(near_places)
-        visible = np.isfinite(seen_image).all(axis=1)
-        seen_image = seen_image[visible]
-        ground = griddata(seen_image, near_places[visible], image, rescale=True)
-        nearest = griddata(seen_image, near_places[visible], image, method="nearest", rescale=True)
+        known_image = self.unshifted(known_ground)
+        is_visible = np.isfinite(known_image).all(axis=1)
+        known_image = known_image[is_visible]
+        known_ground = known_ground[is_visible]
+        ground = griddata(known_image, known_ground, image, rescale=True)
+        # Outside the hull of the known points the nearest one counts.
+        nearest = griddata(known_image, known_ground, image, method="nearest", rescale=True)
         ground = np.where(np.isnan(ground), nearest, ground)
+        # Newton's method moves longitude and latitude at the interpolated heights.
         for _ in range(NEWTON_STEPS):
-            misses = image - self.unshifted(ground)
-            if not np.abs(misses).max(initial=0.0) > 1e-9:
+            residuals = image - self.unshifted(ground)
+            is_off = np.abs(residuals).max(initial=0.0) > 1e-9
+            if not is_off:
                 break
             slopes = np.stack([(self.unshifted(ground + step) - self.unshifted(ground - step))
                                / (2.0 * DEGREES) for step in DEGREES * np.eye(3)[:2]], axis=-1)
-            ground[:, :2] += np.linalg.solve(slopes, misses[..., None])[..., 0]
-        ground[~(np.abs(image - self.unshifted(ground)).max(axis=1) < 1e-6)] = np.nan
+            ground[:, :2] += np.linalg.solve(slopes, residuals[..., None])[..., 0]
+        is_found = np.abs(image - self.unshifted(ground)).max(axis=1) < 1e-6
+        ground[~is_found] = np.nan
         return np.asarray(ground)
 
 
 def _line_time_origin(annotation: Annotation, burst: int) -> tuple[float, float]:
-    """Return the time [s] and the number of the line from which others are counted.
+    """Return the time [s] and the number of the line from which lines are counted.
 
-    `burst` counts from 1, and is 0 for an image without bursts. Raises TermselError otherwise.
+    They are those of the first line of a burst, from 1; of an image without bursts, for which
+    `burst` is 0, both are 0. Raises TermselError for a burst that the image does not have, and for
+    none of an image that has several.
     """
     bursts = annotation.bursts
     if not bursts:
@@ -238,9 +250,10 @@ def _line_time_origin(annotation: Annotation, burst: int) -> tuple[float, float]
 
 def zero_doppler(annotation: Annotation, targets: FloatArray,
                  ) -> tuple[FloatArray, FloatArray, np.ndarray[Any, np.dtype[np.bool_]]]:
-    """Return times of zero Doppler [s], distances then [m], and which places the radar can see.
+    """Return the times of zero Doppler of targets, their distances then, and which are seen.
 
-    Newton's method on f(t) = (P - S(t)) . V(t), with f'(t) = (P - S(t)) . A(t) - V(t) . V(t).
+    The time is a zero of f(t) = (P - S(t)) . V(t), found by Newton's method with f'(t) = (P - S(t))
+    . A(t) - V(t) . V(t).
 
     Parameters
     ----------
@@ -251,8 +264,9 @@ def zero_doppler(annotation: Annotation, targets: FloatArray,
     Returns
     -------
     time, distance : ndarray, shape (n,)
+        From the first line [s], and from the satellite [m].
     seen : ndarray of bool, shape (n,)
-        False on the left of the track, and where the orbit does not reach.
+        False on the left of the track, and if there is no zero within the state vectors.
     """
     orbit, motion, acceleration = _splines_of_orbit(annotation.times, annotation.positions,
                                                     annotation.velocities)
@@ -282,7 +296,10 @@ def zero_doppler(annotation: Annotation, targets: FloatArray,
 @lru_cache(maxsize=8)  # an orbit is asked for with each set of places
 def _splines_of_orbit(times: tuple[float, ...], positions: Vectors, velocities: Vectors,
                       ) -> tuple[Any, Any, Any]:
-    """Return splines of position [m], velocity [m/s] and acceleration [m/s^2] by time [s]."""
+    """Return splines of position [m], velocity [m/s] and acceleration [m/s^2] by time [s].
+
+    The velocity is not the derivative of the position: each is a spline of its own.
+    """
     # Other models need not import it.
     from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
@@ -293,11 +310,10 @@ def _splines_of_orbit(times: tuple[float, ...], positions: Vectors, velocities: 
 
 
 def _ground_range(annotation: Annotation, time: FloatArray, distance: FloatArray) -> FloatArray:
-    """Return ground range [m] by the polynomials before and after each time, linear between.
+    """Return the ground range (n,) [m] of slant ranges `distance` (n,) [m] at times (n,) [s].
 
-    `distance` (n,) is the slant range [m], `time` (n,) that of the lines [s]. Products state a
-    polynomial every few seconds; between two of them the ground range is interpolated, and before
-    the first and after the last theirs holds.
+    Products state a polynomial every few seconds. Between two of them the ground range is
+    interpolated linearly in time; before the first and after the last it is theirs.
     """
     polynomials = annotation.ground_ranges
     origins = np.array([polynomial.origin for polynomial in polynomials])
@@ -307,18 +323,18 @@ def _ground_range(annotation: Annotation, time: FloatArray, distance: FloatArray
         coefficients[:len(polynomial.coefficients), number] = polynomial.coefficients
 
     def by_polynomials(numbers: NDArray[np.intp]) -> FloatArray:
-        """Return ground range by a polynomial for each place, by Horner's scheme."""
-        aside = distance - origins[numbers]
+        """Return ground ranges (n,), each by the polynomial of that number (Horner's scheme)."""
+        from_origin = distance - origins[numbers]
         value = np.zeros(len(distance))
-        for power in coefficients[::-1]:
-            value = value * aside + power[numbers]
+        for coefficient in coefficients[::-1]:
+            value = value * from_origin + coefficient[numbers]
         return value
 
     if len(polynomials) == 1:
         return by_polynomials(np.zeros(len(distance), dtype=np.intp))
     times = np.array([polynomial.time for polynomial in polynomials])
     after = np.clip(np.searchsorted(times, time), 1, len(times) - 1)
-    # Before the first and after the last polynomial, that one holds.
+    # Clipped to 0 and 1, the weight takes the first polynomial before it and the last after it.
     weight = np.clip((time - times[after - 1]) / (times[after] - times[after - 1]), 0.0, 1.0)
     return np.asarray((1.0 - weight) * by_polynomials(after - 1)
                       + weight * by_polynomials(after))

@@ -24,7 +24,7 @@ RATE, CHANGE = 5e-5, 1e-6
 YAW_DEGREES = 3.0
 """Standard deviation of the angle between track and scan [deg]: yaw steering takes up to 4."""
 
-SPEED = 6371e3
+EARTH_RADIUS = 6371e3
 """Radius of the Earth, which the motion of a satellite over the ground goes by [m]."""
 
 SCANNER_TERMS = ("line", "sample", "heading", "side", "ahead", "altitude", "period", "pixel", "yaw",
@@ -72,12 +72,11 @@ class Scanner(Physical):
         return starts
 
     def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return scaled image positions (p, n, 2) by values of terms (p, k).
+        """Return scaled image positions (p, n, 2) of scaled ground positions by terms (p, k).
 
-        `ground` are scaled positions (n, 3). Terms are multiples of what is known of the sensor,
-        such as 1 for one standard deviation of the heading. The line is the time at which the place
-        passes the plane of view, by the period of a line; the sample is the tangent across the
-        track by the field of view of a pixel.
+        The line is the time at which a point passes the plane of view, divided by the period of a
+        line; the sample is the slope across the track, divided by the field of view of a pixel. NaN
+        where a point is not seen.
         """
         scaling = require_scaling(self.scaling)
         sensor = self.sensor
@@ -97,19 +96,21 @@ class Scanner(Physical):
             RATE * values[:, 9:12], CHANGE * values[:, 12:15])
         time_and_slope = observe_targets(
             cameras, to_geocentric(self.geographic(ground)), origin, axes)
-        # Of an unknown sensor the pixel is about the control's on the ground by that in the image.
+        # An unknown sensor has the pixel that the extents of the control show.
         pixel = sensor.pixel or self._half_extent() / scaling.image_scale
-        wide = sensor.pixel_sigma
-        ifov = pixel / (1e3 * sensor.altitude) * np.exp(wide * x["pixel"])
+        pixel_sigma = sensor.pixel_sigma
+        ifov = pixel / (1e3 * sensor.altitude) * np.exp(pixel_sigma * x["pixel"])
+        # A circular orbit has the angular speed sqrt(GM / r^3); lines follow as the point below
+        # the satellite moves by a pixel.
         motion = np.sqrt(3.986004418e14 / (6378137.0 + altitude) ** 3)
-        period = pixel / (motion * SPEED) * np.exp(wide * x["period"])
+        period = pixel / (motion * EARTH_RADIUS) * np.exp(pixel_sigma * x["period"])
         line = time_and_slope[..., 0] / period[:, None] / scaling.image_scale
-        # Samples run to port; at the ends of the control the look angles are off by some px.
+        # Samples run to port. The terms of look angles move the ends of the control by 1 px each.
         sample = time_and_slope[..., 1] / ifov[:, None] / scaling.image_scale
-        bent = ((x["look-2"][:, None] * sample**2 + x["look-3"][:, None] * sample**3)
+        look_shift = ((x["look-2"][:, None] * sample**2 + x["look-3"][:, None] * sample**3)
                 / scaling.image_scale)
         return np.stack([line + x["line"][:, None],
-                         sample + bent + x["sample"][:, None]], axis=-1)
+                         sample + look_shift + x["sample"][:, None]], axis=-1)
 
     def _half_extent(self) -> float:
         """Return the longer half extent of the control on the ground [m]."""

@@ -126,28 +126,29 @@ def sensor_named(name: str) -> Sensor:
 
 
 def _check_sensor(content: object, path: Path) -> Sensor:
-    """Return the sensor that the content of a file describes; raises TermselError for a bad field.
+    """Return the sensor that the JSON of a file describes.
 
-    Fields are those of `Sensor`, the first six required. Ranges are those that any satellite of the
-    Earth has, so that a wrong unit, such as metres for kilometres, is noticed.
+    Fields are those of `Sensor`, of which the first six are required. Raises TermselError for a
+    field that is missing, unknown, no positive number or out of the range that satellites have.
     """
-    known = {field.name: field.default for field in fields(Sensor)}
-    hint = f"Fields are {', '.join(known)}; those after source may be left out."
+    names = [field.name for field in fields(Sensor)]
+    hint = f"Fields are {', '.join(names)}; those after source may be left out."
     if not isinstance(content, dict):
         raise TermselError(f"{path} contains no JSON object", hint=hint)
     for name in content:
-        if name not in known:
+        if name not in names:
             raise TermselError(f"{path} has the field {name!r}, which no sensor has", hint=hint)
-    for name in list(known)[:6]:
+    for name in names[:6]:
         if name not in content:
             raise TermselError(f"{path} lacks the field {name!r}", hint=hint)
     for name, value in content.items():
-        number = (isinstance(value, int | float) and not isinstance(value, bool)
-                  and abs(value) < 1e5)
-        if name != "source" and (not number or (
+        is_number = (isinstance(value, int | float) and not isinstance(value, bool)
+                     and abs(value) < 1e5)
+        if name != "source" and (not is_number or (
                 value <= 0 and name not in ("pixel", "forward"))):
             raise TermselError(f"{path}: {name} is {value!r}, which is no positive number",
                                hint=hint)
+    # The ranges show a wrong unit, such as metres for kilometres.
     if (not 300 <= content["altitude"] <= 1500 or not 0 < content["inclination"] < 180
             or content["pixel"] < 0 or abs(content.get("forward", 0.0)) > 60):
         raise TermselError(f"{path}: altitude, inclination, pixel or forward is out of range",

@@ -24,7 +24,7 @@ YAW_SIGMA, RATE_SIGMA, PERIOD, PIXEL = 5e-4, 5e-6, 2e-5, 2e-4
 """Standard deviations of a bias of yaw [rad], of rates [rad/s], and of line period and pixel, as
 parts of these."""
 
-SECANT_STEPS, FIRST_STEP, NO_SLOPE = 20, 0.5, 1e-9
+SECANT_STEPS, FIRST_STEP, ZERO_SLOPE = 20, 0.5, 1e-9
 """Steps of the secant method to the time at which a place is seen, the first one's length [s], and
 the slope along the track that counts as none."""
 
@@ -79,16 +79,15 @@ class TrackedScanner(Physical):
         return np.zeros((1, len(TRACKED_TERMS)))
 
     def image_of(self, values: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return scaled image positions (p, n, 2) by values of terms (p, k).
+        """Return scaled image positions (p, n, 2) of scaled ground positions by terms (p, k).
 
-        `ground` are scaled positions (n, 3). Terms are corrections of the delivered orbit and
-        attitude, in their standard deviations. The secant method finds the time at which a place is
-        in the scan line; its look angle then gives the sample. NaN where no time is found.
+        The secant method finds the time at which a point is in the scan line; its look angle then
+        gives the sample. NaN where no time is found.
         """
         metadata = self.metadata
         target = to_geocentric(self.geographic(ground))
-        x = dict(zip(TRACKED_TERMS, values.T[..., None],
-                     strict=True))                       # (p, 1) each
+        # Values of each term as (p, 1), so that they combine with times (p, n).
+        x = dict(zip(TRACKED_TERMS, values.T[..., None], strict=True))
         angle = TRACKED if metadata.tracked else ANGLE
         bias = [YAW_SIGMA * x["yaw"], angle * x["pitch"], angle * x["roll"]]
         rate = [RATE_SIGMA * x[f"{name}-rate"] for name in ("yaw", "pitch", "roll")]
@@ -98,49 +97,57 @@ class TrackedScanner(Physical):
         across = looks[order, 1]
         ahead = looks[order, 0]
         samples = samples[order]
-        wide = 1.0 + PIXEL * x["pixel"]
+        pixel_factor = 1.0 + PIXEL * x["pixel"]
 
         def view(time: FloatArray) -> tuple[FloatArray, FloatArray]:
-            """Return how far places are ahead of the scan line at a time, and their place across
-            it.
+            """Return the slopes of points ahead of the scan line and across the track, (p, n) each.
+
+            `time` is (p, n) [s]. A point is seen when the first slope is 0.
             """
             station, axes = _interpolate_state(metadata, time)
-            away = np.einsum("...ij,...i->...j", axes, target - station)
+            from_station = np.einsum("...ij,...i->...j", axes, target - station)
             attitude = [np.interp(time, metadata.moments, angles) + offset + time * drift
                         for angles, offset, drift in zip(
                             np.array(metadata.angles).T, bias, rate, strict=True)]
-            turned = _turn_into_camera(away, attitude)
+            in_camera = _turn_into_camera(from_station, attitude)
             # The look is (-tan PSI_Y, tan PSI_X, -1): to starboard, ahead and up.
-            slope = turned[..., 0] / turned[..., 2] / wide
-            ahead_of_camera = -turned[..., 1] / turned[..., 2]
+            slope = in_camera[..., 0] / in_camera[..., 2] / pixel_factor
+            ahead_of_camera = -in_camera[..., 1] / in_camera[..., 2]
             return ahead_of_camera - np.interp(slope, across, ahead), slope
 
         time = np.zeros((len(values), len(target)))
         step = np.full_like(time, FIRST_STEP)
         with np.errstate(all="ignore"):
-            off = view(time)[0]
+            ahead_slope = view(time)[0]
             for _ in range(SECANT_STEPS):
                 time = time + step
-                before, off = off, view(time)[0]
-                change = off - before
-                step = np.where(np.abs(change) > 1e-14, -off * step / change, 0.0)
-                if np.abs(off).max(initial=0.0) < NO_SLOPE:
+                last_slope = ahead_slope
+                ahead_slope = view(time)[0]
+                change = ahead_slope - last_slope
+                step = np.where(np.abs(change) > 1e-14, -ahead_slope * step / change, 0.0)
+                if np.abs(ahead_slope).max(initial=0.0) < ZERO_SLOPE:
                     break
             slope = view(time)[1]
         line = metadata.line + time / (metadata.period * (1.0 + PERIOD * x["period"]))
         sample = np.interp(slope, across, samples)
-        for end, near in ((0, 1), (-1, -2)):  # straight on beyond the array
+        # Beyond the detectors samples go on along a straight line.
+        for end, neighbour in ((0, 1), (-1, -2)):
             is_beyond = slope < across[0] if end == 0 else slope > across[-1]
-            steep = (samples[end] - samples[near]) / (across[end] - across[near])
-            sample = np.where(is_beyond, samples[end] + steep * (slope - across[end]), sample)
+            rate = (samples[end] - samples[neighbour]) / (across[end] - across[neighbour])
+            sample = np.where(is_beyond, samples[end] + rate * (slope - across[end]), sample)
         image = np.stack([line, sample], axis=-1)
-        image[~(np.abs(off) < 1e-6)] = np.nan
+        # A slope that is NaN is none of a point that is seen, either.
+        is_seen = np.abs(ahead_slope) < 1e-6
+        image[~is_seen] = np.nan
         return np.asarray(
             require_scaling(self.scaling).image(image.reshape(-1, 2)).reshape(image.shape))
 
 
 def _interpolate_state(metadata: Metadata, time: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return positions (..., 3) [m], and axes to starboard, ahead and up as columns (..., 3, 3)."""
+    """Return the satellite's positions (..., 3) [m] and axes (..., 3, 3) at times (...) [s].
+
+    The axes are the columns: to starboard, ahead and up. All are Earth-fixed.
+    """
     from scipy.interpolate import CubicHermiteSpline  # which other models need not import
 
     orbit = CubicHermiteSpline(metadata.times, metadata.positions, metadata.velocities)
@@ -152,13 +159,14 @@ def _interpolate_state(metadata: Metadata, time: FloatArray) -> tuple[FloatArray
     return station, np.stack([right, np.cross(up, right), up], axis=-1)
 
 
-def _turn_into_camera(away: FloatArray, angles: list[FloatArray]) -> FloatArray:
-    """Return vectors (..., 3) of orbital axes in those of the camera.
+def _turn_into_camera(vectors: FloatArray, angles: list[FloatArray]) -> FloatArray:
+    """Return vectors (..., 3) of orbital axes in the axes of the camera.
 
-    The handbook turns looks by pitch after roll after yaw; this is the inverse.
+    `angles` are yaw, pitch and roll [rad].
     """
     yaw, pitch, roll = angles
-    x, y, z = np.moveaxis(away, -1, 0)
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    # The handbook turns looks by yaw, then roll, then pitch, which is undone in the other order.
     y, z = np.cos(pitch) * y - np.sin(pitch) * z, np.sin(pitch) * y + np.cos(pitch) * z
     x, z = np.cos(roll) * x + np.sin(roll) * z, -np.sin(roll) * x + np.cos(roll) * z
     x, y = np.cos(yaw) * x + np.sin(yaw) * y, -np.sin(yaw) * x + np.cos(yaw) * y

@@ -33,42 +33,43 @@ class Projection:
 
 
 def candidate_projections(ground: FloatArray, century: int | None = None) -> list[Projection]:
-    """Return the projections of maps of a place, longitudes and latitudes (n, 2) [deg].
+    """Return the projections in which a map may have been drawn.
 
-    Their parameters are those of the place: the middle meridian and parallel, and standard
-    parallels a sixth of the extent within it (a rule of Kavraisky's). Of a century those that were
-    used then (Snyder 1993, Flattening the Earth).
+    `ground` (n, 2) are longitudes and latitudes [deg] of the map, which give the parameters: the
+    middle meridian and parallel, and standard parallels a sixth of the extent within the map (a
+    rule of Kavraisky's). With a `century` they are those that were used then (Snyder 1993,
+    Flattening the Earth), otherwise all.
     """
     west, south = ground.min(axis=0)
     east, north = ground.max(axis=0)
-    # Back to -180 to 180: longitudes may go on beyond the meridian.
+    # Longitudes may go on beyond 180 degrees, and are brought back.
     lon = ((west + east) / 2.0 + 180.0) % 360.0 - 180.0
     lat = (south + north) / 2.0
-    # Of a single place the extent is 0, and both parallels would be one.
+    # A conic projection requires two parallels that differ, which a map of one latitude has not.
     sixth = max((north - south) / 6.0, 1e-3)
     first_parallel = lat - 2.0 * sixth
     second_parallel = lat + 2.0 * sixth
     earth = "+datum=WGS84 +units=m +no_defs"
-    at = f"+lon_0={lon:.5f}"
-    conic = (f"+lat_1={first_parallel:.5f} +lat_2={second_parallel:.5f} +lat_0={lat:.5f} "
-             f"{at} {earth}")
-    around = f"+lat_0={lat:.5f} {at} {earth}"
+    # Parameters of projections with a meridian, with a centre, and with two parallels.
+    meridian = f"+lon_0={lon:.5f} {earth}"
+    centre = f"+lat_0={lat:.5f} {meridian}"
+    conic = f"+lat_1={first_parallel:.5f} +lat_2={second_parallel:.5f} {centre}"
     zone = int((lon + 180.0) // 6.0) + 1
     projections = [
-        Projection("equirectangular", f"+proj=eqc +lat_ts={lat:.5f} {at} {earth}"),
-        Projection("plate carree", f"+proj=eqc +lat_ts=0 {at} {earth}", last=18),
-        Projection("Mercator", f"+proj=merc {at} {earth}"),
-        Projection("sinusoidal", f"+proj=sinu {at} {earth}", last=19),
-        Projection("Bonne", f"+proj=bonne +lat_1={lat:.5f} {at} {earth}", first=18, last=20),
-        Projection("Cassini", f"+proj=cass {around}", first=18, last=20),
+        Projection("equirectangular", f"+proj=eqc +lat_ts={lat:.5f} {meridian}"),
+        Projection("plate carree", f"+proj=eqc +lat_ts=0 {meridian}", last=18),
+        Projection("Mercator", f"+proj=merc {meridian}"),
+        Projection("sinusoidal", f"+proj=sinu {meridian}", last=19),
+        Projection("Bonne", f"+proj=bonne +lat_1={lat:.5f} {meridian}", first=18, last=20),
+        Projection("Cassini", f"+proj=cass {centre}", first=18, last=20),
         Projection("equidistant conic", f"+proj=eqdc {conic}", first=18, last=20),
-        Projection("polyconic", f"+proj=poly {around}", first=19, last=20),
+        Projection("polyconic", f"+proj=poly {centre}", first=19, last=20),
         Projection("Albers", f"+proj=aea {conic}", first=19),
         Projection("Lambert conformal conic", f"+proj=lcc {conic}", first=19),
-        Projection("stereographic", f"+proj=sterea {around}", first=19),
-        Projection("Lambert azimuthal", f"+proj=laea {around}", first=19),
-        Projection("azimuthal equidistant", f"+proj=aeqd {around}"),
-        Projection("transverse Mercator", f"+proj=tmerc {around}", first=19),
+        Projection("stereographic", f"+proj=sterea {centre}", first=19),
+        Projection("Lambert azimuthal", f"+proj=laea {centre}", first=19),
+        Projection("azimuthal equidistant", f"+proj=aeqd {centre}"),
+        Projection("transverse Mercator", f"+proj=tmerc {centre}", first=19),
         Projection(f"UTM {zone}{'S' if lat < 0 else 'N'}",
                    f"EPSG:32{7 if lat < 0 else 6}{zone:02d}", first=20)]
     return [projection for projection in projections if century is None
@@ -81,7 +82,8 @@ def projections_of_file(path: Path | str) -> list[Projection]:
     Raises
     ------
     TermselError
-        If it cannot be read, names none or too many, or one that is no CRS.
+        If it cannot be read, if it has no projection or more than `MAX_CANDIDATES`, or if a line
+        is no CRS.
     """
     projections = []
     for number, line in enumerate(read_text(Path(path)).splitlines(), 1):

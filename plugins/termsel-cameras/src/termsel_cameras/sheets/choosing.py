@@ -16,14 +16,14 @@ from termsel_cameras.sheets.series import SHEET_OF_SERIES
 from termsel_cameras.sheets.series_file import Series, with_series_columns
 from termsel_cameras.sheets.sound import blunders_in
 
-NEARLY = 1.1
+NEARLY_BEST = 1.1
 """RMSE by that of the best, up to which the first of several projections is taken: they predict
 alike."""
 
 MIN_SHEETS = 4
 """Sheets from which on their differences show what chance does."""
 
-CLEARLY = 2.0
+SIGNIFICANT_ERRORS = 2.0
 """Standard errors beyond which a difference over all sheets is not chance."""
 
 NEGLIGIBLE = 0.005
@@ -53,7 +53,7 @@ class Tried:
     rmse : float
         Of points held out of the choice of the model in this projection [px]: of several sheets
         the geometric mean. Infinite where no model is determined.
-    of_sheets : tuple of float
+    sheet_rmses : tuple of float
         The RMSE of each sheet [px].
     evidence : float
         Logarithm of how probable the series makes all points, but for a constant; NaN where no
@@ -63,17 +63,17 @@ class Tried:
     name: str
     crs: str
     rmse: float
-    of_sheets: tuple[float, ...] = ()
+    sheet_rmses: tuple[float, ...] = ()
     evidence: float = np.nan
 
 
 def rank_projections(sheets: Sequence[FeatureSet], candidates: Sequence[Projection]) -> list[Tried]:
     """Return how well each projection predicts the points of all sheets, the best first.
 
-    Each candidate has a `name` and a `crs`. Independent points take no part. Sheets of a series
-    were drawn in one projection, so that the product of their squared errors counts, each to the
-    power of its number of points: a sheet of few points borrows from the others. Blunders take no
-    part either, as one of them is more than all that projections differ by.
+    The figure is the mean of the logarithm of the sheets' RMSE, weighted by their numbers of
+    points, since all sheets of a series were drawn in one projection. Independent points and
+    blunders take no part, nor do sheets of fewer than `MIN_POINTS_OF_SHEET` points. Raises
+    TermselError if no sheet has enough.
     """
     used_sheets = [without_independent(sheet) for sheet in sheets]
     used_sheets = [_without_blunders(sheet, candidates) for sheet in used_sheets
@@ -85,10 +85,9 @@ def rank_projections(sheets: Sequence[FeatureSet], candidates: Sequence[Projecti
     counts = [len(sheet.points) for sheet in used_sheets]
     ranked = []
     for candidate in candidates:
-        # The mean of log rmse, weighted by points: the log of the product above, by its power.
-        of_sheets = [_predicted_rmse(sheet, candidate.crs) for sheet in used_sheets]
-        rmse = float(np.exp(np.average(np.log(of_sheets), weights=counts)))
-        ranked.append(Tried(candidate.name, candidate.crs, rmse, tuple(of_sheets)))
+        sheet_rmses = [_predicted_rmse(sheet, candidate.crs) for sheet in used_sheets]
+        rmse = float(np.exp(np.average(np.log(sheet_rmses), weights=counts)))
+        ranked.append(Tried(candidate.name, candidate.crs, rmse, tuple(sheet_rmses)))
     return sorted(ranked, key=lambda projection: projection.rmse)
 
 
@@ -134,11 +133,12 @@ def as_probable_as_the_best(
 
 
 def first_of_the_best(
-        ranked: Sequence[Tried], candidates: Sequence[Projection], nearly: float = NEARLY) -> Tried:
-    """Return the first candidate among the projections that predict about as well as the best.
+        ranked: Sequence[Tried], candidates: Sequence[Projection], nearly: float = NEARLY_BEST,
+) -> Tried:
+    """Return the first of the candidates that predicts about as well as the best projection.
 
-    About as well: an RMSE up to `nearly` times the least and, of a series of sheets, by no more
-    than chance among them explains. Raises TermselError if none predicts.
+    Its RMSE is up to `nearly` times the least and, in a series, the sheets do not show that it is
+    worse (`_is_worse_on_sheets`). Raises TermselError if in no projection a model is determined.
     """
     best = ranked[0].rmse
     if not np.isfinite(best):
@@ -152,16 +152,16 @@ def first_of_the_best(
 
 
 def _is_worse_on_sheets(projection: Tried, best: Tried) -> bool:
-    """Return whether the sheets of a series show that another projection predicts them better.
+    """Return whether the sheets of a series show that a projection is worse than the best one.
 
-    The logarithms of the ratios of their RMSEs have a mean above `CLEARLY` standard errors. Of few
-    sheets nothing is shown.
+    They do if the logarithms of the ratios of their RMSEs have a mean above `SIGNIFICANT_ERRORS`
+    standard errors. Fewer than `MIN_SHEETS` sheets show nothing.
     """
-    if len(best.of_sheets) < MIN_SHEETS:
+    if len(best.sheet_rmses) < MIN_SHEETS:
         return False
-    logs = np.log(projection.of_sheets) - np.log(best.of_sheets)
+    logs = np.log(projection.sheet_rmses) - np.log(best.sheet_rmses)
     standard_error = logs.std(ddof=1) / np.sqrt(len(logs))
-    return bool(logs.mean() > max(CLEARLY * standard_error, NEGLIGIBLE))
+    return bool(logs.mean() > max(SIGNIFICANT_ERRORS * standard_error, NEGLIGIBLE))
 
 
 def _different(sheets: Sequence[FeatureSet]) -> list[FeatureSet]:
@@ -199,9 +199,10 @@ def _rmse_by_series(sheets: Sequence[FeatureSet], series: Series) -> float:
 def _without_blunders(sheet: FeatureSet, candidates: Sequence[Projection]) -> FeatureSet:
     """Return a sheet without the points that are blunders in most of the projections.
 
-    A right point may look like a blunder in a projection that is not the map's, but hardly in most
-    of them; and all projections are judged by the same points.
+    It is returned as it is if it has too few points for a test in any projection.
     """
+    # All projections must be compared by the same points. A right point may look like a blunder in
+    # a projection that is not the map's, but hardly in most of them.
     votes = [vote for candidate in candidates
              if (vote := blunders_in(sheet, candidate.crs)) is not None]
     if not votes:
@@ -211,9 +212,9 @@ def _without_blunders(sheet: FeatureSet, candidates: Sequence[Projection]) -> Fe
 
 
 def _predicted_rmse(features: FeatureSet, crs: str) -> float:
-    """Return the RMSE of held-out points [px] in a projection.
+    """Return the RMSE of held-out points [px] of the model that auto chooses in a projection.
 
-    Infinite where no model is determined.
+    It is infinite if no model is determined, and 1e-9 px at least, as its logarithm is taken.
     """
     try:
         choice = Auto().choose(FitData.of(replace(features, fit_crs=crs)))

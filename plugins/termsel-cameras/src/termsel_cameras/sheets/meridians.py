@@ -29,12 +29,12 @@ convention 17 deg 40 min west of Greenwich, 20 deg west of Paris; Washington the
 
 
 def meridian_of(text: str) -> float:
-    """Return the longitude from Greenwich of a meridian by its name, or in degrees.
+    """Return the longitude from Greenwich [deg] of a meridian, given by its name or in degrees.
 
     Raises
     ------
     TermselError
-        If it is neither.
+        If the text is neither a name in `MERIDIANS` nor a number from -180 to 180.
     """
     name = text.strip().lower()
     if name in MERIDIANS:

@@ -32,14 +32,14 @@ some parts in a thousand, sheets lie on a scanner to half a degree."""
 SPREADS_TRIED = np.geomspace(1e-5, 10.0, 61)
 """Standard deviations among sheets that are averaged over."""
 
-MOST_SCALES = 0.1
+MAX_SCALE_SPREAD = 0.1
 """Largest standard deviation of the logarithms of scales of one series' sheets, scanned alike:
 paper shrinks by few per cent."""
 
-LEAST_FREEDOM, MOST_FREEDOM = 2.0, 40.0
+MIN_FREEDOM, MAX_FREEDOM = 2.0, 40.0
 """Bounds of the degrees of freedom that the usual noise of a series counts as."""
 
-LEAST_NOISE = 0.1
+MIN_NOISE = 0.1
 """Least standard deviation of what an affine map leaves of a sheet [px]."""
 
 
@@ -108,20 +108,23 @@ def rotation_by(turn: float) -> FloatArray:
 def values_of(matrix: FloatArray) -> FloatArray:
     """Return log scale, turn [rad], stretch and shear of a matrix (2, 2) of positive determinant.
 
-    By the polar decomposition: a rotation, and a symmetric part of determinant 1.
+    It is the inverse of `matrix_of`.
     """
+    # The polar decomposition: a rotation U V', and a symmetric part U S U' of determinant 1 once
+    # the scale is divided out.
     u, singular, v = np.linalg.svd(matrix)
-    turned = u @ v
+    rotation = u @ v
     paper = (u * singular) @ u.T / np.sqrt(singular.prod())
-    turn = np.arctan2(turned[1, 0], turned[0, 0])
+    turn = np.arctan2(rotation[1, 0], rotation[0, 0])
     return np.array([np.log(singular.prod()) / 2.0, turn,
                      np.log(paper[0, 0] / paper[1, 1]) / 2.0, paper[0, 1]])
 
 
 def sheet_of(features: FeatureSet) -> Sheet | None:
-    """Return scale, turn, stretch and shear of a sheet with their variances, in its CRS of the fit.
+    """Return what a sheet shows of its paper, with the ground in its CRS of the fit.
 
-    None if it has lines, fewer points than that takes, points on a line, or a mirrored scan.
+    None if it has lines, fewer than `MIN_POINTS_OF_PAPER` points, points on a line, or a mirrored
+    scan.
     """
     points = features.points
     count = len(points)
@@ -139,9 +142,9 @@ def sheet_of(features: FeatureSet) -> Sheet | None:
     # Two equations a point, less the six coefficients of an affine transformation.
     freedom = 2 * count - 6
     residuals = measured - columns @ coefficients
-    noise = max(float(np.sqrt((residuals**2).sum() / freedom)), LEAST_NOISE)
+    noise = max(float(np.sqrt((residuals**2).sum() / freedom)), MIN_NOISE)
     covariance = np.kron(np.eye(2), np.linalg.inv(columns.T @ columns)[1:, 1:])
-    # Propagation of variances, J C J'; the noise is kept apart.
+    # Propagation of variances, J C J', for a noise of 1 px.
     slopes = _matrix_derivatives(matrix)
     variances = np.diag(slopes @ covariance @ slopes.T)
     return Sheet(tuple(values_of(matrix).tolist()), tuple(variances.tolist()), noise, freedom,
@@ -149,7 +152,7 @@ def sheet_of(features: FeatureSet) -> Sheet | None:
 
 
 def plan_of(features: FeatureSet, scaling: Scaling) -> FloatArray:
-    """Return x and y of points (n, 2) in the CRS of the fit, which the scaling is of."""
+    """Return x and y (n, 2) of points in the CRS of the fit, to which the scaling belongs."""
     scaled = scaling.ground(features.points.ground)[:, :2]
     return np.asarray(scaled * scaling.ground_scale[:2] + scaling.ground_offset[:2])
 
@@ -186,10 +189,10 @@ def wrap_angle(angle: float) -> float:
 
 
 def paper_of(sheets: Sequence[Sheet]) -> Paper:
-    """Return what sheets show of another one of their series.
+    """Return what sheets let expect of the paper of another sheet of their series.
 
-    Each number is normal among sheets, with a standard deviation that is averaged over: a random
-    effect (Gelman 2006, Bayesian Analysis 1(3), for the prior of its spread).
+    Each of the four numbers is a random effect: normal among sheets, with a standard deviation that
+    is averaged over (Gelman 2006, Bayesian Analysis 1(3), for the prior of that).
 
     Raises
     ------
@@ -202,7 +205,7 @@ def paper_of(sheets: Sequence[Sheet]) -> Paper:
     noise, freedom = usual_noise(sheets)
     values, variances = _values_and_variances(sheets, noise, freedom)
     first_turn = sheets[0].values[TURN]
-    expected = np.array([_value_of_other_sheet(*column) for column in zip(
+    expected = np.array([_expected_value(*column) for column in zip(
         values.T, variances.T, USUAL_SPREADS, strict=True)])
     expected[TURN, 0] = wrap_angle(expected[TURN, 0] + first_turn)
     return Paper(tuple(expected[:, 0].tolist()), tuple(expected[:, 1].tolist()), noise, freedom,
@@ -248,17 +251,19 @@ def _values_and_variances(sheets: Sequence[Sheet], noise: float,
     return values, variances
 
 
-def _value_of_other_sheet(values: FloatArray, variances: FloatArray,
+def _expected_value(values: FloatArray, variances: FloatArray,
                           usual_spread: float) -> tuple[float, float]:
-    """Return the mean and the standard deviation of the value of another sheet.
+    """Return the expected value of another sheet, and its standard deviation.
 
-    The spread among sheets is averaged over: its prior is half a Cauchy distribution.
+    `values` and `variances` (s,) are those of the sheets. The spread among sheets is averaged over;
+    its prior is half a Cauchy distribution of the scale `usual_spread`.
     """
     log_joint, means, mean_variances = _by_spread(values, variances, usual_spread)
     posterior = np.exp(log_joint - log_joint.max())
     posterior /= posterior.sum()
     mean = float(posterior @ means)
-    # Of few sheets the mean of the squares is that of the tail alone: the geometric one is usual.
+    # With few sheets the tail of the prior alone determines the arithmetic mean of the squares, so
+    # that the geometric one is taken.
     squares = SPREADS_TRIED**2 + mean_variances
     usual_square = float(np.exp(posterior @ np.log(squares)))
     return mean, float(np.sqrt(usual_square + posterior @ (means - mean) ** 2))
@@ -291,9 +296,11 @@ def _by_spread(values: FloatArray, variances: FloatArray,
 
 def reason_against(paper: Paper) -> str:
     """Return why sheets are no series from which another one could borrow; "" if they may be one.
+
+    A single sheet may be one.
     """
     spread = paper.spreads[SCALE]
-    if paper.sheets < 2 or spread <= MOST_SCALES:
+    if paper.sheets < 2 or spread <= MAX_SCALE_SPREAD:
         return ""
     return (f"the scales of the {paper.sheets} other sheets differ by {100 * spread:.0f} %, and "
             "those of one series, scanned alike, by a few per cent at most")
@@ -302,19 +309,21 @@ def reason_against(paper: Paper) -> str:
 def usual_noise(sheets: Sequence[Sheet]) -> tuple[float, float]:
     """Return the noise of a series [px], and the degrees of freedom that it counts as.
 
-    Variances of sheets are those of a scaled inverse chi-squared distribution, whose moments of the
-    logarithm show both (Smyth 2004, Stat. Appl. Genet. Mol. Biol. 3(1), 3).
+    The variances of sheets are taken to have a scaled inverse chi-squared distribution, whose
+    parameters are by the mean and the variance of their logarithms (Smyth 2004, Stat. Appl. Genet.
+    Mol. Biol. 3(1), 3). A single sheet has the noise that it shows, with `MIN_FREEDOM`.
     """
     from scipy.special import digamma, polygamma  # which all other commands need not import
 
     halves = np.array([sheet.freedom for sheet in sheets]) / 2.0
     logs = np.log([sheet.noise**2 for sheet in sheets]) - digamma(halves) + np.log(halves)
     log_square = float(np.mean(logs))
-    freedom = LEAST_FREEDOM
+    freedom = MIN_FREEDOM
     if len(sheets) > 1:
         excess = float(np.var(logs, ddof=1) - polygamma(1, halves).mean())
         # trigamma(x) is about 1 / x + 1 / (2 x^2), which is solved for x = freedom / 2.
-        freedom = MOST_FREEDOM if excess <= 0.0 else (1.0 + np.sqrt(1.0 + 2.0 * excess)) / excess
-        freedom = float(np.clip(freedom, LEAST_FREEDOM, min(MOST_FREEDOM, 2.0 * halves.sum())))
+        freedom = MAX_FREEDOM if excess <= 0.0 else (1.0 + np.sqrt(1.0 + 2.0 * excess)) / excess
+        # Sheets cannot tell the noise with more degrees of freedom than they have together.
+        freedom = float(np.clip(freedom, MIN_FREEDOM, min(MAX_FREEDOM, 2.0 * halves.sum())))
     log_square += float(digamma(freedom / 2.0) - np.log(freedom / 2.0))
     return float(np.exp(log_square / 2.0)), freedom

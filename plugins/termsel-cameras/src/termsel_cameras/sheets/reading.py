@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("termsel.cameras")
 
 AUTO = "auto"
-_NEXT = 2
+_N_RIVALS = 2
 
 SHEET_OPTIONS = (
     Option("prime_meridian", None, "Meridian that longitudes of the points count from: "
@@ -51,12 +51,12 @@ class SheetOptions:
 
     def read(self, features: FeatureSet, options_given: Mapping[str, Any],
              image: Path | str | None) -> FeatureSet:
-        """Return features with longitudes from Greenwich, and the projection of the map.
+        """Return features with longitudes from Greenwich, and with the projection of the map.
 
-        `options_given` are those of `SHEET_OPTIONS` that the user gave, `image` is not looked at.
-        The projection becomes `fit_crs`: coordinates stay as they are read, and the model is fitted
-        in the map's own plane. A series knows both from its grid; "auto" chooses by
-        cross-validation among candidates. Raises TermselError for options that do not go together.
+        `options_given` has the options that the user gave; `image` is not used. The projection
+        becomes `fit_crs`, in which the model is fitted; coordinates stay as they are. It is the one
+        that is stated, that of a series, or one that "auto" chooses by cross-validation; without
+        any, features keep their own. Raises TermselError for options that do not go together.
         """
         values = {option.name: option.parse(options_given[option.name]) for option in SHEET_OPTIONS
                   if options_given.get(option.name) is not None}
@@ -92,13 +92,13 @@ class SheetOptions:
         return replace(features, fit_crs=normalise(best.crs))
 
 
-def _projection_in_words(ranked: Sequence[Tried], taken: Tried) -> str:
-    """Return sentences on which projection is taken, and how well it and its rivals predict.
+def _projection_in_words(ranked: Sequence[Tried], chosen: Tried) -> str:
+    """Return sentences on the chosen projection, and how well it and its rivals predict.
 
-    `ranked` are all that were tried, the best first; `taken` is one of them, which need not be the
-    best: of those nearly as good the first of the list is.
+    `ranked` are all that were tried, the best first. `chosen` is the best, or the first candidate
+    that is nearly as good.
     """
-    from termsel_cameras.sheets.choosing import NEARLY
+    from termsel_cameras.sheets.choosing import NEARLY_BEST
 
     def errors_in_words(projections: Sequence[Tried]) -> str:
         """Return the names of projections with the RMSE of their predictions."""
@@ -106,18 +106,19 @@ def _projection_in_words(ranked: Sequence[Tried], taken: Tried) -> str:
                          for projection in projections)
 
     best = ranked[0]
-    if best is taken:
-        return (f"{taken.name} predicts the points best: {taken.rmse:.3g} px "
-                f"({errors_in_words(ranked[1:1 + _NEXT])}).")
-    return (f"{taken.name} is taken: {taken.rmse:.3g} px. Of those that predict within "
-            f"{100 * (NEARLY - 1.0):.0f} % of the best ({errors_in_words([best])}) it is the first "
-            "of the list.")
+    if best is chosen:
+        return (f"{chosen.name} predicts the points best: {chosen.rmse:.3g} px "
+                f"({errors_in_words(ranked[1:1 + _N_RIVALS])}).")
+    return (f"{chosen.name} is taken: {chosen.rmse:.3g} px. Of those that predict within "
+            f"{100 * (NEARLY_BEST - 1.0):.0f} % of the best ({errors_in_words([best])}) it is the "
+            "first of the list.")
 
 
 def _sheet_of_series(features: FeatureSet, values: Mapping[str, Any]) -> FeatureSet:
-    """Return a sheet with the projection and paper of its series.
+    """Return a sheet with the projection and the paper of the series in `values["series"]`, a file.
 
-    Raises TermselError if options state a projection, too.
+    A note is logged if the other sheets are no series. Raises TermselError if options state or
+    choose a projection, too, if the file is none, or if no other sheet shows its paper.
     """
     from termsel_cameras.sheets.paper import reason_against
     from termsel_cameras.sheets.series_file import (  # it fits models
@@ -136,7 +137,7 @@ def _sheet_of_series(features: FeatureSet, values: Mapping[str, Any]) -> Feature
 
 
 def from_greenwich(features: FeatureSet, meridian: float) -> FeatureSet:
-    """Return features whose longitudes count from Greenwich, of such that count from a meridian.
+    """Return features with longitudes from Greenwich, where they count from `meridian` [deg].
 
     Raises
     ------
@@ -148,8 +149,9 @@ def from_greenwich(features: FeatureSet, meridian: float) -> FeatureSet:
                            hint="Leave the prime meridian out: coordinates of maps count from that "
                                 "of their CRS.")
     longitudes = without_independent(features).ground_vertices()[:, 0]
-    # Whole turns, lest a map west of its meridian by more than that comes to lie below -180.
-    turns = np.floor((np.median(longitudes) + meridian + 180.0) / 360.0) if len(longitudes) else 0.0
+    # Whole turns are taken off, so that most longitudes are from -180 to 180.
+    middle = np.median(longitudes) + meridian if len(longitudes) else 0.0
+    turns = np.floor((middle + 180.0) / 360.0)
     shift = [meridian - 360.0 * turns, 0.0, 0.0]
     points = replace(features.points, ground=features.points.ground + shift)
     lines = replace(features.lines, ground=features.lines.ground + shift)
@@ -158,17 +160,17 @@ def from_greenwich(features: FeatureSet, meridian: float) -> FeatureSet:
 
 def candidates_of(sheets: list[FeatureSet], file: str | None,
                   century: int | None) -> list[Projection]:
-    """Return the projections to choose from: of a file, or of the place and the century."""
+    """Return the projections to choose from: those in `file`, or by the sheets and the century."""
     if file is not None:
         return projections_of_file(file)
-    return candidate_projections(places_of_sheets(sheets), century)
+    return candidate_projections(corners_of_sheets(sheets), century)
 
 
-def places_of_sheets(sheets: list[FeatureSet]) -> FloatArray:
-    """Return the south-western and north-eastern corner of all sheets [deg], (2, 2).
+def corners_of_sheets(sheets: list[FeatureSet]) -> FloatArray:
+    """Return the south-western and north-eastern corner of all sheets (2, 2).
 
-    Independent points take no part: the places say which projections are tried. Across 180 degrees
-    the eastern longitude is larger than that.
+    Rows are longitude and latitude on WGS84 [deg]. Across 180 degrees the eastern longitude is
+    larger than that. Independent points take no part, as the corners decide what is tried.
 
     Raises
     ------
@@ -184,7 +186,7 @@ def places_of_sheets(sheets: list[FeatureSet]) -> FloatArray:
     if not len(degrees):
         raise TermselError("no map has control points, which show what projections to try",
                            hint="Measure control points, or state the projection.")
-    # Less than half a turn from the first.
+    # All longitudes are brought to within half a turn of the first.
     first = degrees[0, 0]
     degrees[:, 0] = first + (degrees[:, 0] - first + 180.0) % 360.0 - 180.0
     return np.stack([degrees.min(axis=0), degrees.max(axis=0)])

@@ -47,7 +47,7 @@ UNKNOWNS = 6
 TAILS = 4.0
 """Degrees of freedom of what an affine map leaves of points: few are wild, as those of photos."""
 
-_STEPS, _ROUNDS = 30, 6
+_STEPS, _NOISE_STEPS = 30, 6
 
 PAPER = Option("paper", "", "Expected scale, turn, stretch and shear, their standard deviations, "
                "the noise [px], its degrees of freedom, and the number of sheets.")
@@ -123,16 +123,17 @@ class BySeries(Estimator):
 
     def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Fit a sheet (see `Estimator.fit`) with all its terms.
+        """Fit a sheet (see `Estimator.fit`) with all its terms to the points in use.
 
-        What the series knows of its paper is the prior of scale, turn, stretch and shear, so that
-        even one point gives a fit. Errors are those of each point under the posterior of the
-        others. Parameters are counted by what the points determine of them.
+        What the series shows of the paper is the prior of scale, turn, stretch and shear, so that
+        one point is enough. Held-out errors are those of each point by the posterior of the others,
+        with the noise of all.
         """
         assert isinstance(model, SeriesSheet)
         in_use = control.take(used)
         posterior, middle = self._sheet_posterior(model, in_use, scaling)
-        plan, measured = plan_of(in_use, scaling), to_upright(in_use.points.image)
+        plan = plan_of(in_use, scaling)
+        measured = to_upright(in_use.points.image)
         errors = np.empty_like(measured)
         for i in range(len(measured)):
             others = np.arange(len(measured)) != i
@@ -142,9 +143,10 @@ class BySeries(Estimator):
         # From sample and minus line to line and sample.
         errors = errors[:, ::-1] * [-1.0, 1.0]
         coefficients = _affine_coefficients(posterior.values, middle, scaling)
-        count = round(posterior.effective)
-        adjustment = Adjustment(coefficients, np.full(UNKNOWNS, np.nan), count, 2 * len(in_use),
-                                rank=count, condition=np.nan,
+        # An adjustment counts terms in whole numbers; the fit's trace is the effective number.
+        n_terms = round(posterior.effective)
+        adjustment = Adjustment(coefficients, np.full(UNKNOWNS, np.nan), n_terms, 2 * len(in_use),
+                                rank=n_terms, condition=np.nan,
                                 sigma0=posterior.sigma / scaling.image_scale, converged=True)
         return Fit(model, scaling, control, np.ones(UNKNOWNS, dtype=bool), used, adjustment,
                    estimator=self, trace=posterior.effective,
@@ -152,19 +154,19 @@ class BySeries(Estimator):
 
     def _sheet_posterior(self, model: SeriesSheet, in_use: FeatureSet,
                          scaling: Scaling) -> tuple[_Posterior, FloatArray]:
-        """Return the sheet by its points and its paper, and the middle (2,) of its points' ground.
-        """
+        """Return the posterior of a sheet, and the middle x, y (2,) of its points' ground."""
         plan = plan_of(in_use, scaling)
         middle = plan.mean(axis=0)
         return posterior_of(model.paper, plan - middle, to_upright(in_use.points.image)), middle
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
-        """Return the mean square errors at scaled places (see `Estimator.spread`)."""
+        """Return the mean square errors at scaled ground positions (see `Estimator.spread`)."""
         assert isinstance(fitted.model, SeriesSheet)
         scaling = fitted.scaling
         posterior, middle = self._sheet_posterior(
             fitted.model, fitted.control.take(fitted.used), scaling)
         plan = ground[:, :2] * scaling.ground_scale[:2] + scaling.ground_offset[:2]
+        # Minus line and sample become sample and minus line; squares do not depend on the sign.
         slopes = _image_derivatives(posterior.values, plan - middle)[:, ::-1] / scaling.image_scale
         factors = slopes @ np.linalg.cholesky(posterior.covariance)
         noise = (posterior.sigma / scaling.image_scale) ** 2
@@ -178,19 +180,20 @@ class BySeries(Estimator):
 
 def posterior_of(paper: Paper, plan: FloatArray, measured: FloatArray,
                  sigma: float | None = None) -> _Posterior:
-    """Return the sheet that points (n, 2) and the prior of its paper support.
+    """Return the posterior of a sheet by its points and the prior of its paper.
 
-    The plan is about its middle, `measured` are samples and minus lines [px]. Without a noise
-    `sigma` it is that of the residuals and the series, each by its degrees of freedom.
+    `plan` (n, 2) are x and y from their middle, `measured` (n, 2) samples and minus lines [px]. The
+    noise is `sigma` [px]; if that is None its square is the mean of those of the residuals and of
+    the series, weighted by degrees of freedom.
     """
     values = _start(paper, plan, measured)
     noise = paper.noise if sigma is None else sigma
-    for _ in range(_ROUNDS if sigma is None else 1):
-        values, normal = _least_cost(paper, plan, measured, values, noise)
+    for _ in range(_NOISE_STEPS if sigma is None else 1):
+        values, normal = _most_probable_values(paper, plan, measured, values, noise)
         covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
         prior = np.zeros((UNKNOWNS, UNKNOWNS))
         prior[:4, :4] = np.diag(1.0 / np.array(paper.spreads) ** 2)
-        # The trace of what points contribute to the normal matrix, by all of it.
+        # The trace of N^-1 A' A, with N = A' A + prior.
         effective = UNKNOWNS - float(np.trace(covariance @ prior))
         if sigma is None:
             square = float(((measured - _image_positions(values, plan)) ** 2).sum())
@@ -201,25 +204,30 @@ def posterior_of(paper: Paper, plan: FloatArray, measured: FloatArray,
 
 
 def _start(paper: Paper, plan: FloatArray, measured: FloatArray) -> FloatArray:
-    """Return the six values of a similarity by the points, or of the paper if they are too few."""
-    place = measured.mean(axis=0)
-    about = measured - place
-    size = float((plan**2).sum())
-    if len(plan) < 2 or size == 0.0:
-        return np.array([*paper.means, *place])
-    # As complex numbers z of the plan and w of the image: the factor is sum(conj(z) w) / sum |z|^2.
-    real = float((plan * about).sum()) / size
-    turned = float((plan[:, 0] * about[:, 1] - plan[:, 1] * about[:, 0]).sum()) / size
-    scale = max(np.hypot(real, turned), 1e-12)
-    return np.array([np.log(scale), np.arctan2(turned, real), *paper.means[2:], *place])
+    """Return six values from which the fit begins (see `_Posterior`).
+
+    Scale and turn are those of a similarity by the points, or the means of the paper if there is
+    one point alone; stretch and shear are the means.
+    """
+    mean_image = measured.mean(axis=0)
+    image = measured - mean_image
+    square = float((plan**2).sum())
+    if len(plan) < 2 or square == 0.0:
+        return np.array([*paper.means, *mean_image])
+    # With complex numbers z of the plan and w of the image the similarity is w = c z, where
+    # c = sum(conj(z) w) / sum |z|^2.
+    real = float((plan * image).sum()) / square
+    imaginary = float((plan[:, 0] * image[:, 1] - plan[:, 1] * image[:, 0]).sum()) / square
+    scale = max(np.hypot(real, imaginary), 1e-12)
+    return np.array([np.log(scale), np.arctan2(imaginary, real), *paper.means[2:], *mean_image])
 
 
-def _least_cost(paper: Paper, plan: FloatArray, measured: FloatArray, values: FloatArray,
+def _most_probable_values(paper: Paper, plan: FloatArray, measured: FloatArray, values: FloatArray,
                 sigma: float) -> tuple[FloatArray, FloatArray]:
-    """Return the values of the least cost, and the normal matrix there: Gauss-Newton.
+    """Return the six values of the least cost, and the normal matrix there (6, 6).
 
-    The cost is that of the residuals, (measured - image)^2 / sigma^2, and of the first four values'
-    distance from what the paper of the series lets expect, (value - mean)^2 / spread^2.
+    The cost is the sum of (measured - image)^2 / sigma^2 over the points, and of (value - mean)^2 /
+    spread^2 over the four values of the paper. The search takes Gauss-Newton steps from `values`.
     """
     means = np.array(paper.means)
     spreads = np.array(paper.spreads)
@@ -233,7 +241,7 @@ def _least_cost(paper: Paper, plan: FloatArray, measured: FloatArray, values: Fl
         right = design.T @ residuals
         right[:4] -= from_expected / spreads**2
         step = np.linalg.solve(normal, right)
-        # Angles and logarithms of a half at most, so that a poor start does not run away.
+        # A step changes angles and logarithms by a half at most, so that it does not overshoot.
         step *= min(1.0, 0.5 / max(np.abs(step[:4]).max(), 1e-300))
         values = values + step
         if np.abs(step[:4]).max() < 1e-12:
@@ -242,7 +250,7 @@ def _least_cost(paper: Paper, plan: FloatArray, measured: FloatArray, values: Fl
 
 
 def _image_positions(values: FloatArray, plan: FloatArray) -> FloatArray:
-    """Return samples and minus lines of places about the middle, (n, 2)."""
+    """Return samples and minus lines (n, 2) [px] of x and y from the middle (n, 2)."""
     return np.asarray(plan @ matrix_of(values[:4]).T + values[4:])
 
 
@@ -251,23 +259,29 @@ def _image_derivatives(values: FloatArray, plan: FloatArray) -> FloatArray:
     scale, turn, stretch, shear = values[:4]
     rotated = np.exp(scale) * plan @ rotation_by(turn).T
     h = np.hypot(1.0, shear)
-    along, across = np.exp(stretch), np.exp(-stretch)
-    by_paper = (np.array([[h * along, 0.0], [0.0, -h * across]]),
-                np.array([[shear / h * along, 1.0], [1.0, shear / h * across]]))
+    along = np.exp(stretch)
+    across = np.exp(-stretch)
+    # The derivatives by stretch and shear of S = [[h along, shear], [shear, h across]].
+    paper_derivatives = (np.array([[h * along, 0.0], [0.0, -h * across]]),
+                         np.array([[shear / h * along, 1.0], [1.0, shear / h * across]]))
     matrix = matrix_of(values[:4])
     slopes = np.zeros((len(plan), 2, UNKNOWNS))
     slopes[..., 0] = plan @ matrix.T
-    # The derivative of a rotation is the one by a quarter turn more.
+    # The derivative of a rotation by its angle is the rotation by a quarter turn more.
     quarter = np.array([[0.0, -1.0], [1.0, 0.0]])
     slopes[..., 1] = plan @ (matrix @ quarter).T
-    for i, derivative in enumerate(by_paper):
+    for i, derivative in enumerate(paper_derivatives):
         slopes[..., 2 + i] = rotated @ derivative.T
     slopes[..., 4:] = np.eye(2)
     return slopes
 
 
 def _affine_coefficients(values: FloatArray, middle: FloatArray, scaling: Scaling) -> FloatArray:
-    """Return the coefficients of line, then of sample, by 1, X and Y, all scaled."""
+    """Return the coefficients (6,) of 1, X and Y for the line, then for the sample, all scaled.
+
+    `values` (6,) are those of a sheet about `middle` (2,), the middle x, y of its points.
+    """
+    # An affine map is known by the images of three points.
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     plan = corners * scaling.ground_scale[:2] + scaling.ground_offset[:2]
     image = scaling.image(_image_positions(values, plan - middle)[:, ::-1] * [-1.0, 1.0])
@@ -280,22 +294,22 @@ class SheetOfSeries(Method):
     """A sheet whose series shows what its paper is like."""
 
     def declines(self, control: FitData) -> str | None:
-        """Return why no series is known, or the sheet is not for one; None if it is.
+        """Return why the sheet cannot borrow from a series; None if it can.
 
-        Raises Undetermined if the points name several series, or none that can be read.
+        Raises Undetermined if the points differ in what their series shows, or if that cannot be
+        read.
         """
         features = control.features
         if COLUMN not in features.points.attributes:
             return "no series of sheets is stated"
         if len(features.lines) or not len(features.points):
             return "a sheet of a series takes points alone"
-        # Sheets of unlike maps lend nothing but their noise, which is not this sheet's.
         return reason_against(paper_of_text(stated_paper(features))) or None
 
     def fit(self, control: FitData) -> Fit:
         """Return the fit of the sheet to all points.
 
-        Raises Undetermined if they name several series.
+        Raises Undetermined if they differ in what their series shows, or if that cannot be read.
         """
         text = stated_paper(control.features)
         model = SeriesSheet(paper=text).prepared(control.scaling, control.features.crs)
@@ -313,7 +327,7 @@ class SheetOfSeries(Method):
         return 0.0
 
     def describe(self, fitted: Fit) -> str:
-        """Return sentences on what was borrowed from the other sheets, and how sure it is."""
+        """Return sentences on what the other sheets lend, how sure it is, and what points add."""
         assert isinstance(fitted.model, SeriesSheet)
         paper = fitted.model.paper
         spreads = paper.spreads
@@ -326,7 +340,7 @@ class SheetOfSeries(Method):
 
 
 def stated_paper(features: FeatureSet) -> str:
-    """Return the one value that the column has; raises Undetermined if points differ in it."""
+    """Return the value of the column `COLUMN`; raises Undetermined if points differ in it."""
     values = {str(value) for value in features.points.attributes[COLUMN]}
     if len(values) != 1:
         raise Undetermined(f"the column {COLUMN} has {len(values)} values, and a sheet one series",

@@ -40,24 +40,34 @@ class Series:
                            "sheets": [asdict(sheet) for sheet in self.sheets]}, indent=1) + "\n"
 
     def paper_for(self, features: FeatureSet) -> Paper:
-        """Return the paper by the other sheets; one that shares a point with this is itself."""
+        """Return what the other sheets show of the paper of a sheet.
+
+        A sheet that shares a point with `features` is taken to be the same one. Raises TermselError
+        if there is no other.
+        """
         marks = set(marks_of(features))
         return paper_of([sheet for sheet in self.sheets if marks.isdisjoint(sheet.points)])
 
 
 def series_of(sheets: Sequence[FeatureSet], projection: str) -> Series:
-    """Return the series of sheets in their projection, "" for their own CRS.
+    """Return the series of some sheets in their projection, or in their own CRS if that is "".
 
-    Sheets that show nothing are left out; independent check points and blunders take no part.
+    Sheets that do not show their paper (see `sheet_of`) are left out; independent check points and
+    blunders take no part.
     """
-    sound = [_without_blunders(without_independent(sheet), projection) for sheet in sheets]
-    fitted = [replace(sheet, fit_crs=projection) if projection else sheet for sheet in sound]
-    sheets_that_tell = [sheet_of(sheet) for sheet in fitted]
-    return Series(projection, tuple(sheet for sheet in sheets_that_tell if sheet is not None))
+    without_blunders = [
+        _without_blunders(without_independent(sheet), projection) for sheet in sheets]
+    projected = [replace(sheet, fit_crs=projection) if projection else sheet
+                 for sheet in without_blunders]
+    described = [sheet_of(sheet) for sheet in projected]
+    return Series(projection, tuple(sheet for sheet in described if sheet is not None))
 
 
 def _without_blunders(sheet: FeatureSet, projection: str) -> FeatureSet:
-    """Return a sheet without the points that are blunders in the projection of its series."""
+    """Return a sheet without the points that are blunders in the projection of its series.
+
+    It is returned as it is if it has too few points for a test.
+    """
     is_blunder = blunders_in(sheet, projection)
     if is_blunder is None:
         return sheet
@@ -84,13 +94,14 @@ def read_series(path: Path | str) -> Series:
 
 
 def _parse_sheet(item: Any) -> Sheet:
-    """Return a sheet of a file.
+    """Return a sheet that an item of a JSON file describes.
 
     Raises ValueError, KeyError or TypeError if the item is no sheet.
     """
     values = tuple(float(value) for value in item["values"])
     variances = tuple(float(value) for value in item["variances"])
-    noise, freedom = float(item["noise"]), int(item["freedom"])
+    noise = float(item["noise"])
+    freedom = int(item["freedom"])
     numbers = np.array([*values, *variances, noise])
     if (len(values) != len(PAPER_NAMES) or len(variances) != len(PAPER_NAMES) or freedom < 1
             or not np.isfinite(numbers).all() or min(*variances, noise) <= 0.0):

@@ -13,21 +13,23 @@ from termsel.toolkit.models import find_blunders
 
 
 def blunders_in(sheet: FeatureSet, projection: str) -> BoolArray | None:
-    """Return which points are blunders on the plane of a projection, (n,), "" for their own CRS.
+    """Return which points of a sheet are blunders on the plane of a projection, (n,).
 
-    On its plane a sheet is nearly affine, so that ten points show what they do not in degrees.
-    None where they are too few for a test, or the projection has not all of their places.
+    `projection` is a CRS, "" for that of the points. Points that cannot be decided about count as
+    blunders. None if there are too few points for a test, or if one has no coordinates in the
+    projection.
     """
+    # On the plane of its projection a sheet is nearly affine, so that few points show a blunder.
     points = sheet.points
     ground = points.ground
     if projection and sheet.crs not in ("", LOCAL):
         try:
             to_plane = transformation_between(horizontal_crs(sheet.crs), projection, for_fit=True)
             plan = to_plane(np.column_stack([ground[:, :2], np.zeros(len(points))]))[:, :2]
-        except TermselError:  # places that the projection has not
+        except TermselError:
             return None
         ground = np.column_stack([plan, ground[:, 2]])
     on_plane = FeatureSet(replace(points, ground=ground), crs=projection or sheet.crs)
     suspects = find_blunders(FitData.of(on_plane))
-    # Who cannot be decided about must not decide either.
+    # A point that may be a blunder must not influence the choice of a projection.
     return None if suspects is None else suspects.blunders | suspects.undecided

@@ -16,7 +16,7 @@ from termsel.toolkit.files import program_environment
 Places = Callable[[FloatArray, FloatArray], FloatArray]
 """From line and sample (n, 2) and heights (n,) to x and y (n, 2), NaN where there are none."""
 
-_PATIENCE = 120.0  # s that a program has for an answer
+_MAX_SECONDS = 120.0  # that a program has for an answer
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +50,11 @@ class NoAnswer(TermselError):
 
 
 def find_program(name: str) -> str | None:
-    """Return where a program is installed, or None.
+    """Return the absolute path of an installed program; None if it is not installed.
 
-    One in the current folder, which may have come with data, is none: Windows looks there first.
+    A program in the current folder does not count as installed.
     """
+    # Windows looks in the current folder first, and a program there may have come with the data.
     path = shutil.which(name)
     if path is None or not os.path.isabs(path):
         return None
@@ -62,7 +63,10 @@ def find_program(name: str) -> str | None:
 
 def answer(command: Sequence[str], text: str = "",
            environment: Mapping[str, str] | None = None) -> str:
-    """Return what a program prints, which reads files as termsel does: see `program_environment`.
+    """Return what a program prints when it is given `text` as its input.
+
+    `environment` is that of this process by default, with the language C. In both cases
+    `program_environment` changes it so that the program reads files as termsel does.
 
     Raises
     ------
@@ -70,15 +74,16 @@ def answer(command: Sequence[str], text: str = "",
         If it ends with an error, cannot be started, or takes longer than two minutes.
     """
     try:
-        done = subprocess.run(
+        finished = subprocess.run(
             list(command), input=text, capture_output=True, text=True, errors="replace",
-            timeout=_PATIENCE, check=False,
+            timeout=_MAX_SECONDS, check=False,
             env=program_environment(environment or {**os.environ, "LC_ALL": "C.UTF-8"}))
     except subprocess.TimeoutExpired:
-        raise NoAnswer(f"{Path(command[0]).name} gave no answer in {_PATIENCE:g} s") from None
+        raise NoAnswer(f"{Path(command[0]).name} gave no answer in {_MAX_SECONDS:g} s") from None
     except OSError as error:
         raise NoAnswer(f"{Path(command[0]).name} cannot be started: {error.strerror}") from error
-    if done.returncode:
-        messages = (done.stderr or done.stdout).strip().splitlines()
+    if finished.returncode:
+        # The last line names the error; those before it are warnings or usage.
+        messages = (finished.stderr or finished.stdout).strip().splitlines()
         raise NoAnswer(f"{Path(command[0]).name}: {messages[-1] if messages else 'failed'}")
-    return done.stdout
+    return finished.stdout

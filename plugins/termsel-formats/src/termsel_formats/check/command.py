@@ -87,7 +87,9 @@ def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) ->
 
 
 def _program_row(deviation: Deviation) -> tuple[str, ...]:
-    """Return a row of the table: the program, what it takes, and how far that is off in px and m.
+    """Return a row of the table: program, what it takes or answers, and its largest deviations.
+
+    These are at the points [px] and over the image [px, m]; "" where none is known.
     """
     metres = deviation.over_image.metres if deviation.over_image else None
     return (deviation.program, deviation.said or deviation.transformation,
@@ -102,12 +104,11 @@ def _largest_distance_text(distances: Apart | None) -> str:
 
 
 def _warn(deviation: Deviation) -> None:
-    """Print a warning where a program, without any option, puts the image in another place.
+    """Print warnings about what a program takes by default; nothing about what an option asks for.
 
-    That is where what it takes by default is more than WARNING_PX off the model at the points or
-    over the image, or where no distance is known at all. A note follows where it has no ground
-    position for some of the places that were compared, of both kinds. Nothing is printed of what a
-    program takes only if it is told to.
+    A warning is printed if it deviates from the model by more than WARNING_PX at the points or over
+    the image, or if no distance is known at all; a note, if the program has no ground position for
+    some of the image positions that were compared.
     """
     if not deviation.by_default:
         return

@@ -79,7 +79,7 @@ def compare_programs(path: Path | str, result: Result | None = None, *, final: b
                      ) -> tuple[tuple[Deviation, ...], Answers]:
     """Return what programs take from a raster or from a file next to it, against a model.
 
-    Places are compared at the heights of the points, and over the image at the middle height of
+    Positions are compared at the heights of the points, and over the image at the middle height of
     the control.
 
     Parameters
@@ -130,45 +130,48 @@ def compare_programs(path: Path | str, result: Result | None = None, *, final: b
 
 
 def _deviation_of(answer: Taken, result: Result, size: tuple[int, int]) -> Deviation:
-    """Return how far what a program takes is from the model, at the points and over the image.
+    """Return the deviation of a program's transformation from the model.
 
-    If the program has no transformation, or does not answer, it says so instead.
+    It is that at the points and over the image, which has `size` lines and samples. If the program
+    has no transformation there are no distances, and if it does not answer `said` says so.
     """
     deviation = Deviation(answer.program, answer.transformation, answer.crs, answer.by_default)
     if answer.places is None:
         return deviation
     points = result.features.points.ground
     points = points[np.isfinite(points[:, :2]).all(axis=1)]
-    share = np.linspace(0.0, 1.0, _PLACES_ACROSS)
-    inside = np.stack(np.meshgrid(share, share, indexing="ij"), axis=-1).reshape(-1, 2)
-    # A lattice of pixels, counted from centres, and the outer border of the image.
+    shares = np.linspace(0.0, 1.0, _PLACES_ACROSS)
+    inside = np.stack(np.meshgrid(shares, shares, indexing="ij"), axis=-1).reshape(-1, 2)
+    # Positions count from the centre of the first pixel: the image begins half a pixel before it.
     image = np.concatenate([inside * size - 0.5, border_places(size)])
     level = float(result.fit.ground_box()[0][2])
     try:
         if len(points):
-            of_points = _ground_distances(answer, result, result.project(points), points, level)
+            at_points = _distances_from_model(answer, result, result.project(points), points, level)
         else:
-            of_points = None
-        of_image = _ground_distances(answer, result, image, result.locate(image, level), level)
+            at_points = None
+        over_image = _distances_from_model(
+            answer, result, image, result.locate(image, level), level)
     except (NoAnswer, TermselError) as error:
         return replace(deviation, said=error.what)
-    return replace(deviation, at_points=of_points, over_image=of_image)
+    return replace(deviation, at_points=at_points, over_image=over_image)
 
 
-def _ground_distances(answer: Taken, result: Result, image: FloatArray, ground: FloatArray,
-                      level: float,
-                      ) -> Apart | None:
-    """Return how far from ground (n, 3) a program puts image places (n, 2); None if nowhere.
+def _distances_from_model(answer: Taken, result: Result, image: FloatArray, ground: FloatArray,
+                          level: float) -> Apart | None:
+    """Return the distances of a program's ground positions from the model's.
 
-    Heights that are not known are `level` [m].
+    `image` (n, 2) are image positions, `ground` (n, 3) where the model has them; heights that are
+    not known are `level` [m]. Rows that are not finite are left out. None if no position can be
+    compared.
     """
     assert answer.places is not None
-    sound = np.isfinite(image).all(axis=1) & np.isfinite(ground[:, :2]).all(axis=1)
-    image = image[sound]
-    ground = ground[sound].copy()
+    is_known = np.isfinite(image).all(axis=1) & np.isfinite(ground[:, :2]).all(axis=1)
+    image = image[is_known]
+    ground = ground[is_known].copy()
     ground[:, 2] = np.where(np.isnan(ground[:, 2]), level, ground[:, 2])
     crs = result.features.crs
-    # RPCs count heights from the ellipsoid.
+    # The RPCs that programs take count heights from the ellipsoid.
     if crs != LOCAL and body_of(crs) == EARTH:
         heights = transformation_between(crs, "EPSG:4979")(ground)[:, 2]
     else:
@@ -177,14 +180,15 @@ def _ground_distances(answer: Taken, result: Result, image: FloatArray, ground: 
     if answer.crs and crs != LOCAL:
         xy = transformation_between(horizontal_crs(answer.crs), horizontal_crs(crs), strict=False)(
             np.column_stack([xy, np.zeros(len(xy))]))[:, :2]
-    reached = np.column_stack([xy, ground[:, 2]])
-    # In px: where the model sees the place to which the program puts the pixel.
-    pixels = np.linalg.norm(result.project(reached) - image, axis=1)
+    program_ground = np.column_stack([xy, ground[:, 2]])
+    # In px: the model's image position of the ground position that the program gives to a pixel.
+    pixels = np.linalg.norm(result.project(program_ground) - image, axis=1)
     comparable = np.isfinite(pixels)
     if not comparable.any():
         return None
     worst = int(np.argmax(np.where(comparable, pixels, -1.0)))
-    metres = offsets_in_metres(crs, ground[comparable], (reached - ground)[comparable, :2])
+    metres = offsets_in_metres(
+        crs, ground[comparable], (program_ground - ground)[comparable, :2])
     line, sample = image[worst].tolist()
     return Apart(float(np.sqrt((pixels[comparable] ** 2).mean())), float(pixels[worst]),
                  None if metres is None else float(np.hypot(*metres.T).max()), line, sample,

@@ -14,7 +14,7 @@ from termsel.toolkit import FloatArray
 from termsel_formats.check.base import NoAnswer, Places, Taken, answer, find_program
 
 WGS84 = "EPSG:4326"
-_ALIKE_SHARE = 1e-9  # of the size of the coordinates
+_SAME_SHARE = 1e-9  # of the size of the coordinates
 _BY_GCPS = (("polynomial of order 1 through GCPs", ("-order", "1")),
             ("polynomial of order 2 through GCPs", ("-order", "2")),
             ("polynomial of order 3 through GCPs", ("-order", "3")),
@@ -52,7 +52,9 @@ class Header:
 
 
 def read_gdalinfo(path: Path) -> Header | None:
-    """Return what gdalinfo says of a raster, or None where it is not installed.
+    """Return what gdalinfo says of a raster.
+
+    None if gdalinfo is not installed, or gdaltransform, by which positions are asked for.
 
     Raises
     ------
@@ -89,14 +91,14 @@ def read_gdalinfo(path: Path) -> Header | None:
 
 
 def transformation_of_gdal(path: Path, *options: str) -> Places:
-    """Return the function from image places and heights to the ground, by gdaltransform.
+    """Return the function from image positions and heights to the ground, by gdaltransform.
 
     `options` are those of gdaltransform; the function raises NoAnswer if that fails.
     """
     program = find_program("gdaltransform") or "gdaltransform"
 
     def places(image: FloatArray, heights: FloatArray) -> FloatArray:
-        """Return ground positions (n, 2) of image positions at heights, by gdaltransform."""
+        """Return x and y (n, 2) of image positions (n, 2) at heights (n,); NaN where it fails."""
         # GDAL counts pixels from the corner of the first one.
         rows = (f"{sample + 0.5!r} {line + 0.5!r} {height!r}"
                 for (line, sample), height in zip(image.tolist(), heights.tolist(), strict=True))
@@ -127,14 +129,15 @@ def _number(text: str) -> float | None:
 
 
 def with_fixed_height(transform: Places, height: float = 0.0) -> Places:
-    """Return a transformation with one height for all places, whatever heights it is asked for."""
+    """Return a transformation that takes all positions at one height, whatever heights it is given.
+    """
     return lambda image, _heights: transform(image, np.full(len(image), height))
 
 
 def taken_by_gdal(path: Path, raster_header: Header) -> Iterator[Taken]:
     """Yield what GDAL takes of a raster by default, then what it takes with options of gdalwarp.
 
-    Of the latter `by_default` is False, and `program` is the option, indented below the program.
+    What it takes with an option has `by_default` False, and the option, indented, as its `program`.
     Raises NoAnswer where gdaltransform fails on a raster with GCPs.
     """
     program = raster_header.version
@@ -153,9 +156,9 @@ def taken_by_gdal(path: Path, raster_header: Header) -> Iterator[Taken]:
                     False)
     else:
         with_options = dict(_possible_by_gcps(path, raster_header))
-        # Through GCPs the height of a place changes nothing.
+        # A transformation through GCPs does not depend on heights.
         default = with_fixed_height(transform)
-        yield Taken(program, _label_of(default, with_options, raster_header.size),
+        yield Taken(program, _name_default(default, with_options, raster_header.size),
                     raster_header.crs, default)
         for words, (options, by_option) in with_options.items():
             yield Taken(f"  with {' '.join(options)}", words, raster_header.crs, by_option, False)
@@ -168,9 +171,9 @@ def taken_by_gdal(path: Path, raster_header: Header) -> Iterator[Taken]:
 
 def _possible_by_gcps(path: Path, raster_header: Header,
                       ) -> Iterator[tuple[str, tuple[tuple[str, ...], Places]]]:
-    """Yield (words, (options, transformation)) for each that GDAL can compute through the GCPs.
+    """Yield (words, (options, transformation)) for each transformation through the GCPs.
 
-    Those for which there are too few GCPs are left out.
+    Transformations for which there are too few GCPs are left out.
     """
     for words, options in _BY_GCPS:
         transform = with_fixed_height(transformation_of_gdal(path, *options))
@@ -183,19 +186,20 @@ def _possible_by_gcps(path: Path, raster_header: Header,
             yield words, (options, transform)
 
 
-def _label_of(default: Places, with_options: dict[str, tuple[tuple[str, ...], Places]],
-              size: tuple[int, int]) -> str:
-    """Return the words for the transformation with options that is the default one.
+def _name_default(default: Places, with_options: dict[str, tuple[tuple[str, ...], Places]],
+                  size: tuple[int, int]) -> str:
+    """Return the words for the transformation with options that the default one equals.
 
-    If none is, "transformation through GCPs".
+    They are compared at the corners of the image. If it equals none, the words are "transformation
+    through GCPs".
     """
-    # GDAL does not say which transformation it takes by default: its answers show.
+    # GDAL does not say which transformation it takes by default.
     image = _corner_pixels(size)
     flat = np.zeros(4)
     by_default = default(image, flat)
     for words, (_, transform) in with_options.items():
         difference = np.abs(transform(image, flat) - by_default).max()
-        if difference <= _ALIKE_SHARE * np.abs(by_default).max():
+        if difference <= _SAME_SHARE * np.abs(by_default).max():
             return words
     return "transformation through GCPs"
 
@@ -207,10 +211,14 @@ def _corner_pixels(size: tuple[int, int]) -> FloatArray:
 
 
 def border_places(size: tuple[int, int], across: int = 21) -> FloatArray:
-    """Return places along the outer border of an image, line and sample (n, 2)."""
-    share = np.linspace(0.0, 1.0, across)
-    zero = np.zeros_like(share)
-    unit = np.ones_like(share)
-    borders = [np.column_stack([zero, share]), np.column_stack([unit, share]),
-               np.column_stack([share, zero]), np.column_stack([share, unit])]
+    """Return line and sample (n, 2) of positions along the outer border of an image.
+
+    `size` is lines and samples; there are `across` positions on each side, corners included.
+    """
+    shares = np.linspace(0.0, 1.0, across)
+    zeros = np.zeros_like(shares)
+    ones = np.ones_like(shares)
+    borders = [np.column_stack([zeros, shares]), np.column_stack([ones, shares]),
+               np.column_stack([shares, zeros]), np.column_stack([shares, ones])]
+    # The border is half a pixel outside the centres of the outermost pixels.
     return np.asarray(np.concatenate(borders) * size - 0.5)

@@ -18,12 +18,15 @@ _VALUE = re.compile(r"^([\w.]+): *(.*)$", re.MULTILINE)
 
 
 def taken_by_otb(path: Path, raster_header: Header) -> Taken | None:
-    """Return what OTB takes, or None where it is not installed.
+    """Return what OTB takes from a raster; None if OTB is not installed.
+
+    It is an RPC, if OTB has one, or else the origin and spacing of the geotransform. `places` is
+    None where its applications do not report the georeferencing.
 
     Raises
     ------
     NoAnswer
-        If OTB cannot read the raster.
+        If OTB cannot read the raster, or the path has a question mark.
     """
     info, convert = map(find_program, ("otbcli_ReadImageInfo", "otbcli_ConvertSensorToGeoPoint"))
     if info is None or convert is None:
@@ -33,7 +36,10 @@ def taken_by_otb(path: Path, raster_header: Header) -> Taken | None:
     name = "OTB"
 
     def places(image: FloatArray, _heights: FloatArray) -> FloatArray:
-        """Return ground positions (n, 2) of some image positions by OTB; NaN of the others."""
+        """Return x and y (n, 2) of `MOST_PLACES` image positions by OTB's RPC; NaN of the others.
+
+        They are spread evenly over the rows; heights are ignored.
+        """
         ground = np.full((len(image), 2), np.nan)
         asked_rows = np.unique(np.linspace(0, len(image) - 1, MOST_PLACES).round().astype(int))
         for row in asked_rows.tolist():
@@ -61,6 +67,7 @@ def taken_by_otb(path: Path, raster_header: Header) -> Taken | None:
         pass
     else:
         return Taken(name, "RPC at the height 0", WGS84, places)
+    # Without georeferencing OTB reports the centre of the first pixel at 0.5 and a spacing of 1.
     if np.allclose(origin, 0.5) and np.allclose(np.abs(spacing), 1.0):
         return Taken(name, "not reported by its applications")
     if raster_header.geotransform and any(raster_header.geotransform[i] for i in (2, 4)):

@@ -34,7 +34,9 @@ class Answers:
 
 
 def taken_by_programs(path: Path | str) -> Answers:
-    """Return what the installed ones of GDAL, rasterio, QGIS and OTB take from a raster.
+    """Return what GDAL, rasterio, QGIS and OTB take from a raster, as far as they are installed.
+
+    QGIS and OTB are asked only if GDAL's command line is installed and reads the raster.
 
     Parameters
     ----------
@@ -52,7 +54,7 @@ def taken_by_programs(path: Path | str) -> Answers:
     Examples
     --------
     >>> from termsel.testing import invoke
-    >>> from termsel_formats import taken_by
+    >>> from termsel_formats import taken_by_programs
     >>> written = invoke("example", "files")
     >>> answers = taken_by_programs("files/ortho.tif")
     >>> any(taken.program.startswith("rasterio") for taken in answers.taken)
@@ -75,12 +77,12 @@ def taken_by_programs(path: Path | str) -> Answers:
                 ("OTB", _as_iterator(otb.taken_by_otb)))
     for name, ask in programs:
         try:
-            of_program = list(ask(path, raster_header))
+            program_answers = list(ask(path, raster_header))
         except NoAnswer as error:
             failed.append(str(error))
             continue
-        answers += of_program
-        if not of_program:
+        answers += program_answers
+        if not program_answers:
             absent.append(name)
     if not answers:
         raise TermselError("no program can read this raster", file=path, hint="; ".join(failed))
@@ -88,7 +90,7 @@ def taken_by_programs(path: Path | str) -> Answers:
 
 
 def _as_iterator(ask: Ask) -> Callable[[Path, gdal.Header], Iterator[Taken]]:
-    """Return a question that yields its answer, if it has one, of one that returns it or None."""
+    """Return a function that yields what `ask` returns, and nothing where that is None."""
     def answers_of(path: Path, raster_header: gdal.Header) -> Iterator[Taken]:
         answer = ask(path, raster_header)
         if answer is not None:

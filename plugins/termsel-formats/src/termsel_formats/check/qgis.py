@@ -19,40 +19,35 @@ from termsel_formats.check.gdal import (
     with_fixed_height,
 )
 
-_NEAR = 3.0  # px of the map that QGIS makes, by which its extent may differ from GDAL's
+_MAX_DIFFERENCE = 3.0  # px of the map that QGIS makes, by which its extent may differ from GDAL's
 
 
 @contextmanager
 def restore_afterwards(file: Path) -> Iterator[None]:
-    """Restore a file afterwards, or remove one that was not there.
-
-    QGIS writes the statistics of a layer next to its raster.
-    """
-    before = file.read_bytes() if file.is_file() else None
+    """Restore the content of a file at the end of the context; remove it if there was none."""
+    content = file.read_bytes() if file.is_file() else None
     try:
         yield
     finally:
-        if before is None:
+        if content is None:
             file.unlink(missing_ok=True)
-        elif file.read_bytes() != before:
-            file.write_bytes(before)
+        elif file.read_bytes() != content:
+            file.write_bytes(content)
 
 
 def taken_by_qgis(path: Path, raster_header: Header) -> Taken | None:
-    """Return what QGIS takes, or None where it is not installed.
+    """Return what QGIS takes from a raster; None if QGIS is not installed.
 
-    QGIS opens a raster with GCPs, RPCs or a rotated geotransform through GDAL's warped raster, by
-    the transformation that GDAL takes by default. It takes an RPC at its height offset, from
-    version 3.14 on (`QgsGdalUtils::rpcAwareAutoCreateWarpedVrt`), where GDAL itself and earlier
-    versions take the height 0. What is believed is the one with which the extent of the layer
-    agrees.
+    QGIS reports the extent of a layer alone. Its transformation is taken to be the one whose
+    outline has that extent: GDAL's default, or an RPC at its height offset, as QGIS takes it from
+    version 3.14 on (`QgsGdalUtils::rpcAwareAutoCreateWarpedVrt`). `places` is None if neither has.
 
     Raises
     ------
     NoAnswer
         If QGIS cannot read the raster.
     """
-    # The script of this name on some systems hands on an option that the program has not.
+    # On some systems qgis_process is a script that adds an option which the program does not know.
     program = find_program("qgis_process.bin") or find_program("qgis_process")
     if program is None:
         return None
@@ -62,6 +57,7 @@ def taken_by_qgis(path: Path, raster_header: Header) -> Taken | None:
                        if key not in ("VIRTUAL_ENV", "PYTHONHOME", "PYTHONPATH")} | {
             "PATH": os.pathsep.join([str(Path(program).parent), os.defpath]),
             "QT_QPA_PLATFORM": "offscreen", "QGIS_CUSTOM_CONFIG_PATH": str(folder)}
+        # QGIS writes the statistics of a layer next to its raster.
         with restore_afterwards(path.with_name(f"{path.name}.aux.xml")):
             text = answer([program, "run", "--json", "native:rasterlayerproperties", "--",
                            f"INPUT={path.absolute()}"], environment=environment)
@@ -79,18 +75,21 @@ def taken_by_qgis(path: Path, raster_header: Header) -> Taken | None:
     border = border_places(raster_header.size)
     words = {"geotransform": "affine transformation", "gcps": "as GDAL, through GCPs",
              "rpc": "RPC at the height 0", "geolocation": "geolocation array"}[raster_header.kind]
-    ways = {words: with_fixed_height(by_gdal)}
+    transforms = {words: with_fixed_height(by_gdal)}
     if raster_header.height is not None:
         height = raster_header.height
-        ways[f"RPC at its height offset, {height:,.0f} m"] = with_fixed_height(by_gdal, height)
-    # The way whose outline has the extent that QGIS shows is the one that it took.
-    away = {}
-    for words, transform in ways.items():
+        transforms[f"RPC at its height offset, {height:,.0f} m"] = with_fixed_height(
+            by_gdal, height)
+    differences = {}
+    for words, transform in transforms.items():
         border_on_map = transform(border, np.zeros(len(border)))
         lowest = np.nanmin(border_on_map, axis=0)
         highest = np.nanmax(border_on_map, axis=0)
-        away[words] = float(np.abs((np.concatenate([lowest, highest]) - extent) / pixel).max())
-    words = min(away, key=away.__getitem__)
-    if not away[words] <= _NEAR:
-        return Taken(name, f"another than GDAL: its extent is {away[words]:,.0f} px off")
-    return Taken(name, words, raster_header.crs, ways[words])
+        differences[words] = float(
+            np.abs((np.concatenate([lowest, highest]) - extent) / pixel).max())
+    words = min(differences, key=differences.__getitem__)
+    # The difference is NaN if the whole border has no ground position: the extents do not agree.
+    agrees = differences[words] <= _MAX_DIFFERENCE
+    if not agrees:
+        return Taken(name, f"another than GDAL: its extent is {differences[words]:,.0f} px off")
+    return Taken(name, words, raster_header.crs, transforms[words])

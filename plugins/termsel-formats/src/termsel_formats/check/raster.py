@@ -14,10 +14,9 @@ from termsel_formats.check.gdal import WGS84
 
 
 def taken_by_rasterio(path: Path) -> Iterator[Taken]:
-    """Yield what rasterio takes: the geotransform, else its transformer of GCPs or of RPCs.
+    """Yield what rasterio takes: the geotransform, or else its transformer of GCPs or of RPCs.
 
-    That is one, or one without a transformation for a raster that has none of these. The identity
-    is what rasterio gives for no geotransform.
+    One answer is yielded, without a transformation if the raster has none of these.
     """
     rasterio = require_rasterio()
     from rasterio.transform import AffineTransformer, GCPTransformer, RPCTransformer
@@ -26,6 +25,7 @@ def taken_by_rasterio(path: Path) -> Iterator[Taken]:
     with open_raster(path) as raster:
         (gcps, crs) = raster.gcps
         rpcs = raster.rpcs
+        # rasterio gives the identity for a raster without a geotransform.
         if not raster.transform.is_identity:
             yield Taken(program, "affine transformation", _wkt_of_crs(raster.crs),
                         _transform_by_rasterio(AffineTransformer, raster.transform))
@@ -52,7 +52,10 @@ def _wkt_of_crs(crs: object) -> str:
 
 
 def _transform_by_rasterio(transformer: type, argument: object) -> Places:
-    """Return the function from image places to the ground by a transformer, at the height 0."""
+    """Return the function from image positions to the ground by a transformer of rasterio.
+
+    `argument` is what the transformer is made of. All positions are taken at the height 0.
+    """
     def places(image: FloatArray, _heights: FloatArray) -> FloatArray:
         with transformer(argument) as opened:
             x, y = opened.xy(image[:, 0].tolist(), image[:, 1].tolist(), zs=[0.0] * len(image))

@@ -24,9 +24,12 @@ _RECORD, _CERTIFICATE = "result.json", "certificate.json"
 
 @contextmanager
 def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
-    """Yield a raster: the path, the raster that it goes with, or an empty one with a copy of it.
+    """Yield a raster to ask programs about, for a raster or for a file that goes with one.
 
-    Raises TermselError where there is no raster and the result does not know its size.
+    Of a world file, an RPC or an auxiliary file it is the picture beside it or, if there is none,
+    an empty raster of the result's size with a copy of the file beside it. Any other file is
+    yielded as it is. Raises TermselError for a folder, for a file that does not exist, for a world
+    file without its numbers, and if neither a picture nor the size of the image is there.
     """
     if path.is_dir():
         raise _folder_error(path)
@@ -36,11 +39,11 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
     if not path.is_file():
         raise TermselError("there is no such file", file=path, hint="Check the name.")
     match = _STEM.fullmatch(path.name)
-    auxiliary = path.name.lower().endswith(_AUXILIARY)
-    if not match and not auxiliary:
+    is_auxiliary = path.name.lower().endswith(_AUXILIARY)
+    if not match and not is_auxiliary:
         yield path
         return
-    if auxiliary:
+    if is_auxiliary:
         stem = path.name[:-len(_AUXILIARY)]
         candidates = [path.with_name(stem)]
     else:
@@ -56,26 +59,29 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
         return
     size = None if result is None else result.features.image_size
     if size is None:
-        wanted = candidates[0].name if auxiliary else f"{stem}.tif"
+        picture_name = candidates[0].name if is_auxiliary else f"{stem}.tif"
         if result is None:
             remedy = "or give --result DIR of a run with --image"
         else:
             remedy = "as the run of --result had no --image and does not know its size"
         raise TermselError(
-            f"this file belongs to an image such as {wanted}, which is not beside it", file=path,
-            hint=f"Put the image beside it under the name {wanted}, {remedy}.")
+            f"this file belongs to an image such as {picture_name}, which is not beside it",
+            file=path, hint=f"Put the image beside it under the name {picture_name}, {remedy}.")
     if is_world_file:
         _require_world_file(path)
     with private_folder() as folder:
         image = folder / ("image.tif" if match else Path(stem).with_suffix(".tif").name)
         _write_empty(image, size)
-        name = f"{image.name}{_AUXILIARY}" if auxiliary else f"image{match['rest']}"  # type: ignore[index]
+        name = f"{image.name}{_AUXILIARY}" if is_auxiliary else f"image{match['rest']}"  # type: ignore[index]
         shutil.copy(path, folder / name)
         yield image
 
 
 def _folder_error(folder: Path) -> TermselError:
-    """Return the error for a folder in place of a raster, of a result with what shows that."""
+    """Return the error for a folder in place of a raster.
+
+    For the folder of a result it has the commands that show the result or check a map by it.
+    """
     if not (folder / _RECORD).is_file():
         return TermselError("this is a folder, expected a file", file=folder,
                             hint="Give a raster, a file that goes with one, or the "
@@ -87,18 +93,17 @@ def _folder_error(folder: Path) -> TermselError:
 
 
 def _require_world_file(path: Path) -> None:
-    """Raise TermselError for a file that is named as a world file, and lacks some of its numbers.
-    """
+    """Raise TermselError unless a file consists of the six numbers of a world file."""
     words = path.read_bytes().decode("utf-8", errors="replace").split()
     numbers = [word for word in words if _is_number(word)]
     if len(numbers) != _NUMBERS or len(words) != _NUMBERS:
         if len(numbers) == len(words):
-            words_that_are_none = ""
+            further_words = ""
         else:
-            words_that_are_none = f", and {len(words) - len(numbers)} words that are none"
+            further_words = f", and {len(words) - len(numbers)} words that are none"
         raise TermselError(
             f"a world file has {_NUMBERS} numbers, a line each, and this one has "
-            f"{len(numbers)}{words_that_are_none}: programs ignore it", file=path,
+            f"{len(numbers)}{further_words}: programs ignore it", file=path,
             hint="Correct it, or write it again: termsel export DIR --to world-file.")
 
 
@@ -115,12 +120,13 @@ _NUMBERS = 6
 
 
 def _write_empty(path: Path, size: tuple[int, int]) -> None:
-    """Write a raster of zeros with lines and samples of `size`, sparse so that it takes no room."""
+    """Write a GeoTIFF of zeros with `size` lines and samples; it is sparse, and so takes no room.
+    """
     import warnings
 
     rasterio = require_rasterio()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that it has no place on the ground
+        warnings.simplefilter("ignore")  # rasterio warns that it is not georeferenced
         with rasterio.open(path, "w", driver="GTiff", height=size[0], width=size[1], count=1,
                            dtype=np.uint8, sparse_ok=True, tiled=True):
             pass

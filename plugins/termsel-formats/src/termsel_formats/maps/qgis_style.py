@@ -34,6 +34,7 @@ def layer_style_rows() -> dict[str, Any]:
     layers = {"residuals": _marker_style(), "vectors": _arrow_style()}
 
     def text(*values: str) -> Any:
+        """Return a column of texts; a single one is that of all rows."""
         return np.array(values * (len(layers) if len(values) == 1 else 1), dtype=object)
 
     return {
@@ -56,7 +57,7 @@ def _marker_style() -> str:
 
 
 def _arrow_style() -> str:
-    """Return QML with an arrow for each role, straight, with its head at the end of the line."""
+    """Return the style of vectors in QML, with a straight arrow for each role."""
     arrows = {}
     for i, (role, colour) in enumerate(_COLOURS.items()):
         fill = _symbol_layer_qml(
@@ -72,8 +73,8 @@ def _arrow_style() -> str:
 def _style_by_role(kind: str, geometry: int, layers: dict[str, str]) -> str:
     """Return a style in QML with a symbol for each role.
 
-    `kind` and `geometry` are QGIS's names of the type of geometry, `layers` the symbol layers by
-    role.
+    `kind` is "marker" or "line", and `geometry` QGIS's number of that type of geometry, 0 or 1.
+    `layers` has the QML of the symbol layer by role.
     """
     categories = "".join(
         f'<category value="{role}" label="{_LABELS.get(role, role)}" symbol="{i}" render="true"/>'

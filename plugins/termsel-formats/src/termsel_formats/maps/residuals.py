@@ -17,7 +17,7 @@ from termsel.toolkit.runs import GIS
 from termsel_formats.maps.qgis_style import LAYER_OPTIONS, TABLE, layer_style_rows
 
 _VERSION = {"VERSION": "1.3"}  # which GDAL 3.6 and QGIS 3.22 read without a warning
-_SHARE = 0.03  # of the map's extent, for the median vector
+_MEDIAN_LENGTH_SHARE = 0.03  # of the map's extent, for the median vector
 
 
 class ResidualsGeopackage(Writer):
@@ -92,21 +92,26 @@ class ResidualsGeopackage(Writer):
         say_measured(self.name)
 
     def _vector_ends(self, result: Result, ground: FloatArray) -> tuple[FloatArray, float]:
-        """Return the ends (n, 2) of the vectors on the ground, and how often they are exaggerated.
+        """Return the ends (n, 2) of the vectors on the ground, and their exaggeration.
 
-        Unless stated, the median vector is drawn as a share of the extent.
+        Unless the option states it, it is such that the median vector is drawn with 3 % of the
+        extent, rounded to one digit; 1 if the median vector has no length. Vectors that cannot be
+        computed end where they begin.
         """
         vectors = np.nan_to_num(errors_on_ground(result.fit, result.residuals))
         exaggeration = self.options["exaggeration"]
         if exaggeration is None:
             length = float(np.median(np.linalg.norm(vectors, axis=1)))
             extent = float(np.ptp(ground[:, :2], axis=0).max())
-            exaggeration = float(f"{_SHARE * extent / length:.1g}") if length > 0 else 1.0
+            if length > 0:
+                exaggeration = float(f"{_MEDIAN_LENGTH_SHARE * extent / length:.1g}")
+            else:
+                exaggeration = 1.0
         return ground[:, :2] + exaggeration * vectors, float(exaggeration)
 
 
 def _measured_positions(result: Result) -> FloatArray:
-    """Return the measured line and sample of each residual [px], (n, 2); NaN of control lines."""
+    """Return the measured line and sample [px] of each residual, (n, 2); NaN for control lines."""
     points = result.features.points
     row = {name: i for i, name in enumerate(points.ids)}
     positions = np.full((len(result.residuals), 2), np.nan)
@@ -117,7 +122,9 @@ def _measured_positions(result: Result) -> FloatArray:
 
 
 def _attribute_columns(result: Result, reserved: list[str]) -> dict[str, TextArray]:
-    """Return the texts of the features' own columns (n,), by name, but for names that are reserved.
+    """Return the columns of the features' file, by name, as texts (n,) in the order of residuals.
+
+    Columns with `reserved` names are left out.
     """
     features = result.features
     row = {name: i for i, name in enumerate(features.ids)}

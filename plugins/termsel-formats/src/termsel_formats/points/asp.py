@@ -32,10 +32,10 @@ from termsel_formats.points.written import (
 
 _GROUND = ("id", "lat", "lon", "height", "sigma_x", "sigma_y", "sigma_z")
 _IMAGE = ("image", "column", "row", "sigma_column", "sigma_row")
-_READ = {"id": "id", "y": "lat", "x": "lon", "z": "height", "sample": "column", "line": "row",
+_HEADINGS = {"id": "id", "y": "lat", "x": "lon", "z": "height", "sample": "column", "line": "row",
          "sigma_sample": "sigma_column", "sigma_line": "sigma_row"}
 
-_NAMED = re.compile(r"#\s*id (\d+) is (.+)")
+_NAME_COMMENT = re.compile(r"#\s*id (\d+) is (.+)")
 """Comments of termsel on the name of a point."""
 _WKT = re.compile(r"#\s*WKT:\s*(\S.*)")
 
@@ -43,8 +43,8 @@ _WKT_OF_WGS84 = ('GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298
                  'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]')
 _LARGEST_ID = 2**31 - 1
 
-_FREE = 10000.0
-"""Standard deviation that leaves the place of a check point free [m]."""
+_CHECK_SIGMA = 10000.0
+"""Standard deviation of a check point [m], so large that it does not constrain the adjustment."""
 
 
 class AspGcp(Reader):
@@ -68,7 +68,11 @@ class AspGcp(Reader):
                 and not is_number(cells[7]))
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points of one image; errors name file, line and column."""
+        """Return the points that one image sees; of several, the option `image_name` chooses one.
+
+        Points have the names that comments of termsel state, or else the ids of ASP. Errors name
+        file, line and column.
+        """
         points = _parse_rows(path)
         names = chain.from_iterable(images for _, _, images in points)
         image = image_of(path, names, self.options["image_name"], "image_name=NAME")
@@ -77,10 +81,10 @@ class AspGcp(Reader):
                 for number, ground, images in points if image in images]
         lines, ids, *columns = zip(*rows, strict=True)
         name_of = _names_by_id(path)
-        # Comments of termsel keep the names that ASP cannot.
+        # ASP takes whole numbers as ids alone; the names are in comments.
         columns.insert(0, tuple(name_of.get(cell, cell) for cell in ids))
         cells_of = dict(zip(_GROUND + _IMAGE, columns, strict=True))
-        table = Table(path, "", _READ, {key: cells_of[name] for key, name in _READ.items()},
+        table = Table(path, "", _HEADINGS, {key: cells_of[name] for key, name in _HEADINGS.items()},
                       lines)
         return FeatureSet(table.points(table.stack("line", "sample"), table.stack("x", "y", "z"),
                                        table.sigma("sigma_line", "sigma_sample"), ()),
@@ -97,9 +101,9 @@ _Row = tuple[int, list[str], dict[str, list[str]]]
 
 
 def _parse_rows(path: Path) -> list[_Row]:
-    """Return line, ground cells and measurements by image of each row.
+    """Return line number, ground cells, and cells by image of each row that is not a comment.
 
-    Raises TermselError if there is no row, or one has another number of cells.
+    Raises TermselError if there is no row, or if one has another number of cells.
     """
     points: list[_Row] = []
     for number, text in enumerate(read_text(path).splitlines(), 1):
@@ -120,12 +124,12 @@ def _parse_rows(path: Path) -> list[_Row]:
 
 def _names_by_id(path: Path) -> dict[str, str]:
     """Return the names of points by their ids, from comments of termsel; {} if there are none."""
-    matches = map(_NAMED.match, read_text(path).splitlines())
+    matches = map(_NAME_COMMENT.match, read_text(path).splitlines())
     return {match[1]: match[2].strip() for match in matches if match}
 
 
 def _crs_of_datum(path: Path) -> str:
-    """Return the CRS of the comment that states the datum; "" without one that can be read."""
+    """Return the CRS of the first comment that states a datum; "" if there is none, or no CRS."""
     stated = map(_WKT.match, read_text(path).splitlines())
     wkt = next((match[1] for match in stated if match), "")
     try:
@@ -171,9 +175,8 @@ class AspGcpWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write a row for each point, in WGS84 with ellipsoidal heights.
 
-        Ames Stereo Pipeline has no check points: theirs get a standard deviation so large that
-        `bundle_adjust` does not hold them. It takes numbers as ids, so that other ids stand in
-        comments. Raises TermselError without heights or a standard deviation.
+        Raises TermselError if no point has a height and can be written, or if the option
+        `ground_sigma` is no standard deviation.
         """
         self.require(result, path)
         sigma_ground = float(self.options["ground_sigma"])
@@ -194,9 +197,9 @@ class AspGcpWriter(PointsWriter):
                 points.ids, numbers, *columns, strict=True):
             if number != name:
                 rows.append(f"# id {number} is {' '.join(name.split())}")
-            # A check point takes no part: bundle_adjust must not hold it.
-            sigma_of_ground = _FREE if is_check else sigma_ground
-            sigmas = " ".join([repr(sigma_of_ground)] * 3)
+            # ASP has no check points: bundle_adjust would hold them as it does control.
+            sigma_xyz = _CHECK_SIGMA if is_check else sigma_ground
+            sigmas = " ".join([repr(sigma_xyz)] * 3)
             rows.append(f"{number} {y!r} {x!r} {z!r} {sigmas} {image} {sample!r} {line!r} "
                         f"{sigma_sample!r} {sigma_line!r}")
         write_text(path, "\n".join([*rows, ""]))
@@ -204,7 +207,7 @@ class AspGcpWriter(PointsWriter):
 
 
 def _row_ids(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names if all are whole numbers, else numbers from 1."""
+    """Return the names as ids if all are whole numbers up to 2^31 - 1, else numbers from 1."""
     # bundle_adjust leaves out rows whose ids are no whole numbers.
     are_numbers = all(name.isascii() and name.isdecimal() and str(int(name)) == name
                       and int(name) <= _LARGEST_ID for name in names)

@@ -30,9 +30,10 @@ def xml_root(path: Path, hint: str) -> ElementTree.Element:
     Raises
     ------
     TermselError
-        If it is no XML, or has a document type, whose entities can make a text of any length.
+        With the file and `hint`, if it is no XML, or if it has a document type.
     """
     text = read_text(path)
+    # Entities of a document type can make a text of any length of a short file.
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise TermselError("an XML file with a document type is not read", file=path, hint=hint)
     try:
@@ -44,24 +45,29 @@ def xml_root(path: Path, hint: str) -> ElementTree.Element:
 def file_beside(path: Path, name: str) -> Path:
     """Return the path of a file that an option names, which may lie next to another file.
 
-    A name alone, or a path that is not there, is that of a file in the folder of `path`.
+    If there is no file `name`, but one of its last part in the folder of `path`, it is that file;
+    else `name` as it is.
     """
     beside = path.with_name(Path(name).name)
     return beside if not Path(name).is_file() and beside.is_file() else Path(name)
 
 
 def what_lacks(error: KeyError | ValueError) -> str:
-    """Return, for users, what a KeyError or ValueError of reading attributes is about."""
+    """Return a clause for users on an error of reading attributes.
+
+    It names the attribute that a KeyError lacks; of a ValueError it is the message.
+    """
     return f"it has no {error.args[0]}" if isinstance(error, KeyError) else str(error)
 
 
 def points_of(path: Path, ids: Sequence[str], rows: Sequence[Sequence[float]]) -> Points:
-    """Return GCPs as points, of rows of line, sample, x, y and z (n, 5).
+    """Return points of rows of line, sample, x, y and z (n, 5).
 
-    Heights that are all 0 are unknown; ids that repeat or are blank become P1 and so on. Raises
-    TermselError with the path if a row is no point.
+    Heights are unknown if all are 0 or NaN. If an id is blank or repeats, all points are called P1,
+    P2 and so on. Raises TermselError, with the path, if a row is no point.
     """
     table = np.array(rows, dtype=np.float64)
+    # Programs write 0 where they know no height.
     if not np.nan_to_num(table[:, 4]).any():
         table[:, 4] = np.nan
     names = [name.strip() for name in ids]

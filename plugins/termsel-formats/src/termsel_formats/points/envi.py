@@ -57,7 +57,10 @@ class EnviPoints(Reader):
         return any(map(_is_title, comments))
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name file, line and column."""
+        """Return the points; of a file for several images those of the option `image_number`.
+
+        Heights are NaN where the file has none. Errors name file, line and column.
+        """
         rows, lines, crs = _read_rows(path)
         width = len(rows[0])
         names = _COLUMNS_BY_NUMBER[width]
@@ -74,15 +77,17 @@ class EnviPoints(Reader):
 
 
 def _is_title(comment: str) -> bool:
-    """Return whether a comment is one that only files of points of ENVI have."""
+    """Return whether a comment is the title, or the heading of columns, of a file of ENVI points.
+    """
     envi = _ENVI.search(comment)
     return bool(envi and _KIND.search(comment, envi.end())) or bool(_IMAGE_COLUMNS.search(comment))
 
 
 def _read_rows(path: Path) -> tuple[list[list[str]], list[int], str]:
-    """Return the cells of each row, the numbers of their lines, and the CRS, "" if none is stated.
+    """Return the cells of each row, the numbers of their lines, and the CRS, "" if none is known.
 
-    Raises TermselError without rows, for rows of other widths, and for points of two images.
+    Raises TermselError if there is no row, if a row has another number of cells than the first, or
+    a number that no kind of file has, and for points that relate two images.
     """
     rows: list[list[str]] = []
     lines: list[int] = []
@@ -93,7 +98,7 @@ def _read_rows(path: Path) -> tuple[list[list[str]], list[int], str]:
                 raise TermselError("these points relate two images and have no ground "
                                    "coordinates", file=path, line=number,
                                    hint="Give points of the type image to map.")
-            # Comments of ENVI hold what its own programs read again, such as the projection.
+            # ENVI writes the projection into a comment.
             projection = _PROJECTION.search(text)
             if projection and (end := text.rfind("}", projection.end())) >= 0:
                 crs = _crs_of_projection(text[projection.end():end])
@@ -114,7 +119,7 @@ def _read_rows(path: Path) -> tuple[list[list[str]], list[int], str]:
 
 
 def _crs_of_projection(projection: str) -> str:
-    """Return the CRS of a projection as ENVI describes it: WGS84, in degrees or UTM; else ""."""
+    """Return the CRS that ENVI describes; "" unless it is degrees or UTM on WGS84."""
     items = [item.strip().lower() for item in projection.split(",")]
     if "wgs-84" not in items:
         return ""

@@ -40,11 +40,10 @@ class ErdasGcps(Reader):
             head.startswith(_BINARY) and path.suffix.lower() == ".gcc")
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name file, line and column.
+        """Return the points; the format states no CRS.
 
-        The separator is the commonest of the header, whose words are compared without case and
-        signs. Where the image has no map coordinates, IMAGINE counts lines upwards, all negative,
-        and they are turned back. The format states no CRS. Errors name file, line and column.
+        The separator is the most frequent one of the header, whose words are compared without case
+        and signs. Errors name file, line and column.
         """
         if path.suffix.lower() == ".gcc" and read_data(path).startswith(_BINARY):
             raise TermselError("this .gcc file of ERDAS IMAGINE is binary", file=path,
@@ -58,9 +57,10 @@ class ErdasGcps(Reader):
         if not {"sample", "line", "x", "y"} <= set(column_of):
             raise TermselError("this table has no X Input, Y Input, X Ref. and Y Ref.", file=path,
                                line=1, hint="Export these columns too.")
-        first = read_text(path).splitlines().index(header) + 2
+        # Lines count from 1, and the header may stand below blank ones.
+        first_line = read_text(path).splitlines().index(header) + 2
         rows = []
-        for number, row in enumerate(csv.reader(text_rows, delimiter=separator), first):
+        for number, row in enumerate(csv.reader(text_rows, delimiter=separator), first_line):
             if not any(cell.strip() for cell in row):
                 continue
             if len(row) <= max(column_of.values()):
@@ -79,7 +79,7 @@ class ErdasGcps(Reader):
                       lines)
         image = table.stack("line", "sample")
         # IMAGINE counts lines upwards where the image has no map coordinates: all are negative
-        # then.
+        # then, and are turned back.
         if (image[:, 0] <= 0).all():
             image[:, 0] *= -1
         return FeatureSet(table.points(image, table.stack("x", "y", "z"), None, table.roles()),

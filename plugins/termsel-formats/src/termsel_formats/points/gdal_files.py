@@ -9,7 +9,7 @@ from __future__ import annotations
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -43,27 +43,35 @@ class PamGcps(Reader):
         return b"<PAMDataset" in head
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name the file and the point."""
+        """Return the points of GDAL's list or, if there is none, those of ArcGIS.
+
+        Raises TermselError, with the file, if there are none, or if one lacks a number.
+        """
         root = xml_root(path, _GDAL_HINT)
         try:
-            ids, rows, crs = _gcps_of_gdal(root) or _gcps_of_arcgis(root) or ([], [], "")
+            gcps = _gcps_of_gdal(root) or _gcps_of_arcgis(root) or _Gcps([], [], "")
         except (KeyError, ValueError) as error:
             raise TermselError(f"a ground control point cannot be read: {what_lacks(error)}",
                                file=path, hint=_GDAL_HINT) from error
-        if not rows:
+        if not gcps.rows:
             raise TermselError("this file has no ground control points", file=path,
                                hint="Check the image with gdalinfo.")
-        positions = [(line - CORNER, sample - CORNER, *ground) for sample, line, *ground in rows]
-        return FeatureSet(points_of(path, ids, positions), crs=_crs_or_blank(crs))
+        rows = [(line - CORNER, sample - CORNER, *ground) for sample, line, *ground in gcps.rows]
+        return FeatureSet(points_of(path, gcps.ids, rows), crs=_crs_or_blank(gcps.crs))
 
 
-_Found = tuple[list[str], list[list[float]], str]
+class _Gcps(NamedTuple):
+    """GCPs of a file: ids ("" for none), rows of pixel, line, x, y and z, and the CRS as stated."""
+
+    ids: list[str]
+    rows: list[list[float]]
+    crs: str
 
 
-def _gcps_of_gdal(root: ElementTree.Element) -> _Found | None:
-    """Return ids, numbers and CRS of the list of GCPs that GDAL writes; None without one.
+def _gcps_of_gdal(root: ElementTree.Element) -> _Gcps | None:
+    """Return the GCPs of the list that GDAL writes; None if there is no list.
 
-    Raises KeyError or ValueError if one of them lacks a number.
+    Heights that are not stated are NaN. Raises KeyError or ValueError if a GCP lacks a number.
     """
     gcp_list = root.find("GCPList")
     if gcp_list is None:
@@ -73,13 +81,13 @@ def _gcps_of_gdal(root: ElementTree.Element) -> _Found | None:
     for gcp in gcps:
         height = float(gcp.get("Z", "nan"))
         rows.append([*(float(gcp.attrib[key]) for key in ("Pixel", "Line", "X", "Y")), height])
-    return [gcp.get("Id", "") for gcp in gcps], rows, gcp_list.get("Projection", "")
+    return _Gcps([gcp.get("Id", "") for gcp in gcps], rows, gcp_list.get("Projection", ""))
 
 
-def _gcps_of_arcgis(root: ElementTree.Element) -> _Found | None:
-    """Return ids (""), numbers and CRS of the control points of ArcGIS; None without any.
+def _gcps_of_arcgis(root: ElementTree.Element) -> _Gcps | None:
+    """Return the control points of ArcGIS, without ids or heights; None if there is no list.
 
-    Raises ValueError if their numbers do not match.
+    Raises ValueError if there are not as many numbers in the image as on the ground.
     """
     transformation = root.find(".//GeodataXform")
     if transformation is None:
@@ -92,10 +100,10 @@ def _gcps_of_arcgis(root: ElementTree.Element) -> _Found | None:
     target = numbers("TargetGCPs")
     if len(source) != len(target) or len(source) % 2:
         raise ValueError(f"{len(source)} numbers in the image and {len(target)} on the ground")
-    # Rows are counted upwards from the upper edge.
+    # ArcGIS counts rows upwards from the upper edge, so that they are negative in the image.
     rows = [[column, abs(row), x, y, np.nan] for column, row, x, y in zip(
         source[::2], source[1::2], target[::2], target[1::2], strict=True)]
-    return [""] * len(rows), rows, transformation.findtext("SpatialReference/WKT", "")
+    return _Gcps([""] * len(rows), rows, transformation.findtext("SpatialReference/WKT", ""))
 
 
 def _crs_or_blank(crs: str) -> str:
@@ -117,7 +125,10 @@ class PamGcpsWriter(PointsWriter):
     suffix = ".aux.xml"
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the points as GCPs in auxiliary XML."""
+        """Write the selected control points as GCPs in auxiliary XML.
+
+        Raises TermselError if the result has no control points, or no CRS of the Earth.
+        """
         self.require(result, path)
         used, gcps, crs = gcps_of(result)
         rows = [f'    <GCP Id={xml_attribute(name)} Info="" Pixel="{sample + CORNER!r}" '
@@ -142,8 +153,8 @@ class GcpTiff(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write a copy of the image, or an empty one, as a GeoTIFF with the points as GCPs.
 
-        GDAL copies from a VRT that has the image's bands and the points, in a private folder, so
-        that an interrupt leaves no half file. Raises TermselError where GDAL cannot read or write.
+        Raises TermselError for a result that the format does not hold, and where GDAL cannot read
+        or write.
         """
         self.require(result, path)
         from rasterio._err import CPLE_BaseError
@@ -152,7 +163,9 @@ class GcpTiff(PointsWriter):
         used, gcps, crs = gcps_of(result)
         image = self.options["image"]
         picture = picture_for(result, None if image is None else Path(image).absolute())
-        # GDAL takes names in UTF-8 alone; those of the user need not be.
+        # GDAL copies from a VRT that has the image's bands and the points. It does so in a private
+        # folder, so that an interrupt leaves no incomplete file. It takes names in UTF-8 alone,
+        # which that of the image need not be.
         with (private_folder() as folder, atomic_path(path) as unfinished,
               utf8_name(picture.path or folder) as name_of_picture):
             source = folder / "gcps.vrt"
@@ -171,7 +184,7 @@ class GcpTiff(PointsWriter):
 
 
 def _copy(raster: Any, path: Path, sparse: bool) -> None:
-    """Copy an open raster to a GeoTIFF; sparse means that empty blocks take no room."""
+    """Copy an open raster to a compressed GeoTIFF; if `sparse`, empty blocks take no room."""
     from rasterio.shutil import copy
 
     copy(raster, path, driver="GTiff", compress="deflate", tiled=True, sparse_ok=sparse)

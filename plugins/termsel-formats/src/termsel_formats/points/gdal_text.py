@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -44,6 +44,8 @@ _IMAGE_FILE = re.compile(
 _PRINTED = re.compile(
     rf"GCP\[\s*\d+\]:\s*Id=(.*?),\s*Info=[^\n]*\n\s*\(({_NUMBER}),({_NUMBER})\)\s*->\s*"
     rf"\(({_NUMBER}),({_NUMBER})(?:,({_NUMBER}))?\)")
+_COMMENT = re.compile(r"\s*(#|::|rem\b|//)", re.IGNORECASE)
+_PROGRAM = re.compile(r"\bgdal")
 _SIZE = re.compile(r"^Size is (\d{1,9}), (\d{1,9})", re.MULTILINE)
 _PRINTED_CRS = re.compile(r"^GCP Projection =\s*\n(.*?)^(?:Data axis|GCP\[)",
                           re.MULTILINE | re.DOTALL)
@@ -63,8 +65,11 @@ class GdalOptions(Reader):
             option.search(text) for option in (_OPTION, _OPTION_WITH_COMMAS))
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points of one image; errors name the file."""
-        commands = _commands_by_image(path)
+        """Return the points of one command; of several, the option `image_name` chooses one.
+
+        Raises TermselError, with the file, if there is no GCP, or no command of that name.
+        """
+        commands = _commands_by_name(path)
         image = image_of(path, commands, self.options["image_name"], "image_name=NAME")
         command = commands[image]
         table = []
@@ -79,13 +84,13 @@ class GdalOptions(Reader):
                           crs=stated[0] if len(stated) == 1 else "")
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
-        """Return the options for each image of a script; {} if there is only one."""
-        images = _commands_by_image(path)
-        return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
+        """Return the options that choose each command with GCPs; {} if there is only one."""
+        names = _commands_by_name(path)
+        return {name: {"image_name": name} for name in names} if len(names) > 1 else {}
 
 
 def _stated_crs(text: str) -> list[str]:
-    """Return the CRSs that options state of GCPs, each once; [] if none can be read."""
+    """Return the CRSs that the options in a text state, each once; [] if none can be read."""
     stated = []
     for quoted, single, bare in _SRS.findall(text):
         stated.append(_crs_or_blank(re.sub(r"\\(.)", r"\1", quoted) or single or bare))
@@ -93,7 +98,10 @@ def _stated_crs(text: str) -> list[str]:
 
 
 def _join_commands(path: Path) -> str:
-    """Return the text of a script with each command on one line, and GCPs as -gcp has them."""
+    """Return the text of a script with each command on one line, and all GCPs in the form of -gcp.
+
+    A file that holds rows of four or five numbers alone becomes a line with -gcp for each row.
+    """
     text = read_text(path)
     # Allmaps writes the numbers alone, which --format gdal-options shows.
     rows = [line.split() for line in text.splitlines() if line.strip()]
@@ -103,34 +111,38 @@ def _join_commands(path: Path) -> str:
     return _OPTION_WITH_COMMAS.sub(lambda option: f"-gcp {option[1].replace(',', ' ')}", joined)
 
 
-def _commands_by_image(path: Path) -> dict[str, str]:
-    """Return the text of each command with GCPs, by the image that it names, "" for none.
+def _commands_by_name(path: Path) -> dict[str, str]:
+    """Return the commands of a script that have GCPs, by a name for each.
 
-    Where commands before it name the same image, it goes by its output, or by a number.
-
-    A script has a command a line, but for lines that end with a backslash or, on Windows, with ^;
-    an option file has no command, and an option a line.
+    The name is the first image file in a command, "" if it has none. Where an earlier command has
+    that name, it is the next image file, which is the output, or else the first with a number.
+    A file that calls no program of GDAL is an option file, and counts as one command; in a script,
+    lines that call none are added to the command that has their name. Comments are left out.
+    Raises TermselError if there is no GCP.
     """
-    command_lines = [line for line in _join_commands(path).splitlines() if not re.match(
-        r"\s*(#|::|rem\b|//)", line, re.IGNORECASE)]
-    if not any(re.search(r"\bgdal", line) for line in command_lines):
-        command_lines = [" ".join(command_lines)]
+    lines = [line for line in _join_commands(path).splitlines() if not _COMMENT.match(line)]
+    if not any(map(_PROGRAM.search, lines)):
+        lines = [" ".join(lines)]
     commands: dict[str, str] = {}
-    for line in command_lines:
-        if not _OPTION.search(line):
-            continue
-        files = [name.replace("\\", "/").rpartition("/")[2]
-                 for name in _IMAGE_FILE.findall(_OPTION.sub(" ", line))]
-        image = files[0] if files else ""
-        # Each command has the points of a map of its own; an image may have several.
-        if image in commands and re.search(r"\bgdal", line):
-            unused = [name for name in files[1:] if name not in commands]
-            image = unused[0] if unused else f"{image} {len(commands) + 1}"
-        commands[image] = f"{commands.get(image, '')} {line}"
+    for line in filter(_OPTION.search, lines):
+        files = _image_files(line)
+        name = files[0] if files else ""
+        # Two commands on one image have the points of two maps, so that they are kept apart.
+        if name in commands and _PROGRAM.search(line):
+            unused = [file for file in files[1:] if file not in commands]
+            name = unused[0] if unused else f"{name} {len(commands) + 1}"
+        commands[name] = f"{commands.get(name, '')} {line}"
     if not commands:
         raise TermselError("this file has no option -gcp with its numbers", file=path,
                            hint="It is -gcp pixel line easting northing [elevation].")
     return commands
+
+
+def _image_files(command: str) -> list[str]:
+    """Return the names, without folders, of the image files in a command, in their order."""
+    # The numbers of -gcp are taken out first, as they are no files.
+    paths = _IMAGE_FILE.findall(_OPTION.sub(" ", command))
+    return [path.replace("\\", "/").rpartition("/")[2] for path in paths]
 
 
 class GdalinfoText(Reader):
@@ -140,15 +152,14 @@ class GdalinfoText(Reader):
     summary = "what gdalinfo or gdalinfo -json prints of an image with GCPs"
 
     def sniff(self, path: Path, head: bytes) -> bool:
-        """Return True for what gdalinfo prints of GCPs."""
-        # JSON and text of the same program; either may be saved.
+        """Return True for a list of GCPs that gdalinfo printed, as text or as JSON."""
         text = head.decode("utf-8", "replace")
         return _PRINTED.search(text) is not None or (
             text.lstrip("\ufeff \t\r\n").startswith("{") and '"gcpList"' in text
             and '"gcps"' in text)
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name the file."""
+        """Return the points; raises TermselError, with the file, if there are none."""
         text = read_text(path)
         if text.lstrip().startswith("{"):
             ids, rows, crs, size = _gcps_of_json(path, text)
@@ -162,26 +173,36 @@ class GdalinfoText(Reader):
         return FeatureSet(points_of(path, ids, table), crs=_crs_or_blank(crs), image_size=size)
 
 
-_Printed = tuple[list[str], list[list[float]], str, tuple[int, int] | None]
+class _PrintedGcps(NamedTuple):
+    """GCPs as gdalinfo prints them.
 
-
-def _gcps_of_text(text: str) -> _Printed:
-    """Return ids, numbers, CRS ("" if none) and size (None if not stated) of what gdalinfo prints.
+    Each row is pixel, line, x, y and z, which is NaN if there is none. The CRS is "" and the size,
+    lines and samples, None where they are not stated.
     """
+
+    ids: list[str]
+    rows: list[list[float]]
+    crs: str
+    size: tuple[int, int] | None
+
+
+def _gcps_of_text(text: str) -> _PrintedGcps:
+    """Return the GCPs in the text that gdalinfo prints; no rows if there are none."""
     gcps = _PRINTED.findall(text)
     size = _SIZE.search(text)
     crs = _PRINTED_CRS.search(text)
     rows = []
     for _, *numbers in gcps:
         rows.append([float(number) if number else np.nan for number in numbers])
-    return ([name for name, *_ in gcps], rows, " ".join(crs[1].split()) if crs else "",
-            (int(size[2]), int(size[1])) if size else None)
+    # gdalinfo prints samples first, and the WKT of a CRS over several lines.
+    return _PrintedGcps([name for name, *_ in gcps], rows, " ".join(crs[1].split()) if crs else "",
+                        (int(size[2]), int(size[1])) if size else None)
 
 
-def _gcps_of_json(path: Path, text: str) -> _Printed:
-    """Return ids, numbers, CRS ("" if none) and size (None if not stated) of gdalinfo -json.
+def _gcps_of_json(path: Path, text: str) -> _PrintedGcps:
+    """Return the GCPs in what gdalinfo -json prints; no rows if its list is empty.
 
-    Raises TermselError if the content is no such list.
+    Raises TermselError, with the file, if the text is no JSON with a list of GCPs.
     """
     hint = "Write it again with gdalinfo -json."
     try:
@@ -202,7 +223,7 @@ def _gcps_of_json(path: Path, text: str) -> _Printed:
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         raise TermselError(f"this is no list of GCPs of gdalinfo: {type(error).__name__} {error}",
                            file=path, hint=hint) from error
-    return ids, rows, " ".join(crs.split()), lines_samples
+    return _PrintedGcps(ids, rows, " ".join(crs.split()), lines_samples)
 
 
 def _crs_or_blank(crs: str) -> str:
@@ -224,9 +245,11 @@ class GdalOptionsWriter(PointsWriter):
     suffix = "_gcps.txt"
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the CRS, and a line with the option -gcp for each point of control."""
+        """Write the CRS, and a line with the option -gcp for each control point without blunder.
+
+        Raises TermselError if the result has no such point, or no CRS of the Earth.
+        """
         self.require(result, path)
-        # GDAL would take check points as control.
         checked = points_for_others(result).without_checks()
         require_points(checked, path, self.needs)
         # A WKT has quotation marks of its own; GDAL knows no others.

@@ -30,7 +30,7 @@ FloatArray = NDArray[np.float64]
 DENSITIES = (8, 16, 32)
 """Meshes along either side of a lattice, from the first that is tried to the densest."""
 
-ENOUGH, GAIN = 0.05, 0.8
+SMALL_ERROR, REQUIRED_SHARE = 0.05, 0.8
 """Error between the places of a lattice that is good enough [px], and the part of it that a denser
 one must fall below to be worth its places."""
 
@@ -99,11 +99,14 @@ class GeolocationArray(Reader):
                                "as many as the geometry needs, up to 32.", int, 3, 200))
 
     def sniff(self, path: Path, head: bytes) -> bool:
-        """Return True for a raster whose metadata name an array, or whose bands are one."""
+        """Return True for a raster whose metadata name an array, or whose bands are one.
+
+        With the option `latitude` it is True for any file.
+        """
         if self.options["latitude"] is not None:
             return True
         if head.lstrip().startswith(b"<VRTDataset"):
-            # By text, as opening it would open all that it names.
+            # Opening a VRT would open all files that it names, so that its text is searched.
             return b'domain="GEOLOCATION"' in head or b"ongitude</Description>" in head
         if not head.startswith(_MAGIC):
             return False
@@ -115,7 +118,7 @@ class GeolocationArray(Reader):
             return False
 
     def read(self, path: Path) -> FeatureSet:
-        """Return a lattice of places of the array as control; errors name the file."""
+        """Return a lattice of the array's nodes as points; errors name the file."""
         read_head(path, _GEOLOCATION_HINT)
         with ExitStack() as stack:
             arrays = self._open_arrays(path, stack)
@@ -124,13 +127,12 @@ class GeolocationArray(Reader):
     def _open_arrays(self, path: Path, stack: ExitStack) -> Arrays:
         """Return the arrays of a file, with the files that they are in open on the stack.
 
-        In this order: files that options name, the metadata domain GEOLOCATION, bands that are
-        called longitude and latitude. An array with steps of its own does not tell the size of its
-        image.
+        They are, in this order, the file and those that options name, those of the metadata domain
+        GEOLOCATION, or the bands called longitude and latitude. Raises TermselError if there are
+        none.
         """
         raster = stack.enter_context(open_raster(path))
         domain = raster.tags(ns="GEOLOCATION")
-        # An option goes before what metadata say.
         if domain and self.options["latitude"] is None:
             return _arrays_of_domain(path, raster, domain, stack)
         numbers = _bands_by_name(raster)
@@ -150,16 +152,15 @@ class GeolocationArray(Reader):
                       self._parse_pair_option("array_first", 0.0), step,
                       "", size)
 
-    def _parse_pair_option(self, name: str, usual: float) -> FloatArray:
-        """Return an option of two numbers, of lines and of samples (2,).
+    def _parse_pair_option(self, name: str, default: float) -> FloatArray:
+        """Return an option that is a pair of numbers, of lines and of samples (2,).
 
-        `usual` twice if not given.
-
-        Raises TermselError if it is no such pair.
+        Both are `default` if it is not given. Raises TermselError if it is no pair of finite
+        numbers, or no pair of positive ones for `array_step`.
         """
         text = self.options[name]
         if text is None:
-            return np.full(2, usual)
+            return np.full(2, default)
         try:
             pair = np.array([float(number) for number in str(text).split(",")])
         except ValueError:
@@ -172,9 +173,9 @@ class GeolocationArray(Reader):
 
 
 def _bands_by_name(raster: Any) -> list[int] | None:
-    """Return the numbers of the bands that are called longitude, latitude and perhaps height.
+    """Return the numbers of the bands called longitude, latitude and, if there is one, height.
 
-    None if the first two are not both there.
+    None if there is no longitude or no latitude.
     """
     names = [str(name or "").strip().casefold() for name in raster.descriptions]
     numbers: list[int | None] = []
@@ -187,9 +188,9 @@ def _bands_by_name(raster: Any) -> list[int] | None:
 def _arrays_of_domain(path: Path, raster: Any, domain: dict[str, str], stack: ExitStack) -> Arrays:
     """Return the arrays that the metadata of an image name, by GDAL's RFC 4.
 
-    `domain` is the metadata domain GEOLOCATION of the image, and arrays are opened on `stack`. They
-    may be in other files, relative to the image or not, and have their own steps and offsets,
-    counted from corners or middles of pixels. Raises TermselError for a domain that is incomplete.
+    `domain` is the metadata domain GEOLOCATION of the image; the files of arrays are opened on
+    `stack`. Raises TermselError if the domain names no longitudes or latitudes, or if one of its
+    numbers is wrong.
     """
     bands = []
     for axis in "XYZ":
@@ -202,14 +203,17 @@ def _arrays_of_domain(path: Path, raster: Any, domain: dict[str, str], stack: Ex
         relative = domain.get(f"{axis}_DATASET_RELATIVE_TO_SOURCE", "NO").upper() in ("YES", "1")
         array_file = Path(os.path.join(path.parent, name)) if relative else Path(name)
         bands.append((stack.enter_context(open_raster(array_file)),
-                      int(_number(domain, f"{axis}_BAND", 1.0, path))))
-    offset = np.array([_number(domain, f"{axis}_OFFSET", 0.0, path) for axis in ("LINE", "PIXEL")])
-    step = np.array([_number(domain, f"{axis}_STEP", 1.0, path) for axis in ("LINE", "PIXEL")])
-    # A lattice must go on; GDAL knows no other order.
+                      int(_parse_number(domain, f"{axis}_BAND", 1.0, path))))
+    offset = np.array(
+        [_parse_number(domain, f"{axis}_OFFSET", 0.0, path) for axis in ("LINE", "PIXEL")])
+    step = np.array(
+        [_parse_number(domain, f"{axis}_STEP", 1.0, path) for axis in ("LINE", "PIXEL")])
+    # Nodes must follow one another in the image, as GDAL expects them.
     if not (step > 0.0).all():
         raise TermselError("its domain GEOLOCATION has a step that is not positive", file=path,
                            hint=_GEOLOCATION_HINT)
-    # Places are at corners of the steps, or in their middles; GDAL counts from the outer corner.
+    # A node is at the corner of its step or, by this convention, in its middle. GDAL counts both
+    # from the outer corner of the first pixel.
     centred = domain.get("GEOREFERENCING_CONVENTION", "").upper() == "PIXEL_CENTER"
     first = offset + (step / 2.0 if centred else 0.0) - CORNER
     shape = bands[0][0].shape
@@ -217,14 +221,14 @@ def _arrays_of_domain(path: Path, raster: Any, domain: dict[str, str], stack: Ex
                   raster.shape)
 
 
-def _number(domain: dict[str, str], name: str, usual: float, path: Path) -> float:
-    """Return a number of the domain GEOLOCATION, `usual` if it is not stated.
+def _parse_number(domain: dict[str, str], name: str, default: float, path: Path) -> float:
+    """Return a number of the domain GEOLOCATION; `default` if it is not stated.
 
-    Raises TermselError if it is none.
+    Raises TermselError, with the file, if it is no finite number.
     """
     text = domain.get(name)
     try:
-        value = usual if text is None else float(text)
+        value = default if text is None else float(text)
     except ValueError:
         value = np.nan
     if not np.isfinite(value):
@@ -234,9 +238,9 @@ def _number(domain: dict[str, str], name: str, usual: float, path: Path) -> floa
 
 
 def _band_readers(bands: list[tuple[Any, int]], path: Path) -> tuple[Band, ...]:
-    """Return functions that read the lines of bands.
+    """Return a function for each band, given as raster and number, that reads its lines.
 
-    Raises TermselError unless all are of one size.
+    Raises TermselError if rasters differ in size, or if one lacks the band.
     """
     first = bands[0][0]
     for raster, number in bands:
@@ -249,18 +253,18 @@ def _band_readers(bands: list[tuple[Any, int]], path: Path) -> tuple[Band, ...]:
         if not 1 <= number <= raster.count:
             raise TermselError(
                 f"{raster.name} has no band {number}", file=path, hint=_GEOLOCATION_HINT)
-    return tuple(_line_of(raster, number) for raster, number in bands)
+    return tuple(_line_reader(raster, number) for raster, number in bands)
 
 
-def _line_of(raster: Any, number: int) -> Band:
-    """Return the function that gives a line of a band, by its index: a line is read when needed.
+def _line_reader(raster: Any, number: int) -> Band:
+    """Return the function that reads a line of a band by its index, from 0.
 
     `number` is that of the band, from 1; its scale and offset are applied.
     """
     from rasterio.windows import Window
 
-    def line(index: int) -> FloatArray:
-        """Return a line of the band; NaN for what is no coordinate."""
+    def read_line(index: int) -> FloatArray:
+        """Return a line of the band; NaN for what is masked or no coordinate."""
         with np.errstate(all="ignore"):
             values = raster.read(number, window=Window(0, index, raster.width, 1), masked=True)
             numbers = values.astype(np.float64).filled(np.nan)[0]
@@ -268,29 +272,17 @@ def _line_of(raster: Any, number: int) -> Band:
         numbers[~(np.abs(numbers) < NO_COORDINATE)] = np.nan
         return np.asarray(numbers)
 
-    return line
+    return read_line
 
 
 def _lattice_of(arrays: Arrays, path: Path, meshes: int | None) -> FeatureSet:
-    """Return some places of arrays as control, as dense as the geometry needs.
+    """Return a lattice of the arrays' nodes as points, as dense as the geometry needs.
 
-    `meshes`, if it is not None, is their number either way. Raises TermselError if fewer than four
-    are coordinates.
+    If `meshes` is not None, it has that many meshes either way. Nodes without coordinates are left
+    out, and so are all heights if one of them is unknown. Raises TermselError if fewer than four
+    nodes remain, or if latitudes are beyond 90 degrees.
     """
-    densest = max(size - 1 for size in arrays.shape)
-    lattice = None
-    error = np.inf
-    # Twice as dense as long as that lessens the error between the nodes by a fifth.
-    for density in DENSITIES if meshes is None else (meshes,):
-        denser = _sample_arrays(arrays, density)
-        after = _error_between(arrays, denser)
-        if lattice is None or after < GAIN * error:
-            lattice = denser
-        if after <= ENOUGH or after >= GAIN * error or density >= densest:
-            break
-        error = after
-    assert lattice is not None
-    image, ground = lattice
+    image, ground = _sample_densely_enough(arrays, meshes)
     finite = np.isfinite(ground[:, :2]).all(axis=1)
     if finite.sum() < 4:
         raise TermselError(
@@ -312,22 +304,48 @@ def _lattice_of(arrays: Arrays, path: Path, meshes: int | None) -> FeatureSet:
                       image_size=arrays.image_size)
 
 
+def _sample_densely_enough(arrays: Arrays, meshes: int | None) -> tuple[FloatArray, FloatArray]:
+    """Return image (n, 2) and ground (n, 3) positions of the nodes of a lattice.
+
+    It is the lattice of `meshes` meshes, or else the densest of `DENSITIES` that lowers the error
+    between the nodes enough, to `REQUIRED_SHARE` of that of the lattice before.
+    """
+    most_meshes = max(size - 1 for size in arrays.shape)
+    lattice = None
+    error = np.inf
+    for density in DENSITIES if meshes is None else (meshes,):
+        denser_lattice = _sample_arrays(arrays, density)
+        denser_error = _error_between(arrays, denser_lattice)
+        is_better = denser_error < REQUIRED_SHARE * error
+        if lattice is None or is_better:
+            lattice = denser_lattice
+        if denser_error <= SMALL_ERROR or not is_better or density >= most_meshes:
+            break
+        error = denser_error
+    assert lattice is not None
+    return lattice
+
+
 def _mirrors(image: FloatArray, ground: FloatArray) -> bool:
-    """Return whether an image mirrors the ground at its places: lines and samples, x and y."""
+    """Return whether an image mirrors the ground as seen from above.
+
+    `image` (n, 2) are lines and samples, `ground` (n, 2 or 3) are x to the east and y to the north
+    of the same points.
+    """
     plane = ground[:, :2].copy()
-    # Longitudes that jump at 180 degrees; metres reach further.
+    # Longitudes that jump at 180 degrees are counted from 0; metres have a larger range.
     if np.abs(plane[:, 0]).max() <= 180.0 < np.ptp(plane[:, 0]):
         plane[:, 0] %= 360.0
     slopes = np.linalg.lstsq(image - image.mean(axis=0), plane - plane.mean(axis=0))[0]
-    # dx/dline dy/dsample - dy/dline dx/dsample: as seen from above, y falls along lines and x
-    # grows along samples.
+    # The determinant is dx/dline dy/dsample - dy/dline dx/dsample. It is positive as seen from
+    # above, where y falls along lines and x grows along samples.
     return bool(np.linalg.det(slopes) < 0.0)
 
 
 def _crs_of(stated: str, heights: bool) -> str:
-    """Return the CRS of places: as stated, or longitude and latitude of WGS84.
+    """Return the CRS of the nodes: as stated, or longitude and latitude on WGS84 if none is.
 
-    `heights` says whether ellipsoidal heights are known.
+    Degrees on WGS84 have ellipsoidal heights if `heights` says that these are known.
     """
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
@@ -346,72 +364,75 @@ def _crs_of(stated: str, heights: bool) -> str:
 
 def _sample_arrays(
         arrays: Arrays, meshes: int, shift: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """Return image places (n, 2) and ground (n, 3) of some lines and columns of arrays.
+    """Return image (n, 2) and ground (n, 3) positions of the nodes of a lattice in the arrays.
 
-    With a shift of a half they are those in the middle of the meshes.
+    The lattice has `meshes` meshes either way, or fewer in a small array. With a `shift` of a half
+    the nodes are those in the middles of its meshes. Unknown heights, and gaps, are NaN.
     """
     selected = []
     for size in arrays.shape:
-        # A small array has fewer meshes than asked for.
         count = min(meshes, size - 1)
-        # Nodes are the ends of the meshes; shifted by a half, their middles, one fewer.
+        # The ends of meshes are one more than their middles.
         steps = np.arange(count + (shift == 0.0)) + shift
         selected.append(np.unique(np.round(steps * (size - 1) / max(count, 1)).astype(int)))
     rows = []
     for index in selected[0]:
         bands = [band(int(index))[selected[1]] for band in arrays.bands]
-        # NaN is an unknown height.
         bands += [np.full(len(selected[1]), np.nan)] * (3 - len(bands))
         rows.append(np.stack(bands, axis=1))
     nodes = np.stack(np.meshgrid(*selected, indexing="ij"), axis=-1).reshape(-1, 2)
     ground = np.concatenate(rows)
-    # Arrays have gaps, as over water or outside the swath.
     finite = np.isfinite(ground[:, 0])
-    degrees = np.abs(ground[finite, 0]).max(initial=0.0) <= 360.0
-    if degrees and finite.any() and np.ptp(ground[finite, 0]) > 180.0:  # across the date line
+    are_degrees = np.abs(ground[finite, 0]).max(initial=0.0) <= 360.0
+    # Across the date line longitudes jump, so that they are counted from 0 to 360.
+    if are_degrees and finite.any() and np.ptp(ground[finite, 0]) > 180.0:
         ground[:, 0] %= 360.0
     return arrays.first + nodes * arrays.step, ground
 
 
 def _error_between(arrays: Arrays, lattice: tuple[FloatArray, FloatArray]) -> float:
-    """Return the RMSE in the middles of meshes of a smooth model of a lattice [px].
+    """Return the RMSE [px] in the middles of the meshes, of a smooth model of a lattice.
 
-    Lines and samples are cubic polynomials of the ground, heights by quadratic factors, and what
-    these leave is interpolated linearly.
+    In the model, line and sample are polynomials of the ground (`_smooth_monomials`), and their
+    residuals are interpolated linearly between the nodes. The error is 0 if the lattice has too few
+    nodes for it, or no middle of a mesh can be compared.
     """
     from scipy.interpolate import griddata
 
     image, ground = lattice
     meshes = max(len(np.unique(image[:, 0])) - 1, 1)
-    between, at = _sample_arrays(arrays, meshes, 0.5)
+    middle_image, middle_ground = _sample_arrays(arrays, meshes, 0.5)
+    # Arrays without heights have NaN there.
     ground = ground.copy()
-    ground[:, 2] = np.nan_to_num(ground[:, 2])  # of an array without heights
-    at[:, 2] = np.nan_to_num(at[:, 2])
+    ground[:, 2] = np.nan_to_num(ground[:, 2])
+    middle_ground[:, 2] = np.nan_to_num(middle_ground[:, 2])
     finite = np.isfinite(ground[:, :2]).all(axis=1)
-    has_ground = np.isfinite(at[:, :2]).all(axis=1)
+    has_ground = np.isfinite(middle_ground[:, :2]).all(axis=1)
+    # The model has 17 terms.
     if finite.sum() < 30 or not has_ground.any():
-        # Too few for the cubic: 10 terms of plane position and 7 with heights.
         return 0.0
-    middle = np.nanmean(ground[finite], axis=0)
-    half = np.maximum(np.ptp(ground[finite], axis=0) / 2.0, 1e-9)
-    # A smooth model first: interpolation of its small residuals is then exact enough.
-    columns = _smooth_monomials((ground[finite] - middle) / half)
+    centre = np.nanmean(ground[finite], axis=0)
+    half_extent = np.maximum(np.ptp(ground[finite], axis=0) / 2.0, 1e-9)
+    columns = _smooth_monomials((ground[finite] - centre) / half_extent)
     solution = np.linalg.lstsq(columns, image[finite])[0]
+    # Residuals are small, so that linear interpolation of them is exact enough.
     residuals = image[finite] - columns @ solution
-    # What the model leaves, linear between the nodes.
-    interpolated = griddata(image[finite], residuals, between[has_ground], rescale=True)
-    predicted = _smooth_monomials((at[has_ground]
-                                   - middle) / half) @ solution + np.nan_to_num(interpolated)
-    errors = (between[has_ground] - predicted)[np.isfinite(interpolated).all(axis=1)]
+    interpolated = griddata(image[finite], residuals, middle_image[has_ground], rescale=True)
+    smooth = _smooth_monomials((middle_ground[has_ground] - centre) / half_extent) @ solution
+    predicted = smooth + np.nan_to_num(interpolated)
+    # Middles outside the hull of the nodes have no interpolated residual.
+    errors = (middle_image[has_ground] - predicted)[np.isfinite(interpolated).all(axis=1)]
     return float(np.sqrt((errors**2).sum(axis=1).mean())) if len(errors) else 0.0
 
 
 def _smooth_monomials(ground: FloatArray) -> FloatArray:
-    """Return the monomials (n, 17) of scaled places (n, 3) in which image positions are smooth."""
+    """Return the monomials (n, 17) of the smooth model at scaled ground positions (n, 3).
+
+    They are those of x and y up to the third degree, those up to the second times z, and z^2.
+    """
     x, y, z = np.nan_to_num(ground).T
     plane = []
     with_height = []
-    # Powers up to the third in the plane; up to the second with the height.
     for i in range(4):
         plane += [x**i * y**j for j in range(4 - i)]
     for i in range(3):

@@ -40,7 +40,7 @@ class GrassPoints(Reader):
     default_origin = "bottom-left-corner"
 
     def sniff(self, path: Path, head: bytes) -> bool:
-        """Return True for a file with the title of GRASS, or of its name and form."""
+        """Return True for a file with the title of GRASS, or the name and rows of its files."""
         if head.lstrip(b"\xef\xbb\xbf \t\r\n#").startswith(_GRASS_TITLE):
             return True
         rows = _numbered_rows(head.decode("utf-8", "replace").rpartition("\n")[0])
@@ -49,10 +49,10 @@ class GrassPoints(Reader):
             for _, cells in rows)
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; lines of GRASS are rows that count upwards, and stay so here.
+        """Return the points, whose lines count upwards from the lower edge of the image.
 
-        GRASS writes 0 for heights that nobody gave, so that a column of zeros alone is unknown. The
-        format states no CRS. Errors name file, line and column.
+        `default_origin` tells the caller, who has the image, to turn them. The format states no
+        CRS. Errors name file, line and column.
         """
         rows = _numbered_rows(read_text(path))
         if not rows:
@@ -69,7 +69,7 @@ class GrassPoints(Reader):
                    if name in cells_of}
         table = Table(path, "", _GRASS_HEADINGS, columns, lines)
         ground = table.stack("x", "y", "z")
-        # Zeros alone are taken for heights that are not known.
+        # GRASS writes 0 for heights that are not known.
         if not np.nan_to_num(ground[:, 2]).any():
             ground[:, 2] = np.nan
         return FeatureSet(table.points(table.stack("line", "sample"), ground, None,
@@ -77,7 +77,7 @@ class GrassPoints(Reader):
 
 
 def _numbered_rows(text: str) -> list[tuple[int, list[str]]]:
-    """Return number and cells of the lines that are neither blank nor comments."""
+    """Return the number, from 1, and the cells of each line that is neither blank nor a comment."""
     return [(number, re.split(r"\s+", line.strip()))
             for number, line in enumerate(text.splitlines(), 1)
             if line.strip() and not line.lstrip().startswith("#")]

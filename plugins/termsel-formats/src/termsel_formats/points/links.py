@@ -39,15 +39,15 @@ class ArcgisLinks(Reader):
     summary = "links of ArcGIS, also of Allmaps: x y X Y without a header, y negative downwards"
 
     def sniff(self, path: Path, head: bytes) -> bool:
-        """Return True for rows of numbers of which the second is negative, or that a title names.
+        """Return True for rows of numbers whose signs and sizes are those of links.
 
-        Elsewhere the numbers do not show which are of the image.
+        X Source is positive, Y Source negative, and both are beyond what degrees can be. Other rows
+        of numbers do not show which of them are in the image.
         """
         text = head.decode("utf-8-sig", "replace")
         complete = text.rpartition("\n")[0] if len(head) > 60000 else text
         rows = [cells for _, cells in _numbered_rows(complete)]
         if rows and not all(map(is_number, rows[0])):
-            # A title says nothing of columns; a header of another order says that it is no link's.
             if not _may_head_links(complete):
                 return False
             rows = rows[1:]
@@ -59,7 +59,7 @@ class ArcgisLinks(Reader):
         if not np.isfinite(table).all():
             return False
         first = _column_of_x(len(rows[0]))
-        # A first column that does not count is a coordinate, and the file another one.
+        # A first column that does not number the rows has coordinates, as no file of links has.
         if first and not np.array_equal(table[:, 0], np.arange(len(table)) + table[0, 0]):
             return False
         column = table[:, first]
@@ -69,12 +69,10 @@ class ArcgisLinks(Reader):
                     and _SMALLEST < size < LARGEST_IMAGE)
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name file, line and column.
+        """Return the points; the format states no CRS.
 
-        A file of links has no header, and four numbers in a row, or five with a number first,
-        sometimes residuals after them. Lines count upwards in ArcGIS and from the corner of the
-        upper-left pixel. As nothing says so in the file, the first link is shown as it is read.
-        Errors name file and line.
+        A first row that is not of numbers is left out. A note shows how the first link was read, as
+        nothing in the file states the order of its numbers. Errors name file, line and column.
         """
         rows = _numbered_rows(read_text(path))
         if rows and not all(map(is_number, rows[0][1])):
@@ -97,8 +95,8 @@ class ArcgisLinks(Reader):
             columns["id"] = [cells[0] for cells in cells_of_rows]
             names["id"] = "number"
         table = Table(path, "", names, columns, lines)
+        # Y Source counts upwards from the outer corner of the first pixel.
         image = table.stack("line", "sample") * [-1.0, 1.0] - CORNER
-        # No header says so: the signs of the second column show.
         log.info("Note: %s is read as links of ArcGIS, X Source, Y Source, X Map, Y Map, whose Y "
                  "Source counts upwards; the first is at sample %.6g, line %.6g, x %s, y %s.",
                  path, image[0, 1], image[0, 0], columns["x"][0], columns["y"][0])
@@ -106,7 +104,10 @@ class ArcgisLinks(Reader):
 
 
 def _may_head_links(text: str) -> bool:
-    """Return whether the first line of a text is a title, or names the places in the image first.
+    """Return whether the first line of a text may stand above links.
+
+    It may if it is a title, which has another number of cells than the line below it, or if it is a
+    header that calls one of its first two columns a source.
     """
     lines = [line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"]
     separator = next((mark for mark in "\t;," if mark in lines[0]), None)
@@ -121,7 +122,7 @@ def _column_of_x(width: int) -> int:
 
 
 def _numbered_rows(text: str) -> list[tuple[int, list[str]]]:
-    """Return number and cells of the lines that are neither blank nor comments.
+    """Return the number, from 1, and the cells of each line that is neither blank nor a comment.
 
     Decimal commas become points.
     """

@@ -48,7 +48,10 @@ class MapInfoTab(Reader):
         return bool(_TABLE_TITLE.match(head.removeprefix(b"\xef\xbb\xbf")) and _RASTER.search(head))
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name file, line and column."""
+        """Return the points, without heights.
+
+        They are numbered unless each has a label of its own. Errors name file, line and column.
+        """
         text = read_text(path)
         rows = [(number, *match.groups()) for number, line in enumerate(text.splitlines(), 1)
                 if (match := _TABLE_POINT.match(line))]
@@ -58,7 +61,7 @@ class MapInfoTab(Reader):
         lines, *columns = zip(*rows, strict=True)
         cells = dict(zip(("x", "y", "sample", "line", "id"), columns, strict=True))
         if None in cells["id"] or len(set(cells["id"])) < len(rows):
-            del cells["id"]  # labels are for the eyes alone
+            del cells["id"]  # MapInfo does not require labels that are unique
         crs = _crs_of_table(text)
         table = Table(path, crs, {name: name for name in cells}, cells, lines)
         image = table.stack("line", "sample") - CORNER
@@ -102,19 +105,19 @@ class MapInfoTabWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write the table with the points of registration, in UTM or degrees on WGS84.
 
-        MapInfo knows systems by numbers: UTM where the points are in one zone, else degrees. Labels
-        and names of files lose quotation marks, which the format cannot hold.
+        In the image's name quotation marks become _; a label that has one, or a letter beyond
+        ASCII, becomes "Pt" and a number. Raises TermselError for a result without control points in
+        a CRS of the Earth.
         """
         self.require(result, path)
         used = chosen_points(result)
         points, zone = to_wgs84_points(used, result.features.crs)
-        # MapInfo's numbers: 1 is longitude and latitude, 8 transverse Mercator, and 104 WGS84. A
-        # zone n of UTM has its central meridian at 6 n - 183 degrees.
+        # In MapInfo the projection 1 is longitude and latitude, and the datum 104 WGS84.
         system, unit = 'Projection 1, 104', "degree"
         if zone is not None:
             number, south = zone
-            # Transverse Mercator (8) on WGS84 (104): the central meridian, the scale on it and
-            # what is added to east and north in UTM.
+            # Transverse Mercator (8): the central meridian 6 n - 183, the latitude of the origin,
+            # the scale on the meridian, and what is added to east and north in UTM.
             system = (f'Projection 8, 104, "m", {6 * number - 183}, 0, 0.9996, 500000, '
                       f"{10000000 if south else 0}")
             unit = "m"

@@ -41,11 +41,10 @@ class MetashapeMarkers(Reader):
         return b"<markers" in head and b"<document" in head
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the markers that one camera sees; errors name the file.
+        """Return the markers that one camera sees; of several, the option `image_name` chooses one.
 
-        Marks are on one camera, which `image_name` chooses where there are several. A marker whose
-        reference is switched off tests the adjustment in Metashape, so its point is independent.
-        Errors name the file, as XML of it has one line.
+        Markers without ground coordinates are left out. Those whose reference is not enabled have
+        the role independent. Errors name the file, and no line, as Metashape may write just one.
         """
         root = xml_root(path, _METASHAPE_HINT)
         try:
@@ -60,7 +59,6 @@ class MetashapeMarkers(Reader):
         except (KeyError, ValueError) as error:
             raise TermselError(f"a marker cannot be read: {what_lacks(error)}", file=path,
                                hint=_METASHAPE_HINT) from error
-        # Markers without a reference say nothing of the ground.
         marks = [mark for mark in marks if mark.marker in ground]
         if not marks:
             raise TermselError("this file has no markers with image and ground positions",
@@ -79,14 +77,15 @@ class MetashapeMarkers(Reader):
             raise error_in_file(error, path) from error
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
-        """Return the options for each camera of the markers; {} if there is only one."""
+        """Return the options for each camera of the markers; {} if there is one, or none is read.
+        """
         root = xml_root(path, _METASHAPE_HINT)
         try:
             cameras = _labels_by_id(root, "camera")
             names = dict.fromkeys(cameras.get(mark.camera, mark.camera)
                                   for mark in _marker_positions(root))
         except (KeyError, ValueError):
-            return {}  # said when the markers are read
+            return {}  # `read` raises the error
         return {name: {"image_name": name} for name in names} if len(names) > 1 else {}
 
 
@@ -106,9 +105,9 @@ def _labels_by_id(root: ElementTree.Element, tag: str) -> dict[str, str]:
 
 
 def _marker_positions(root: ElementTree.Element) -> list[_Mark]:
-    """Return where cameras see markers, without positions that are switched off.
+    """Return the positions of markers in images, but for those that are switched off.
 
-    Raises KeyError or ValueError if one lacks a coordinate.
+    Raises KeyError or ValueError if one lacks a coordinate or the id of its camera.
     """
     marks = []
     for marker in root.iter("marker"):
@@ -156,11 +155,10 @@ class MetashapeMarkersWriter(PointsWriter):
     declared_options: ClassVar[tuple[Option, ...]] = (IMAGE_OPTION,)
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the points as markers of one camera; check points are not enabled.
+        """Write the points as markers of one camera, with the horizontal CRS.
 
-        A marker without an enabled reference is a check point in Metashape. The CRS is written
-        without that of heights, which Metashape takes as they are. `result` has the points and
-        their roles; the image's name is that of the option, or of the file.
+        Independent check points have references that are not enabled. Raises TermselError for a
+        result without control points in a CRS of the Earth, or if none can be written.
         """
         self.require(result, path)
         checked = points_for_others(result)

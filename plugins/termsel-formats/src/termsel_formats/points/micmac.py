@@ -54,10 +54,14 @@ class MicmacXml(Reader):
             _MEASURES.encode() in head or _GROUND.encode() in head)
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points of one image; errors name file and point."""
+        """Return the points of one image; of several, the option `image_name` chooses one.
+
+        Marks without ground coordinates are left out. Errors name the file, and the point if its
+        numbers are wrong.
+        """
         marks = _marks_by_image(path)
-        ground = self._places_by_name(path)
-        # Once for each of its points, which a message counts.
+        ground = self._ground_by_name(path)
+        # An image is named once for each of its points, which a message of `image_of` counts.
         images = [image for image, image_marks in marks.items() for _ in image_marks]
         image = image_of(path, images, self.options["image_name"], "image_name=NAME")
         ids = [name for name in marks[image] if name in ground]
@@ -78,10 +82,10 @@ class MicmacXml(Reader):
         images = _marks_by_image(path)
         return {image: {"image_name": image} for image in images} if len(images) > 1 else {}
 
-    def _places_by_name(self, path: Path) -> dict[str, list[float]]:
+    def _ground_by_name(self, path: Path) -> dict[str, list[float]]:
         """Return x, y, z of points by name, from the file itself or the one that belongs to it.
 
-        Raises TermselError if there is none.
+        The option `ground` comes before both. Raises TermselError if there are none.
         """
         stated = self.options["ground"]
         root = xml_root(path, _MICMAC_HINT)
@@ -97,9 +101,12 @@ class MicmacXml(Reader):
 
 
 def _ground_file(path: Path) -> Path:
-    """Return the path of the ground's file that belongs to a file of measures, there or not."""
+    """Return the path that the file of ground coordinates to a file of measures should have.
+
+    There need not be such a file.
+    """
     for ending, ground_ending in _ENDINGS.items():
-        # SaisieAppuisInit ends names so, in whatever case the system kept.
+        # Some systems change the case of names.
         if path.name.lower().endswith(ending.lower()):
             return path.with_name(path.name[:-len(ending)] + ground_ending)
     return path.with_name(f"{path.stem}-S3D.xml")
@@ -116,7 +123,6 @@ def _marks_by_image(path: Path) -> dict[str, dict[str, list[float]]]:
         image_marks = marks.setdefault((image.findtext("NameIm") or "").strip(), {})
         for mark in image.iter("OneMesureAF1I"):
             name = (mark.findtext("NamePt") or "").strip()
-            # Two marks would silently be one of them.
             if name in image_marks:
                 raise TermselError(f"the point {name!r} is measured twice in one image", file=path,
                                    hint="Remove one of its measures.")
@@ -129,7 +135,10 @@ def _marks_by_image(path: Path) -> dict[str, dict[str, list[float]]]:
 
 
 def _ground_of(root: ElementTree.Element, path: Path) -> dict[str, list[float]]:
-    """Return x, y, z of points on the ground by name; raises TermselError if there are none."""
+    """Return x, y, z of points on the ground by name.
+
+    Raises TermselError, with `path`, if there are none, or if one has other than three numbers.
+    """
     ground = {}
     for point in root.iter("OneAppuisDAF"):
         name = (point.findtext("NamePt") or "").strip()
@@ -140,7 +149,9 @@ def _ground_of(root: ElementTree.Element, path: Path) -> dict[str, list[float]]:
 
 
 def _element_numbers(path: Path, name: str, text: str | None, count: int) -> list[float]:
-    """Return the `count` finite numbers of an element; raises TermselError with its point if not.
+    """Return the numbers in the text of an element.
+
+    Raises TermselError, with the name of its point, unless they are `count` finite numbers.
     """
     cells = (text or "").split()
     try:
@@ -175,9 +186,8 @@ class MicmacXmlWriter(PointsWriter):
     def write(self, result: Result, path: Path) -> None:
         """Write the file of measures in the image and, beside it, that of the ground.
 
-        MicMac has no check points, so independent ones are left out: they would become control.
-        Both files are put in place together or not at all. Raises TermselError where no control
-        would be left, or heights are missing.
+        If one cannot be written, neither is. Raises TermselError if no control point with a height
+        can be written.
         """
         self.require(result, path)
         checked = points_for_others(result, with_heights=True)
@@ -190,21 +200,22 @@ class MicmacXmlWriter(PointsWriter):
                                "MicMac would take as control", file=path,
                                hint=f"The format requires {self.needs}.")
         measures = ElementTree.Element(_MEASURES)
-        of_image = ElementTree.SubElement(measures, "MesureAppuiFlottant1Im")
-        _add_text_element(of_image, "NameIm", image_name(self.options["image"], path))
+        image_measures = ElementTree.SubElement(measures, "MesureAppuiFlottant1Im")
+        _add_text_element(image_measures, "NameIm", image_name(self.options["image"], path))
         ground = ElementTree.Element("Global")
         appuis = ElementTree.SubElement(ground, _GROUND)
         sigma = float(self.options["ground_sigma"])
         for name, (line, sample), position in zip(control.ids, control.image.tolist(),
                                                   control.ground.tolist(), strict=True):
-            mark = ElementTree.SubElement(of_image, "OneMesureAF1I")
+            mark = ElementTree.SubElement(image_measures, "OneMesureAF1I")
             _add_text_element(mark, "NamePt", name)
             _add_text_element(mark, "PtIm", f"{sample!r} {line!r}")
             point = ElementTree.SubElement(appuis, "OneAppuisDAF")
             _add_text_element(point, "Pt", " ".join(map(repr, position)))
             _add_text_element(point, "NamePt", name)
             _add_text_element(point, "Incertitude", f"{sigma!r} {sigma!r} {sigma!r}")
-        with atomic_path(path) as unfinished:  # in place after the other, or neither is
+        # The first file gets its name once the second has been written.
+        with atomic_path(path) as unfinished:
             unfinished.write_bytes(utf8_bytes(xml_document(measures)))
             write_text(_ground_file(path), xml_document(ground))
         say_checked(self.name, checked)

@@ -66,24 +66,24 @@ class OdmGcpList(Reader):
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for a CRS and rows of five numbers and the name of an image."""
         rows = _numbered_lines(head.decode("utf-8-sig", errors="replace"))
-        # The head may be cut within a row: the first of them is whole.
+        # The head may end within a row, so that only the first row of a mark is looked at.
         first_mark = next(
             (i for i, (_, text) in enumerate(rows) if _is_mark(_split_cells(text))), 0)
         return (_crs_row(rows[:first_mark]) is not None or _has_unknown_crs(rows)
                 or _lacks_crs(rows))
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points of one image; errors name file, line and column.
+        """Return the points of one image; of several, the option `image_name` chooses one.
 
-        A list has the marks of several images; `image_name` chooses one. Its first line is the CRS,
-        without which the CRS is unknown, and a note shows how the first mark is read. Names are
-        optional, and points whose names begin as those of check points are independent.
+        The first line is the CRS, without which the CRS is unknown, and a note shows how the first
+        mark is read. Names are optional, and points whose names begin as those of check points are
+        independent. Errors name file, line and column.
         """
         crs, marks = _read_marks(path)
         image = image_of(path, (cells[5] for _, cells in marks), self.options["image_name"],
                          "image_name=NAME")
-        of_image = [(number, cells) for number, cells in marks if cells[5] == image]
-        lines, rows = zip(*of_image, strict=True)
+        image_marks = [(number, cells) for number, cells in marks if cells[5] == image]
+        lines, rows = zip(*image_marks, strict=True)
         columns = {}
         for meaning, name in _ODM_HEADINGS.items():
             columns[meaning] = [
@@ -94,7 +94,6 @@ class OdmGcpList(Reader):
             columns["id"] = [cells[6] for cells in rows]
             names["id"] = "gcp_name"
         table = Table(path, crs, names, columns, lines)
-        # Check points of OpenDroneMap take no part, as independent points.
         roles = ["independent" if name.startswith(_CHECK) else "" for name in columns.get("id", ())]
         return FeatureSet(table.points(table.stack("line", "sample"), table.stack("x", "y", "z"),
                                        None, roles), crs=crs)
@@ -106,7 +105,7 @@ class OdmGcpList(Reader):
 
 
 def _read_marks(path: Path) -> tuple[str, list[tuple[int, list[str]]]]:
-    """Return the CRS, and number and cells of each line of a mark.
+    """Return the CRS of a list, and the number and cells of each line of a mark.
 
     The CRS is "" for a list without it. Raises TermselError without marks, and for a line that is
     none.
@@ -146,7 +145,7 @@ def _marks_of(path: Path, rows: list[tuple[int, str]]) -> list[tuple[int, list[s
     marks: list[tuple[int, list[str]]] = []
     for number, text in rows:
         cells = _split_cells(text)
-        # People put the names of the columns above the marks, as OpenDroneMap does not.
+        # The names of the columns may stand above the marks.
         if text.startswith("#") or not (marks or any(map(is_number, cells))):
             continue
         if not _is_mark(cells):
@@ -173,16 +172,16 @@ def _numbered_lines(text: str) -> list[tuple[int, str]]:
 
 
 def _crs_row(rows: list[tuple[int, str]]) -> int | None:
-    """Return which of the lines is the CRS, with or without a #; None if none is.
+    """Return the index of the line that states the CRS, with or without a #; None if none does.
 
-    Comments may stand above it.
+    It is the first line that is no comment, or a comment before that which states a CRS.
     """
     for i, (_, text) in enumerate(rows):
         statement = text.removeprefix("#").strip()
         try:
             normalise(statement)
         except TermselError:
-            # What looks like a CRS but is none is refused by name when the list is read.
+            # What looks like a CRS but is none counts as one, so that `_read_marks` names it.
             if begins_as_crs(statement) or _CODE.fullmatch(statement):
                 return i
             if not text.startswith("#"):
@@ -193,13 +192,14 @@ def _crs_row(rows: list[tuple[int, str]]) -> int | None:
 
 
 def _has_unknown_crs(rows: list[tuple[int, str]]) -> bool:
-    """Return whether a statement that is no CRS stands above marks that end in names of images.
+    """Return whether the first line states an unknown CRS: words above the mark of an image.
 
-    A row of as many cells as the marks have is the header of another table.
+    Words of as many cells as the mark has would be the header of another table.
     """
     if len(rows) < 2 or _crs_row(rows) is not None:
         return False
-    first, mark = _split_cells(rows[0][1]), _split_cells(rows[1][1])
+    first = _split_cells(rows[0][1])
+    mark = _split_cells(rows[1][1])
     return (not any(map(is_number, first)) and len(first) < len(mark) and _is_mark(mark)
             and Path(mark[5]).suffix.lower() in _IMAGES)
 
@@ -262,11 +262,11 @@ class OdmGcpListWriter(PointsWriter):
                                      "names that begin with CHK-.", type=bool))
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the CRS and a line for each point; check points only if that is asked for.
+        """Write the CRS and a line for each point; check points unless `check_points` is off.
 
-        Check points have names by which later versions of OpenDroneMap know them; earlier ones
-        would take them as control, so a note says how to leave them out. Raises TermselError
-        without points or a CRS that the list can state.
+        A note is logged if there are check points, as earlier versions of OpenDroneMap take them as
+        control. Raises TermselError for a result without control points in a CRS of the Earth, or
+        if none can be written.
         """
         self.require(result, path)
         checked = points_for_others(result)
@@ -300,7 +300,7 @@ def _crs_line(crs: str) -> str:
     with require_import("gcp_list.txt in this CRS requires", "pyproj", GIS):
         from pyproj import CRS
     with catch_warnings():
-        simplefilter("ignore")  # what a string of PROJ does not hold
+        simplefilter("ignore")  # pyproj warns that such a string may lose parts of a CRS
         return str(CRS.from_user_input(plane).to_proj4())
 
 

@@ -32,10 +32,10 @@ class OrthorityGeojson(Writer):
                     and not np.isnan(points.ground[:, 2]).any())
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the points as GeoJSON, 3D in WGS84, as Orthority reads them.
+        """Write the selected points as GeoJSON, with longitude, latitude and height on WGS84.
 
-        Positions in the image are `ji`, sample before line, with the residual of each point;
-        attributes of the points are kept. Raises TermselError without heights or a CRS.
+        Each has its image position, `ji`, its residual and the columns of its file. Raises
+        TermselError if a height or the CRS is missing.
         """
         if not self.accepts(result):
             raise TermselError(f"this result cannot be written as {self.name}", file=path,
@@ -46,7 +46,7 @@ class OrthorityGeojson(Writer):
         image = self.options["image"]
         features = []
         for i, name in enumerate(points.ids):
-            # Orthority's ji is sample before line, and so are its residuals.
+            # In Orthority samples come before lines, in ji as in residuals.
             line, sample = points.image[i].tolist()
             features.append({
                 "type": "Feature",

@@ -30,7 +30,7 @@ log = logging.getLogger("termsel.formats")
 
 _OZI_TITLE = b"OziExplorer Map Data File"
 _OZI_POINT = re.compile(r"\s*Point(\d+)\s*,\s*xy\s*,", re.IGNORECASE)
-_MOST = 30  # points in a map
+_MAX_POINTS = 30  # points in a map
 _SIGN = {"N": 1, "S": -1, "E": 1, "W": -1}
 
 
@@ -48,12 +48,10 @@ class OziMap(Reader):
         return head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(_OZI_TITLE)
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name file, line and column.
+        """Return the points in use, with longitude and latitude or with grid coordinates.
 
-        Points are in degrees and minutes with their side, or in a grid with a zone for each; all
-        must be of one kind. OziExplorer writes thirty lines for points whether they are used or
-        not, so those without pixels are skipped. The datum in line 5 gives the CRS. Errors name
-        file, line and column.
+        Raises TermselError if there are none, or if some have degrees and others grid coordinates.
+        Errors name file, line and column.
         """
         text = read_text(path).splitlines()
         rows: list[tuple[int, str, str, str, str, str]] = []
@@ -61,6 +59,7 @@ class OziMap(Reader):
         kinds = set()
         # Of a row of 17 cells: pixels in 2 and 3, degrees, minutes and side of the latitude in 6 to
         # 8 and of the longitude in 9 to 11, or zone, easting, northing and hemisphere in 13 to 16.
+        # OziExplorer also writes rows for points that are not used, without pixels.
         for number, line in enumerate(text, 1):
             match = _OZI_POINT.match(line)
             cells = [cell.strip() for cell in line.split(",")]
@@ -84,6 +83,7 @@ class OziMap(Reader):
                                hint="Give all of them in one way.")
         lines, *columns = zip(*rows, strict=True)
         cells_of = dict(zip(("id", "x", "y", "sample", "line"), columns, strict=True))
+        # The fifth line is the datum.
         crs = _crs_of_points(text[4] if len(text) > 4 else "", kinds, zones)
         table = Table(path, crs, {name: name for name in cells_of}, cells_of, lines)
         image = table.stack("line", "sample") - CORNER
@@ -92,9 +92,9 @@ class OziMap(Reader):
 
 
 def _degrees_text(path: Path, line: int, degrees: str, minutes: str, hemisphere: str) -> str:
-    """Return degrees, minutes and side as one number, in text.
+    """Return the text of an angle [deg] that is given as degrees, minutes and side.
 
-    Raises TermselError if they are none.
+    Raises TermselError, with file and line, if they are no angle.
     """
     try:
         return repr(_SIGN[hemisphere.upper()] * (float(degrees) + float(minutes or 0) / 60))
@@ -105,7 +105,11 @@ def _degrees_text(path: Path, line: int, degrees: str, minutes: str, hemisphere:
 
 
 def _crs_of_points(datum: str, kinds: set[str], zones: set[tuple[str, str]]) -> str:
-    """Return the CRS of longitude and latitude or UTM on WGS84; "" of any other."""
+    """Return the CRS of points in degrees or in one zone of UTM, on WGS84; "" of any other.
+
+    `kinds` are "deg" and "grid", as far as points are of them; `zones` are pairs of a zone and a
+    hemisphere.
+    """
     if not datum.upper().replace(" ", "").startswith("WGS84"):
         return ""
     if kinds == {"deg"}:
@@ -126,20 +130,19 @@ class OziMapWriter(PointsWriter):
 
     name = "ozi-map"
     summary = "selected control points, 30 at most, as OziExplorer .map, which GDAL reads too"
-    needs = f"at most {_MOST} control points in a CRS of the Earth"
+    needs = f"at most {_MAX_POINTS} control points in a CRS of the Earth"
     suffix = ".map"
     declared_options: ClassVar[tuple[Option, ...]] = (IMAGE_OPTION,)
 
     def accepts(self, result: Result) -> bool:
         """Return True for 30 control points or fewer in a CRS of the Earth."""
-        return super().accepts(result) and len(chosen_points(result)) <= _MOST
+        return super().accepts(result) and len(chosen_points(result)) <= _MAX_POINTS
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the points as the calibration of a map, in UTM or degrees on WGS84.
+        """Write the selected points as the calibration of a map, on WGS84.
 
-        OziExplorer expects every line of its form, used or not. The zone of UTM is that of the
-        points where they are in one; else coordinates are degrees and minutes. `result` has the
-        points that were chosen.
+        They are in UTM if the CRS is a zone of it, else in degrees and minutes. Raises TermselError
+        for a result without control points in a CRS of the Earth, or with more than 30.
         """
         self.require(result, path)
         used = chosen_points(result)
@@ -164,7 +167,9 @@ class OziMapWriter(PointsWriter):
 
 def _point_line(number: int, row: float, column: float, x: float, y: float,
                 zone: tuple[int, bool] | None) -> str:
-    """Return the line of a point; `zone` is that of UTM and whether it is south, None for degrees.
+    """Return the line of a point in a map of OziExplorer.
+
+    `zone` is the zone of UTM and whether it is in the south; None if x and y are degrees.
     """
     beginning = f"Point{number:02d},xy,{column!r},{row!r},in"
     if zone is None:

@@ -44,7 +44,7 @@ class PciGcp(Reader):
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for lines of an id and four or five numbers in a file that ends in .gcp."""
-        # Rows of numbers alone could be anything: the ending has to show.
+        # Rows of an id and numbers are in many files, so that the ending must be PCI's.
         if path.suffix.lower() != ".gcp":
             return False
         # The last line of the head may be cut.
@@ -55,12 +55,11 @@ class PciGcp(Reader):
             for row in rows)
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name file, line and column.
+        """Return the points; the format states no CRS.
 
-        Fields have no names: the option `layout` says them, else the number of fields in the first
-        row. A layout that puts points outside any image is refused, as pixels and ground
-        coordinates were taken for each other. G, C and I in the field of status are control, check
-        and unused. The format states no CRS. Errors name file and line.
+        The option `layout` names the fields, or else their number in the first row shows them. The
+        status G, C or I is the role control, check or off. Raises TermselError, with file, line and
+        column, also if the fields that are taken as pixel and line are beyond any image.
         """
         rows = _numbered_rows(read_text(path))
         if not rows:
@@ -102,9 +101,10 @@ class PciGcp(Reader):
                           crs="")
 
     def _field_names(self, path: Path, first: list[str]) -> list[str]:
-        """Return the names of the fields of a line, by the option layout or by their number.
+        """Return the names of the fields, by the option `layout` or by the number of the first row.
 
-        Raises TermselError if neither shows them.
+        Raises TermselError for a layout that PCI does not have, and for a number of fields that has
+        no usual layout.
         """
         layout = re.sub(r"[\s,]", "", str(self.options["layout"]))
         if not layout:
@@ -128,7 +128,8 @@ class PciGcp(Reader):
 
 
 def _numbered_rows(text: str) -> list[tuple[int, list[str]]]:
-    """Return number and fields of the lines that are neither blank nor comments."""
+    """Return the number, from 1, and the fields of each line that is neither blank nor a comment.
+    """
     rows = []
     for number, line in enumerate(text.splitlines(), 1):
         if line.strip() and not line.lstrip().startswith(_COMMENT):

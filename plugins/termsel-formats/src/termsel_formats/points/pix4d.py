@@ -72,9 +72,10 @@ class Pix4dMarks(Reader):
         return bool(complete) and all(_MARK.match(line) for line in complete)
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the marks that have ground positions in a second file, by their labels.
+        """Return the marks of one image that have ground coordinates in a second file.
 
-        Errors name the file of both, line and column.
+        Of several images the option `image_name` chooses one. Errors name the file at fault, its
+        line and column.
         """
         marks = _numbered_rows(path, (4, 5), "image,label,x,y")
         stated = self.options["ground"]
@@ -99,15 +100,15 @@ class Pix4dMarks(Reader):
             "id": [unguard_cell(row[1]) for row in cells], "sample": [row[2] for row in cells],
             "line": [row[3] for row in cells]}, lines)
         # A table of its own, so that errors name the file and line of the ground.
-        of_ground = [ground_rows[row[1]] for row in cells]
+        used_ground = [ground_rows[row[1]] for row in cells]
         latitude_first = self.options["latitude_first"]
         if latitude_first is None:
             latitude_first = _names_latitude(ground_file)
         first, second = ("y", "x") if latitude_first else ("x", "y")
         ground = Table(ground_file, "", {axis: axis for axis in "xyz"}, {
-            first: [row[1] for _, row in of_ground], second: [row[2] for _, row in of_ground],
-            "z": [row[3] if len(row) > 3 else "" for _, row in of_ground]},
-            [number for number, _ in of_ground])
+            first: [row[1] for _, row in used_ground], second: [row[2] for _, row in used_ground],
+            "z": [row[3] if len(row) > 3 else "" for _, row in used_ground]},
+            [number for number, _ in used_ground])
         return FeatureSet(table.points(table.stack("line", "sample") - CORNER,
                                        ground.stack("x", "y", "z"), None, ()), crs="")
 
@@ -123,8 +124,7 @@ def _ground_file(path: Path) -> Path:
 
 
 def _is_header(cells: list[str]) -> bool:
-    """Return whether a row has names of columns, as none of its cells after the first is a number.
-    """
+    """Return whether none of a row's cells after the first is a number, as in a header."""
     return not any(map(is_number, cells[1:]))
 
 
@@ -135,9 +135,10 @@ def _names_latitude(path: Path) -> bool:
 
 
 def _rows_of(path: Path) -> Iterator[list[str]]:
-    """Yield the cells of each line; commas, semicolons, tabs or spaces are between them.
+    """Yield the cells of each line, between commas, semicolons, tabs or spaces.
 
-    Raises csv.Error where a quotation does not end.
+    The separator is the first of these that the first line has. Raises csv.Error for a line that
+    the csv module cannot split.
     """
     lines = read_text(path).splitlines()
     first = next((line for line in lines if line.strip()), "")
@@ -149,10 +150,10 @@ def _rows_of(path: Path) -> Iterator[list[str]]:
 
 
 def _numbered_rows(path: Path, widths: tuple[int, ...], form: str) -> list[tuple[int, list[str]]]:
-    """Return number and cells of the rows of a table, without its header.
+    """Return the number, from 1, and the cells of each row of a table but its header.
 
-    Raises TermselError for a row with none of the `widths`, and without rows; `form` says how rows
-    are.
+    Raises TermselError if there is no row, or if one has a number of cells that is not among
+    `widths`; its hint is `form`, which states how a row is written.
     """
     rows: list[tuple[int, list[str]]] = []
     try:
@@ -188,10 +189,9 @@ class Pix4dMarksWriter(PointsWriter):
         return path, _ground_file(path)
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the file of marks and, beside it, that of the ground; control alone.
+        """Write the marks of control points and, beside them, the file of their ground coordinates.
 
-        Nothing in these files tells a check point from control. Geographic coordinates go latitude
-        first, as Pix4D expects. Both files are put in place together, or neither is.
+        If one file cannot be written, neither is. Raises TermselError if no point can be written.
         """
         self.require(result, path)
         # Nothing in these files distinguishes a check point from control.
@@ -199,16 +199,18 @@ class Pix4dMarksWriter(PointsWriter):
         require_points(checked, path, self.needs)
         points = checked.points
         image = cell_text(image_name(self.options["image"], path).replace(",", "_"))
-        swapped = is_geographic(result.features.crs)
+        # Pix4D expects latitudes before longitudes.
+        latitude_first = is_geographic(result.features.crs)
         marks = []
         ground_rows = []
         for name, (line, sample), (x, y, z) in zip(
                 map(cell_text, points.ids), points.image.tolist(), points.ground.tolist(),
                 strict=True):
             marks.append(f"{image},{name},{sample + CORNER!r},{line + CORNER!r}")
-            first, second = (y, x) if swapped else (x, y)
+            first, second = (y, x) if latitude_first else (x, y)
             ground_rows.append(f"{name},{first!r},{second!r},{'' if np.isnan(z) else repr(z)}")
-        with atomic_path(path) as unfinished:  # in place after the other, or neither is
+        # The first file gets its name once the second has been written.
+        with atomic_path(path) as unfinished:
             unfinished.write_bytes(utf8_bytes("\n".join([*marks, ""])))
             write_text(_ground_file(path), "\n".join([*ground_rows, ""]))
         say_checked(self.name, checked)

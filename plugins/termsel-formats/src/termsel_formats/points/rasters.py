@@ -39,11 +39,10 @@ class GdalGcps(Reader):
             head.startswith(_MAGIC) and path.suffix.lower() != ".gcc")
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; errors name the file.
+        """Return the points, counted from where the option `gcp_origin` says.
 
-        GDAL counts from the outer corner of the upper-left pixel, unless `gcp_origin` says that the
-        program that wrote the points did not. The CRS is a code where it has one. Raises
-        TermselError for a raster without points.
+        The CRS is a code of EPSG where it has one, else WKT. Raises TermselError, with the file,
+        for a raster without points, or one that cannot be read.
         """
         read_head(path, "Expected a raster.")
         with open_raster(path) as raster:

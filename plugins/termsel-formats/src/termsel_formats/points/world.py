@@ -20,7 +20,7 @@ from termsel_formats.points.written import PointsWriter
 
 log = logging.getLogger("termsel.formats")
 
-_FEWEST = 9  # places at which the affine map is fitted to the model
+_MIN_POINTS = 9  # places at which the affine map is fitted to the model
 _ENDINGS = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".jp2", ".bmp", ".gif", ".img", ".bil")
 
 
@@ -43,9 +43,10 @@ class WorldFile(Reader):
             return False
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the corners and the middle of the image as points; errors name file and line.
+        """Return the centres of the image's corner pixels and its middle as points.
 
-        Raises TermselError without the image, which has its size.
+        Raises TermselError, with file and line, for what is no world file, and if there is no image
+        to show the size.
         """
         numbers = []
         for i, line in enumerate(read_text(path).splitlines(), 1):
@@ -65,28 +66,28 @@ class WorldFile(Reader):
             crs = raster.crs
         lines = size[0] - 1.0
         samples = size[1] - 1.0
-        at = np.array([[0, 0], [0, samples], [lines, 0], [lines, samples],
-                       [lines / 2, samples / 2]])
+        image = np.array([[0, 0], [0, samples], [lines, 0], [lines, samples],
+                          [lines / 2, samples / 2]])
         # x = A column + B row + C, y = D column + E row + F, in the order A, D, B, E, C, F, for the
         # centre of the upper-left pixel.
-        right, turn_y, turn_x, down, x0, y0 = numbers
-        ground = at @ [[turn_x, down], [right, turn_y]] + [x0, y0]
+        a, d, b, e, c, f = numbers
+        ground = image @ [[b, e], [a, d]] + [c, f]
         return FeatureSet(
-            Points(("upper left", "upper right", "lower left", "lower right", "middle"), at,
+            Points(("upper left", "upper right", "lower left", "lower right", "middle"), image,
                    np.column_stack([ground, np.full(5, np.nan)])),
             crs=_crs_name(crs), image_size=size)
 
     def _image_of(self, path: Path) -> Path:
-        """Return the image that a world file belongs to: the one that is named, or beside it.
+        """Return the image that the option `image` names, or else the one beside the world file.
 
         Raises TermselError if there is none.
         """
-        named = self.options["image"]
-        if named is not None:
-            if not Path(named).is_file():
-                raise TermselError("this image does not exist", file=named,
+        stated = self.options["image"]
+        if stated is not None:
+            if not Path(stated).is_file():
+                raise TermselError("this image does not exist", file=stated,
                                    hint="Name it with --set image=FILE.")
-            return Path(named)
+            return Path(stated)
         for ending in _ENDINGS:
             if path.with_suffix(ending).is_file():
                 return path.with_suffix(ending)
@@ -119,14 +120,16 @@ class WorldFileWriter(PointsWriter):
         return True
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the six numbers of the affine map that comes nearest to the model.
+        """Write the six numbers of the affine map that is nearest to the model by least squares.
 
-        Raises TermselError if none comes near it.
+        Its deviation from the model is logged. Raises TermselError for a model of the sky, and if
+        the model has too few ground positions for an affine map, or they lie on a line.
         """
         fitted = result.fit
         refuse_sky(fitted, "an affine map")
         ground = places_of(fitted)
-        if len(ground) < _FEWEST:  # a model that has no places on the ground: where its control is
+        # The model cannot be inverted over the image: the control is where it is known.
+        if len(ground) < _MIN_POINTS:
             ground = fitted.control.points.ground
         image = fitted.project(ground)
         finite = np.isfinite(image).all(axis=1)
@@ -134,7 +137,8 @@ class WorldFileWriter(PointsWriter):
         if np.linalg.matrix_rank(design) < 3:
             raise TermselError("the model gives no ground positions for most of the image",
                                file=path, hint="Fit a simpler model, such as --model affine.")
-        # About the middle: coordinates are large next to the size of the image.
+        # Ground coordinates are large next to the extent of the image: counted from their middle,
+        # they keep their digits.
         middle = ground[finite, :2].mean(axis=0)
         (x, y), (right_x, right_y), (down_x, down_y) = np.linalg.lstsq(
             design, ground[finite, :2] - middle, rcond=None)[0].tolist()
@@ -152,5 +156,9 @@ class WorldFileWriter(PointsWriter):
 
 def _ground_to_image(
         ground: FloatArray, numbers: tuple[float, ...], matrix: FloatArray) -> FloatArray:
-    """Return where a world file puts ground places (n, 2 or 3): line and sample (n, 2)."""
+    """Return line and sample (n, 2) of ground positions (n, 2 or 3) by the map of a world file.
+
+    `numbers` are those of the file, the last two being x and y of the first pixel; `matrix` (2, 2)
+    has the derivatives of x and y by line and sample.
+    """
     return np.asarray(np.linalg.solve(matrix, (ground[:, :2] - numbers[4:]).T).T)

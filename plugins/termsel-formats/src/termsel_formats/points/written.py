@@ -66,10 +66,10 @@ class CheckedPoints:
 
 
 def points_for_others(result: Result, *, with_heights: bool = False) -> CheckedPoints:
-    """Return the points that other programs may take: those in use and the check points.
+    """Return the points that other programs may take: control in use and check points.
 
-    Blunders are left out, certain and probable ones; so are points that are off and, with
-    `with_heights`, those whose heights are not known.
+    Certain and probable blunders are left out, possible ones only if they were excluded from the
+    fit. Points that are off are left out and, with `with_heights`, those of unknown height.
     """
     points = result.features.points
     role_of = {residual.id: residual.role for residual in result.residuals
@@ -90,7 +90,7 @@ def points_for_others(result: Result, *, with_heights: bool = False) -> CheckedP
 
 
 def require_points(checked: CheckedPoints, path: Path, needs: str) -> None:
-    """Raise TermselError if there is no point to write, with why each was left out."""
+    """Raise TermselError, with the reason why each point was left out, if none is to be written."""
     if not len(checked.points):
         raise TermselError(f"no point of this result can be written: {', '.join(checked.left_out)}",
                            file=path, hint=f"The format requires {needs}.")
@@ -105,23 +105,26 @@ def say_checked(name: str, checked: CheckedPoints) -> None:
 
 
 def image_sigma(points: Points, result: Result) -> FloatArray:
-    """Return standard deviations of line and sample (n, 2) [px]: as measured, else as predicted.
+    """Return the standard deviations of line and sample (n, 2) [px].
 
-    The predicted RMSE is of both axes together, each of which has 1 / sqrt(2) of it.
+    They are those of the points if they have some, else those that the result predicts, and 1 px
+    if its prediction is missing, zero or not finite.
     """
     if points.sigma is not None:
         return points.sigma
     predicted = result.predicted
-    of_an_axis = predicted.rmse / np.sqrt(2.0) if predicted is not None else 1.0
-    if not np.isfinite(of_an_axis) or of_an_axis <= 0.0:
-        of_an_axis = 1.0
-    return np.full(points.image.shape, of_an_axis)
+    # The predicted RMSE is of both axes together: RMSE^2 = 2 sigma^2.
+    axis_sigma = predicted.rmse / np.sqrt(2.0) if predicted is not None else 1.0
+    if not np.isfinite(axis_sigma) or axis_sigma <= 0.0:
+        axis_sigma = 1.0
+    return np.full(points.image.shape, axis_sigma)
 
 
 def to_wgs84_points(points: Points, crs: str) -> tuple[Points, tuple[int, bool] | None]:
-    """Return points in UTM on WGS84 as they are, others as longitude and latitude on WGS84.
+    """Return points in UTM on WGS84 as they are, others with longitude and latitude on WGS84.
 
-    The second value is the zone, and whether it is in the south; None for longitude and latitude.
+    The second value is the zone of UTM and whether it is in the south; None for longitude and
+    latitude. Raises TermselError if a point has none.
     """
     code = horizontal_crs(crs)
     if code in _UTM:
@@ -136,12 +139,13 @@ def to_wgs84_points(points: Points, crs: str) -> tuple[Points, tuple[int, bool] 
 
 
 def image_name(image: Path | str | None, path: Path) -> str:
-    """Return the name of the image, by default that of the file with the ending .tif.
+    """Return the name of `image` without its folder; if it is None, that of `path` with .tif.
 
-    A note says so, as programs look for an image of this name.
+    In that case a note is logged.
     """
     if image is not None:
         return Path(image).name
+    # Programs look for an image of this name, so that a guess must not go unnoticed.
     name = f"{path.stem}.tif"
     log.warning("Note: %s calls the image %s, as nothing states its name: --image FILE does.",
                 path.name, name)

@@ -13,59 +13,61 @@ from termsel_optimisers.rivals.nested import DEPENDENT
 
 
 def gains_of_entering(regression: Regression, selection: BoolArray) -> tuple[FloatArray, float]:
-    """Return how much each further column lowers the residual sum of squares (k,), and that sum.
+    """Return how much each column, if added, lowers the residual sum of squares (k,), and that sum.
 
-    The gain is 0 for columns that depend on the chosen ones (k,), and for these; the sum is that
-    with the chosen columns alone.
+    `selection` (k,) marks the chosen columns, with which alone the sum is computed. The gain is 0
+    for the chosen columns, and for those that depend on them.
     """
     unit = regression.unit
     q = np.linalg.qr(unit[:, selection])[0]
     residuals = regression.target - q @ (q.T @ regression.target)
     unit = unit - q @ (q.T @ unit)
-    # What a column adds is the target's part along what it does not share with the chosen ones.
+    # Once the chosen columns are projected out of column a, it lowers the sum by (a . r)^2 / |a|^2.
     lengths = np.linalg.norm(unit, axis=0)
     independent_columns = (lengths > DEPENDENT) & ~selection
     products = np.where(independent_columns[:, None], unit.T @ residuals, 0.0)
-    share = products / np.where(independent_columns, lengths, 1.0)[:, None]
-    return (share**2).sum(axis=1), float((residuals**2).sum())
+    components = products / np.where(independent_columns, lengths, 1.0)[:, None]
+    return (components**2).sum(axis=1), float((residuals**2).sum())
 
 
 def losses_of_leaving(regression: Regression, selection: BoolArray) -> tuple[FloatArray, float]:
-    """Return what dropping each chosen column adds to the residual sum of squares, and that sum.
+    """Return how much each column, if dropped, raises the residual sum of squares, and that sum.
 
-    The loss (k,) is infinite for columns that are not chosen; the sum is that with all chosen ones,
-    which are independent.
+    `selection` (k,) marks the chosen columns, with which the sum is computed. The loss (k,) is
+    infinite for columns that are not chosen.
     """
-    # The solution through the pseudo-inverse also survives kept columns that are dependent.
+    # Columns that are always in use may depend on each other, which the pseudo-inverse allows.
     inverse = np.linalg.pinv(regression.unit[:, selection], rcond=DEPENDENT)
     x = inverse @ regression.target
-    # Without column j the sum rises by x_j^2 over the diagonal of the cofactor matrix.
-    variance = (inverse**2).sum(axis=1)
+    # Without column j the sum rises by x_j^2 / q_jj, with the cofactors Q = (A^T A)^-1 = A+ A+^T.
+    cofactors = (inverse**2).sum(axis=1)
     loss = np.full(len(selection), np.inf)
-    loss[selection] = (x**2).sum(axis=1) / np.where(variance > 0.0, variance, np.inf)
+    loss[selection] = (x**2).sum(axis=1) / np.where(cofactors > 0.0, cofactors, np.inf)
     return loss, float(((regression.target - regression.unit[:, selection] @ x) ** 2).sum())
 
 
 def p_value_of_change(
-        regression: Regression, change: float, square: float, selection: BoolArray) -> float:
-    """Return the probability of a change this large if a column is not part of the target.
+        regression: Regression, change: float, residual_square: float, selection: BoolArray,
+) -> float:
+    """Return the probability of a change this large by a column that is not part of the target.
 
-    The partial F test of one column: F = (change / r) / (square / f) with r and f degrees of
-    freedom; `change` is that of the residual sum of squares by the column, `square` that sum with
-    the column, and it is among the chosen ones (k,). With one target, r = 1, it is the t test of
-    its coefficient, F = t^2.
+    It is the partial F test of one column, F = (change / r) / (residual_square / f) with r and f
+    degrees of freedom. `selection` (k,) has the column, `residual_square` is the residual sum of
+    squares with it, and `change` the amount by which it lowers that sum. With one target r is 1,
+    and the test is the t test of the column's coefficient, F = t^2. If nothing but rounding errors
+    remains with the column, the probability is 0, or 1 if nothing remained without it, either.
     """
     r = regression.target.shape[1]
-    freedom = regression.freedom(selection)
-    if regression.explained(square):  # F is a quotient of rounding errors
+    f = regression.freedom(selection)
+    if regression.explained(residual_square):  # F would be a quotient of rounding errors
         return 1.0 if regression.explained(change) else 0.0
-    return float(special.fdtrc(r, freedom, (change / r) / (square / freedom)))
+    return float(special.fdtrc(r, f, (change / r) / (residual_square / f)))
 
 
-def with_column(selection: BoolArray, j: int, on: bool) -> BoolArray:
-    """Return a copy of a choice (k,) with column j on or off."""
+def with_column(selection: BoolArray, j: int, is_chosen: bool) -> BoolArray:
+    """Return a copy of a selection (k,) in which column j is chosen or not."""
     changed = selection.copy()
-    changed[j] = on
+    changed[j] = is_chosen
     return changed
 
 
@@ -118,44 +120,52 @@ class Stepwise(TermRegression):
             selection = grown
 
     def _grow(self, regression: Regression, selection: BoolArray, alpha: float) -> BoolArray | None:
-        """Return the choice with the best further column.
+        """Return the selection (k,) with the further column that gains most.
 
-        None if none is significant or there is no room.
+        None if no column may enter, none gains anything, or the best is not significant at `alpha`;
+        below the fewest columns that are allowed it enters whatever its significance.
         """
         count = int(selection.sum())
-        gain, square = gains_of_entering(regression, selection)
+        gain, residual_square = gains_of_entering(regression, selection)
         gain[~regression.free] = 0.0
         # Of columns that gain the same but for rounding the first one enters, on any machine.
         best = regression.largest(gain)
         if count >= regression.most or gain[best] == 0.0:
             return None
         grown = with_column(selection, best, True)
-        required = count < regression.least  # whatever its significance
-        if not required and (regression.explained(square)
-                             or p_value_of_change(regression, gain[best],
-                                                  max(square - gain[best], 0.0),
-                                                  grown) >= alpha):
+        if count < regression.least:
+            return grown
+        if regression.explained(residual_square):
             return None
-        return grown
+        # Rounding may leave the sum with the column just below zero.
+        square_with_column = max(residual_square - gain[best], 0.0)
+        p_value = p_value_of_change(regression, gain[best], square_with_column, grown)
+        return grown if p_value < alpha else None
 
 
 def _prune(regression: Regression, selection: BoolArray, alpha: float) -> BoolArray:
-    """Return the choice without insignificant columns, dropped one at a time, the weakest first."""
+    """Return a selection (k,) without its insignificant columns.
+
+    The least significant one is dropped first, and the others are tested again. Columns that are
+    always in use stay, and so do as many as must be chosen.
+    """
     while selection.sum() > regression.least:
-        loss, square = losses_of_leaving(regression, selection)
+        loss, residual_square = losses_of_leaving(regression, selection)
         loss[~regression.free] = np.inf  # columns that are always in use
         weakest = int(loss.argmin())
         if (not np.isfinite(loss[weakest])
-                or p_value_of_change(regression, loss[weakest], square, selection) <= alpha):
+                or p_value_of_change(
+                    regression, loss[weakest], residual_square, selection) <= alpha):
             break
         selection = with_column(selection, weakest, False)
     return selection
 
 
 def independent_columns(regression: Regression, max_columns: int) -> BoolArray:
-    """Return the kept columns and the first others that depend on no earlier one.
+    """Return the selection (k,) of the columns always in use and of the first independent others.
 
-    They are `max_columns` at most.
+    Others depend on no column before them. They are added as long as fewer than `max_columns` are
+    chosen.
     """
     selection = regression.kept.copy()
     # Q grows by a column at a time: modified Gram-Schmidt, each column against all before it.
@@ -200,7 +210,7 @@ class TTest(TermRegression):
     def choose(self, regression: Regression) -> BoolArray:
         """Return the chosen columns (k,): as many as can be tested, less the insignificant ones."""
         m = len(regression.target)
-        # As many as possible, and yet enough redundancy for the first tests.
+        # A quarter of the equations is left as redundancy, without which F has no meaning.
         max_columns = min(regression.most, m - (self.options["redundancy"] or ceil(m / 4)))
         return _prune(
             regression, independent_columns(regression, max_columns), self.options["alpha"])
