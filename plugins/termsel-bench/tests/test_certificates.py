@@ -105,7 +105,7 @@ def test_a_tree_of_few_steps_says_what_is_open(proof: tuple[dict[str, Any], Path
 
 def test_a_certificate_with_open_selections_is_written_and_says_so(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    monkeypatch.setattr(certificate, "MOST_NODES", 4)
+    monkeypatch.setattr(certificate, "MAX_NODES", 4)
     file = tmp_path / "certificate.json"
     termsel.run("poly-terms", solver="exact", options={"certificate": True, "degree": 2},
                 out=tmp_path)

@@ -38,24 +38,25 @@ log = logging.getLogger("termsel.bench")
 TIE = 1e-9
 """The limit is below the best score by this share: rounding may change a score by less."""
 
-MOST_NODES = 50_000
+MAX_NODES = 50_000
 """Steps of a tree at most; a larger one leaves the rest open, and says so."""
 
-# Of limits at one node.
+# Most refinements of limits at one node.
 _REFINEMENT_STEPS = 8
 # Limits that fall to less than this share are worth a step.
-_GAIN = 0.9
+_MAX_LIMIT_SHARE = 0.9
 # Decades, by a factor, of all limits together at which a node mostly closes.
-_DEEP = 20.0
+_CLOSING_DECADES = 20.0
 
 
 def certificate_maker(problem: Problem, rooms: Sequence[int],
                       ) -> Callable[[NDArray[np.bool_]], dict[str, Any] | None]:
-    """Return what makes the certificate of an optimum, given its genes: its content.
+    """Return a function that makes the certificate of a selection from its genes.
 
-    `rooms` are the most terms of each part of the problem. Raises TermselError at once for a
-    problem that has no certificate, or numbers that none can hold. What is made, the checker has
-    verified. Where it refuses, there is a warning, and None: the search is made by then.
+    `rooms` are the most terms of each part of the problem. Raises TermselError for a problem that
+    has no certificate, or whose numbers a certificate cannot state. The function returns content
+    that the checker has verified; if the checker refuses it, a warning is logged, and it returns
+    None.
     """
     axis_parts = problem.parts()
     if not axis_parts or any(
@@ -76,11 +77,11 @@ def certificate_maker(problem: Problem, rooms: Sequence[int],
             axes.append(axis_of(name, terms, axis_part.system, selection, room, axis_part.pixels))
         return axes
 
-    # All but the selection and its limit is known before a search that may take long.
+    # An empty selection shows before a long search whether a certificate can be made.
     try:
-        nothing = axes_of(np.zeros(problem.genome.size, dtype=bool))
+        empty_axes = axes_of(np.zeros(problem.genome.size, dtype=bool))
         require_together([Axis({**axis, "forced": [], "limit": 1.0, "nodes": []})
-                          for axis in nothing])
+                          for axis in empty_axes])
     except (Refused, ValueError) as error:
         raise TermselError(
             f"no certificate can represent this problem: {error}",
@@ -88,10 +89,13 @@ def certificate_maker(problem: Problem, rooms: Sequence[int],
                  "search without the option certificate.") from error
 
     def certificate_of(genes: NDArray[np.bool_]) -> dict[str, Any] | None:
-        """Return the certificate of a selection; None, with a warning, if it proves nothing."""
-        # What the checker refuses is no certificate. Whatever the reason, the search is not lost.
+        """Return the certificate of a selection; None, with a warning, if the checker refuses it.
+
+        A certificate that leaves selections open is returned, with a warning.
+        """
+        # The search has ended by now: no error may lose its result.
         try:
-            text = json.dumps(content_of(axes_of(genes), MOST_NODES))
+            text = json.dumps(content_of(axes_of(genes), MAX_NODES))
             with TemporaryDirectory() as folder:
                 file = Path(folder) / "certificate.json"
                 file.write_text(text, encoding="utf-8")
@@ -111,23 +115,23 @@ def certificate_maker(problem: Problem, rooms: Sequence[int],
     return certificate_of
 
 
-def content_of(axes: Sequence[dict[str, Any]], max_steps: int = MOST_NODES) -> dict[str, Any]:
+def content_of(axes: Sequence[dict[str, Any]], max_steps: int = MAX_NODES) -> dict[str, Any]:
     """Return a certificate, given the axes without their trees (see `axis_of`).
 
-    All trees together have about `most` steps at most; what is not decided by then is open.
+    All trees together have about `max_steps` steps at most; nodes beyond them are left open.
     """
     content: dict[str, Any] = {"schema": CERTIFICATE_SCHEMA, "axes": [
         {**axis, "nodes": tree_of(axis, max_steps // len(axes))} for axis in axes]}
-    # As read again: the checksum is of what the file says.
+    # The checksum is of the numbers as they are read again from the file.
     return {**content, "sha256": checksum(json.loads(json.dumps(content)))}
 
 
 def axis_of(name: str, terms: Sequence[str], system: Any, selection: Sequence[int],
             room: int, pixels: float) -> dict[str, Any]:
-    """Return the system of one axis as a certificate has it, with its best selection and the limit.
+    """Return the system of one axis as a certificate states it, with its best selection and limit.
 
-    Columns are those of allowed terms, numbered again. The limit is the sum of squares of the
-    selection, less what counts as a tie: no selection is proven to be below it.
+    Columns are those of allowed terms, numbered anew. The limit is the sum of squares of the
+    selection, lowered by the share `TIE`: the certificate proves that no selection is below it.
     """
     if system.forbidden is not None:
         allowed = np.flatnonzero(~system.forbidden)
@@ -135,18 +139,18 @@ def axis_of(name: str, terms: Sequence[str], system: Any, selection: Sequence[in
         allowed = np.arange(len(terms))
 
     def joined(design: FloatArray | None, target: FloatArray) -> list[list[float]]:
+        """Return the rows of allowed columns with the target last; [] without a design."""
         return [] if design is None else np.column_stack([design[:, allowed], target]).tolist()
 
     checks = len(system.check_target)
     selected = list(map(int, selection))
-    # The best selection again, by least squares: its sum of squares is the limit, less a tie.
+    # Least squares by the selection, and its errors at the check points.
     x = np.linalg.lstsq(system.design[:, selected], system.target[:, 0])[0]
     errors = system.check_target[:, 0] - system.check_design[:, selected] @ x
-    # A rational function: errors of the numerator over the denominator.
+    # Errors of a rational function are those of the linear equations over the denominator.
     if system.check_denominator is not None:
         errors /= 1.0 + system.check_denominator[:, selected] @ x
     forced = np.flatnonzero(system.forced) if system.forced is not None else allowed[:0]
-    # Terms that no selection may have are left out, so that all are numbered again.
     return {"axis": name, "terms": [terms[j] for j in allowed.tolist()],
             "room": min(int(room), len(allowed)),
             "selection": np.searchsorted(allowed, selected).tolist(),
@@ -162,14 +166,15 @@ def tree_of(axis: dict[str, Any], max_steps: int,
             path: Sequence[tuple[int, bool]] = ()) -> list[Step]:
     """Return the steps of the proof for one axis, in the order in which the checker takes them.
 
-    With a path only the selections that have a term or have it not, as each pair of it says, are
-    decided, and all others left open: a piece of a tree that is too large.
+    Nodes beyond `max_steps` steps are left open. A path has pairs of a term and whether selections
+    have it: only selections of the path are decided, and all others left open, so that a tree that
+    is too large can be proven in pieces.
     """
     checker = Axis({**axis, "nodes": []})
     columns = _columns_of(axis)
     node = checker.root()
     steps: list[Step] = []
-    # Of the half that a path does not take.
+    # The path of the half that is left open.
     aside = ((-1, False),)
     todo = [(columns, node, tuple(path))]
     while todo:
@@ -180,13 +185,12 @@ def tree_of(axis: dict[str, Any], max_steps: int,
         if not node.rest or len(node.used) >= checker.room:
             steps.append(["one"])
             continue
-        # At a node of the path nothing is bounded: it only leads to the part that is decided.
+        # Nodes on the path only lead to the selections that are decided.
         if not way:
             bound_steps, columns, node, closed = _bound_steps(columns, node, checker)
             steps += bound_steps
             if closed:
                 continue
-        # Beyond the path the column that leaves least open.
         if way:
             j = way[0][0]
         else:
@@ -201,12 +205,13 @@ def tree_of(axis: dict[str, Any], max_steps: int,
 
 
 def _columns_of(axis: dict[str, Any]) -> Columns:
-    """Return the columns of the root of the tree: allowed ones, the forced ones in use."""
+    """Return the columns at the root of the tree: all terms of the axis, with the forced ones used.
+    """
     c = len(axis["errors"])
     k = len(axis["terms"])
     upper = np.ones(c + 1)
     denominators = np.array(axis["denominators"]).reshape(-1, k + 1)
-    # The last entry is the limit of t, 1 / (c m) with the margin m of c denominators.
+    # The last entry is the limit of t, 1 / (c m) for c denominators with the margin m.
     if len(denominators):
         upper[c] /= axis["margin"] * c
     columns = Columns(np.array(axis["control"]).T.copy(),
@@ -221,13 +226,13 @@ def _columns_of(axis: dict[str, Any]) -> Columns:
 
 def _bound_steps(columns: Columns, node: Node,
                  checker: Axis) -> tuple[list[Step], Columns, Node, bool]:
-    """Return the steps that a bound proves of a node, what it has then, and if it is closed.
+    """Return the steps that bounds prove of a node, its columns and node then, and if it is closed.
 
-    Each step is one that the checker has accepted.
+    The checker has accepted each step. Limits of denominators are lowered as long as that is worth
+    a step, at most `_REFINEMENT_STEPS` times.
     """
     steps: list[Step] = []
     for _ in range(_REFINEMENT_STEPS):
-        # Multipliers of the node before are a good start, and a bound often falls below 1 at once.
         bound = best_bound(columns)
         if bound is None:
             break
@@ -239,12 +244,13 @@ def _bound_steps(columns: Columns, node: Node,
             break
         if not checker.rational:
             break
-        # Limits of denominators, and of t in the last place.
+        # The largest values of the denominators, and of t last. A denominator that cannot be
+        # positive closes the node.
         largest = bound.largest(columns)
         k = int(np.argmin(largest[:-1]))
         if largest[k] < 0.0 and checker.is_closed(node, alphas, k):
             return [*steps, ["closed", alphas, k]], columns, node, True
-        if not (largest < _GAIN * columns.upper).any():
+        if not (largest < _MAX_LIMIT_SHARE * columns.upper).any():
             break
         try:
             node = checker.limited(node, alphas)
@@ -257,24 +263,24 @@ def _bound_steps(columns: Columns, node: Node,
 
 def _multipliers_of_open_columns(node: Node, names: Sequence[int],
                                  alphas: FloatArray) -> list[float]:
-    """Return multipliers in the order of the open columns.
-
-    Any are valid. But where columns nearly depend on each other, those with four digits are no
-    longer positive definite.
-    """
+    """Return multipliers in the order of the node's open columns, rounded to nine digits."""
+    # Any multipliers are valid, but with fewer digits the form of columns that nearly depend on
+    # each other is no longer positive definite.
     alpha_by_name = dict(zip(names, alphas.tolist(), strict=True))
     return [float(f"{alpha_by_name[j]:.9g}") for j in node.rest]
 
 
 def _branching_column(columns: Columns, room: int) -> int:
-    """Return the column whose two halves leave least open, as far as one bound of each shows."""
+    """Return the index of the column whose two halves leave least open, by one bound of each.
+
+    `room` is the number of columns that may still be used.
+    """
     best = 0
     least_open = np.inf
     for i in range(len(columns.names)):
         total = 0.0
-        # Both halves are bounded; what is closed adds nothing to what is left open.
         for half in (columns.without(i), columns.projected_off(i) if room > 1 else None):
-            # A single selection.
+            # Without further columns, or without room for them, the half is a single selection.
             if half is None or not half.names:
                 continue
             bound = best_bound(half, tune=False)
@@ -284,7 +290,7 @@ def _branching_column(columns: Columns, room: int) -> int:
                 largest = bound.largest(half)
                 if (largest > 0.0).all():
                     lower = np.minimum(half.upper, largest) / half.upper
-                    total += float(np.exp(np.log(lower).sum() / _DEEP))
+                    total += float(np.exp(np.log(lower).sum() / _CLOSING_DECADES))
             elif not bound.closes:
                 total += float(np.exp(-bound.minimum))
         if total < least_open:

@@ -107,13 +107,14 @@ def bench(method_names: tuple[str, ...], solvers: tuple[str, ...], problem: str 
 def _methods_of_options(names: Sequence[str], solvers: Sequence[str], problem: str | None,
                         models: Sequence[str], packages: Sequence[str],
                         options: dict[str, str]) -> list[Method]:
-    """Return the methods that the options name; raises TermselError for options without a method.
+    """Return the methods that the options name.
+
+    Raises TermselError for --set or --problem without a method that takes it.
     """
     from termsel_bench.methods.base import Method
 
     if options and not solvers and not models:
         raise TermselError("--set has no method to set options of", hint="Add --solver or --model.")
-    # A problem without a solver would silently be ignored.
     if problem and not solvers:
         raise TermselError("--problem is for solvers", hint="Add --solver NAME.")
     return [*(Method("method", name) for name in names),
@@ -123,9 +124,9 @@ def _methods_of_options(names: Sequence[str], solvers: Sequence[str], problem: s
 
 
 def _with_others(own_methods: list[Method], *, without_others: bool) -> list[Method]:
-    """Return the methods after auto and before those of other packages, or alone.
+    """Return auto, the methods and those of other packages, or the methods alone.
 
-    Raises TermselError if that leaves none.
+    Raises TermselError if they are to be alone, and there are none.
     """
     from termsel_bench.methods.base import AUTO, PEERS, Method
 
@@ -150,15 +151,17 @@ def _simulated_sets_like(pattern: str, *, quick: bool) -> list[str]:
 
 def _measured_sets_like(pattern: str, *, quick: bool) -> list[str]:
     """Return the names of measured sets that contain `pattern`; if quick, the first of each kind.
+
+    Raises TermselError if there is none.
     """
     from termsel_bench.scenes.measured import SOURCES, measured_names
 
     names = measured_names(pattern)
     if not quick:
         return names
-    # The first of each kind, so that a quick run sees all kinds.
-    of_kind = [[name for name in names if name.startswith(source.kind)] for source in SOURCES]
-    return [names_of_kind[0] for names_of_kind in of_kind if names_of_kind]
+    names_by_kind = [[name for name in names if name.startswith(source.kind)]
+                     for source in SOURCES]
+    return [kind_names[0] for kind_names in names_by_kind if kind_names]
 
 
 def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, processes: int,
@@ -172,7 +175,7 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
     from termsel_bench.tables import losses, ratios_by_kind
 
     if folder is not None:
-        # Before hours of work, not after.
+        # An error must come before hours of work.
         require_replaceable([folder / "table.csv", folder / "index.html"], reads=[],
                             overwrite=overwrite, makes_folder=True)
     folders = [] if real is None else real_folders(real)
@@ -197,10 +200,9 @@ def _run(methods: Sequence[Method], names: Sequence[str], real: Path | None, pro
         echo(f"{methods[0].title} loses on {len(lost_sets)} of {len(names) + len(folders)} sets"
              + (f": {names_of_lost}" if lost_sets else "") + ".")
     for title in dict.fromkeys(score.method.title for score in scored):
-        of_method = [score for score in scored if score.method.title == title]
-        # A method that fails everywhere says why, once.
-        if all(score.why for score in of_method):
-            echo(f"{title} has no result on any set: {of_method[0].why.rstrip('.')}.")
+        method_scores = [score for score in scored if score.method.title == title]
+        if all(score.why for score in method_scores):
+            echo(f"{title} has no result on any set: {method_scores[0].why.rstrip('.')}.")
     if folder is not None:
         _write(scored, folder, methods[0].title)
 
@@ -226,7 +228,10 @@ def _write(scored: Sequence[Score], folder: Path, title: str) -> None:
 
 
 def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None:
-    """Write simulated sets as files into a folder, with their description."""
+    """Write simulated sets as files into a folder, with their description in Croissant's JSON.
+
+    Raises TermselError if the description would be replaced and `overwrite` is false.
+    """
     from termsel import require_replaceable
     from termsel.toolkit import make_folder, write_text
     from termsel.toolkit.files import refuse_links
@@ -234,7 +239,7 @@ def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None
     from termsel_bench.scenes.croissant import croissant_description
 
     require_replaceable([folder / METADATA], reads=[], overwrite=overwrite, makes_folder=True)
-    # All of them first: what fails leaves no folder.
+    # All sets are simulated first, so that an error leaves no folder.
     sets = [simulated_set(name) for name in names]
     make_folder(folder)
     refuse_links(folder)
@@ -249,7 +254,7 @@ def _write_files(folder: Path, names: Sequence[str], *, overwrite: bool) -> None
 def _write_measured(folder: Path, names: Sequence[str], *, overwrite: bool) -> None:
     """Write measured sets as files into a folder, with their description in Croissant's JSON.
 
-    Raises TermselError where a file would be replaced and `overwrite` is false.
+    Raises TermselError if a file would be replaced and `overwrite` is false.
     """
     from termsel import require_replaceable
     from termsel.toolkit import make_folder, write_text
@@ -272,9 +277,9 @@ def _write_measured(folder: Path, names: Sequence[str], *, overwrite: bool) -> N
 
 
 def _check(folder: Path, pattern: str, processes: int, packages: Sequence[str]) -> int:
-    """Run the methods of the results in a folder again, print the verdicts, return the exit code.
+    """Run the methods of the results in a folder again, and print the verdicts.
 
-    The code is `REFUTED` if any result is, else 0.
+    Returns the exit code: `REFUTED` if a result is refuted, so that scripts notice, else 0.
     """
     from termsel_bench.submitted import check, read_submitted
 
@@ -285,5 +290,4 @@ def _check(folder: Path, pattern: str, processes: int, packages: Sequence[str]) 
          f"{checked.worst:.2%}", "refuted: " + ", ".join(checked.refuted) if checked.refuted
          else "confirmed")
         for checked in checks])
-    # So that a script notices.
     return REFUTED if any(checked.refuted for checked in checks) else 0

@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 
 FloatArray: TypeAlias = NDArray[np.float64]
 
-# Of what is claimed, for the rounding of floating-point numbers.
+# Share by which a bound must exceed what it proves, because of rounding.
 SLACK = 1e-6
 # Weight of the fact on t, as in the checker.
 _FACT_WEIGHT = 1 / 16
-# First multipliers, over (tau |r|)^2.
-_SPHERES = (0.6, 2.0, 8.0)
-# Of the determinant: it keeps the ellipsoid small all round.
+# Multipliers at which the search begins, times (tau |r|)^2.
+_START_MULTIPLIERS = (0.6, 2.0, 8.0)
+# Weight of the determinant, which keeps the ellipsoid small in all directions.
 _BARRIER = 0.3
-# Steps of the multipliers at one node.
-_NEWTON = 8
-# No digits are left below this root of a pivot.
-_PIVOT = 1e-6
+# Most Newton steps at one node.
+_NEWTON_STEPS = 8
+# Least root of a pivot; below it rounding leaves no digits.
+_MIN_PIVOT = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,17 +54,18 @@ class Columns:
                        alphas=None if self.alphas is None else np.delete(self.alphas, i))
 
     def projected_off(self, i: int) -> Columns:
-        """Return the columns but for column i, which is in use, at right angles to it.
+        """Return the other columns, projected off column i, which is in use.
 
-        Multipliers stay: they are good for a start still.
+        Multipliers stay, as they are still good for a start.
         """
         a = self.control[i]
         square = float(a @ a)
-        # Each row r becomes r - (r a' / a a') a; errors and denominators change by the same share.
-        share = self.control @ a / square if square > 0 else np.zeros(len(self.control))
-        return replace(self, control=self.control - np.outer(share, a),
-                       errors=self.errors - np.outer(share, self.errors[i]),
-                       denominators=self.denominators - np.outer(share, self.denominators[i])
+        # Each row r becomes r - (r a' / a a') a; errors and denominators change by the same
+        # multiple of row i.
+        multiples = self.control @ a / square if square > 0 else np.zeros(len(self.control))
+        return replace(self, control=self.control - np.outer(multiples, a),
+                       errors=self.errors - np.outer(multiples, self.errors[i]),
+                       denominators=self.denominators - np.outer(multiples, self.denominators[i])
                        ).without(i)
 
 
@@ -87,11 +88,14 @@ class Bound:
         return self.minimum > (1.0 + _FACT_WEIGHT) * (1.0 + SLACK)
 
     def largest(self, columns: Columns) -> FloatArray:
-        """Return the largest value that each denominator can have, and t last, shape (c + 1,)."""
-        lines = np.vstack([columns.denominators.T, np.append(np.zeros(len(columns.names)), -1.0)])
-        rows = lines @ self.inverse.T
-        # The ellipsoid z^T Q z <= room about the minimum: a value is at most middle + sqrt(room *
-        # square).
+        """Return the largest values of the denominators, and of t last, (c + 1,).
+
+        They are those over all selections below the limit, as far as the bound shows.
+        """
+        forms = np.vstack([columns.denominators.T, np.append(np.zeros(len(columns.names)), -1.0)])
+        rows = forms @ self.inverse.T
+        # In the ellipsoid z' Q z <= 1 + weight with s'z = 1, a linear form is at most its value at
+        # the minimum plus the root of the room above the minimum times the form's square there.
         along_h = rows @ self.h * self.minimum
         squares = (rows**2).sum(axis=1)
         across = np.maximum(0.0, squares - along_h**2 / self.minimum) + SLACK * squares
@@ -117,13 +121,13 @@ class _Form:
         diagonal = np.diag(form)
         if not (diagonal > 0.0).all():
             return None
-        # Scaled to a diagonal of ones, as the columns are of different size.
+        # Columns differ in size, so that the form is scaled to a diagonal of ones.
         lengths = np.sqrt(diagonal)
         try:
             triangle = np.linalg.cholesky(form / np.outer(lengths, lengths))
         except np.linalg.LinAlgError:
             return None
-        if np.diag(triangle).min() < _PIVOT:
+        if np.diag(triangle).min() < _MIN_PIVOT:
             return None
         inverse = np.linalg.inv(triangle) / lengths
         h = inverse @ self.s
@@ -135,7 +139,7 @@ def _form_of(columns: Columns) -> _Form:
     """Return the quadratic form whose matrix the multipliers have to keep positive."""
     c = columns.errors.shape[1]
     n = len(columns.names)
-    # Each row E_k over u_k, the limit of its denominator.
+    # Errors of each check point over the limit of its denominator.
     weighted = columns.errors / columns.upper[:c]
     base = weighted @ weighted.T
     s = np.append(np.zeros(n), -1.0)
@@ -149,15 +153,17 @@ def _form_of(columns: Columns) -> _Form:
 def best_bound(columns: Columns, *, tune: bool = True) -> Bound | None:
     """Return the bound of columns by the best multipliers that a few steps find.
 
-    With `tune` false those that the columns have are taken, if there are any. None if none is
-    found.
+    Without `tune` the multipliers of the columns are taken, if they have any. None if no
+    multipliers keep the form positive definite.
     """
     form = _form_of(columns)
     n = len(columns.names)
     starts = [] if columns.alphas is None else [columns.alphas]
     if tune or not starts:
         scale = columns.upper[-1]**2 * form.gram[n, n]
-        starts += [np.full(n, weight / scale if scale > 0.0 else 0.0) for weight in _SPHERES]
+        starts += [
+            np.full(n, weight / scale if scale > 0.0 else 0.0) for weight in _START_MULTIPLIERS
+        ]
     bounds = [bound for bound in map(form.bound, starts) if bound is not None]
     best = max(bounds, key=lambda bound: bound.minimum, default=None)
     if best is None or not tune or not n or form.gram[n, n] <= 0.0:
@@ -166,13 +172,14 @@ def best_bound(columns: Columns, *, tune: bool = True) -> Bound | None:
 
 
 def _tune_bound(form: _Form, at: Bound) -> Bound:
-    """Return a bound by Newton's method: the least value, and a barrier of the determinant.
+    """Return a bound of a larger minimum, by Newton's method from the bound `at`.
 
-    Both are concave. The minimum z has s'z = 1, and z'N_j z = x_j a_j'Az is its derivative by
-    alpha_j.
+    What is maximised is the minimum plus a barrier, log det Q, both of which are concave in the
+    multipliers. Where the minimum is taken, at z with s'z = 1, its derivative by alpha_j is z'N_j z
+    = x_j a_j'Az.
     """
     n = len(at.alphas)
-    for _ in range(_NEWTON):
+    for _ in range(_NEWTON_STEPS):
         if at.closes:
             break
         inverse = at.inverse.T @ at.inverse
@@ -180,40 +187,46 @@ def _tune_bound(form: _Form, at: Bound) -> Bound:
         z = at.minimum * (at.inverse.T @ at.h)
         products = form.gram @ z
         weight = _BARRIER * at.minimum / (n + 1)
-        # N_j z.
-        moved = (np.diag(products)[:, :n] + form.gram[:, :n] * z[:n]) / 2
-        spread = inverse @ form.gram
-        # Gradient by the multipliers, then the matrix of second derivatives, both with the barrier.
-        slope = z[:n] * products[:n] + weight * np.diag(spread)[:n]
-        bend = 2.0 * moved.T @ (inverse - np.outer(z, z) / at.minimum) @ moved + weight / 2 * (
-            spread[:n, :n] * spread[:n, :n].T + inverse[:n, :n] * (form.gram @ spread)[:n, :n])
+        # The vectors N_j z, as columns.
+        derivatives = (np.diag(products)[:, :n] + form.gram[:, :n] * z[:n]) / 2
+        inverse_gram = inverse @ form.gram
+        # The gradient by the multipliers, and minus the second derivatives, both with the barrier.
+        slope = z[:n] * products[:n] + weight * np.diag(inverse_gram)[:n]
+        bend = (2.0 * derivatives.T @ (inverse - np.outer(z, z) / at.minimum) @ derivatives
+                + weight / 2 * (inverse_gram[:n, :n] * inverse_gram[:n, :n].T
+                                + inverse[:n, :n] * (form.gram @ inverse_gram)[:n, :n]))
         try:
-            # A small number on the diagonal keeps the system regular where multipliers depend on
-            # others.
+            # A small number on the diagonal keeps the system regular if multipliers depend on each
+            # other.
             step = np.linalg.solve(bend + 1e-12 * np.trace(bend) / n * np.eye(n), slope)
         except np.linalg.LinAlgError:
             break
-        height = _barrier_objective(at, weight)
-        size = 1.0
-        reached = None
-        while size > 0.01:
-            reached = form.bound(at.alphas + size * step)
-            if reached is not None and _barrier_objective(reached, weight) > height:
-                break
-            reached = None
-            size = size / 2
-        if reached is None:
+        higher = _higher_bound(form, at, step, weight)
+        if higher is None:
             break
-        gained = reached.minimum - at.minimum
-        at = reached
-        if gained < 0.01 * at.minimum:
+        gain = higher.minimum - at.minimum
+        at = higher
+        if gain < 0.01 * at.minimum:
             break
     return at
 
 
-def _barrier_objective(bound: Bound, weight: float) -> float:
-    """Return the minimum plus a barrier, which is maximised: weight times log det Q.
+def _higher_bound(form: _Form, at: Bound, step: FloatArray, weight: float) -> Bound | None:
+    """Return the bound after a step of the multipliers, halved until its objective is higher.
 
-    det Q is that of L^-1, inverted and squared.
+    None if that of no step down to a hundredth is.
     """
+    height = _barrier_objective(at, weight)
+    size = 1.0
+    while size > 0.01:
+        bound = form.bound(at.alphas + size * step)
+        if bound is not None and _barrier_objective(bound, weight) > height:
+            return bound
+        size = size / 2
+    return None
+
+
+def _barrier_objective(bound: Bound, weight: float) -> float:
+    """Return the objective that is maximised: the minimum plus `weight` times log det Q."""
+    # Q = L L', so that log det Q = -2 log det L^-1.
     return bound.minimum - 2.0 * weight * float(np.log(np.abs(np.diag(bound.inverse))).sum())

@@ -21,11 +21,11 @@ from termsel_bench.tables import (
 
 
 def scores_document(scores: Sequence[Score], title: str = AUTO.title) -> Document:
-    """Return the page of scores; `title` is the method whose losses are listed.
+    """Return the page of scores.
 
-    It answers which method is best on which kind of image, and where the named method loses by more
-    than LOSS_RATIO; all scores follow, folded. Measured and simulated sets have protocols of their
-    own, which the page states.
+    It shows which method is best on which kind of image, where the method `title` loses by more
+    than `LOSS_RATIO`, if it was run, and all scores, folded. It states the protocol, that of
+    measured sets if there is one.
     """
     header, rows = ratios_by_kind(scores)
     # Ratios are to the least RMSE of each set.

@@ -79,13 +79,13 @@ def set_of(work: Work) -> BenchSet:
 
 @lru_cache(maxsize=2)  # each method of a benchmark asks for the same set
 def _read_real_set(folder: Path) -> BenchSet:
-    """Return the measured set in a folder; a function of the module, as tests replace it."""
+    """Return the real set in a folder."""
     return real_set(folder)
 
 
 @one_blas_thread
 def score_work(work: Work) -> Score:
-    """Return what the method of some work is worth on its set.
+    """Return the score of a method on a set; if the method fails, `why` has its message.
 
     Raises
     ------
@@ -96,31 +96,29 @@ def score_work(work: Work) -> Score:
         return _score_of_measured(work.method, read_measured_set(work.set_name))
     bench_set = set_of(work)
     method = work.method
-    of_score = (method, bench_set.name, bench_set.kind, len(bench_set.features.points),
-                len(bench_set.independent))
+    common = (method, bench_set.name, bench_set.kind, len(bench_set.features.points),
+              len(bench_set.independent))
     start = time.process_time()
     try:
         with quiet_logger("termsel", logging.CRITICAL):
             positions = method.positions(bench_set.features, bench_set.independent, SEED)
     except TermselError as error:
-        return Score(*of_score, seconds=time.process_time() - start, why=str(error).split("\n")[0])
+        return Score(*common, seconds=time.process_time() - start, why=str(error).split("\n")[0])
     seconds = time.process_time() - start
     squares = ((positions - bench_set.independent.image) ** 2).sum(axis=1)
     low, high = np.sqrt(_bootstrap_interval(squares, np.mean))
-    return Score(*of_score, float(np.sqrt(squares.mean())), low, high, seconds)
+    return Score(*common, float(np.sqrt(squares.mean())), low, high, seconds)
 
 
 def _score_of_measured(method: Method, measured_set: MeasuredSet) -> Score:
-    """Return the score of a method on a measured set.
+    """Return the score of a method on a measured set: the median error of the hidden points.
 
-    The median error over the points of all folds.
-
-    If it fails in any fold, `why` says so, and there is no error.
+    If the method fails in any fold, the error is infinite, and `why` has its message.
     """
     n = len(measured_set.features.points)
     trials = [measured_set.trial(fold) for fold in range(measured_set.trials)]
     control = min(len(seen.points) for seen, _ in trials)
-    of_score = (method, measured_set.name, measured_set.kind, control, n)
+    common = (method, measured_set.name, measured_set.kind, control, n)
     start = time.process_time()
     distances: list[float] = []
     try:
@@ -129,16 +127,16 @@ def _score_of_measured(method: Method, measured_set: MeasuredSet) -> Score:
                 errors = method.positions(seen, hidden, SEED) - hidden.image
                 distances += np.hypot(*errors.T).tolist()
     except TermselError as error:
-        return Score(*of_score, seconds=time.process_time() - start, why=str(error).split("\n")[0])
+        return Score(*common, seconds=time.process_time() - start, why=str(error).split("\n")[0])
     seconds = time.process_time() - start
     low, high = _bootstrap_interval(np.array(distances), np.median)
-    return Score(*of_score, float(np.median(distances)), low, high, seconds)
+    return Score(*common, float(np.median(distances)), low, high, seconds)
 
 
 def _bootstrap_interval(
         values: FloatArray, figure: Callable[[FloatArray], Any]) -> tuple[float, float]:
-    """Return the confidence interval of a figure of values (n, ...), by resampling them."""
-    # Points are drawn with replacement, so that the interval is of sets like this one.
+    """Return the interval of 95 % of a figure of values (n, ...), by drawing them with replacement.
+    """
     rng = np.random.default_rng(SEED)
     figures = [figure(values[rng.integers(len(values), size=len(values))])
                for _ in range(_RESAMPLES)]
@@ -178,12 +176,11 @@ def score_all(methods: Sequence[Method], sets: Iterable[str], real: Sequence[Pat
     elif processes == 1:
         yield from map(score_work, work)
     else:
-        # No fork: threads of numba and BLAS do not survive it.
-        # Its locks have a process of their own.
+        # Processes are not forked, as threads of numba and BLAS do not survive it. The executor
+        # starts a process for its locks, and `map` those that compute.
         with safe_start():
             executor = ProcessPoolExecutor(processes, get_context("spawn"))
         with executor as pool:
-            # Map submits all, and so starts the processes.
             with safe_start():
                 # All methods of a set go to one process, which then simulates it once.
                 scored = pool.map(score_work, work, chunksize=len(methods))
@@ -191,9 +188,9 @@ def score_all(methods: Sequence[Method], sets: Iterable[str], real: Sequence[Pat
 
 
 def _scores_on_cluster(work: Sequence[Work], scheduler: str) -> Iterator[Score]:
-    """Yield the scores that a dask scheduler has computed.
+    """Yield the scores that the workers of a dask scheduler compute, in the order of the work.
 
-    Raises TermselError if it does not answer.
+    Raises TermselError if dask is not installed, or the scheduler does not answer in 10 s.
     """
     with require_import("--scheduler requires", "distributed", "distributed"):
         from distributed import Client

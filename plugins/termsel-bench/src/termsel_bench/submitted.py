@@ -44,19 +44,19 @@ class Checked:
 
 
 def texts_of(scored: Sequence[Score]) -> dict[str, str]:
-    """Return the text of a file for each method, by the name of the file.
+    """Return the text of a file of results for each method, by the name of the file.
 
     Only frozen sets are in it; a method that ran on none of them has no file.
     """
     frozen = _frozen_checksums()
     files = {}
     for method in dict.fromkeys(score.method.title for score in scored):
-        # Figures of sets that may change could not be compared later.
-        of_method = [score for score in scored if score.method.title == method
-                     and score.set_name in frozen]
-        if not of_method:
+        # Figures of other sets, which may change, could not be compared later.
+        method_scores = [score for score in scored if score.method.title == method
+                         and score.set_name in frozen]
+        if not method_scores:
             continue
-        stated_method = of_method[0].method
+        stated_method = method_scores[0].method
         content = {
             "schema": SUBMISSION_SCHEMA, "termsel": __version__,
             "method": {"kind": stated_method.kind, "name": stated_method.name,
@@ -65,7 +65,7 @@ def texts_of(scored: Sequence[Score]) -> dict[str, str]:
             "sets": {score.set_name: {
                 "sha256": frozen[score.set_name],
                 "rmse": round(score.rmse, 6) if math.isfinite(score.rmse) else None}
-                for score in of_method}}
+                for score in method_scores}}
         name = re.sub(r"[^A-Za-z0-9]+", "-", method).strip("-")
         files[f"{name}.json"] = json.dumps(content, indent=1) + "\n"
     return files
@@ -101,10 +101,11 @@ def read_submitted(folder: Path, packages: Sequence[str] = ()) -> list[Submitted
 def _read(path: Path, packages: Sequence[str]) -> Submitted:
     """Return the results of a method in a file.
 
-    Raises TermselError if the file is none, names code that is not among `packages`, or is of other
-    sets.
+    Raises TermselError if the file has no results, if its method is unknown or is code that is not
+    among `packages`, and for sets that are unknown or of another version.
     """
     def refused(problem: str) -> TermselError:
+        """Return the error for a file of which a clause says what is wrong."""
         return TermselError(f"{path} {problem}",
                             hint="Give what `termsel bench --out DIR` wrote.")
 
@@ -118,9 +119,9 @@ def _read(path: Path, packages: Sequence[str]) -> Submitted:
         method = Method(str(stated["kind"]), str(stated["name"]),
                         {str(key): str(value) for key, value in stated["options"].items()},
                         str(stated["problem"]), file=str(path))
-        rmse = {str(name): None if of_set["rmse"] is None else float(of_set["rmse"])
-                for name, of_set in sets.items()}
-        sums = {str(name): of_set["sha256"] for name, of_set in sets.items()}
+        rmse = {str(name): None if entry["rmse"] is None else float(entry["rmse"])
+                for name, entry in sets.items()}
+        sums = {str(name): entry["sha256"] for name, entry in sets.items()}
     except KeyError as error:
         raise refused(f"is no file of results of a benchmark: it has no {error.args[0]!r}"
                       ) from error
@@ -137,7 +138,7 @@ def _read(path: Path, packages: Sequence[str]) -> Submitted:
     for name in rmse:
         if name not in frozen:
             raise refused(f"names the set {name!r}, which there is not")
-        # The checksum of the points says of which version of the set a result is.
+        # The checksum of its points tells the version of a set.
         if sums[name] != frozen[name]:
             raise refused(f"is of another version of the set {name}")
     if not rmse:
@@ -146,7 +147,7 @@ def _read(path: Path, packages: Sequence[str]) -> Submitted:
 
 
 def check(submitted: Submitted, pattern: str = "", *, processes: int = 1) -> Checked:
-    """Return what repeating a method on its sets, those with a text in their name, shows.
+    """Run a method again on its sets whose names contain a text, and return the comparison.
 
     Raises
     ------
@@ -166,12 +167,13 @@ def check(submitted: Submitted, pattern: str = "", *, processes: int = 1) -> Che
                                f"{repeated_score.why}",
                                hint="Install it, or move the file out of the folder.")
         repeated_rmse = repeated_score.rmse if math.isfinite(repeated_score.rmse) else None
-        # No result must stay none; a result of zero can only be repeated as zero.
+        # A set without a result must have none again. A ratio to an RMSE of 0 does not exist, so
+        # that one is always refuted.
         if submitted_rmse is None or repeated_rmse is None:
             difference = 0.0 if submitted_rmse is repeated_rmse else math.inf
         else:
             difference = abs(repeated_rmse / submitted_rmse - 1) if submitted_rmse > 0 else math.inf
         worst = max(worst, difference)
-        if not difference <= REPEATED_SHARE:
+        if difference > REPEATED_SHARE:
             refuted.append(repeated_score.set_name)
     return Checked(submitted, len(names), tuple(refuted), worst)

@@ -46,20 +46,21 @@ def csv_text(scores: Sequence[Score]) -> str:
 
 
 def ratios_by_kind(scores: Sequence[Score]) -> tuple[list[str], list[list[str]]]:
-    """Return header and rows of the median ratio to the best of each set, best method first.
+    """Return header and rows of median ratios to the least error of each set, best method first.
 
-    A method without a result has the ratio infinity. Further columns are over all sets: on how many
-    it is within LOSS_RATIO of the best, on how many it has no result, and the median time.
+    Columns are the kinds of sets and all sets; then the number of sets on which a method is within
+    `LOSS_RATIO` of the best, and on which it has no result, and the median time [s]. Without a
+    result the ratio is infinite.
     """
     best = least_error_by_set(scores)
     kinds = list(dict.fromkeys(score.kind for score in scores))
     titles = dict.fromkeys(score.method.title for score in scores)
     rows = []
     for title in titles:
-        # Ratios and not errors: these differ between sets by factors of ten.
-        of_title = [score for score in scores if score.method.title == title]
+        # Errors themselves differ between sets by factors of ten.
+        method_scores = [score for score in scores if score.method.title == title]
         ratios: dict[str, list[float]] = {kind: [] for kind in kinds}
-        for score in of_title:
+        for score in method_scores:
             ratios[score.kind].append(ratio_to_best(score, best))
         all_ratios = list(chain.from_iterable(ratios.values()))
         rows.append((median(all_ratios),
@@ -68,16 +69,17 @@ def ratios_by_kind(scores: Sequence[Score]) -> tuple[list[str], list[list[str]]]
                       _ratio_in_words(median(all_ratios)),
                       str(sum(value <= LOSS_RATIO for value in all_ratios)),
                       str(sum(math.isinf(value) for value in all_ratios)),
-                      f"{median(score.seconds for score in of_title):.2f}"]))
+                      f"{median(score.seconds for score in method_scores):.2f}"]))
     header = ["method", *kinds, "all", f"within {100 * (LOSS_RATIO - 1):.0f} %", "no result",
               "seconds"]
     return header, [row for _, row in sorted(rows, key=lambda pair: pair[0])]
 
 
 def losses(scores: Sequence[Score], title: str) -> list[tuple[Score, Score]]:
-    """Return the score of a method and the best one of each set on which it loses, worst first.
+    """Return the score of a method and the best other one for each set on which it loses.
 
-    It loses if it is more than `LOSS_RATIO` times the best of the others; [] if it never does.
+    It loses if its error is more than `LOSS_RATIO` times the best of the others. The sets are in
+    the order of that ratio, the largest first.
     """
     lost = []
     for score in scores:

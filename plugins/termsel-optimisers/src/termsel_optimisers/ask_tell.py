@@ -77,7 +77,7 @@ def from_ask_tell(factory: Callable[[Problem, np.random.Generator], AskTell], *,
         raise TermselError(f"{factory!r:.100} is no function or class",
                            hint="Give what makes an optimiser from a problem and a generator.")
     factory_name = getattr(factory, "__name__", "from-ask-tell")
-    # Of the class below, whose own names would hide these.
+    # Within the class below its own names would hide the arguments.
     doc = inspect.getdoc(factory) or "An optimiser of a user's own."
     objectives_limit = max_objectives
 
@@ -98,11 +98,11 @@ def from_ask_tell(factory: Callable[[Problem, np.random.Generator], AskTell], *,
                         raise fault_of_method(optimiser, "ask",
                                               "returned None at once; expected genes, and "
                                               "None where there are no more", CHECK)
-                    # One selection, or several; numbers that the genome rounds to its genes.
+                    # One selection or several, of numbers that the genome turns into its genes.
                     candidates = np.atleast_2d(np.asarray(candidates, dtype=float))
                 if fault := difference_from_shape(candidates, (-1, problem.genome.size)):
                     raise fault_of_method(optimiser, "ask", fault, CHECK)
-                # Told are the genes that were evaluated, not those that were asked for.
+                # The optimiser is told the repaired genes, of which the evaluation is.
                 genes = problem.genome.repair(candidates, rng)
                 evaluation = problem.evaluate(genes)
                 with attribute_errors_to(optimiser, "tell", CHECK):

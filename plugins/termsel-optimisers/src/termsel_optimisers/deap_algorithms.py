@@ -67,12 +67,12 @@ class Deap(Solver):
         for role in ("select", "mate", "mutate"):
             register(box, role, o[role], problem.genome)
         loop = _algorithm_of_name(o["algorithm"])
-        # eaSimple crosses and mutates each child, the others do one of both, or neither.
+        # eaSimple may both cross and mutate a child, the others do one of both, or neither.
         chances = {"cxpb": 0.7, "mutpb": 0.3}
         if o["algorithm"] == "eaSimple":
             chances = {"cxpb": 0.9, "mutpb": 1.0}
         chances.update({name: o[name] for name in chances if o[name] is not None})
-        # A child is crossed, or mutated, or neither, never both: the chances add up.
+        # For those the chances add up.
         if "lambda_" in inspect.signature(loop).parameters and sum(chances.values()) > 1:
             raise TermselError(f"cxpb and mutpb of {o['algorithm']} add up to "
                                f"{sum(chances.values()):g}", hint="They may add up to 1 at most.")
@@ -88,12 +88,11 @@ class Deap(Solver):
 
 
 def _algorithm_of_name(loop_name: str) -> Callable[..., Any]:
-    """Return the algorithm of a name, or the function that module:function says.
+    """Return DEAP's algorithm of a name, or the function that module:function names.
 
-    Raises TermselError if there is no such algorithm or function.
+    Raises TermselError if there is no such algorithm or function, or it cannot be called.
     """
     module, _, name = loop_name.rpartition(":")
-    # Without a module it is one of DEAP's own.
     if not module:
         if name in DEAP_ALGORITHMS:
             loop: Callable[..., Any] = getattr(algorithms, name)
@@ -113,44 +112,43 @@ def _algorithm_of_name(loop_name: str) -> Callable[..., Any]:
 
 def generations_of(box: base.Toolbox, loop: Callable[..., Any], rng: np.random.Generator,
                    population: int, arguments: Mapping[str, Any]) -> Iterator[Generation]:
-    """Yield the generations of a DEAP algorithm.
+    """Yield the generations of a DEAP algorithm, or of a loop of the same kind.
 
-    The toolbox is as `to_deap` returns it, perhaps with other operators. The loop takes population
-    and toolbox, and those of `arguments`, ``stats``, ``halloffame`` and ``verbose`` that it names.
-    If it takes ``ngen``, as those of `deap.algorithms`, it is called for one generation at a time,
-    and at first for none. A generator function yields the population after each generation.
+    `box` is a toolbox as of `to_deap`. The loop is called with population and toolbox, and with
+    those of `arguments`, ``stats``, ``halloffame`` and ``verbose`` that it has as parameters. A
+    loop with ``ngen`` is called for one generation at a time, and at first for none; any other must
+    be a generator function, which yields the population after each generation. Raises TermselError
+    for other loops, and for one that returns no population.
     """
-    takes = inspect.signature(loop).parameters
+    parameters = inspect.signature(loop).parameters
     stats = tools.Statistics(lambda individual: individual.fitness.values[0])
     for statistic in ("min", "median", "max"):
         stats.register(statistic, getattr(np, statistic))
     hall_of_fame = tools.HallOfFame(1)
     logbook = tools.Logbook()
-    # A loop gets those of the arguments that it names.
     offered = {**arguments, "stats": stats, "halloffame": hall_of_fame, "verbose": False}
-    named = {key: value for key, value in offered.items() if key in takes}
-    shown_name = getattr(loop, "__name__", "loop")
-    if "ngen" not in takes and not inspect.isgeneratorfunction(loop):
-        raise TermselError(f"the loop {shown_name!r} has no argument 'ngen' and yields nothing",
+    accepted = {key: value for key, value in offered.items() if key in parameters}
+    loop_name = getattr(loop, "__name__", "loop")
+    if "ngen" not in parameters and not inspect.isgeneratorfunction(loop):
+        raise TermselError(f"the loop {loop_name!r} has no argument 'ngen' and yields nothing",
                            hint="Let it run ngen generations as eaSimple does, or yield the "
                                 "population after each.")
-    # DEAP draws from Python's global state: within `chance` that is one of its own.
+    # DEAP draws from Python's global random state, which `chance` replaces by one of its own.
     chance = OwnChance(rng)
     with chance:
         individuals = box.population(n=population)
-    # A generator function that takes no ngen runs on; it is read step by step.
-    steps = loop(individuals, box, **named) if "ngen" not in takes else None
+    steps = loop(individuals, box, **accepted) if "ngen" not in parameters else None
     for index in itertools.count():
-        with attribute_errors_to(loop, shown_name, CHECK), chance:
+        with attribute_errors_to(loop, loop_name, CHECK), chance:
             if steps is not None:
                 individuals = next(steps, None)
             else:
-                # At first for no generation: the loop only evaluates the population.
-                individuals, _log = loop(individuals, box, ngen=min(index, 1), **named)
+                # With ngen 0 the loop only evaluates the first population.
+                individuals, _log = loop(individuals, box, ngen=min(index, 1), **accepted)
             if individuals is None and steps is not None:
                 return
             if not individuals:
-                raise TermselError(f"the loop {shown_name!r} returned no population", hint=CHECK)
+                raise TermselError(f"the loop {loop_name!r} returned no population", hint=CHECK)
             _evaluate(box, individuals)
         hall_of_fame.update(individuals)
         logbook.record(gen=index, **stats.compile(individuals))

@@ -31,10 +31,10 @@ class Fitness(base.Fitness):
         super().__init__()
 
     def _set(self, values: Sequence[float]) -> None:
-        """Take the values of a fitness; the owner takes the repaired genes that they are of."""
+        """Set the values; if they have an evaluation, the owner gets its genes and figures, too."""
         super().setValues(values)
         if isinstance(values, EvaluatedValues) and self.owner is not None:
-            # The genes are the repaired ones from now on, also where another process repaired them.
+            # The values are of the repaired genes, which another process may have repaired.
             self.owner[:] = values.genes
             self.owner.objectives = values.objectives
             self.owner.violation = values.violation
@@ -52,7 +52,7 @@ class EvaluatedValues(tuple[float, ...]):
     def __new__(cls, genes: list[Any], objectives: NDArray[np.float64],
                 violation: float) -> EvaluatedValues:
         """Return values, penalised as by `deap.tools.DeltaPenalty` if there is a violation."""
-        # WORST is above every objective: an infeasible individual is worse than any feasible one.
+        # WORST is above every objective, so that feasible individuals are better than all others.
         values = super().__new__(cls, [WORST + violation] * len(objectives) if violation
                                  else objectives.tolist())
         values.genes = genes
@@ -80,7 +80,7 @@ class Individual(list[Any]):
     def __deepcopy__(self, memo: dict[int, Any]) -> Individual:
         copied = Individual(self, len(self.fitness.weights))
         copied.fitness.wvalues = self.fitness.wvalues
-        # Nobody changes an evaluation: it needs no copy.
+        # Objectives are never changed in place, so that both may have the same array.
         copied.objectives = self.objectives
         copied.violation = self.violation
         return copied
@@ -110,9 +110,9 @@ class _ProblemTools:
         genome = self.problem.genome
         proposed = np.array(individuals, dtype=genome.dtype)
         genes = genome.repair(proposed, np.random.default_rng(0))
-        # Valid genes stay as they are; the others are repaired once more, each by itself.
+        # Genes that had to be repaired are repaired again, each with a generator that depends on
+        # them alone, so that the outcome is the same in every process and order.
         for i in np.flatnonzero((genes != proposed).any(axis=1)):
-            # By chance that follows from the genes: the same in every process and order.
             genes[i] = genome.repair(proposed[i:i + 1],
                                      np.random.default_rng(crc32(proposed[i].tobytes())))[0]
         evaluation = self.problem.evaluate(genes)
@@ -122,8 +122,9 @@ class _ProblemTools:
     def map(self, function: Callable[..., Any], individuals: Iterable[Any], *iterables: Any
             ) -> Iterable[Any]:
         """Call a function for each individual; `evaluate` is called once, for all of them together.
+
+        A function that replaces or decorates `evaluate` is called for each individual.
         """
-        # What replaces or decorates `evaluate` is called for each individual.
         if getattr(function, "func", None) == self.evaluate and not iterables:
             return self.evaluated(list(individuals))
         return map(function, individuals, *iterables)
@@ -178,9 +179,10 @@ OPERATORS = {"select": ("sel", "selTournament:tournsize=3"), "mate": ("cx", "cxU
 def register(box: base.Toolbox, role: str, declaration: str | None, genome: Genome) -> None:
     """Register an operator, to select, mate or mutate, by its name in `deap.tools`.
 
-    `declaration` is name and arguments, such as ``selTournament:tournsize=3``; without it one for
-    the genome is taken. Where ``indpb`` of a mutation is not given, the mean number of flips is 1.
-    Raises TermselError for an operator that there is not, or arguments that it does not take.
+    `declaration` is name and arguments, such as ``selTournament:tournsize=3``. If it is None, the
+    operator is that of `OPERATORS`, or one for the genome if its genes are not bits. A mutation
+    without ``indpb`` flips one gene on average. Raises TermselError for an unknown operator, and
+    for arguments that it does not take or that are missing.
     """
     start, default = OPERATORS[role]
     if declaration is None and role != "select" and genome.dtype != np.bool_:
@@ -195,27 +197,28 @@ def register(box: base.Toolbox, role: str, declaration: str | None, genome: Geno
     function: Callable[..., Any] = getattr(tools, name)
     # Arguments are Python literals: numbers, text, lists.
     keywords: dict[str, Any] = dict(map(_parse_argument, filter(None, arguments.split(","))))
-    takes = list(inspect.signature(function).parameters)
-    if role == "mutate" and "indpb" in takes:
+    parameters = inspect.signature(function).parameters
+    if role == "mutate" and "indpb" in parameters:
         keywords.setdefault("indpb", 1.0 / genome.size)
-    # Individuals come first, and how many to select; the rest are arguments.
-    free = {"select": 2, "mate": 2, "mutate": 1}[role]
-    if not set(keywords) <= set(takes[free:]):
-        unknown = min(set(keywords) - set(takes[free:]))
+    # The first parameters are the individuals and, to select, their number.
+    n_individuals = {"select": 2, "mate": 2, "mutate": 1}[role]
+    arguments_taken = list(parameters)[n_individuals:]
+    if not set(keywords) <= set(arguments_taken):
+        unknown = min(set(keywords) - set(arguments_taken))
         raise TermselError(f"{name} of deap.tools takes no argument {unknown!r}",
-                           hint=f"It takes {', '.join(takes[free:]) or 'none'}.")
-    lacking = [key for key in takes[free:] if key not in keywords and
-               inspect.signature(function).parameters[key].default is inspect.Parameter.empty]
-    if lacking:
-        raise TermselError(f"{name} of deap.tools requires {', '.join(lacking)}",
-                           hint=f"For example --set {role}={name}:{lacking[0]}=0.5.")
+                           hint=f"It takes {', '.join(arguments_taken) or 'none'}.")
+    missing = [key for key in arguments_taken if key not in keywords
+               and parameters[key].default is inspect.Parameter.empty]
+    if missing:
+        raise TermselError(f"{name} of deap.tools requires {', '.join(missing)}",
+                           hint=f"For example --set {role}={name}:{missing[0]}=0.5.")
     box.register(role, function, **keywords)
 
 
 def _parse_argument(text: str) -> tuple[str, Any]:
-    """Return name and value of an operator's argument, KEY=NUMBER.
+    """Return name and value of an operator's argument KEY=VALUE, a literal of Python.
 
-    Raises TermselError if it is none.
+    Raises TermselError if the text is no such argument.
     """
     key, _, value = text.partition("=")
     try:
@@ -229,8 +232,9 @@ def _mate(individual_1: Individual, individual_2: Individual,
           genome: Genome) -> tuple[Individual, Individual]:
     """Cross two individuals in place, with the operators for their types of genes; return both."""
     pair = np.array([individual_1, individual_2], dtype=genome.dtype)
-    individual_1[
-        :], individual_2[:] = cross_pairs(pair, genome, 1.0, _generator_like_random()).tolist()
+    crossed = cross_pairs(pair, genome, 1.0, _generator_like_random()).tolist()
+    individual_1[:] = crossed[0]
+    individual_2[:] = crossed[1]
     return individual_1, individual_2
 
 

@@ -91,7 +91,7 @@ class Pymoo(Solver):
                                f"{self.options['algorithm']}", hint="Leave it out.",
                                name="horizon")
         single = self.options["algorithm"] in SINGLE
-        # Which number of objectives an algorithm can handle its class does not show.
+        # pymoo's classes do not state how many objectives they take.
         for attribute, several in (("min_objectives", 2), ("max_objectives", 8)):
             setattr(self, attribute, 1 if single else several)
 
@@ -102,7 +102,7 @@ class Pymoo(Solver):
         module, _, class_name = PYMOO_ALGORITHMS[name].partition(":")
         algorithm_class = getattr(import_module(f"pymoo.algorithms.{module}"), class_name)
         arguments = common_operators(problem.genome, self.options["mutation"], rng)
-        # An individual for each direction, at least.
+        # These algorithms require an individual for each direction.
         if name in DIRECTED:
             arguments["ref_dirs"] = reference_directions(len(problem.objectives), population)
             if len(arguments["ref_dirs"]) > population:
@@ -110,13 +110,14 @@ class Pymoo(Solver):
                     f"algorithm={name} has a direction for each of {len(problem.objectives)} "
                     f"objectives, but a population of {population}",
                     hint=f"Set population={len(arguments['ref_dirs'])} or more.")
-        # Its own survival fails by rounding; that of the others is replaced by their class.
+        # RVEA's own survival may fail by rounding; `with_safe_survival` replaces that of others.
         if name == "rvea":
             arguments["survival"] = RveaSurvival(arguments["ref_dirs"])
         if name in ("ctaea", "omni"):
-            # Where few selections differ, neither ends as long as it lacks individuals.
+            # Both go on until all individuals differ, which never is so if few selections exist.
             arguments["eliminate_duplicates"] = False
-        if name != "ctaea":  # which has as many as there are directions
+        # C-TAEA has an individual for each direction.
+        if name != "ctaea":
             arguments["pop_size"] = population
         yield from step_algorithm(
             with_safe_survival(algorithm_class, **arguments), problem, rng, self.options["horizon"])
@@ -124,11 +125,13 @@ class Pymoo(Solver):
 
 def reference_directions(
         objectives: int, max_directions: int) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return reference directions of Das and Dennis 1998, (n, objectives), n <= `max_directions`.
+    """Return reference directions (n, objectives) of Das and Dennis 1998.
+
+    They are as many as can be up to `max_directions`, but one for each objective at least.
     """
-    # Das and Dennis: all points whose coordinates are multiples of 1 / partitions and add up to 1.
+    # The directions are all points whose coordinates are multiples of 1 / partitions and add up to
+    # 1, of which there are comb(partitions + objectives - 1, objectives - 1).
     partitions = 1
-    # There are comb(partitions + objectives - 1, objectives - 1) of them: as many as are allowed.
     while comb(partitions + objectives, objectives - 1) <= max_directions:
         partitions += 1
     return np.asarray(get_reference_directions("das-dennis", objectives, n_partitions=partitions))
@@ -172,12 +175,12 @@ def from_pymoo(algorithm: Algorithm, *, name: str | None = None) -> type[Solver]
                            hint="Give an object, such as GA(pop_size=60, ...).")
     homes = [base_class.__module__ for base_class in type(algorithm).__mro__
              if base_class.__module__.startswith("pymoo.")]
-    # A class of a user's own derives from one of pymoo, whose module shows what it is.
+    # A user's own class derives from one of pymoo, whose module tells the algorithm.
     for reason in (UNFIT.get(home.rpartition(".")[2]) for home in homes):
         if reason in (_UNCONSTRAINED, _NUMBERS):
             raise TermselError(f"pymoo's {type(algorithm).__name__} {reason}",
                                hint="Choose another algorithm, such as GA or NSGA2.")
-    # The survival of MixedVariableGA, which is no module of the others, is for one.
+    # MixedVariableGA is in no module of algorithms; its survival is for a single objective.
     single = (any(home.startswith("pymoo.algorithms.soo") for home in homes)
               or isinstance(getattr(algorithm, "survival", None), FitnessSurvival))
     several = any(home.startswith("pymoo.algorithms.moo") for home in homes)

@@ -23,21 +23,24 @@ class _AgeSurvival(AGEMOEA2Survival):
     """pymoo's, which divides by zero if a member is best in every objective."""
 
     def _do(self, problem: PymooProblem, *args: Any, **arguments: Any) -> Any:
-        # A member of a further front that is on the ideal point is at no distance from it: its
-        # crowding is infinite.
+        # A member of a later front may be at the distance 0 from the ideal point, and has an
+        # infinite crowding then.
         with np.errstate(divide="ignore"):
             return super()._do(problem, *args, **arguments)
 
     @staticmethod
     def pairwise_distances(front: FloatArray, p: float) -> FloatArray:
-        """Return distances along the estimated front, shape (m, m)."""
+        """Return the distances (m, m) of members along the front with the norm `p`.
+
+        A front with `p` near 1 is straight; otherwise the distance is that of two chords, which
+        meet in the middle of the arc.
+        """
         on_front = _scale_to_unit_norm(front, p)
         if 0.95 < p < 1.05:
             return np.asarray(np.linalg.norm(on_front[:, None] - on_front, axis=-1))
-        # Twice over the middle of the arc, which lies on the front as well: nearer to its length.
         middle = _scale_to_unit_norm((on_front[:, None] + on_front) / 2, p)
-        half = np.linalg.norm(on_front[:, None] - middle, axis=-1)
-        return np.asarray(half + half.T)
+        chords = np.linalg.norm(on_front[:, None] - middle, axis=-1)
+        return np.asarray(chords + chords.T)
 
 
 def _scale_to_unit_norm(points: FloatArray, p: float) -> FloatArray:
@@ -80,17 +83,17 @@ class RveaSurvival(APDSurvival):
 
     def __init__(self, directions: FloatArray) -> None:
         super().__init__(directions)
-        self.V = self.V * _SHORTER
+        self.V = self.V * _MAX_LENGTH
 
     def adapt(self) -> None:
         """Scale the directions by the ranges of the objectives, 1 where there is none."""
         if self.nadir is not None:
             self.nadir = np.where(self.nadir > self.ideal, self.nadir, self.ideal + 1.0)
         super().adapt()
-        self.V = self.V * _SHORTER
+        self.V = self.V * _MAX_LENGTH
 
 
-_SHORTER = 1 - 1e-14
+_MAX_LENGTH = 1 - 1e-14
 """Length of a direction with which no cosine is above 1."""
 
 _SURVIVALS = {AGEMOEA2: _AgeSurvival, SPEA2: _Spea2Survival}

@@ -91,7 +91,7 @@ class Method:
             function_of(self.name)
 
     def applied(self, features: FeatureSet, seed: int) -> Projection:
-        """Return the projection that a method makes of control and selection points, lines and RPC.
+        """Return the projection that the method finds by control and selection points, lines, RPC.
 
         Raises
         ------
@@ -112,9 +112,10 @@ class Method:
                                solver=self.name, seed=seed, options=self.options,
                                strategy="as-asked").project
         if self.kind == "model":
-            # A plain fit needs no selection points: it takes them as control.
-            blank = replace(features.points, roles=())
-            return termsel.fit(features.with_(points=blank), self.name, **self.options).project
+            # A plain fit selects nothing, so that selection points are control, too.
+            without_roles = replace(features.points, roles=())
+            return termsel.fit(features.with_(points=without_roles), self.name,
+                               **self.options).project
         if self.kind == "peer":
             return PEERS[self.name](features, seed)
         function = function_of(self.name)
@@ -124,7 +125,7 @@ class Method:
         return _projection_of_answer(returned, self.name)
 
     def positions(self, features: FeatureSet, points: Points, seed: int) -> FloatArray:
-        """Return where the method sees points of which it knows the ground, (n, 2) [px].
+        """Return the image positions (n, 2) [px] of points by their ground coordinates.
 
         Raises
         ------
@@ -132,7 +133,7 @@ class Method:
             As `applied`; if positions are missing or not finite.
         """
         project = self.applied(features, seed)
-        # What a package returns is not trusted: shape and numbers are looked at.
+        # The projection may be code of a package, whose answer may have any shape.
         with attribute_errors_to(project, "project",
                                  "Correct the function, then repeat the command."):
             positions = np.asarray(project(points.ground.copy()), dtype=np.float64)
@@ -151,7 +152,9 @@ AUTO = Method("auto", "auto")
 
 
 def _problem_for(features: FeatureSet) -> str:
-    """Return what a solver is asked for of features: lines, terms of a plane model or of an RFM."""
+    """Return the problem of a solver: that of lines if there are any, else terms of a polynomial
+    without heights, or of an RFM.
+    """
     if len(features.lines):
         return "owdis-lines"
     return "poly-terms" if features.without_height() else "rfm-terms"
@@ -181,11 +184,10 @@ def function_of(name: str) -> Callable[[FeatureSet], Any]:
 
 
 def _projection_of_answer(returned: Any, name: str) -> Projection:
-    """Return the projection in what a package's function returned: itself, or its method `project`.
+    """Return the projection in the answer of a package's function: its method `project`, or itself.
 
-    Raises TermselError if neither can be called.
+    Raises TermselError if that cannot be called.
     """
-    # An object with a method `project`, or the function itself.
     project = getattr(returned, "project", returned)
     if not callable(project):
         raise TermselError(f"{name} returned {type(returned).__name__}, which projects nothing",

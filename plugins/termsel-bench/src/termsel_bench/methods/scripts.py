@@ -62,19 +62,18 @@ class Cubic:
         return np.asarray(np.prod(at[:, None] ** self.powers, axis=2))
 
     def solved(self, genes: BoolArray) -> FloatArray:
-        """Return coefficients, 0 for terms that are off, shape (terms, 2)."""
+        """Return coefficients (terms, 2) by least squares, 0 for terms that are off."""
         coefficients = np.zeros((len(self.powers), 2))
-        for axis, on in enumerate(genes.reshape(2, -1)):
-            coefficients[on, axis] = np.linalg.lstsq(self.control[:, on], self.image[:, axis],
-                                                     rcond=None)[0]
+        for axis, is_on in enumerate(genes.reshape(2, -1)):
+            coefficients[is_on, axis] = np.linalg.lstsq(
+                self.control[:, is_on], self.image[:, axis], rcond=None)[0]
         return coefficients
 
     def fitness(self, genes: BoolArray) -> float:
         """Return the RMSE [px] at the check points.
 
-        `UNDETERMINED` for as many terms as control points.
+        It is `UNDETERMINED` if an axis has as many terms as there are control points, or more.
         """
-        # A fit with as many terms as points is exact, and its fitness means nothing.
         if (genes.reshape(2, -1).sum(axis=1) >= len(self.image)).any():
             return UNDETERMINED
         errors = self.check @ self.solved(genes) - self.check_image
@@ -83,7 +82,7 @@ class Cubic:
     def projection(self, genes: BoolArray) -> Projection:
         """Return the projection by the terms that are on.
 
-        Raises TermselError if they are undetermined.
+        Raises TermselError if they are not fewer than the control points.
         """
         if self.fitness(genes) == UNDETERMINED:
             raise TermselError(f"the search found no selection of fewer terms than its "
@@ -93,7 +92,10 @@ class Cubic:
 
 
 def deap_projection(features: FeatureSet, seed: int) -> Projection:
-    """Return the projection of the terms that `deap.algorithms.eaSimple` selects."""
+    """Return the projection of the terms that `deap.algorithms.eaSimple` selects.
+
+    Raises TermselError if there are too few points.
+    """
     from deap import algorithms, base, tools
 
     problem = Cubic(features)
@@ -106,8 +108,8 @@ def deap_projection(features: FeatureSet, seed: int) -> Projection:
             super().__init__(bits)
             self.fitness = Fitness()
 
-    # DEAP draws from the generator of the module `random`, which others find as it was.
-    before = random.getstate()
+    # DEAP draws from the generator of the module `random`, whose state is restored afterwards.
+    state = random.getstate()
     random.seed(seed)
     try:
         box = base.Toolbox()
@@ -124,12 +126,15 @@ def deap_projection(features: FeatureSet, seed: int) -> Projection:
         algorithms.eaSimple(box.population(n=POPULATION), box, 0.9, 1.0, GENERATIONS,
                             halloffame=best, verbose=False)
     finally:
-        random.setstate(before)
+        random.setstate(state)
     return problem.projection(np.array(best[0], dtype=bool))
 
 
 def pymoo_projection(features: FeatureSet, seed: int) -> Projection:
-    """Return the projection of the terms that pymoo's GA with binary operators selects."""
+    """Return the projection of the terms that pymoo's GA with binary operators selects.
+
+    Raises TermselError if there are too few points, or if pymoo is not installed.
+    """
     with require_import("the peer requires", "pymoo", "pymoo"):
         from pymoo.algorithms.soo.nonconvex.ga import GA
         from pymoo.core.problem import ElementwiseProblem

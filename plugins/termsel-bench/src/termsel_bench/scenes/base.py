@@ -46,11 +46,8 @@ class BenchSet:
     source: str = ""
 
     def files(self) -> dict[str, str]:
-        """Return the texts of the set's files by name.
-
-        They are the points with roles, and lines and RPC if there are any.
-        """
-        named = {f"{self.name}.csv": _encode_text(
+        """Return the texts of the set's files by name: the points, and lines and RPC if any."""
+        texts = {f"{self.name}.csv": _encode_text(
             self.features.crs, "id,role,line,sample,x,y,z",
             [*_scene_rows(self.features.points, self),
              *_scene_rows(self.independent, self, "independent")])}
@@ -60,11 +57,11 @@ class BenchSet:
             for name, image, ground in zip(lines.ids, lines.image, lines.ground, strict=True):
                 vertices = chain.from_iterable(_place(vertex, self) for vertex in ground)
                 rows.append((name, *_format_numbers(image.ravel(), PIXELS), *vertices))
-            named[f"{self.name}-lines.csv"] = _encode_text(
+            texts[f"{self.name}-lines.csv"] = _encode_text(
                 self.features.crs, "id,line1,sample1,line2,sample2,x1,y1,z1,x2,y2,z2", rows)
         if self.features.rpc is not None:
-            named[f"{self.name}_RPC.TXT"] = rpc_txt_text(self.features.rpc)
-        return named
+            texts[f"{self.name}_RPC.TXT"] = rpc_txt_text(self.features.rpc)
+        return texts
 
     def checksums(self) -> dict[str, str]:
         """Return the SHA-256 of each file by its name."""
@@ -78,13 +75,14 @@ class BenchSet:
 
 
 def means_of(text: str) -> tuple[list[float], list[float]]:
-    """Return the means of the columns of numbers of a file, and the units of their decimals.
+    """Return the means of the columns of numbers of a file, and the units of their last decimals.
 
-    Of the text of an RPC there is one mean, of all its numbers; blank heights count as 0.
+    The file of an RPC has one mean, of all its numbers; blank heights count as 0.
     """
+    # Files of points and lines begin with a comment, that of an RPC does not.
     if not text.startswith("#"):
         return [float(np.mean([float(row.split()[1]) for row in text.splitlines()]))], [1e-5]
-    # The first line says the CRS, the second names the columns; numbers begin at that of the line.
+    # The first line states the CRS, the second names the columns; numbers begin with the line.
     header, *rows = [row.split(",") for row in text.splitlines()[1:]]
     first = [name.startswith("line") for name in header].index(True)
     cells = np.array([row[first:] for row in rows])
@@ -94,32 +92,33 @@ def means_of(text: str) -> tuple[list[float], list[float]]:
 
 
 def round_to_files(bench_set: BenchSet) -> BenchSet:
-    """Return the set with the decimals of its files, so that machines agree on it."""
-    # Degrees have more decimals than metres, and heights are metres in either case.
-    def place(ground: FloatArray) -> FloatArray:
+    """Return the set with the decimals of its files, so that all machines have the same numbers."""
+    def round_ground(ground: FloatArray) -> FloatArray:
+        """Return ground coordinates (..., 3) with the decimals of degrees or metres."""
         plane = DEGREES if bench_set.geographic else METRES
         return np.concatenate([ground[..., :2].round(plane), ground[..., 2:].round(METRES)], -1)
 
-    def points(measured: Points) -> Points:
-        return replace(measured, image=measured.image.round(PIXELS), ground=place(measured.ground))
+    def round_points(points: Points) -> Points:
+        return replace(points, image=points.image.round(PIXELS),
+                       ground=round_ground(points.ground))
 
     lines = bench_set.features.lines
-    features = replace(bench_set.features, points=points(bench_set.features.points), lines=Lines(
-        lines.ids, lines.image.round(PIXELS), place(lines.ground)))
+    features = replace(
+        bench_set.features, points=round_points(bench_set.features.points),
+        lines=Lines(lines.ids, lines.image.round(PIXELS), round_ground(lines.ground)))
     if bench_set.features.rpc is not None:
         features = replace(features, rpc=_rounded_rpc(bench_set.features.rpc))
-    return replace(bench_set, features=features, independent=points(bench_set.independent))
+    return replace(bench_set, features=features, independent=round_points(bench_set.independent))
 
 
 def _rounded_rpc(rpc: Rpc) -> Rpc:
-    """Return an RPC with the digits that its file has."""
-    def of(numbers: tuple[float, ...]) -> tuple[float, ...]:
+    """Return an RPC with all its numbers rounded to the decimals of its file."""
+    def rounded(numbers: tuple[float, ...]) -> tuple[float, ...]:
         return tuple(float(round(number, COEFFICIENTS)) for number in numbers)
 
-    # Offsets and scales have as many digits as a place: they come from rounded positions.
-    rounded_ones: dict[str, Any] = {name: of(value) for name, value in vars(rpc).items()
-                                    if isinstance(value, tuple)}
-    return replace(rpc, **rounded_ones)
+    fields: dict[str, Any] = {name: rounded(value) for name, value in vars(rpc).items()
+                              if isinstance(value, tuple)}
+    return replace(rpc, **fields)
 
 
 def _encode_text(crs: str, header: str, rows: list[tuple[str, ...]]) -> str:

@@ -80,13 +80,13 @@ class Turning(Pushbroom):
         """Return the rotations (n, 3, 3) of the camera at stations (n, 3) and times (n,)."""
         aim = np.array(self.aim)
         course = np.array(self.course)
-        # The angle at the Earth's centre by which the view has moved on.
-        way = (self.speed * time / np.linalg.norm(aim))[:, None]
+        # The view moves along a great circle, by this angle at the Earth's centre.
+        angle = (self.speed * time / np.linalg.norm(aim))[:, None]
         up = aim / np.linalg.norm(aim)
-        target = np.linalg.norm(aim) * (np.cos(way) * up + np.sin(way) * course)
+        target = np.linalg.norm(aim) * (np.cos(angle) * up + np.sin(angle) * course)
         # The axes of the camera: towards the target, along the course, and across both.
         z = _unit_vectors(target - station)
-        ahead = np.cos(way) * course - np.sin(way) * up
+        ahead = np.cos(angle) * course - np.sin(angle) * up
         x = _unit_vectors(ahead - z * (ahead * z).sum(axis=1, keepdims=True))
         return np.stack([x, np.cross(z, x), z], axis=2) @ _rotation_matrices(
             self.roll(time), self.pitch(time), self.yaw(time))
@@ -105,20 +105,21 @@ class Flying(Turning):
         aim = np.array(self.aim)
         course = np.array(self.course)
         up = vertical_directions(from_ecef(aim[None]))[0]
-        off = np.stack([angle(time) for angle in self.sway], axis=1)
-        # Straight on along the course, and off it by the sway.
+        # The sway along the course, across it and up [m].
+        sway = np.stack([shift(time) for shift in self.sway], axis=1)
         station = (aim + up * self.altitude + course * (self.speed * time)[:, None]
-                   + off @ np.stack([course, np.cross(up, course), up]))
+                   + sway @ np.stack([course, np.cross(up, course), up]))
         axes = np.stack([course, np.cross(-up, course), -up], axis=1)
         return station, axes @ _rotation_matrices(self.roll(time), self.pitch(time), self.yaw(time))
 
 
 def image_of(kind: str, seed: int, ranges: Ranges, count: int,
              measured: int | None = None, level: float = -1.0) -> FeatureSet:
-    """Return so many points of a simulated image, their image positions with noise.
+    """Return `count` points of a simulated image of a kind of camera.
 
-    With `measured` only the first so many have noise; the others are where the camera sees them.
-    Ground below `level`, between -1 and 1 of the hills' heights, is a plain at the height 0.
+    The first `measured` of them have noise, all if it is None; the others are exact. Ground below
+    `level`, from -1 to 1 of the hills' heights, is a plain at the height 0. The same arguments give
+    the same points. Raises RuntimeError if twenty random cameras do not see enough points.
     """
     for attempt in range(20):
         # A new attempt draws all again, from a generator of its own.
@@ -126,17 +127,16 @@ def image_of(kind: str, seed: int, ranges: Ranges, count: int,
         try:
             return _image_of(kind, rng, ranges, count, measured, level)
         except TermselError:
-            # Drawn so that the place is not in view.
+            # The camera that was drawn does not see the scene.
             continue
     raise RuntimeError(f"no image of the kind {kind} was found")
 
 
 def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
               measured: int | None, level: float) -> FeatureSet:
-    """Return points of one image of a random camera, over random ground.
+    """Return points of one image of a random camera, over random ground (see `image_of`).
 
-    The first `measured` of `count` have noise, all if it is None. `level`, -1 for none, is the
-    relative height of a plain below the hills. Raises TermselError if too few points are in view.
+    `level` is -1 without a plain. Raises TermselError if too few points are in view.
     """
     lines, samples = (int(n) for n in rng.integers(*ranges.size, 2))
     lon = rng.uniform(-170, 170)
@@ -148,9 +148,9 @@ def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
     relief = width * float(np.exp(rng.uniform(*np.log(ranges.relief))))
     middle = to_ecef(np.array([[lon, lat, 0.0]]))[0]
     axes = _axes_at(lon, lat)
-    n_tried = (40 if measured is None else 16) * count
-    # More places than points, as some are not in view.
-    plan = rng.uniform(-0.8, 0.8, (n_tried, 2)) * width
+    # More ground points are drawn than are needed, as some are not in view.
+    n_candidates = (40 if measured is None else 16) * count
+    plan = rng.uniform(-0.8, 0.8, (n_candidates, 2)) * width
     ground = from_ecef(middle + np.pad(plan, ((0, 0), (0, 1))) @ axes)
     height = _wave_heights(rng, plan / width, ranges.waves)
     ground[:, 2] = (1.0 + height) * relief if level == -1.0 else (
@@ -162,7 +162,7 @@ def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
     elif kind == "radar":
         image = _radar_positions(rng, ranges, (lines, samples), pixel, scene, ground)
     else:
-        sensor = _scanner_positions(kind, rng, ranges, (lines, samples), pixel, scene)
+        sensor = _random_scanner(kind, rng, ranges, (lines, samples), pixel, scene)
         image = sensor.project(ground)
     inside = ((image > 0.02 * np.array([lines, samples]))
               & (image < 0.98 * np.array([lines, samples]))).all(axis=1)
@@ -171,21 +171,22 @@ def _image_of(kind: str, rng: Generator, ranges: Ranges, count: int,
     image = image[inside][:count]
     ground = ground[inside][:count]
     noise = rng.uniform(*ranges.noise)
-    added = noise * rng.standard_normal(image.shape)
-    added[measured:] = 0.0 if measured is not None else added[measured:]
-    image = image + added
+    errors = noise * rng.standard_normal(image.shape)
+    if measured is not None:
+        errors[measured:] = 0.0
+    image = image + errors
     return FeatureSet(Points(tuple(map(str, range(count))), image, ground), crs=SCENE_CRS,
                       image_size=(lines, samples), noise=noise)
 
 
-def _scanner_positions(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int],
-                       pixel: float, scene: tuple[float, float, float]) -> Pushbroom:
-    """Return the line scanner of a scene: longitude, latitude [deg] and height [m].
+def _random_scanner(kind: str, rng: Generator, ranges: Ranges, size: tuple[int, int],
+                    pixel: float, scene: tuple[float, float, float]) -> Pushbroom:
+    """Return a random line scanner that sees a scene.
 
-    `kind` says how steady the scanner is: by a satellite with small angles, by one that turns while
-    it looks, by a cubesat, or from the air with sway. Angles are drawn by how far they move the
-    image, so that kinds differ by their effect and not by their height. `ranges` has the limits of
-    tilt, altitude and incline; `scene` is longitude, latitude and height.
+    `kind` is steady, agile, cubesat or airborne. Angles of attitude are drawn by how far they move
+    the image, so that kinds differ by that and not by their altitude. `size` is lines and samples,
+    `pixel` the size of a pixel on the ground [m], and `scene` longitude, latitude [deg] and height
+    [m].
     """
     lon, lat, height = scene
     tilt = rng.uniform(*ranges.tilt)
@@ -198,19 +199,19 @@ def _scanner_positions(kind: str, rng: Generator, ranges: Ranges, size: tuple[in
         altitude = rng.uniform(400e3, 600e3)
     sensor = pushbroom_at(lon, lat, height=height, off_nadir=tilt, look_azimuth=turn, gsd=pixel,
                           image_size=size, altitude=altitude, inclination=incline)
+    # Half the duration of the scene [s].
     half = size[0] * sensor.line_period / 2
     if kind in ("steady", "cubesat"):
-        # What attitude moves the image by at its end [px].
-        large = (2.0, 1.0, 0.3) if kind == "steady" else (40.0, 12.0, 4.0)
+        # Movements of the image at its end [px], by powers of time.
+        drift = (2.0, 1.0, 0.3) if kind == "steady" else (40.0, 12.0, 4.0)
         jitter = (half / 2, 0.15 if kind == "steady" else 1.0)
-        angles = [_random_angle(rng, sensor.ifov, half, large, jitter, lever)
+        angles = [_random_angle(rng, sensor.ifov, half, drift, jitter, lever)
                   for lever in (1.0, 1.0, 2.0 / size[1])]
         return _sensor_with_angles(sensor, angles)
     course = rng.uniform(0.0, 2 * np.pi) if kind == "airborne" or rng.random() < 0.6 else np.pi
     middle = to_ecef(np.array([[lon, lat, height]]))[0]
     axes = _axes_at(lon, lat)
-    ahead = (
-        np.sin(course) * axes[0] + np.cos(course) * axes[1])
+    ahead = np.sin(course) * axes[0] + np.cos(course) * axes[1]
     speed = 70.0 if kind == "airborne" else 7000.0 * rng.uniform(0.3, 1.1)
     period = pixel / speed
     half = size[0] * period / 2
@@ -219,13 +220,14 @@ def _scanner_positions(kind: str, rng: Generator, ranges: Ranges, size: tuple[in
         "n_lines": size[0], "n_samples": size[1], "line_period": period, "aim": tuple(middle),
         "course": tuple(ahead), "speed": speed, "refraction": False}
     if kind == "airborne":
-        above = size[1] * pixel / 2 / np.tan(rng.uniform(0.25, 0.5))
-        # Shifts [m] instead of angles: along the course, across it and up.
+        flying_height = size[1] * pixel / 2 / np.tan(rng.uniform(0.25, 0.5))
+        # Shifts along the course, across it and up are polynomials and sines as angles are [m].
         sway = tuple(_random_angle(rng, 1.0, half, (0.0, 3.0, 1.0), (6.0, 1.0), 1.0)
                      for _ in range(3))
-        angles = [_random_angle(rng, pixel / above, half, (20.0, 10.0, 5.0), (5.0, 4.0), lever)
+        ifov = pixel / flying_height
+        angles = [_random_angle(rng, ifov, half, (20.0, 10.0, 5.0), (5.0, 4.0), lever)
                   for lever in (1.0, 1.0, 2.0 / size[1])]
-        return Flying(altitude=above, ifov=pixel / above, roll=angles[0], pitch=angles[1],
+        return Flying(altitude=flying_height, ifov=ifov, roll=angles[0], pitch=angles[1],
                       yaw=angles[2], sway=sway, **common)
     station = sensor.exposure(np.zeros(1))[0][0]
     ray = station - middle
@@ -238,10 +240,10 @@ def _scanner_positions(kind: str, rng: Generator, ranges: Ranges, size: tuple[in
 
 def _radar_positions(rng: Generator, ranges: Ranges, size: tuple[int, int], pixel: float,
                      scene: tuple[float, float, float], ground: FloatArray) -> FloatArray:
-    """Return lines of zero Doppler and samples of slant range [px]; not on the ground's range.
+    """Return line and sample (n, 2) [px] of ground points by a random radar, in slant range.
 
-    `ground` (n, 3) are longitudes, latitudes [deg] and heights [m]; positions are (n, 2). A radar
-    sees a place when the velocity is perpendicular to the ray, whose length is the sample.
+    `ground` (n, 3) are longitudes, latitudes [deg] and heights [m]. The line is the time at which
+    the velocity is perpendicular to the ray (zero Doppler), the sample the length of the ray.
     """
     lon, lat, height = scene
     tilt = rng.uniform(20.0, 42.0)
@@ -251,15 +253,15 @@ def _radar_positions(rng: Generator, ranges: Ranges, size: tuple[int, int], pixe
                          inclination=rng.uniform(*ranges.incline), refraction=False)
     target = to_ecef(ground)
     time = np.zeros(len(ground))
-    # The velocity is perpendicular to the ray. Its change with time is left out of Newton's step,
-    # so that each step leaves about a tenth of the error.
+    # Newton's steps leave out that the velocity changes with time, so that about a tenth of the
+    # error remains after each.
     for _ in range(12):
         before, station, after = (orbit.exposure(time + step)[0] for step in (-1e-2, 0.0, 1e-2))
         velocity = (after - before) / 2e-2
         time += ((target - station) * velocity).sum(axis=1) / (velocity**2).sum(axis=1)
     distance = np.linalg.norm(target - orbit.exposure(time)[0], axis=1)
     middle = np.linalg.norm(to_ecef(np.array([scene]))[0] - orbit.exposure(np.zeros(1))[0][0])
-    # Lines by the time of zero Doppler, samples by the slant range on the ground.
+    # A pixel on the ground is sin(tilt) of it in slant range.
     positions = np.column_stack([time / orbit.line_period,
                                  (distance - middle) / (pixel * np.sin(np.radians(tilt)))])
     return np.asarray(positions + np.array(size) / 2)
@@ -267,20 +269,20 @@ def _radar_positions(rng: Generator, ranges: Ranges, size: tuple[int, int], pixe
 
 def _photo_positions(kind: str, rng: Generator, size: tuple[int, int], pixel: float,
                      local: FloatArray) -> FloatArray:
-    """Return where a frame or panoramic camera sees places: line and sample (n, 2).
+    """Return line and sample (n, 2) of points by a random frame or panoramic camera.
 
-    `local` (n, 3) are east, north and up of the places, from the middle of the scene [m], and
-    `pixel` is the size of a pixel on the ground there [m]; `size` are lines and samples. The film
-    deforms, and its middle is some 20 px off that of the scan.
+    `local` (n, 3) are east, north and up from the middle of the scene [m], and `pixel` is the size
+    of a pixel on the ground there [m]; `size` is lines and samples. The film deforms, and its
+    middle is some 20 px off that of the scan.
     """
     extent = pixel * max(size)
-    above = extent / (2 * np.tan(rng.uniform(0.2, 0.7)))
+    flying_height = extent / (2 * np.tan(rng.uniform(0.2, 0.7)))
     # The focal length in px, for the pixel that the middle of the image has.
-    focal = above / pixel
+    focal = flying_height / pixel
     roll, pitch = rng.normal(0.0, 0.03, (2, 1))
-    turned = _rotation_matrices(roll, pitch, np.array([rng.uniform(-np.pi, np.pi)]))[0]
+    rotation = _rotation_matrices(roll, pitch, np.array([rng.uniform(-np.pi, np.pi)]))[0]
     # In the camera's axes z points up, so that it is negative below the camera.
-    x, y, z = ((local - [0.0, 0.0, above]) @ turned).T
+    x, y, z = ((local - [0.0, 0.0, flying_height]) @ rotation).T
     if kind == "frame":
         image = focal * np.column_stack([y / z, -x / z])
         # Film and lens deform by a few px towards the corners.
@@ -341,7 +343,8 @@ def _sensor_with_angles(sensor: Pushbroom, angles: list[Angle]) -> Pushbroom:
 
 
 def _wave_heights(rng: Generator, plan: FloatArray, waves: int) -> FloatArray:
-    """Return smooth heights (n,) between -1 and 1 at relative places (n, 2), of so many waves."""
+    """Return smooth heights (n,) from -1 to 1 at relative positions (n, 2), a sum of random waves.
+    """
     total = np.zeros(len(plan))
     for _ in range(waves):
         wave_vector = rng.normal(0.0, 4.0, 2)
@@ -350,18 +353,19 @@ def _wave_heights(rng: Generator, plan: FloatArray, waves: int) -> FloatArray:
 
 
 def _rotation_matrices(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
-    """Return rotations (n, 3, 3) by roll, pitch and yaw [rad], about x, then y, then z."""
+    """Return rotations (n, 3, 3) by roll, pitch and yaw (n,) [rad], about x, y and z."""
     (sr, cr), (sp, cp), (sy, cy) = ((np.sin(a), np.cos(a)) for a in (roll, pitch, yaw))
-    none = np.zeros_like(sr)
+    zeros = np.zeros_like(sr)
     ones = np.ones_like(sr)
 
     def matrix(*rows: list[FloatArray]) -> FloatArray:
+        """Return matrices (n, 3, 3) of rows of three arrays (n,)."""
         return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
-    # Rotations about x, y and z, in this order.
-    return (matrix([ones, none, none], [none, cr, -sr], [none, sr, cr])
-            @ matrix([cp, none, sp], [none, ones, none], [-sp, none, cp])
-            @ matrix([cy, -sy, none], [sy, cy, none], [none, none, ones]))
+    # R = R_x(roll) R_y(pitch) R_z(yaw).
+    return (matrix([ones, zeros, zeros], [zeros, cr, -sr], [zeros, sr, cr])
+            @ matrix([cp, zeros, sp], [zeros, ones, zeros], [-sp, zeros, cp])
+            @ matrix([cy, -sy, zeros], [sy, cy, zeros], [zeros, zeros, ones]))
 
 
 def _axes_at(lon: float, lat: float) -> FloatArray:

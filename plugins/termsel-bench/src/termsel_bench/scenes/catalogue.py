@@ -21,11 +21,11 @@ from termsel_bench.scenes.cameras import FRESH, image_of
 METADATA, MEANS = "croissant.json", "means.json"
 """Files of the package with the description of all sets and their checksums, and with means."""
 
-# The first; no constant of termsel was chosen on these.
+# Seed of the first set of each kind; no constant of termsel was chosen on these seeds.
 _FIRST_SEED = 7000
-# Places that the vendor's RPC is fitted to.
-_VENDOR = 400
-# In px.
+# Points to which the vendor's RPC is fitted.
+_N_VENDOR_POINTS = 400
+# Least and largest error of a vendor's RPC [px].
 _BIAS = (2.0, 60.0)
 # Displacement of blunders [px].
 _NEAREST, _FARTHEST = 5.0, 60.0
@@ -45,11 +45,14 @@ class SetSettings:
 def _sets_of(kind: str, counts: tuple[int, ...],
              **settings: tuple[Any, ...]) -> tuple[SetSettings,
                                                    ...]:
-    """Return the settings of sets of a kind, one for each count, with the values of that number."""
+    """Return the settings of the sets of a kind, one for each count of points.
+
+    The i-th set has the i-th value of each of the `settings`.
+    """
     sets = []
     for i, count in enumerate(counts):
-        of_set = {name: values[i] for name, values in settings.items()}
-        sets.append(SetSettings(f"{kind}-{i + 1}", kind, _FIRST_SEED + i, count, of_set))
+        set_values = {name: values[i] for name, values in settings.items()}
+        sets.append(SetSettings(f"{kind}-{i + 1}", kind, _FIRST_SEED + i, count, set_values))
     return tuple(sets)
 
 
@@ -121,7 +124,7 @@ def simulated_set(name: str) -> BenchSet:
 
 
 _MEANS_SHARE = 0.1
-"""Of the unit of the last decimal, by which means may differ.
+"""Share of the unit of the last decimal by which means may differ.
 
 Sines and inverses of other processors end in another bit, so that of some thousand numbers a few,
 which lie where rounding changes, have another last decimal. Other noise changes means by more.
@@ -129,7 +132,7 @@ which lie where rounding changes, have another last decimal. Other noise changes
 
 
 def _differs_by_rounding(bench_set: BenchSet, file: str) -> bool:
-    """Return whether a file differs from the frozen one only by rounding, by its columns' means."""
+    """Return whether the means of a file's columns are those of the frozen one but for rounding."""
     frozen = json.loads(files("termsel_bench").joinpath(MEANS).read_text("utf-8"))
     means, units = means_of(bench_set.files()[file])
     return len(frozen.get(file, ())) == len(means) and bool(np.all(
@@ -143,16 +146,16 @@ def frozen_checksums() -> dict[str, str]:
 
 
 def simulate_set(name: str) -> BenchSet:
-    """Return a set as it is simulated here, even if it is not the frozen one."""
+    """Return a known set as it is simulated here, even if it is not the frozen one."""
     settings = SETS[name]
     features, independent = _MAKERS.get(settings.kind, _simulate_camera)(settings)
-    # Control and selection points by turns, so that both are all over the image.
+    # Control and selection points alternate, so that both are all over the image.
     roles = tuple("control" if i % 2 == 0 else "check" for i in range(len(features.points)))
     points = replace(features.points, roles=roles,
                      ids=tuple(f"P{i + 1}" for i in range(len(roles))))
     independent = replace(independent, roles=("independent",) * len(independent),
                           ids=tuple(f"I{i + 1}" for i in range(len(independent))))
-    # How exact the measurements are is not known to a method.
+    # Methods are not told how exact the measurements are.
     return round_to_files(BenchSet(name, settings.kind,
                                    replace(features, points=points, noise=None),
                                    independent))
@@ -179,9 +182,9 @@ def _simulate_old_map(settings: SetSettings) -> tuple[FeatureSet, Points]:
 
     arguments = {"seed": settings.seed, "n_points": settings.count + INDEPENDENT,
                  **settings.settings}
-    # The places are spread out in their order: which of them are control is drawn.
+    # Points are spread out in the order in which they are drawn, so that control is drawn from all.
     order = np.random.default_rng(settings.seed).permutation(settings.count + INDEPENDENT)
-    # The same map twice: with noise for what a method sees, without it for what judges.
+    # The same map is simulated with noise for control, and without it for independent points.
     measured = simulate_map(**arguments)
     exact = simulate_map(**arguments, noise=0.0)
     return (measured.with_(points=measured.points.take(order[:settings.count])),
@@ -204,18 +207,22 @@ def _simulate_matches(settings: SetSettings) -> tuple[FeatureSet, Points]:
                      settings.count)
     features, independent = _split(scene, settings.count)
     rng = np.random.default_rng([settings.seed, 1])
-    # Blunders lie in any direction, 5 to 60 px off.
-    moved = rng.permutation(settings.count)[:round(settings.settings["wrong"] * settings.count)]
+    n_blunders = round(settings.settings["wrong"] * settings.count)
+    blunders = rng.permutation(settings.count)[:n_blunders]
     image = features.points.image.copy()
-    image[moved] += _random_directions(
-        rng, len(moved)) * rng.uniform(_NEAREST, _FARTHEST, (len(moved), 1))
+    image[blunders] += _random_directions(
+        rng, n_blunders) * rng.uniform(_NEAREST, _FARTHEST, (n_blunders, 1))
     return features.with_(points=replace(features.points, image=image)), independent
 
 
-def _vendor_rpc_image(settings: SetSettings) -> tuple[FeatureSet, Points]:
-    """Return control of an image whose vendor's RPC is off, and independent points."""
+def _simulate_vendor_rpc(settings: SetSettings) -> tuple[FeatureSet, Points]:
+    """Return control of an image with the RPC of a vendor, and independent points.
+
+    The RPC has errors of 2 to 60 px: a shift, a drift along the lines or an affine change.
+    """
     count = settings.count
-    scene = image_of("steady", settings.seed + 200, FRESH, count + INDEPENDENT + _VENDOR, count)
+    n_points = count + INDEPENDENT + _N_VENDOR_POINTS
+    scene = image_of("steady", settings.seed + 200, FRESH, n_points, count)
     features, independent = _split(scene, count)
     assert scene.image_size is not None
     rng = np.random.default_rng([settings.seed, 2])
@@ -223,8 +230,8 @@ def _vendor_rpc_image(settings: SetSettings) -> tuple[FeatureSet, Points]:
     # The size of the vendor's error, log-uniform.
     size = float(np.exp(rng.uniform(*np.log(_BIAS))))
     from_middle = vendor.image / (np.array(scene.image_size) / 2) - 1
-    # In the middle of the image, and with a drift or an affine change more towards its edges.
-    bias = np.tile(_random_directions(rng, 1), (_VENDOR, 1))
+    # A shift, of which half is replaced by a drift or an affine change about the middle.
+    bias = np.tile(_random_directions(rng, 1), (_N_VENDOR_POINTS, 1))
     if settings.settings["error"] == "drift":
         bias = bias / 2 + from_middle[:, :1] * _random_directions(rng, 1) / 2
     elif settings.settings["error"] == "affine":
@@ -237,10 +244,10 @@ def _vendor_rpc_image(settings: SetSettings) -> tuple[FeatureSet, Points]:
 def _random_directions(
         rng: Generator, count: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     """Return random directions of length 1, shape (count, 2)."""
-    turn = rng.uniform(0, 2 * np.pi, count)
-    return np.column_stack([np.sin(turn), np.cos(turn)])
+    angle = rng.uniform(0, 2 * np.pi, count)
+    return np.column_stack([np.sin(angle), np.cos(angle)])
 
 
 _MAKERS: Mapping[str, Callable[[SetSettings], tuple[FeatureSet, Points]]] = {
-    "old-map": _simulate_old_map, "vendor-rpc": _vendor_rpc_image, "matches": _simulate_matches,
+    "old-map": _simulate_old_map, "vendor-rpc": _simulate_vendor_rpc, "matches": _simulate_matches,
     "lines": _simulate_lines}

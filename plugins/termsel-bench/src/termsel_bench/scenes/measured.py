@@ -102,7 +102,9 @@ class MeasuredSet:
         return int(self.folds.max()) + 1
 
     def trial(self, fold: int) -> tuple[FeatureSet, Points]:
-        """Return the features that a method sees in a fold, and the points that are hidden from it.
+        """Return the features that a method sees in a trial, and the points that are hidden.
+
+        The fold `fold` is hidden or, with `sees_one`, the only one that is seen.
         """
         points = self.features.points
         hidden = (self.folds == fold) != self.sees_one
@@ -139,7 +141,7 @@ def read_measured_set(name: str) -> MeasuredSet:
     meta = _read_meta(source.folder)
     content = _read_source_text(source.folder, file)
     checksum = hashlib.sha256(content.encode()).hexdigest()
-    # Scores are compared with published ones, which are of these very points.
+    # Scores are compared with published ones, which are of the published points.
     if checksum != meta["sha256"][file]:
         raise TermselError(f"the SHA-256 of {file} is {checksum}, not that of the published file",
                            hint="Install termsel-bench again.")
@@ -165,18 +167,18 @@ def checksums_of_measured() -> dict[str, str]:
 
 
 def build_published_files(names: Sequence[str]) -> dict[str, str]:
-    """Return the contents of the files of some sets as published, by folder/name, and their folds.
+    """Return the texts of the published files of some sets, by folder/name.
 
-    Licence and meta.json of each folder are among them.
+    Licence and meta.json of each folder are among them, and a file with the folds of the sets.
     """
     contents: dict[str, str] = {}
     for source in SOURCES:
-        files_of_source = [file for name, (its, file) in _source_and_file_by_set().items()
-                           if its == source and name in names]
-        if not files_of_source:
+        source_files = [file for name, (set_source, file) in _source_and_file_by_set().items()
+                        if set_source == source and name in names]
+        if not source_files:
             continue
         extra = ["photos.csv"] if "photos.csv" in _read_meta(source.folder)["sha256"] else []
-        for file in (*files_of_source, *extra, "LICENSE", "meta.json"):
+        for file in (*source_files, *extra, "LICENSE", "meta.json"):
             contents[f"{source.folder}/{file}"] = _read_source_text(source.folder, file)
     folds = json.loads(_read_source_text("", FOLDS))
     fold_by_set = {}
@@ -192,10 +194,10 @@ def _source_and_file_by_set() -> Mapping[str, tuple[MeasuredSource, str]]:
     """Return the source and the file of points of each set, by the name of the set."""
     by_set: dict[str, tuple[MeasuredSource, str]] = {}
     for source in SOURCES:
-        # Sets are kind-001, ... in the order of file names; photos.csv holds no points.
-        of_points = sorted(
+        # Sets are called kind-001 and so on in the order of file names; photos.csv has no points.
+        point_files = sorted(
             file for file in _read_meta(source.folder)["sha256"] if file != "photos.csv")
-        for number, file in enumerate(of_points, 1):
+        for number, file in enumerate(point_files, 1):
             by_set[f"{source.kind}-{number:03d}"] = (source, file)
     return by_set
 
@@ -208,13 +210,14 @@ def _read_meta(folder: str) -> dict[str, Any]:
 
 
 def _read_source_text(folder: str, file: str) -> str:
-    """Return the text of a file in the folder of a source; "" as folder for that of all."""
-    place = files("termsel_bench") / "measured"
-    return ((place / folder if folder else place) / file).read_bytes().decode()
+    """Return the text of a file in the folder of a source, or in that of all sources if it is "".
+    """
+    all_sources = files("termsel_bench") / "measured"
+    return ((all_sources / folder if folder else all_sources) / file).read_bytes().decode()
 
 
 def _parse_points(content: str) -> Points:
-    """Return the points of a published file."""
+    """Return the points of a published file; a file without ids has matches of two images."""
     rows = list(csv.DictReader(StringIO(content)))
     if "id" not in rows[0]:
         return _parse_matches([list(map(float, row.values())) for row in rows])
@@ -225,7 +228,10 @@ def _parse_points(content: str) -> Points:
 
 
 def _parse_matches(rows: Sequence[Sequence[float]]) -> Points:
-    """Return matches of two images: the first is the ground, with its rows turned upwards."""
+    """Return matches of two images as points, from rows of x and y, then sample and line.
+
+    The first image is the ground; its rows are turned upwards, and there are no heights.
+    """
     x, y, sample, line = np.array(rows).T
     return Points(tuple(f"M{i + 1:03d}" for i in range(len(rows))), np.column_stack([line, sample]),
                   np.column_stack([x, -y, np.full(len(rows), np.nan)]))
@@ -241,7 +247,7 @@ def _photo_rows() -> dict[str, dict[str, str]]:
 def draw_folds() -> dict[str, list[int]]:
     """Return a fold for each point of each set, drawn by a seed.
 
-    Folds of a set differ by one point at most.
+    Folds of a set differ in their number of points by one at most.
     """
     folds = {}
     for number, (name, (source, file)) in enumerate(_source_and_file_by_set().items()):

@@ -28,11 +28,12 @@ from termsel_bench.scenes.base import BenchSet
 DECLARATION = "set.json"
 """File of a folder that declares it a set."""
 
-NEEDED = ("title", "kind", "crs", "points", "sha256", "licence", "licence_file", "source", "commit")
-"""What the declaration says, a text each."""
-
-# Characters: a name is no text of a licence.
-_LEAST_LICENCE = 100
+REQUIRED_FIELDS = (
+    "title", "kind", "crs", "points", "sha256", "licence", "licence_file", "source", "commit"
+)
+"""Fields of the declaration, a text each."""
+# Fewest characters of a licence: its name alone is no licence.
+_MIN_LICENCE_LENGTH = 100
 
 
 def real_folders(folder: Path) -> list[Path]:
@@ -58,13 +59,13 @@ def real_set(folder: Path) -> BenchSet:
     Raises
     ------
     TermselError
-        If licence, source, commit or checksum are missing or not true, or no point judges.
+        If licence, source, commit or checksum are missing or wrong, and if there are fewer than
+        two independent points, or no others.
     """
     file = folder / DECLARATION
-    # Licence, source and commit first: without them nobody may use the points.
     declared = _declaration_of(file)
     licence = _file_of_set(folder, declared["licence_file"], file)
-    if len(licence.decode("utf-8", "replace").strip()) < _LEAST_LICENCE:
+    if len(licence.decode("utf-8", "replace").strip()) < _MIN_LICENCE_LENGTH:
         raise TermselError(f"{declared['licence_file']} is not the text of a licence",
                            file=str(file),
                            hint="Put the whole text of the licence into the folder.")
@@ -94,20 +95,19 @@ def real_set(folder: Path) -> BenchSet:
 
 
 def _declaration_of(file: Path) -> dict[str, str]:
-    """Return the declaration of a real set; raises TermselError if one of `NEEDED` is not stated.
-    """
+    """Return the declaration of a real set; raises TermselError if a required field is missing."""
     try:
         declared: Any = json.loads(read_text(file))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise TermselError(f"{file} cannot be read: {error}", hint="It has to be JSON.") from error
-    for name in NEEDED:
+    for name in REQUIRED_FIELDS:
         if (
             not isinstance(declared, dict)
             or not isinstance(declared.get(name), str)
             or not declared[name]
         ):
             raise TermselError(f"the set {file.parent.name} does not say its {name}",
-                               file=str(file), hint=f"State all of {', '.join(NEEDED)}.")
+                               file=str(file), hint=f"State all of {', '.join(REQUIRED_FIELDS)}.")
     return declared  # type: ignore[no-any-return]
 
 

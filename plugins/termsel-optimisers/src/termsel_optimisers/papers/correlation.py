@@ -20,35 +20,39 @@ _ROUNDING = 1e-9
 def correlation_sums(design: FloatArray) -> FloatArray:
     """Return the sum of the absolute correlations of each column with all columns, shape (g,).
 
-    Akhoundi Khezrabad et al. 2020, eq. 3 and the last line of eq. 4, of a design with a row of each
-    equation and a column of each gene. Sums are at least 1, the correlation of a column with
-    itself.
+    It is that of Akhoundi Khezrabad et al. 2020, eq. 3 and the last line of eq. 4. `design` (m, g)
+    has a row for each equation and a column for each gene. Sums are at least 1, the correlation of
+    a column with itself. A constant column has the least sum of the others, a column of zeros the
+    largest.
     """
     unit = unit_deviations(design)
     varies = unit.any(axis=0)
     sums = np.ones(design.shape[1])
     if varies.any():
-        # |r_ij| summed over j, with r = u_i'u_j of columns less their means, at unit length.
+        # sum_j |u_i'u_j|, with columns u less their means, at unit length.
         sums[varies] = np.abs(unit[:, varies].T @ unit[:, varies]).sum(axis=0)
-        # The correlation of a constant is undefined; every model needs one, and it rivals none.
+        # The correlation of a constant is undefined. Every model needs one, so that it counts as
+        # the least correlated.
         sums[~varies] = sums[varies].min()
-    sums[~design.any(axis=0)] = sums.max()  # the term of a column of zeros cannot be determined
+    # The term of a column of zeros cannot be determined.
+    sums[~design.any(axis=0)] = sums.max()
     return sums
 
 
 def activation_probabilities(sums: FloatArray, scale: float, offset: float) -> FloatArray:
-    """Return the chance of each gene to be on: P = S (1 - sum / max(sum)) + O.
+    """Return the probability (g,) of each gene to be on: P = S (1 - sum / max(sum)) + O.
 
-    Akhoundi Khezrabad et al. 2020, eq. 4, with the sums of `correlation_sums`, scale S and offset
-    O. Refuses those that lead to another probability than from 0 to 1, and names permitted ones.
+    It is that of Akhoundi Khezrabad et al. 2020, eq. 4, with the sums of `correlation_sums`, scale
+    S and offset O. Raises TermselError, which names permitted values, if one exceeds 1.
     """
-    freedom = 1.0 - sums / sums.max()  # 0 for the most correlated gene
-    probability = scale * freedom + offset
+    # 0 for the most correlated gene.
+    independence = 1.0 - sums / sums.max()
+    probability = scale * independence + offset
     if probability.max() > 1.0 + _ROUNDING:
-        widest = float(freedom.max())
+        most_independent = float(independence.max())
         # Rounded down, so that the printed value is accepted.
-        largest = np.floor((1.0 - offset) / widest * 1e3) / 1e3
-        largest_offset = 1.0 - scale * widest
+        largest = np.floor((1.0 - offset) / most_independent * 1e3) / 1e3
+        largest_offset = 1.0 - scale * most_independent
         allowed = f"These data allow a scale of up to {largest:g} with offset {offset:g}"
         if largest_offset >= 0:
             rounded_offset = np.floor(largest_offset * 1e3) / 1e3
@@ -63,9 +67,9 @@ def activation_probabilities(sums: FloatArray, scale: float, offset: float) -> F
 
 def seed_population(probability: FloatArray, n: int, rng: np.random.Generator) -> BoolArray:
     """Return n chromosomes (n, g) in which gene i is on exactly round(P_i n) times, at random."""
-    # The first round(P_i n) of each column, which are then put in a random order.
-    on = np.arange(n)[:, None] < np.rint(probability * n)
-    return rng.permuted(on, axis=0)  # each gene's column by itself
+    # The first round(P_i n) rows of column i are on; then each column is put in a random order.
+    is_on = np.arange(n)[:, None] < np.rint(probability * n)
+    return rng.permuted(is_on, axis=0)
 
 
 class CorrelationSeededGA(GeneticAlgorithm):
@@ -118,7 +122,6 @@ class CorrelationSeededGA(GeneticAlgorithm):
         """Return the toolbox of the GA with a first population that follows the correlations."""
         o = self.options
         box = super().toolbox(problem, rng)
-        # The design matrix is that of all genes over all control, whatever is forced.
         scale, offset = PRESETS.get(o["preset"], (o["scale"], o["offset"]))
         probability = activation_probabilities(correlation_sums(problem.design()), scale, offset)
 

@@ -12,24 +12,24 @@ from termsel_optimisers.arrays import BoolArray, FloatArray
 
 
 def deposit(ants: BoolArray) -> FloatArray:
-    """Return the deposit of ranked ants (n, g) on the states off and on of genes, shape (2, g).
+    """Return the deposits (2, g) of ranked ants (n, g) on the states off and on of genes.
 
-    Ants stand from best to worst: the best has the weight n, the last 1. Deposits are shares of
-    the weight on a gene's states, which add up to 1.
+    Ants are in the order from best to worst, with weights from n down to 1. The deposits on the two
+    states of a gene add up to 1.
     """
-    weights = np.arange(len(ants), 0, -1.0)  # by rank: objectives differ in scale
-    on = weights @ ants / weights.sum()
-    return np.stack([1.0 - on, on])
+    # Weights are by rank, as objectives differ in scale.
+    weights = np.arange(len(ants), 0, -1.0)
+    deposit_on = weights @ ants / weights.sum()
+    return np.stack([1.0 - deposit_on, deposit_on])
 
 
 def renew(pheromone: FloatArray, deposited: FloatArray, evaporation: float, tau_min: float,
           tau_max: float) -> FloatArray:
-    """Return the pheromone (2, g) after evaporation and deposit, within its limits.
+    """Return the pheromone (2, g) after evaporation and deposit, from `tau_min` to `tau_max`.
 
-    The share rho, `evaporation`, evaporates and is replaced by the deposit; the limits are tau_min
-    and tau_max.
+    The share rho, `evaporation`, is replaced by the deposit.
     """
-    # tau <- (1 - rho) tau + rho deposit
+    # tau <- (1 - rho) tau + rho deposit.
     return np.clip((1.0 - evaporation) * pheromone + evaporation * deposited, tau_min, tau_max)
 
 
@@ -42,9 +42,9 @@ def graft_segments(stock: BoolArray, scion: BoolArray, genome: Genome) -> BoolAr
 
 
 def has_settled(chance: FloatArray, limit: float) -> bool:
-    """Return whether the mean chance of the rarer states of free genes is below a limit.
+    """Return whether the mean probability of the rarer states of free genes is below a limit.
 
-    `chance` (free,) is that of being on; False if no gene is free.
+    `chance` (f,) is the probability of each free gene to be on; False if no gene is free.
     """
     return len(chance) > 0 and bool(np.minimum(chance, 1.0 - chance).mean() < limit)
 
@@ -119,7 +119,8 @@ class AntColony(Solver):
             best_evaluation = ranked_evaluation.take(np.arange(1))
             pheromone = renew(pheromone, deposit(ranked), o["evaporation"], o["tau_min"],
                               o["tau_max"])
-            chance = pheromone[1] / pheromone.sum(axis=0)  # limits change their sum
+            # The limits may change the sum of both states.
+            chance = pheromone[1] / pheromone.sum(axis=0)
             if has_settled(chance[problem.genome.free], o["restart"]):
                 champion, champion_evaluation = _best_ants(
                     1, champion, champion_evaluation, best, best_evaluation)
@@ -127,7 +128,7 @@ class AntColony(Solver):
                 champion, champion_evaluation = _best_ants(
                     1, champion, champion_evaluation, grafted, problem.evaluate(grafted)
                 )
-                # The next start knows nothing of this one; the champion is not lost to it.
+                # The next start knows nothing of this one; the champion is kept apart.
                 best = best[:0]
                 best_evaluation = best_evaluation.take(np.arange(0))
                 pheromone = np.full((2, problem.genome.size), 0.5)

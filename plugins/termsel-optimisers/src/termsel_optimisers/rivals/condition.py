@@ -38,9 +38,8 @@ class FigureCondition(Criterion):
     def score(self, fits: Fits) -> FloatArray:
         """Return the predicted error over the image [px] of each model.
 
-        Infinite without redundancy.
-
-        Raises TermselError for a model that corrects its predictions by the control.
+        It is infinite without terms, without enough redundancy, and for terms that depend on each
+        other. Raises TermselError for a model that corrects its predictions by the control.
         """
         if fits.model.corrects:
             raise TermselError(f"criterion {self.name!r} cannot judge model {fits.model.name!r}, "
@@ -49,7 +48,8 @@ class FigureCondition(Criterion):
         grid = places_of(fits)
         image = fits.model.project(fits.coefficients, grid)
         denominators = fits.model.denominators(fits.coefficients, grid)
-        # Columns of denominators have the image position as a factor: rows are linear in it.
+        # Columns of denominators have the image position as a factor, so that equations are linear
+        # in it: two positions are enough.
         at_zero, at_one = (fits.model.equations(FeatureSet(Points(
             tuple(map(str, range(len(grid)))), np.full((len(grid), 2), value), grid))).A
             for value in (0.0, 1.0))
@@ -63,30 +63,31 @@ class FigureCondition(Criterion):
         return figures
 
     def _prediction_variance(self, fits: Fits, i: int, rows: FloatArray) -> FloatArray:
-        """Return the variance of model i in each row of the places (2n,), in scaled units.
+        """Return the variance (2 n,) of the i-th model's predictions at equations `rows` (2 n, k).
 
-        Infinite if it has too little redundancy, or its terms depend on each other.
+        It is in scaled units, and infinite if the model has too little redundancy, or its terms
+        depend on each other.
         """
         total = np.zeros(len(rows))
         for system in fits.parts:
-            on = fits.terms[i, system.columns]
-            used = fits.in_use[i][system.equations.feature]
-            A = system.equations.A[used][:, on]
-            b = system.equations.b[used]
-            redundancy = len(b) - int(on.sum())
+            is_chosen = fits.terms[i, system.columns]
+            is_used = fits.in_use[i][system.equations.feature]
+            A = system.equations.A[is_used][:, is_chosen]
+            b = system.equations.b[is_used]
+            redundancy = len(b) - int(is_chosen.sum())
             min_redundancy = self.options["min_redundancy"]
             if min_redundancy is None:
                 min_redundancy = max(1, round(len(b) / 3))
             if redundancy < min_redundancy:
                 return np.full(len(rows), np.inf)
-            x = fits.coefficients[i, system.columns][on]
+            x = fits.coefficients[i, system.columns][is_chosen]
             unit_variance = float(((b - A @ x) ** 2).sum()) / redundancy
             _, values, right = np.linalg.svd(A, full_matrices=False)
             if not len(values) or values[-1] <= 1e-12 * values[0]:
                 return np.full(len(rows), np.inf)
             # With A = U S V' the variance of a row a is sigma^2 |S^-1 V'a|^2.
-            share = rows[:, system.columns][:, on] @ right.T / values
-            total += unit_variance * (share**2).sum(axis=1)
+            factors = rows[:, system.columns][:, is_chosen] @ right.T / values
+            total += unit_variance * (factors**2).sum(axis=1)
         return total
 
 
@@ -97,6 +98,6 @@ def places_of(fits: Fits) -> FloatArray:
     high = ground[:, :2].max(axis=0)
     x, y = np.meshgrid(*(np.linspace(low[j], high[j], SIDE) for j in (0, 1)))
     plan = np.column_stack([x.ravel(), y.ravel()])
-    # No terrain is known between the control: the height of the nearest one must do.
+    # The terrain between control is not known, so that the height is that of the nearest one.
     nearest = np.linalg.norm(plan[:, None] - ground[:, :2], axis=2).argmin(axis=1)
     return np.column_stack([plan, ground[nearest, 2]])

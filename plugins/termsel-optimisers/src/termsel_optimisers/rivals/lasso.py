@@ -29,11 +29,11 @@ class PathSegment:
 def lasso_path(columns: FloatArray, target: FloatArray, max_columns: int) -> list[PathSegment]:
     """Return the path of the lasso from the largest penalty down to `max_columns` in use.
 
-    Minimises ||y - X b||^2 / 2 + penalty sum |b| for every penalty, X (m, k) and y (m, r): least
-    angle regression in which a column leaves as its coefficient passes 0 (Efron, Hastie, Johnstone,
-    Tibshirani 2004, section 3.1). With several targets it is multiresponse least angle regression
-    (Similä, Tikka 2005), in which no column leaves. Columns that depend on those in use do
-    not enter.
+    At every penalty ||y - X b||^2 / 2 + penalty sum |b| is minimal, for columns X (m, k) and the
+    target y (m, 1). The path is that of least angle regression in which a column leaves as its
+    coefficient passes 0 (Efron, Hastie, Johnstone, Tibshirani 2004, section 3.1). With several
+    targets (m, r) it is multiresponse least angle regression (Similä, Tikka 2005), in which no
+    column leaves. Columns that depend on those in use do not enter. [] if none may or can enter.
     """
     k = columns.shape[1]
     r = target.shape[1]
@@ -45,11 +45,14 @@ def lasso_path(columns: FloatArray, target: FloatArray, max_columns: int) -> lis
     if max_columns < 1 or top == 0.0:
         return path
     active = [int(lengths.argmax())]
-    just_left = -1  # the column that has just left: by rounding it might enter again
+    # The column that left in the last step, which by rounding might enter again at once; -1 for
+    # none.
+    just_left = -1
     # Many more segments than columns would be steps of rounding size.
     while active and penalty > EXPLAINED * top and len(path) < 20 * k:
         residuals = target - columns @ x
-        # Along this step the columns in use keep equal correlations with what is left.
+        # Along the step to the least-squares solution the columns in use keep equal correlations
+        # with the residuals.
         q, triangle = np.linalg.qr(columns[:, active])
         step = linalg.solve_triangular(triangle, q.T @ residuals)
         enters = _shares_to_enter(columns.T @ residuals, columns.T @ (q @ (q.T @ residuals)),
@@ -60,24 +63,23 @@ def lasso_path(columns: FloatArray, target: FloatArray, max_columns: int) -> lis
             enters[just_left] = np.inf
         leaves = np.full(len(active), np.inf)
         if r == 1:  # with several targets no column leaves
-            # x + share step = 0
+            # x + share step = 0.
             turns = x[active, 0] * step[:, 0] < 0.0
             leaves[turns] = -x[active, 0][turns] / step[turns, 0]
-        # The first of what ends the step: the solution itself, a column that enters, or one that
-        # leaves.
+        # The step ends at the solution, or where the first column enters or leaves.
         share = min(1.0, float(enters.min()), float(leaves.min()))
         in_use = np.array(active)
         start = x.copy()
         above = penalty
         x[active] += share * step
-        # All correlations of the columns in use fall alike.
+        # The penalty is the correlation of the columns in use, which falls with the residuals.
         penalty *= 1.0 - share
         just_left = -1
         if share == leaves.min():
             just_left = active.pop(int(leaves.argmin()))
             x[just_left] = 0.0
         path.append(PathSegment(above, penalty, in_use, start, x.copy()))
-        # At 1 the least-squares solution of those in use is reached, and nothing enters.
+        # At the solution no column enters.
         if just_left < 0 and share < 1.0:
             if len(active) == max_columns:
                 break
@@ -86,11 +88,13 @@ def lasso_path(columns: FloatArray, target: FloatArray, max_columns: int) -> lis
 
 
 def _shares_to_enter(c: FloatArray, a: FloatArray, penalty: float) -> FloatArray:
-    """Return the share of the step at which each column correlates as much as those in use.
+    """Return the share (k,) of the step at which each column correlates as much as those in use.
 
-    The first root of |c - share a| = (1 - share) penalty, which lies between 0 and 1.
+    `c` (k, r) are the products of columns and residuals, `a` (k, r) those that the whole step takes
+    off. The share is infinite if there is none.
     """
-    # p share^2 - 2 q share + s = 0; the form that does not cancel.
+    # The first root of |c - share a| = (1 - share) penalty, or p share^2 - 2 q share + s = 0, in
+    # the form that does not cancel.
     p = penalty**2 - (a**2).sum(axis=1)
     q = penalty**2 - (c * a).sum(axis=1)
     s = np.maximum(penalty**2 - (c**2).sum(axis=1), 0.0)
@@ -132,20 +136,20 @@ class Lasso(TermRegression):
         path = _lasso_path(regression, np.ones(len(regression.target), dtype=bool))
         if not path:
             return regression.kept
-        # The middle of each segment, in logarithms.
+        # A segment is judged at its middle, in logarithms.
         penalties = np.array([np.sqrt(max(segment.above * segment.below, 0.0)) for segment in path])
         square = np.zeros(len(path))
         m = len(regression.target)
         fold = np.arange(m) % min(self.options["folds"], m)
         for held_out in range(fold.max() + 1):
             square += _held_out_squares(regression, fold != held_out, penalties)
-        # Of those that leave rounding alone the first, with the largest penalty.
+        # If several leave nothing but rounding, the first is taken, which has the largest penalty.
         chosen = path[int(np.maximum(square, regression.rounding).argmin())]
         return regression.without_surplus(_columns_on_segment(regression, chosen))
 
 
 def _lasso_path(regression: Regression, rows: BoolArray) -> list[PathSegment]:
-    """Return the path of the free columns over the rows (m,) in use.
+    """Return the path of the free columns by the rows that `rows` (m,) marks.
 
     [] if there is no room for any.
     """
@@ -163,9 +167,9 @@ def _columns_on_segment(regression: Regression, segment: PathSegment) -> BoolArr
 
 
 def _held_out_squares(regression: Regression, rows: BoolArray, penalties: FloatArray) -> FloatArray:
-    """Return the squares of the errors at the rows not in use, for each penalty (p,).
+    """Return the sum of squared errors at the rows not in use, for each penalty, (p,).
 
-    Penalties are for all rows; with unit columns they scale with the root of the number of rows.
+    The path is by the rows that `rows` (m,) marks. Penalties are those for all rows.
     """
     unit = regression.unit
     path = _lasso_path(regression, rows)
@@ -175,7 +179,8 @@ def _held_out_squares(regression: Regression, rows: BoolArray, penalties: FloatA
         x = np.linalg.lstsq(unit[np.ix_(rows, selection)], regression.target[rows],
                             rcond=DEPENDENT)[0]
         squares.append(((regression.target[~rows] - unit[np.ix_(~rows, selection)] @ x) ** 2).sum())
-    # Before the first segment nothing free is in use; below the last the path is not known.
+    # Above the first segment no free column is in use. Columns have unit length over all rows, so
+    # that penalties are multiplied by the root of the share of rows in use.
     above = np.array([segment.above for segment in path])
     number = (above[None] >= penalties[:, None] * np.sqrt(rows.mean())).sum(axis=1)
     return np.asarray(np.array(squares)[number])

@@ -10,7 +10,7 @@ from termsel_optimisers.arrays import BoolArray, FloatArray
 DEPENDENT = 1e-8
 """A column of length 1 whose part that the others lack is shorter depends on them."""
 
-ON_A_POLE = 1e-12
+MIN_DENOMINATOR = 1e-12
 """Denominator in place of 0."""
 
 
@@ -39,20 +39,19 @@ class NestedRegression(TermRegression):
     )
 
     def choose(self, regression: Regression) -> BoolArray:
-        """Return the chosen columns (k,): added one by one, until errors are small and stay so.
+        """Return the chosen columns (k,), which are added one by one.
 
-        The next column is the one that explains most of the errors of the quotient itself, with its
-        denominator. It ends once the root mean square of both axes is below `thumb`, a rule of
-        thumb of the paper, and no longer falls by as much.
+        The next column is the one that explains most of the errors of the rational function itself.
+        It ends once the root mean square of each target, and its last change, are below `thumb`, if
+        no column explains anything, or if no more are allowed.
         """
         thumb = self.options["thumb"] / regression.pixels
         selection = regression.kept.copy()
         errors = rational_errors(regression, selection)
         while selection.sum() < regression.most:
-            # By the errors of the quotient itself, not by those of the linear equations.
-            share = explained_shares(regression, selection, errors)
-            best = regression.largest(share)
-            if share[best] <= 0.0:
+            shares = explained_shares(regression, selection, errors)
+            best = regression.largest(shares)
+            if shares[best] <= 0.0:
                 break
             selection = selection.copy()
             selection[best] = True
@@ -76,23 +75,23 @@ def rational_errors(regression: Regression, selection: BoolArray) -> FloatArray:
     lengths = np.linalg.norm(regression.columns[:, selection], axis=0)
     solution = np.linalg.lstsq(regression.unit[:, selection], regression.target,
                                rcond=DEPENDENT)[0]
-    # Of columns of length 1; a column of zeros has the coefficient 0.
+    # The solution is of columns of unit length; a column of zeros has the coefficient 0.
     x[selection] = solution / np.where(lengths > 0, lengths, 1.0)[:, None]
-    # The linear equations are those of the image coordinate times the denominator.
+    # The linear equations are those of the rational function times the denominator.
     errors = regression.target - regression.columns @ x
     if regression.denominator is not None:
         denominators = 1.0 + regression.denominator @ x
-        # A pole on a point: its error is huge, and finite.
-        errors = errors / np.where(denominators == 0.0, ON_A_POLE, denominators)
+        # A pole on a point gives it an error that is huge, but finite.
+        errors = errors / np.where(denominators == 0.0, MIN_DENOMINATOR, denominators)
     return np.asarray(errors)
 
 
 def explained_shares(
         regression: Regression, selection: BoolArray, errors: FloatArray) -> FloatArray:
-    """Return the share of the errors' squares that each free column explains alone, shape (k,).
+    """Return the share of the squared errors that each free column explains by itself, (k,).
 
-    This is R^2 of a regression without intercept; R^2 / (1 - R^2) grows with it. It is 0 for
-    columns that depend on the chosen ones.
+    It is R^2 of a regression without intercept, over all targets. It is 0 for columns that are
+    chosen, always in use, or depend on the chosen ones, and for errors that are rounding alone.
     """
     unit = regression.unit
     q = np.linalg.qr(unit[:, selection])[0]
@@ -100,7 +99,7 @@ def explained_shares(
     square = float((errors**2).sum())
     if regression.explained(square):
         return np.zeros(len(selection))
-    # R^2 = (a'e)^2 / (a'a e'e), of columns of length 1; both targets together.
-    share = ((unit.T @ errors) ** 2).sum(axis=1) / square
+    # R^2 = (a'e)^2 / (a'a e'e), with columns a of length 1.
+    shares = ((unit.T @ errors) ** 2).sum(axis=1) / square
     return np.asarray(np.where(regression.free & ~selection & (remaining_lengths > DEPENDENT),
-                               share, 0.0))
+                               shares, 0.0))

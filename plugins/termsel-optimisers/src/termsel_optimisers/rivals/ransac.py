@@ -19,7 +19,7 @@ from termsel import (
 )
 from termsel_optimisers.arrays import BoolArray
 
-QUADRATIC_FROM = 20
+MIN_QUADRATIC_POINTS = 20
 """Points from which on the polynomial is quadratic: as few as it has terms leave nothing to vote.
 """
 
@@ -56,9 +56,10 @@ class Ransac(Method):
         return f"{self.title} takes points alone" if len(data.features.lines) else None
 
     def fit(self, data: FitData) -> Fit:
-        """Return the fit of the polynomial to the points that agree.
+        """Return the fit of the polynomial to the points that agree with the best draw.
 
-        Raises Undetermined if too few do.
+        Raises Undetermined if there are too few points, if no draw determines a polynomial, or if
+        no more points agree than determine it.
         """
         model = self.model(data.heights, len(data))
         ready = model.prepared(data.scaling, data.features.crs)
@@ -67,52 +68,53 @@ class Ransac(Method):
                                   self._points_that_vote(ready, data))
 
     def model(self, heights: bool, points: int = 0) -> RationalModel:
-        """Return the polynomial for a number of points: affine, or quadratic if they are many.
+        """Return the polynomial for a number of points, in space with heights, else in the plane.
 
-        It is of three coordinates with heights, else of two.
+        It is affine, or quadratic from `MIN_QUADRATIC_POINTS` points on.
         """
-        degree = 1 if points < QUADRATIC_FROM else 2
+        degree = 1 if points < MIN_QUADRATIC_POINTS else 2
         return Polynomial3D(degree=degree) if heights else Polynomial2D(degree=degree)
 
     def held_out(self, fitted: Fit) -> HeldOut:
-        """Return the errors of features where all is drawn again without them."""
+        """Return the errors of features by fits without them, for which all is drawn again."""
         return held_out_by_refits(self.fit, fitted.control, heights=fitted.model.uses_height)
 
     def _points_that_vote(self, model: RationalModel, data: FitData) -> BoolArray:
-        """Return which points vote for the polynomial that the most vote for, shape (n,).
+        """Return which points agree with the polynomial that most points agree with, shape (n,).
 
-        Raises Undetermined if points are too few, or no more agree than determine the polynomial.
+        Raises Undetermined as `fit` does.
         """
         scaled = data.scaled.points
-        # Lines and samples have the same columns, as each polynomial has its own coefficients.
+        # Line and sample have the same columns, with coefficients of their own.
         design = model.blocks(scaled.ground).line
-        count = design.shape[1]
-        if len(scaled) <= count:
-            raise Undetermined(f"{len(scaled)} points are too few for RANSAC with {count} terms an "
-                               "axis", hint=f"Measure at least {count + 1}.")
+        n_terms = design.shape[1]
+        if len(scaled) <= n_terms:
+            raise Undetermined(f"{len(scaled)} points are too few for RANSAC with {n_terms} terms "
+                               "an axis", hint=f"Measure at least {n_terms + 1}.")
         rng = np.random.default_rng(self.seed)
-        drawn = rng.permuted(np.tile(np.arange(len(scaled)), (self.trials, 1)), axis=1)[:, :count]
-        systems = design[drawn]
-        # Points that do not determine the polynomial have no vote.
+        draws = rng.permuted(
+            np.tile(np.arange(len(scaled)), (self.trials, 1)), axis=1)[:, :n_terms]
+        systems = design[draws]
+        # Draws of points that do not determine the polynomial are left out.
         is_determined = np.linalg.cond(systems) < 1e10
         if not is_determined.any():
             raise Undetermined("no draw of RANSAC determines the polynomial",
                                hint="Spread the control over the area and its heights.")
-        coefficients = np.linalg.solve(systems[is_determined], scaled.image[drawn[is_determined]])
+        coefficients = np.linalg.solve(systems[is_determined], scaled.image[draws[is_determined]])
         errors = np.linalg.norm(design @ coefficients - scaled.image, axis=2)
         agrees = errors * data.scaling.image_scale <= self.threshold
         votes = agrees.sum(axis=1)
-        if votes.max() <= count:
+        if votes.max() <= n_terms:
             raise Undetermined(f"no polynomial of RANSAC passes within {self.threshold:g} px of "
                                "more points than determine it",
                                hint="Choose a greater threshold.")
         best: BoolArray = agrees[int(np.argmax(votes))]
-        # The polynomial of as few points as determine it has their errors, magnified; that of all
-        # that agree has less, so that more may agree with it.
+        # A polynomial of as few points as determine it has their errors, magnified. That of all
+        # which agree has smaller errors, so that more points may agree with it.
         while True:
             solution = np.linalg.lstsq(design[best], scaled.image[best], rcond=None)[0]
             errors = np.linalg.norm(design @ solution - scaled.image, axis=1)
-            more = errors * data.scaling.image_scale <= self.threshold
-            if more.sum() <= best.sum():
+            agreeing = errors * data.scaling.image_scale <= self.threshold
+            if agreeing.sum() <= best.sum():
                 return best
-            best = more
+            best = agreeing

@@ -49,7 +49,7 @@ class ScatterMatrix(TermRegression):
                                     "leave forever.")
         selection = regression.kept.copy()
         scatter, lengths = scatter_of(regression)
-        # Columns that are always in use are swept first; the constant is in none of the products.
+        # Columns that are always in use are swept first. The constant is in no product.
         for j in np.flatnonzero(selection & ~regression.constant):
             if scatter[j, j] > self.options["tolerance"]:
                 scatter = sweep_pivot(scatter, int(j))
@@ -75,7 +75,7 @@ class ScatterMatrix(TermRegression):
                                 explained_squares(scatter, len(selection)), np.inf)
                 worst = int(loss.argmin())
                 smaller = with_column(selection, worst, False)
-                # What has just entered does not leave at once, or the two would alternate.
+                # A column that has just entered does not leave at once, as it might alternate.
                 if (worst == best or not np.isfinite(loss[worst])
                         or selection.sum() <= regression.least):
                     break
@@ -96,23 +96,25 @@ class ScatterMatrix(TermRegression):
 
         `with_it` and `without` (k,) are the columns in use with and without the column, and
         `change` is the difference of their residual squares, in units of the scatter matrix. F is 0
-        if the columns without it leave rounding alone, and infinite if only those with it do:
-        differences of the scatter matrix would show neither.
+        if the residuals without the column are rounding alone, or without redundancy, and infinite
+        if only those with the column are.
         """
+        # Differences of the scatter matrix would not show residuals that are rounding alone.
         if regression.explained(residual_square_of(regression, without)):
             return 0.0
         if regression.explained(residual_square_of(regression, with_it)):
             return float("inf")
         # F = (change / r) / (RSS / f), with RSS and its degrees of freedom f of the larger set.
         k = len(with_it)
-        targets = regression.target.shape[1]
+        r = regression.target.shape[1]
+        # The matrix has the residual squares of the columns in use, which lack one that enters.
         residual_square = float(np.diag(scatter)[k:].sum()) - (change if entering else 0.0)
-        freedom = regression.freedom(with_it)
-        if freedom < 1:
+        f = regression.freedom(with_it)
+        if f < 1:
             return 0.0
         if residual_square <= 0.0:
             return float("inf")
-        return float((change / targets) / (residual_square / freedom))
+        return float((change / r) / (residual_square / f))
 
 
 def residual_square_of(regression: Regression, selection: BoolArray) -> float:
@@ -125,7 +127,8 @@ def residual_square_of(regression: Regression, selection: BoolArray) -> float:
 def scatter_of(regression: Regression) -> tuple[FloatArray, FloatArray]:
     """Return the scatter matrix (k + r, k + r) of columns and targets, and lengths (k,).
 
-    All are scaled to length 1 off the constant; a length of 0 marks a column that depends on it.
+    Lengths are those of the columns without their part along the constant, and 0 for one that
+    depends on it. In the matrix columns have the length 1, and so have all targets together.
     """
     columns = np.column_stack([regression.unit, regression.target])
     if regression.constant.any():
@@ -134,7 +137,7 @@ def scatter_of(regression: Regression) -> tuple[FloatArray, FloatArray]:
     k = len(regression.constant)
     lengths = np.linalg.norm(columns[:, :k], axis=0)
     lengths[regression.constant] = 0.0
-    # Unit columns have a diagonal of 1: what is left of it later is the share not explained.
+    # With unit columns the diagonal is 1, and later the share that the columns in use leave.
     columns[:, :k] = np.where(lengths > 1e-12, columns[:, :k] / np.maximum(lengths, 1e-300), 0.0)
     scale = np.linalg.norm(columns[:, k:])
     columns[:, k:] /= scale if scale > 0 else 1.0
@@ -146,19 +149,21 @@ def sweep_pivot(scatter: FloatArray, pivot: int) -> FloatArray:
     d = scatter[pivot, pivot]
     row = scatter[pivot].copy()
     column = scatter[:, pivot].copy()
-    # s_ij - s_ip s_pj / s_pp; row and column of the pivot by s_pp, its column with a minus sign.
-    after = scatter - np.outer(column, row) / d
-    after[pivot] = row / d
-    after[:, pivot] = -column / d
-    after[pivot, pivot] = 1.0 / d
-    return np.asarray(after)
+    # s_ij - s_ip s_pj / s_pp; the row of the pivot is divided by s_pp, its column by -s_pp.
+    swept = scatter - np.outer(column, row) / d
+    swept[pivot] = row / d
+    swept[:, pivot] = -column / d
+    swept[pivot, pivot] = 1.0 / d
+    return np.asarray(swept)
 
 
 def explained_squares(scatter: FloatArray, k: int) -> FloatArray:
-    """Return the part of the targets' square that each of k columns adds, or would leave with it.
+    """Return the part of the targets' square (k,) that each column explains or would explain.
+
+    For a column that is not in use it is what it would add, for one in use what would be lost
+    without it.
     """
     diagonal = np.diag(scatter)[:k]
-    # Gain of column i: sum over the targets of s_it^2 / s_ii.
-    cross = -scatter[:k, k:] * scatter[k:, :k].T
-    # Of a column that is in use the two have opposite signs, of another the same.
-    return np.asarray(np.abs(cross).sum(axis=1) / np.where(diagonal > 0, diagonal, np.inf))
+    # The sum over the targets t of |s_it s_ti| / s_ii: a column that was swept has s_ti = -s_it.
+    products = scatter[:k, k:] * scatter[k:, :k].T
+    return np.asarray(np.abs(products).sum(axis=1) / np.where(diagonal > 0, diagonal, np.inf))

@@ -11,27 +11,30 @@ from deap import base
 from termsel import Bits, Evaluation, GeneticAlgorithm, Option
 from termsel_optimisers.arrays import BoolArray, FloatArray
 
-_LEAST = 1e-9  # variance of a rank sum below which it is rounding
+_MIN_VARIANCE = 1e-9
+"""Variance of a rank sum below which it is rounding."""
 
 
 def gene_qualification(genes: BoolArray, evaluation: Evaluation) -> FloatArray:
     """Return how much better chromosomes (p, g) with a gene rank than the others, shape (g,).
 
-    The statistic of Wilcoxon's rank sum test in units of its standard deviation, with the
+    It is the statistic of Wilcoxon's rank sum test in units of its standard deviation, with the
     correction for ties; feasible chromosomes rank before all others. It is positive if good
-    chromosomes have the gene, and 0 if all or none have it.
+    chromosomes have the gene, and 0 if all or none have it, or if all rank alike.
     """
     p = len(genes)
     criteria = np.column_stack([evaluation.violation, evaluation.objectives[:, 0]])
     _, group, count = np.unique(criteria, axis=0, return_inverse=True, return_counts=True)
-    rank = (np.cumsum(count) - (count - 1) / 2.0)[group.ravel()]  # ties share one
-    on = genes.sum(axis=0)
+    # Chromosomes of the same objective have the mean of their ranks.
+    rank = (np.cumsum(count) - (count - 1) / 2.0)[group.ravel()]
+    n_with_gene = genes.sum(axis=0)
     ties = float((count**3 - count).sum()) / (p * (p - 1)) if p > 1 else 0.0
-    # Of the rank sum of n1 among p: n1 n2 / 12 (p + 1 - ties).
-    variance = on * (p - on) / 12.0 * (p + 1 - ties)
-    surplus = on * (p + 1) / 2.0 - rank @ genes
-    tested = variance > _LEAST  # else all or none have the gene, or all rank alike
-    return np.where(tested, surplus, 0.0) / np.sqrt(np.where(tested, variance, 1.0))
+    # The rank sum of n among p has the mean n (p + 1) / 2 and the variance
+    # n (p - n) / 12 (p + 1 - ties).
+    variance = n_with_gene * (p - n_with_gene) / 12.0 * (p + 1 - ties)
+    surplus = n_with_gene * (p + 1) / 2.0 - rank @ genes
+    is_tested = variance > _MIN_VARIANCE
+    return np.where(is_tested, surplus, 0.0) / np.sqrt(np.where(is_tested, variance, 1.0))
 
 
 class TransgenicGA(GeneticAlgorithm):
@@ -67,11 +70,11 @@ class TransgenicGA(GeneticAlgorithm):
 
     def children(self, box: base.Toolbox, genes: BoolArray, evaluation: Evaluation,
                  n: int) -> BoolArray:
-        """Return n children (n, g) of selected parents, some with the genes of good chromosomes."""
+        """Return n children (n, g) of selected parents, of which a share is transgenic."""
         parents = genes[box.select(evaluation.order(), n)]
         coefficient = gene_qualification(genes, evaluation)
         limit = NormalDist().inv_cdf(1.0 - self.options["alpha"] / 2.0)
-        # Rows 0 and 1 are a pair, 2 and 3, and so on: one of each pair at most.
+        # Rows 0 and 1 mate, 2 and 3, and so on: the first of a pair may be transgenic.
         transgenic = slice(0, 2 * round(self.options["transgenic"] * n), 2)
         # Genes that good chromosomes have are switched on, those that they lack off.
         switched_on = parents[transgenic] | (coefficient > limit)
