@@ -27,7 +27,7 @@ from termsel.studies.plan.spec import spec_of
 from termsel.studies.study import Study
 from termsel_studies import figures
 from termsel_studies.figures import figures_of
-from termsel_studies.small import small_map
+from termsel_studies.small import draw_residual_thumbnail
 
 pytest.importorskip("altair")
 vl_convert = pytest.importorskip("vl_convert")
@@ -118,7 +118,7 @@ PICTURES: dict[str, Callable[[str], Any]] = {
 def drawn(name: str) -> str:
     """Return a picture as SVG."""
     if name == "small":
-        return small_map(chosen().view)
+        return draw_residual_thumbnail(chosen().view)
     return str(vl_convert.vegalite_to_svg(PICTURES[name](name).to_json(indent=None)))
 
 

@@ -14,7 +14,7 @@ pytest.importorskip("termsel_studies", reason="termsel-studies is not installed:
 import termsel
 from termsel import TableBlock
 from termsel.toolkit.charts import Document, Section, render_page
-from termsel_studies.small import MAX_ARROWS, small_map
+from termsel_studies.small import MAX_ARROWS, draw_residual_thumbnail
 
 
 def scene(n: int, noise: float) -> termsel.FeatureSet:
@@ -34,7 +34,7 @@ def test_an_arrow_of_a_drawing_points_from_computed_to_measured() -> None:
     result = termsel.run("poly-terms", features=features.with_(points=replace(
         points, image=image)))
     assert [one.id for one in result.outliers] == ["P4"]
-    drawn = small_map(result.view)
+    drawn = draw_residual_thumbnail(result.view)
     ring = re.search(r'<circle cx="([\d.]+)" cy="([\d.]+)"', drawn)
     assert ring is not None
     x, y = map(float, ring.groups())
@@ -48,13 +48,14 @@ def test_an_arrow_of_a_drawing_points_from_computed_to_measured() -> None:
 def test_rounding_has_no_arrows_and_no_scale() -> None:
     result = termsel.run(features=scene(3, 0.0))
     assert 0.0 < max(row.distance for row in result.residuals) < 1e-9
-    assert "px</text>" not in small_map(result.view)
+    assert "px</text>" not in draw_residual_thumbnail(result.view)
 
 
 @pytest.mark.slow
 def test_the_page_of_two_hundred_images_is_small() -> None:
-    many = small_map(termsel.run("poly-terms", solver="all-terms", features=scene(1000, 1.0),
-                                 options={"degree": 1}).view)
+    result = termsel.run("poly-terms", solver="all-terms", features=scene(1000, 1.0),
+                         options={"degree": 1})
+    many = draw_residual_thumbnail(result.view)
     assert many.count("M") <= 3 * MAX_ARROWS + 1
     assert "1000 residuals, the largest" in many
     drawn = [many] * 200

@@ -182,13 +182,13 @@ def test_what_has_no_port_is_no_address(address: str) -> None:
 
 
 def test_a_worker_that_differs_is_named_with_its_address() -> None:
-    from termsel_studies.cluster import require_alike, versions_here
+    from termsel_studies.cluster import installed_versions, require_same_versions
 
-    here = versions_here(("termsel", "numpy"))
+    here = installed_versions(("termsel", "numpy"))
     assert here["termsel"] == termsel.__version__
-    require_alike({"termsel": termsel.__version__}, here, "tcp://10.0.0.7:1")
+    require_same_versions({"termsel": termsel.__version__}, here, "tcp://10.0.0.7:1")
     with pytest.raises(TermselError, match=r"worker tcp://10.0.0.7:1 lacks termsel-other"):
-        require_alike({"termsel-other": "1.0"}, versions_here(("termsel-other",)),
+        require_same_versions({"termsel-other": "1.0"}, installed_versions(("termsel-other",)),
                       "tcp://10.0.0.7:1")
     with pytest.raises(TermselError, match=r"tcp://10.0.0.7:1 has numpy .*, this machine 1.0"):
-        require_alike({"numpy": "1.0"}, here, "tcp://10.0.0.7:1")
+        require_same_versions({"numpy": "1.0"}, here, "tcp://10.0.0.7:1")

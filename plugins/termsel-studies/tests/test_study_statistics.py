@@ -18,7 +18,7 @@ from termsel.toolkit.studies import CellRecord
 from termsel_studies.claims import size_in_words, valid_claims
 from termsel_studies.fronts import front_figures, front_indicators, non_dominated
 from termsel_studies.groups import Groups, Runs, group
-from termsel_studies.ioh import WORST, ioh_files
+from termsel_studies.ioh import INFEASIBLE_VALUE, ioh_files
 from termsel_studies.ioh import write as write_ioh
 from termsel_studies.pages import study_as_latex, study_as_markdown, tables_of
 from termsel_studies.report import write as write_report
@@ -376,6 +376,8 @@ def test_ioh_data_have_the_runs(study: termsel.Study, tmp_path: Path) -> None:
                ) == len(groups.instances)
     for path in tmp_path.rglob("*.json"):
         record = json.loads(path.read_text())
+        # The files of an instance have its number in their name and inside.
+        assert path.name.startswith(f"IOHprofiler_f{record['function_id']}_")
         scenario = record["scenarios"][0]
         lines = (path.parent / scenario["path"]).read_text().splitlines()
         assert lines[0].split() == record["attributes"] == ["evaluations", "raw_y"]
@@ -456,7 +458,7 @@ def test_iohinspector_reads_the_data(study: termsel.Study, tmp_path: Path) -> No
     manager.add_folder(str(tmp_path))
     best = sorted(manager.overview["best_y"].to_list())
     # Of a front the run may recommend another member than that of least fitness.
-    assert best == sorted(record.trace[-1][1] if record.trace else WORST
+    assert best == sorted(record.trace[-1][1] if record.trace else INFEASIBLE_VALUE
                           for record in study.records.values())
     table = manager.load(monotonic=True)
     assert table["raw_y"].min() == best[0]

@@ -37,12 +37,16 @@ def termsel_models() -> Iterable[type[SensorModel]]:
 
 @hookimpl
 def termsel_problems() -> Iterable[Recipe]:
-    """Return the paper's hybrid model 2, a search rather than a model, and that for degrees."""
+    """Return the problems of this package.
+
+    They are hybrid model 2 of the paper, which is a search rather than a model, and the search for
+    the degrees of a polynomial.
+    """
     return [Recipe("hybrid-2", "Hybrid model 2: terms of a 2-D polynomial selected by a GA.",
                    _terms_of_each_axis, model="poly2d", dataset="ikonos-hamedan",
                    source="Valadan Zoej et al. 2002, section 3.2"), RECIPE]
 
 
 def _terms_of_each_axis(inputs: ProblemData) -> SelectionProblem:
-    """Return the problem of selecting terms, with all features."""
+    """Return the problem of selecting terms, which uses all features."""
     return SelectionProblem(inputs, terms=True, features=False)

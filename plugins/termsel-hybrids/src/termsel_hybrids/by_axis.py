@@ -23,15 +23,14 @@ class PolynomialByAxis(RationalModel):
 
     @cached_property
     def exponents(self) -> tuple[Exponents, Exponents]:
-        """Exponents of X, Y, Z of each column of line, and of each column of sample."""
-        everything = graded_exponents(int(self.options["degree"]), len(self.coordinates))
+        """Exponents of X, Y and Z of each column: those of line, and those of sample."""
+        n = len(self.coordinates)
+        exponents_within_degree = graded_exponents(int(self.options["degree"]), n)
         exponents_of = {}
         for axis in ("line", "sample"):
-            n = len(self.coordinates)
             largest = np.array([self.options[f"{axis}_{coordinate}"]
                                 for coordinate in self.coordinates])
-            # Within the total degree, and within the degree of each coordinate.
-            exponents_of[axis] = tuple(powers for powers in everything
+            exponents_of[axis] = tuple(powers for powers in exponents_within_degree
                                        if (np.array(powers[:n]) <= largest).all())
         return exponents_of["line"], exponents_of["sample"]
 
@@ -52,9 +51,9 @@ class PolynomialByAxis(RationalModel):
 
 
 def _options_of_powers(coordinates: str, largest: int) -> tuple[Option, ...]:
-    """Return the options of a polynomial with degrees of its own in each axis and coordinate.
+    """Return the options of a polynomial by axis: the total degree, and the degrees by coordinate.
 
-    `coordinates` is such as "xy", `largest` the highest degree that a user may state.
+    `coordinates` is "xy" or "xyz", `largest` the highest degree that a user may state.
     """
     options = [Option("degree", largest, "Highest total degree.", int, 1, largest)]
     for axis, coordinate in product(("line", "sample"), coordinates):
@@ -82,7 +81,7 @@ class Polynomial3DByAxis(PolynomialByAxis):
 
 def degree_search(inputs: ProblemData) -> Problem:
     """Return the search for the degrees of each axis and coordinate."""
-    # Models without a degree by axis have none to search: the problem then says which it needs.
+    # For a model without degrees by axis, ParameterProblem refuses "line_x", and says why.
     names = [option.name for option in inputs.model.declared_options
              if option.name.startswith(("line_", "sample_"))]
     return ParameterProblem(inputs, names or ("line_x",))

@@ -10,7 +10,8 @@ from termsel import FeatureSet, Option, Polynomial2D, line_normals, row_weights
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_LEAST_DENOMINATOR = 0.1
+_MIN_DENOMINATOR = 0.1
+"""Denominator at or below which a position counts as at a pole; it is 1 for the identity."""
 _IDENTITY = np.concatenate([[0.0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0]])
 """Coefficients of x' = x, y' = y: of 1, x, y, xy for line and sample, and of the denominator."""
 
@@ -41,21 +42,22 @@ class Hybrid1(Polynomial2D):
 
     def predict(self, coefficients: FloatArray, control: FeatureSet,
                 ground: FloatArray) -> FloatArray:
-        """Return image positions after both steps.
+        """Return scaled image positions after both steps.
 
         Parameters
         ----------
         coefficients : ndarray, shape (..., k)
-            Of the polynomial; one set or many.
+            Coefficients of the polynomial; one set or many.
         control : FeatureSet
-            Scaled.
+            Scaled control, by which the second step is fitted.
         ground : ndarray, shape (n, 3)
-            Scaled.
+            Scaled positions on the ground.
 
         Returns
         -------
         ndarray, shape (..., n, 2)
-            Infinite where there is no prediction.
+            Infinite at poles of the second step; all infinite for a set of coefficients with a
+            pole in the box around the control.
         """
         second = _fit_second_step(self.project(coefficients, control.ground_vertices()), control)
         image = _map_by_second_step(second, self.project(coefficients, ground))
@@ -75,37 +77,45 @@ def _fit_second_step(computed: FloatArray, control: FeatureSet) -> FloatArray:
     computed : ndarray, shape (..., n, 2)
         Image positions of the control's ground vertices by the polynomial.
     control : FeatureSet
+        Scaled control.
     """
     points = control.points
     n = len(points)
-    of_lines, offset = line_normals(control.lines)
-    normal = np.concatenate([np.tile(np.eye(2), (n, 1)), np.repeat(of_lines, 2, axis=0)])
+    normals_of_lines, offset = line_normals(control.lines)
+    normal = np.concatenate([np.tile(np.eye(2), (n, 1)), np.repeat(normals_of_lines, 2, axis=0)])
     rho = np.concatenate([points.image.ravel(), np.repeat(offset, 2)])
     weight = row_weights(control, heights=False)
     # A point is its own vertex twice, once a row; a line has two vertices with a row each.
     vertex = np.concatenate([np.repeat(np.arange(n), 2), np.arange(n, computed.shape[-2])])
     columns = _bilinear_columns(computed[..., vertex, :])
-    # n (above) - rho (below) = 0, linear in the unknowns, as of a DLT.
+    # n x' = rho times the denominator is linear in the unknowns, as a direct linear transformation.
     A = weight[:, None] * np.concatenate(
         [normal[:, :1] * columns, normal[:, 1:] * columns, -rho[:, None] * columns[..., 1:]],
         axis=-1)
-    # A step from the identity by the pseudoinverse: what control leaves open does not change.
+    # The pseudoinverse gives the smallest change of the identity that fits, so that unknowns that
+    # the control does not determine keep their value there.
     change = np.linalg.pinv(A, rcond=1e-8) @ (weight * rho - A @ _IDENTITY)[..., None]
     return np.asarray(_IDENTITY + change[..., 0])
 
 
 def _map_by_second_step(second: FloatArray, image: FloatArray) -> FloatArray:
-    """Return image positions (..., n, 2) mapped by the second step; infinite at a pole."""
+    """Return image positions (..., n, 2) mapped by the second step.
+
+    They are infinite where the denominator is `_MIN_DENOMINATOR` or less.
+    """
     columns = _bilinear_columns(image)
     above = np.stack([np.einsum("...nk,...k->...n", columns, second[..., columns_of])
                       for columns_of in (slice(0, 4), slice(4, 8))], axis=-1)
     below = _denominator_values(second, columns)[..., None]
     return np.asarray(np.divide(above, below, out=np.full_like(above, np.inf),
-                                where=below > _LEAST_DENOMINATOR))
+                                where=below > _MIN_DENOMINATOR))
 
 
 def _has_pole(second: FloatArray, control: FeatureSet) -> BoolArray:
-    """Return whether denominators are too small anywhere in the box around control, shape (...)."""
+    """Return whether the second step has a pole in the box around the control, shape (...).
+
+    The box is that of the measured image positions.
+    """
     image = control.image_vertices()
     (first_line, first_sample) = image.min(axis=0)
     (last_line, last_sample) = image.max(axis=0)
@@ -113,11 +123,14 @@ def _has_pole(second: FloatArray, control: FeatureSet) -> BoolArray:
     corners = np.array([(first_line, first_sample), (first_line, last_sample),
                         (last_line, first_sample), (last_line, last_sample)])
     below = _denominator_values(second, _bilinear_columns(corners))
-    return np.asarray((below <= _LEAST_DENOMINATOR).any(axis=-1))
+    return np.asarray((below <= _MIN_DENOMINATOR).any(axis=-1))
 
 
 def _denominator_values(second: FloatArray, columns: FloatArray) -> FloatArray:
-    """Return the denominators, shape (..., n), of positions with these columns."""
+    """Return the denominators of the second step, shape (..., n).
+
+    `second` are its coefficients (..., 11), `columns` those of the positions (..., n, 4).
+    """
     return np.asarray(1 + np.einsum("...nk,...k->...n", columns[..., 1:], second[..., 8:]))
 
 

@@ -28,12 +28,17 @@ class RationalLegendre(RationalFunctions):
     name = "rfm-legendre"
 
     def blocks(self, ground: FloatArray) -> Blocks:
-        """Return the products as numerators, and without the constant as denominators."""
-        # P_0 to P_n of each coordinate at all points, by their recurrence.
-        of_each = legvander(ground.T, max(max(powers) for powers in self.exponents))
+        """Return the columns of line and sample at scaled places (n, 3).
+
+        Numerators are the products of Legendre polynomials. Denominators are the same without the
+        constant: one for each axis or one for both, as `divides` has it, or none.
+        """
+        # P_0 to P_n of each coordinate at all points.
+        values_by_coordinate = legvander(ground.T, max(max(powers) for powers in self.exponents))
         products = []
         for powers in self.exponents:
-            factors = [of_each[variable, :, power] for variable, power in enumerate(powers)]
+            factors = [values_by_coordinate[variable, :, power]
+                       for variable, power in enumerate(powers)]
             products.append(np.prod(factors, axis=0))
         above = np.stack(products, axis=1)
         separate, shared = (above[:, 1:] if self.divides == kind else None

@@ -17,7 +17,7 @@ IntArray = NDArray[np.intp]
 _DEGREE_METRES = 111_320.0
 """Length of a degree of latitude [m]."""
 _NEWTON_STEPS = 6
-"""From the nearest rotation: Gauss-Newton converges quadratically where errors are small."""
+"""Steps from the nearest rotation; Gauss-Newton needs few, as residuals are small."""
 
 
 class LineDirections(SensorModel):
@@ -49,32 +49,37 @@ class LineDirections(SensorModel):
         lines = features.lines
         rows = self._columns(coefficients, points.ground)
         b = points.image - self.project(coefficients, points.ground) + rows @ coefficients
-        of_points, of_lines = _row_weights(features)
+        weights_of_points, weights_of_lines = _row_weights(features)
         vertices = lines.ground.reshape(-1, 3)
         normal, _ = line_normals(lines)
         image = self.project(coefficients, vertices).reshape(-1, 2, 2)
         ends = self._columns(coefficients, vertices).reshape(len(lines), 2, 2, rows.shape[2])
         directions = np.einsum("ia,iak->ik", normal, ends[:, 1] - ends[:, 0])
-        away = np.einsum("ia,ia->i", normal, image[:, 1] - image[:, 0])
-        # By the deviation of a direction, sqrt(2) over the length, and as two equal rows.
+        predicted_distances = np.einsum("ia,ia->i", normal, image[:, 1] - image[:, 0])
+        # The deviation of a direction is sqrt(2) over the length of the line in the image. The
+        # other sqrt(2) halves the equation into two equal rows.
         weight = _line_lengths(lines.image) / 2 / _line_lengths(lines.ground * self._units)
-        weight = weight * of_lines
+        weight = weight * weights_of_lines
+        rows_of_points = rows.reshape(2 * len(points), rows.shape[2]) * weights_of_points[:, None]
+        b_of_lines = (directions @ coefficients - predicted_distances) * weight
         return Equations(
-            np.concatenate([rows.reshape(2 * len(points), rows.shape[2]) * of_points[:, None],
-                            np.repeat(directions * weight[:, None], 2, axis=0)]),
-            np.concatenate([b.ravel() * of_points,
-                            np.repeat((directions @ coefficients - away) * weight, 2)]),
+            np.concatenate([rows_of_points, np.repeat(directions * weight[:, None], 2, axis=0)]),
+            np.concatenate([b.ravel() * weights_of_points, np.repeat(b_of_lines, 2)]),
             np.repeat(features.feature, 2))
 
     @property
     def _units(self) -> FloatArray:
-        """Factors of scaled X, Y and Z that bring them to one unit, the largest 1."""
+        """Factors that bring scaled X, Y and Z to one unit, shape (3,); the larger of X and Y is 1.
+
+        Without a scaling all are 1.
+        """
         if self.scaling is None:
             return np.ones(3)
         units = np.array(self.scaling.ground_scale, dtype=float)
         crs = self.scaling.fit_crs or self.crs
         if crs and is_geographic(crs):
-            # To a tenth of a degree, so that fits to parts of the control are of one model.
+            # The latitude is rounded to a tenth of a degree, so that fits to parts of the control
+            # have the same units.
             latitude = np.radians(round(self.scaling.ground_offset[1], 1))
             units[:2] *= _DEGREE_METRES * np.array([np.cos(latitude), 1.0])
         return np.asarray(units / units[:2].max())
@@ -111,7 +116,7 @@ class LineAffine(LineDirections):
         return np.repeat(np.arange(2), 4)
 
     def equations(self, features: FeatureSet) -> Equations:
-        """Return the equations of points and of directions, which are exact."""
+        """Return the equations of points and of directions of lines, which are linear already."""
         return self.linearised(features, np.zeros(8))
 
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
@@ -122,8 +127,8 @@ class LineAffine(LineDirections):
     def _columns(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return the derivatives (n, 2, 8) of line and sample by the coefficients."""
         monomials = np.column_stack([np.ones(len(ground)), ground])
-        of_axes = np.einsum("ab,nk->nabk", np.eye(2), monomials)
-        return np.asarray(of_axes.reshape(len(ground), 2, 8))
+        columns_by_axis = np.einsum("ab,nk->nabk", np.eye(2), monomials)
+        return np.asarray(columns_by_axis.reshape(len(ground), 2, 8))
 
 
 class LineConformal(LineDirections):
@@ -154,42 +159,39 @@ class LineConformal(LineDirections):
         return np.array([0, 1, 2, 2, 2, 2], dtype=np.intp)
 
     def start(self, features: FeatureSet) -> FloatArray:
-        """Return a solution (6,): the rotation next to the affine model, after some Newton steps.
+        """Return a solution (6,): `_NEWTON_STEPS` steps of Gauss-Newton from the affine model.
 
-        A conformal model is an affine one whose two rows are orthogonal and of one length: the
-        nearest such pair follows from the singular value decomposition, U V'. The equations are not
-        linear in its quaternion, so that steps of Newton's method follow.
+        A conformal model is an affine one whose two rows are orthogonal and of one length. The
+        steps begin at the pair of such rows nearest to those of the affine model: U V' of their
+        singular value decomposition.
         """
         if self.scaling is not None:
             equations = LineAffine().prepared(self.scaling, self.crs).equations(features)
         else:
             equations = LineAffine().equations(features)
-        # The affine model first, which is linear; its two rows need not be orthogonal.
         affine = np.linalg.lstsq(equations.A, equations.b, rcond=1e-9)[0].reshape(2, 4)
         line, sample = affine[:, 1:] / self._units
         left_vectors, sizes, right_vectors = np.linalg.svd(
             np.stack([sample, -line]), full_matrices=False
         )
-        # The nearest pair of orthogonal rows of one length: U V^T of the singular value
-        # decomposition.
         a, b = left_vectors @ right_vectors
-        turn = _quaternion_of(np.stack([a, b, np.cross(a, b)]))
-        solution = np.array([*affine[:, 0], *turn * np.sqrt(sizes.mean())])
+        rotation = _quaternion_of(np.stack([a, b, np.cross(a, b)]))
+        solution = np.array([*affine[:, 0], *rotation * np.sqrt(sizes.mean())])
         for _ in range(_NEWTON_STEPS):
-            step = self.linearised(features, solution)
-            solution = np.linalg.lstsq(step.A, step.b, rcond=1e-9)[0]
+            equations_there = self.linearised(features, solution)
+            solution = np.linalg.lstsq(equations_there.A, equations_there.b, rcond=1e-9)[0]
         return solution
 
     def equations(self, features: FeatureSet) -> Equations:
-        """Return the equations about the start."""
+        """Return the equations about the solution of `start`."""
         return self.linearised(features, self.start(features))
 
     def project(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return image positions of ground points (see `SensorModel.project`)."""
-        # Homogeneous of degree two in q.
+        # Rows of the matrix are quadratic forms in q, so each is half its derivative times q.
         rows = _rotation_derivatives(coefficients[..., 2:], self._units * ground) / 2
-        moved = np.einsum("...nak,...k->...na", rows, coefficients[..., 2:])
-        return np.asarray(coefficients[..., None, :2] + moved)
+        rotated = np.einsum("...nak,...k->...na", rows, coefficients[..., 2:])
+        return np.asarray(coefficients[..., None, :2] + rotated)
 
     def _columns(self, coefficients: FloatArray, ground: FloatArray) -> FloatArray:
         """Return the derivatives (n, 2, 6) of line and sample by shift and quaternion."""
@@ -200,7 +202,10 @@ class LineConformal(LineDirections):
 
 
 def _rotation_derivatives(q: FloatArray, ground: FloatArray) -> FloatArray:
-    """Return the derivatives of line and sample by a quaternion (..., 4), shape (..., n, 2, 4)."""
+    """Return the derivatives of line and sample by a quaternion, shape (..., n, 2, 4).
+
+    The quaternions have the shape (..., 4), the ground positions in one unit (n, 3).
+    """
     w, i, j, k = np.moveaxis(q, -1, 0)[..., None]
     # Rows of the rotation matrix of q are quadratic in q: their derivatives are linear.
     x, y, z = ground.T
@@ -211,23 +216,26 @@ def _rotation_derivatives(q: FloatArray, ground: FloatArray) -> FloatArray:
     return np.asarray(2 * np.stack([-np.stack(up, axis=-1), np.stack(sample, axis=-1)], axis=-2))
 
 
-def _quaternion_of(turn: FloatArray) -> FloatArray:
+def _quaternion_of(rotation: FloatArray) -> FloatArray:
     """Return the unit quaternion (4,) of a rotation matrix (3, 3).
 
-    It is the eigenvector of the largest eigenvalue, 3, of Davenport's matrix.
+    It is the eigenvector of the largest eigenvalue of Davenport's matrix, which is 3 for a
+    rotation. Its sign is arbitrary.
     """
-    skew = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    skew = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0],
+                     rotation[1, 0] - rotation[0, 1]])
     matrix = np.empty((4, 4))
-    matrix[0, 0] = np.trace(turn)
+    matrix[0, 0] = np.trace(rotation)
     matrix[0, 1:] = matrix[1:, 0] = skew
-    matrix[1:, 1:] = turn + turn.T - np.trace(turn) * np.eye(3)
+    matrix[1:, 1:] = rotation + rotation.T - np.trace(rotation) * np.eye(3)
     return np.asarray(np.linalg.eigh(matrix)[1][:, -1])
 
 
 def _row_weights(features: FeatureSet) -> tuple[FloatArray, FloatArray]:
-    """Return the median standard deviation over that of each row of points and of each line.
+    """Return the weights of the rows of points, shape (2 points,), and of lines, shape (lines,).
 
-    Shapes (2 points,) and (lines,); ones for a kind without standard deviations.
+    A weight is the median of all standard deviations stated, over the one of the row. Points or
+    lines without standard deviations have weights of 1.
     """
     sigmas = features.points.sigma, features.lines.sigma
     stated = [sigma.ravel() for sigma in sigmas if sigma is not None]

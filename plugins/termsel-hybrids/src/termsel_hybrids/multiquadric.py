@@ -40,8 +40,8 @@ class Multiquadric(Polynomial2D):
     def residual_weights(self, control: FloatArray, ground: FloatArray) -> FloatArray:
         """Return W = f inv(F) (see `SensorModel.residual_weights`).
 
-        If control points have the same X and Y, the mean of their residuals is interpolated; a
-        single control point corrects nothing.
+        The weights have the shape (places, control points). If control points have the same X and
+        Y, the mean of their residuals is interpolated. A single control point corrects nothing.
         """
         positions = np.ascontiguousarray(control[:, :2])
         return np.asarray(_plane_distances(ground, control)
@@ -68,15 +68,18 @@ class Hybrid3(Multiquadric):
         POWERS)
 
 
-@lru_cache(maxsize=8)  # each fit of a comparison asks for the same positions
+@lru_cache(maxsize=8)  # Each fit of a comparison asks for the same positions.
 def _inverse_of_distances(positions: bytes) -> FloatArray:
-    """Return the inverse (n, n) of distances between control points, given as bytes for a cache."""
+    """Return the inverse (n, n) of the matrix of distances between control points.
+
+    `positions` are the bytes of their X and Y, as a cache takes no arrays. It is a pseudoinverse:
+    points at one place make the matrix singular.
+    """
     control = np.frombuffer(positions).reshape(-1, 2)
-    # F has full rank for distinct points; only repeated positions lower it.
     return np.asarray(
         np.linalg.pinv(_plane_distances(control, control), rcond=1e-12, hermitian=True))
 
 
 def _plane_distances(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return distances in scaled X and Y, shape (len(a), len(b))."""
+    """Return the distances in X and Y of all places `a` from all places `b`, shape (a, b)."""
     return np.asarray(np.linalg.norm(a[:, None, :2] - b[None, :, :2], axis=2))

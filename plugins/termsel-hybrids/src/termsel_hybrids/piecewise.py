@@ -40,21 +40,22 @@ class Piecewise(Polynomial2D):
                             "triangle.", int, 1, 8),)
 
     def residual_weights(self, control: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return the share of each control point's residual (see `SensorModel.residual_weights`).
+        """Return the weight of each residual at each place (see `SensorModel.residual_weights`).
 
-        Of control points with the same X and Y the mean is interpolated.
+        The weights have the shape (places, control points). If control points have the same X and
+        Y, the mean of their residuals is interpolated.
         """
         positions, group = np.unique(control[:, :2], axis=0, return_inverse=True)
-        members = np.equal.outer(np.arange(len(positions)), group.reshape(-1)).astype(float)
-        members /= members.sum(axis=1, keepdims=True)
-        return np.asarray(_barycentric_coordinates(positions, ground[:, :2]) @ members)
+        is_member = np.equal.outer(np.arange(len(positions)), group.reshape(-1))
+        share_of_members = is_member / is_member.sum(axis=1, keepdims=True)
+        return np.asarray(_barycentric_coordinates(positions, ground[:, :2]) @ share_of_members)
 
 
 def _barycentric_coordinates(positions: FloatArray, places: FloatArray) -> FloatArray:
     """Return barycentric coordinates (m, n) of places (m, 2) by the positions (n, 2).
 
-    They are zero but for the corners of a place's triangle; off all triangles, for the ends of the
-    nearest edge of the hull. All are zero if there are no triangles.
+    At a place, those of the three corners of its triangle are not zero; outside of all triangles,
+    those of the ends of the nearest edge of the hull. All are zero if there are no triangles.
     """
     shares = np.zeros((len(places), len(positions)))
     triangles = _cached_triangles(np.ascontiguousarray(positions).tobytes())
@@ -66,21 +67,22 @@ def _barycentric_coordinates(positions: FloatArray, places: FloatArray) -> Float
         shares[i, a] += 1.0 - along
         shares[i, b] += along
     rows = np.flatnonzero(inside >= 0)
-    # The affine map of each triangle: two barycentric coordinates, and the third is the rest.
+    # scipy's affine map of a triangle gives two of the coordinates; all three add up to 1.
     transform = triangles.transform[inside[rows]]
-    two = np.einsum("mij,mj->mi", transform[:, :2], places[rows] - transform[:, 2])
+    first_two = np.einsum("mij,mj->mi", transform[:, :2], places[rows] - transform[:, 2])
     corners = triangles.simplices[inside[rows]]
-    np.add.at(shares, (rows[:, None], corners), np.column_stack([two, 1.0 - two.sum(axis=1)]))
+    three = np.column_stack([first_two, 1.0 - first_two.sum(axis=1)])
+    np.add.at(shares, (rows[:, None], corners), three)
     return shares
 
 
-@lru_cache(maxsize=8)  # each fit of a comparison asks for the same positions
+@lru_cache(maxsize=8)  # Each fit of a comparison asks for the same positions.
 def _cached_triangles(positions: bytes) -> Delaunay | None:
-    """Return the Delaunay triangles of positions, given as bytes.
+    """Return the Delaunay triangles of positions (n, 2); a cache takes bytes, and no arrays.
 
-    None if fewer than three or on a line.
+    None if there are fewer than three, or all lie on a line.
     """
-    from scipy.spatial import Delaunay, QhullError  # which other models need not import
+    from scipy.spatial import Delaunay, QhullError
 
     points = np.frombuffer(positions).reshape(-1, 2)
     if len(points) < 3:
@@ -93,7 +95,11 @@ def _cached_triangles(positions: bytes) -> Delaunay | None:
 
 def _nearest_on_hull(positions: FloatArray, edges: NDArray[np.int32],
                      place: FloatArray) -> tuple[int, int, float]:
-    """Return the numbers of both ends of the hull's nearest edge, and how far along it: 0 to 1."""
+    """Return the edge of the hull that is nearest to a place.
+
+    `edges` (m, 2) are the edges by the numbers of their ends in `positions`. Returned are both of
+    these numbers, and where on the edge the nearest point is: 0 at the first end, 1 at the second.
+    """
     start = positions[edges[:, 0]]
     step = positions[edges[:, 1]] - start
     along = np.clip(((place - start) * step).sum(axis=1) / (step**2).sum(axis=1), 0.0, 1.0)

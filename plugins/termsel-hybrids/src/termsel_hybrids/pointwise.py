@@ -10,16 +10,17 @@ from termsel import Option, Polynomial2D
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Of the reach: keeps the weight at a control point finite.
-_AT_ONCE = 1e-4
+# Added to the distance relative to the farthest neighbour: the weight at a control point is finite.
+_MIN_RELATIVE_DISTANCE = 1e-4
 
 WEIGHTS = {
     "uniform": lambda u: np.ones_like(u),
-    "inverse-distance": lambda u: 1 / (u + _AT_ONCE),
-    "inverse-square": lambda u: 1 / (u + _AT_ONCE)**2,
+    "inverse-distance": lambda u: 1 / (u + _MIN_RELATIVE_DISTANCE),
+    "inverse-square": lambda u: 1 / (u + _MIN_RELATIVE_DISTANCE)**2,
     "gaussian": lambda u: np.exp(-4 * u**2),
 }
-"""Weights of control points by their distance, relative to that of the farthest neighbour."""
+"""Functions from the distance of control points, relative to that of the farthest neighbour (0 to
+1), to their weight."""
 
 
 class Pointwise(Polynomial2D):
@@ -56,24 +57,28 @@ class Pointwise(Polynomial2D):
                choices=tuple(WEIGHTS)))
 
     def residual_weights(self, control: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return the weight of each residual in the local constant (see `SensorModel`)."""
-        # From each place to each control point, in X and Y.
+        """Return the weight of each residual at each place (see `SensorModel.residual_weights`).
+
+        The weights have the shape (places, control points). The correction at a place is the
+        constant of its local polynomial, whose origin is the place.
+        """
         offset = control[None, :, :2] - ground[:, None, :2]
         distance = np.linalg.norm(offset, axis=2)
         near = self._neighbours_of(offset, distance)
         reach = np.where(near, distance, 0.0).max(axis=1, keepdims=True)
         reach[reach == 0.0] = 1.0
-        root = np.sqrt(np.where(near, WEIGHTS[self.options["weight"]](distance / reach), 0.0))
+        weight_of = WEIGHTS[self.options["weight"]]
+        root_of_weight = np.sqrt(np.where(near, weight_of(distance / reach), 0.0))
         columns = self._columns_around(offset / reach[..., None], near.sum(axis=1))
-        # The first row of the pseudoinverse gives the constant of the local polynomial, at its
-        # middle.
+        # The first row of the pseudoinverse gives the constant of the local polynomial.
         return np.asarray(
-            np.linalg.pinv(root[..., None] * columns, rcond=1e-8)[:, 0] * root)
+            np.linalg.pinv(root_of_weight[..., None] * columns, rcond=1e-8)[:, 0] * root_of_weight)
 
     def _neighbours_of(self, offset: FloatArray, distance: FloatArray) -> BoolArray:
-        """Return which control points are used at each place, shape (m, n).
+        """Return which control points are used at each of m places, shape (m, n).
 
-        The nearest, or by quadrant.
+        They are the nearest of all, or the nearest in each quadrant, by the option `neighbours`.
+        `offset` (m, n, 2) and `distance` (m, n) are those of the control points from the places.
         """
         if self.options["neighbours"] == "nearest":
             return _are_nearest(distance, self.options["count"] or 8)
@@ -84,20 +89,28 @@ class Pointwise(Polynomial2D):
                                   for i in range(4)], axis=0))
 
     def _columns_around(self, offset: FloatArray, count: NDArray[np.intp]) -> FloatArray:
-        """Return the local monomials, 0 where a place has too few neighbours, (m, n, terms)."""
+        """Return the monomials of the local polynomials, shape (m, n, terms).
+
+        `offset` (m, n, 2) are the positions of control points from the places, and `count` (m,) the
+        number of neighbours of each. Monomials of a degree are 0 at places with fewer neighbours
+        than a polynomial of this degree has terms.
+        """
         x = offset[..., 0]
         y = offset[..., 1]
         columns = []
         for degree in range(self.options["local_degree"] + 1):
-            # A polynomial of a degree has (d + 1) (d + 2) / 2 terms.
+            # A polynomial of degree d has (d + 1) (d + 2) / 2 terms.
             has_enough = count >= (degree + 1) * (degree + 2) // 2
             columns += [has_enough[:, None] * x**(degree - j) * y**j for j in range(degree + 1)]
         return np.stack(columns, axis=-1)
 
 
 def _are_nearest(distance: FloatArray, count: int) -> BoolArray:
-    """Return which control points are the `count` nearest of finite distance, shape (m, n)."""
-    # Stable, so that of points at one distance the first ones are taken, on every machine.
+    """Return which control points are among the `count` nearest to each place, shape (m, n).
+
+    Points of infinite distance are none of them, so there may be fewer.
+    """
+    # The order is stable, so that every machine takes the same ones of points at one distance.
     near = np.zeros(distance.shape, dtype=bool)
     order = np.argsort(distance, axis=1, kind="stable")[:, :count]
     np.put_along_axis(near, order, True, axis=1)

@@ -49,10 +49,12 @@ def spatial_blocks(X: Any, across: int = 3) -> IntArray:
 
 
 def _strip_numbers(values: FloatArray, count: int) -> IntArray:
-    """Return the number of the strip of each value (n,), of `count` strips of equally many values.
+    """Return the strip of each value, 0 to count - 1, shape (n,).
+
+    The strips follow the order of the values, and have as many values each, to within one.
     """
     strips = np.zeros(len(values), dtype=np.intp)
-    # The order of the values alone counts, so that clusters do not empty the strips between.
+    # Strips of one width would be empty between clusters of points.
     strips[np.argsort(values, kind="stable")] = np.arange(len(values)) * count // max(
         len(values), 1)
     return strips

@@ -14,7 +14,10 @@ from termsel_sklearn.arrays import FloatArray
 
 @dataclass(frozen=True)
 class _Fitting:
-    """Fits a copy of a regressor to points, from scaled ground coordinates to image positions."""
+    """The function of a method: fits a copy of a regressor to points, and returns its projection.
+
+    It raises Undetermined if there are lines, or if the regressor refuses the points.
+    """
 
     regressor: Any
 
@@ -23,24 +26,27 @@ class _Fitting:
         if len(features.lines):
             raise Undetermined("regressors take points alone, and there are lines",
                                hint="Leave the lines out, or choose another method.")
-        # Without heights the plane is all there is.
+        # If any point has no height, the regressor gets X and Y alone.
         columns = 2 if np.isnan(points.ground[:, 2]).any() else 3
-        middle = points.ground[:, :columns].mean(axis=0)
-        size = np.ptp(points.ground[:, :columns], axis=0)
-        # Regularisation and kernels need coordinates, and positions, of about one.
-        half_size = np.where(size > 0.0, size / 2, 1.0)
+        ground_middle = points.ground[:, :columns].mean(axis=0)
+        ground_size = np.ptp(points.ground[:, :columns], axis=0)
+        # Regularisation and kernels assume coordinates and positions of about 1.
+        ground_half_size = np.where(ground_size > 0.0, ground_size / 2, 1.0)
         image_middle, image_size = points.image.mean(axis=0), float(np.ptp(points.image)) or 1.0
         regressor = clone(self.regressor)
         try:
-            regressor.fit((points.ground[:, :columns] - middle) / half_size,
+            regressor.fit((points.ground[:, :columns] - ground_middle) / ground_half_size,
                           (points.image - image_middle) / image_size)
         except ValueError as error:
             raise Undetermined(f"{type(regressor).__name__} fits nothing: {error}",
                                hint="Measure more, or choose another regressor.") from error
 
         def project(ground: FloatArray) -> FloatArray:
-            """Return image positions by the regressor; NaN where a coordinate is not known."""
-            scaled = (ground[:, :columns] - middle) / half_size
+            """Return image positions [px] of ground points (n, 3), shape (n, 2).
+
+            They are NaN where a coordinate that the regressor uses is not known.
+            """
+            scaled = (ground[:, :columns] - ground_middle) / ground_half_size
             image = np.full((len(ground), 2), np.nan)
             is_known = np.isfinite(scaled).all(axis=1)
             if is_known.any():
@@ -66,6 +72,7 @@ def regressor_method(regressor: Any, name: str = "", title: str = "") -> Functio
     Returns
     -------
     termsel.FunctionMethod
+        A method that raises `termsel.Undetermined` for features with lines.
 
     Examples
     --------

@@ -52,31 +52,39 @@ class WithOptions(BaseEstimator):  # type: ignore[misc]
         return self
 
     def _option_values(self) -> dict[str, Any]:
-        """Return the options of the model or solver as set or by default; {} of an instance."""
+        """Return the value of each option of the model or solver, as set or by default.
+
+        Returns {} for an instance, which has its own options, and for a name that is not known.
+        """
         try:
-            extension = self._taken()
+            extension = self._given_extension()
         except TermselError:
-            # Which `fit` says.
+            # `fit` raises the error: scikit-learn asks for parameters before that.
             return {}
         if not isinstance(extension, type):
             return {}
-        # `fit` refuses others.
-        set_ones = self.options if isinstance(self.options, dict) else {}
-        return {option.name: set_ones.get(option.name, option.default)
+        # Options that are no dict are refused by `fit`, not here.
+        set_options = self.options if isinstance(self.options, dict) else {}
+        return {option.name: set_options.get(option.name, option.default)
                 for option in extension.declared_options}  # type: ignore[attr-defined]
 
-    def _taken(self) -> Any:
-        """Return the class or instance that is given; raises TermselError for a name not known."""
+    def _given_extension(self) -> Any:
+        """Return the class or instance of the model or solver that is given, by its name or itself.
+
+        Raises TermselError for a name that is not known.
+        """
         return termsel.get(f"{self.extension}s", getattr(self, self.extension))
 
-    def _made(self, **further: Any) -> Any:
-        """Return an instance with its options; raises TermselError for options of one that is made.
+    def _make_extension(self, **further: Any) -> Any:
+        """Return an instance of the model or solver, made with `further` and then `options`.
+
+        An instance that is given is returned as it is. Raises TermselError if there are options for
+        it, or if the class refuses the options.
         """
-        extension = self._taken()
+        extension = self._given_extension()
         options = {**further, **(self.options or {})}
         if isinstance(extension, type):
             return extension(**options)
-        # An instance was made with its options: others for it would be ignored.
         if options:
             raise TermselError(f"option {next(iter(options))!r} is for the {self.extension} "
                                f"{extension.name!r}, which has its options already",
@@ -86,7 +94,10 @@ class WithOptions(BaseEstimator):  # type: ignore[misc]
 
 
 def weights_of(sample_weight: Any, X: FloatArray) -> FloatArray:
-    """Return the weight of each row of X, shape (n,); raise ValueError for one below 0."""
+    """Return the weight of each row of X, shape (n,): 1 for None.
+
+    Raises ValueError for weights of another length, and for one that is negative or not finite.
+    """
     weights = np.array(_check_sample_weight(sample_weight, X, dtype=np.float64))
     if (weights < 0).any():
         raise ValueError("sample_weight has negative values")

@@ -123,11 +123,11 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
             raise ValueError(f"X has {X.shape[1]} columns and y {image.shape[1]}; ground "
                              "coordinates have 2 or 3, image coordinates 1 or 2")
         method = self._method_or_strategy()
-        self._columns = None if np.ndim(y) == 1 else image.shape[1]
-        # One image coordinate stands for both, of which `predict` returns one.
+        self._n_image_columns = None if np.ndim(y) == 1 else image.shape[1]
+        # A model has two image coordinates: a single one is fitted as both, and predicted once.
         image = np.broadcast_to(image, (len(X), 2))
         positions, image, weights = _merge_points(X, image, weights_of(sample_weight, X))
-        # Only ratios count: with equal weights there are no standard deviations to state.
+        # Only ratios of weights are known, so equal weights say nothing of standard deviations.
         if np.ptp(weights) == 0:
             sigma = None
         else:
@@ -140,13 +140,14 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
             if method is not None:
                 self.fit_ = fit(features, method)
                 return self
-            # Heights that are all alike, or absent, say nothing: then the plane model is fitted.
-            high, flat = self._models_by_dimension()
-            if self.strategy in ("regularised", "selected") and (flat.polynomial_degree or 0) < 2:
+            # `Structure` takes the plane model where heights are all alike or absent.
+            model_with_height, plane_model = self._models_by_dimension()
+            degree = plane_model.polynomial_degree or 0
+            if self.strategy in ("regularised", "selected") and degree < 2:
                 raise ValueError(f"strategy {self.strategy!r} needs a polynomial of at least "
                                  "degree 2")
             self.fit_ = fit(features, Structure(
-                flat.name, f"model {flat.name!r}", high, flat,
+                plane_model.name, f"model {plane_model.name!r}", model_with_height, plane_model,
                 estimator=STRATEGIES[str(self.strategy)]))
         except TermselError as error:
             raise ValueError(str(error)) from error
@@ -158,14 +159,19 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
         Parameters
         ----------
         X : array_like, shape (n, 2) or (n, 3)
+
+        Returns
+        -------
+        ndarray, shape (n, 2), (n, 1) or (n,)
+            Line and sample [px], or the one coordinate that the model was fitted to.
         """
         check_is_fitted(self)
         X = validate_data(self, X, reset=False, dtype=np.float64)
         image: FloatArray = self.fit_.project(_ground_with_heights(X))
-        return image[:, 0] if self._columns is None else image[:, :self._columns]
+        return image[:, 0] if self._n_image_columns is None else image[:, :self._n_image_columns]
 
     def _method_or_strategy(self) -> Method | None:
-        """Return the method that stands in place of a strategy; None for a strategy.
+        """Return the method that `strategy` is or names; None if it names one of `STRATEGIES`.
 
         Raises ValueError for a name that is neither.
         """
@@ -181,18 +187,21 @@ class SensorModelRegressor(MultiOutputMixin, RegressorMixin, WithOptions):  # ty
                              ) from error
 
     def _models_by_dimension(self) -> tuple[SensorModel, SensorModel]:
-        """Return the model for points whose heights differ, and the one for others."""
+        """Return the model for points whose heights differ, and the one for other points.
+
+        Both are the same unless `model` is "polynomial".
+        """
         degree = {} if self.degree is None else {"degree": self.degree}
         if isinstance(self.model, str) and self.model == "polynomial":
             options = {**degree, **(self.options or {})}
             return Polynomial3D(**options), Polynomial2D(**options)
-        model: SensorModel = self._made(**degree)
+        model: SensorModel = self._make_extension(**degree)
         return model, model
 
-    def _taken(self) -> Any:
-        """Return the class or instance of the model; by default polynomials."""
+    def _given_extension(self) -> Any:
+        """Return the class or instance of the model; for "polynomial" that of X, Y and Z."""
         polynomial = isinstance(self.model, str) and self.model == "polynomial"
-        return Polynomial3D if polynomial else super()._taken()
+        return Polynomial3D if polynomial else super()._given_extension()
 
 
 def _merge_points(X: FloatArray, image: FloatArray, weights: FloatArray,
@@ -201,10 +210,10 @@ def _merge_points(X: FloatArray, image: FloatArray, weights: FloatArray,
 
     Points of one place become their weighted mean, in the order in which they first occur.
     """
-    use = weights > 0
-    X = X[use]
-    image = image[use]
-    weights = weights[use]
+    is_used = weights > 0
+    X = X[is_used]
+    image = image[is_used]
+    weights = weights[is_used]
     _, first, place_of = np.unique(X, axis=0, return_index=True, return_inverse=True)
     if len(first) == len(X):
         return X, image, weights
@@ -212,10 +221,10 @@ def _merge_points(X: FloatArray, image: FloatArray, weights: FloatArray,
     order = np.argsort(first)
     place_of = np.argsort(order)[place_of.ravel()]
     # Weights of points of one place add up, and their positions are averaged by them.
-    total = np.bincount(place_of, weights).astype(np.float64)
-    mean = np.column_stack([np.bincount(place_of, weights * coordinate) / total
+    total_weights = np.bincount(place_of, weights).astype(np.float64)
+    mean_positions = np.column_stack([np.bincount(place_of, weights * coordinate) / total_weights
                             for coordinate in image.T])
-    return X[first[order]], mean, total
+    return X[first[order]], mean_positions, total_weights
 
 
 def _ground_with_heights(X: FloatArray) -> FloatArray:

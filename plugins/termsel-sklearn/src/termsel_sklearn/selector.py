@@ -24,20 +24,21 @@ from termsel import (
 from termsel_sklearn.arrays import BoolArray, FloatArray, IntArray
 from termsel_sklearn.parts import WithOptions, weights_of
 
-_WORST = 1e9
+_INFEASIBLE_VALUE = 1e9
 """Criterion of columns that depend on each other; finite, as every objective is."""
 
-_SMALL = 1e-10
-"""Smallest share of a column that the others in use must leave."""
+_MIN_EIGENVALUE = 1e-10
+"""Smallest eigenvalue that the Gram matrix of the columns in use may have; each has length 1."""
 
 
 def _unit_columns(values: FloatArray, root: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return columns (n, k) with mean 0 and length 1, and which of them are constant, shape (k,).
+    """Return columns (n, k) as weighted least squares take them, and which are constant (k,).
 
-    They are times `root` (n, 1), the roots of weights. Constant ones are 0 but for rounding.
+    `root` (n, 1) has the roots of the weights. The weighted mean is taken off each column, which is
+    then multiplied by `root` and scaled to length 1. Constant columns keep what rounding leaves.
     """
-    # Of a constant rounding alone is left once the mean is taken off. Each column is judged by
-    # its own size, so that units do not matter.
+    # A constant column without its mean has values of rounding alone. Rounding is relative to the
+    # size of the column, so that units do not matter.
     rounding = len(values) * np.finfo(np.float64).eps * np.linalg.norm(root * values, axis=0)
     centred = root * (values - np.average(values, axis=0, weights=root[:, 0]**2))
     size = np.linalg.norm(centred, axis=0)
@@ -63,15 +64,15 @@ class ColumnProblem(Problem):
         weights = weights / weights.mean()
         # Rows times the roots of their weights: plain least squares are then weighted ones.
         root = np.sqrt(weights)[:, None]
-        # Unit columns, so that what is small in the Gram matrix is small for all of them.
+        # With columns of length 1, one limit of the eigenvalues holds in all units.
         X, constant = _unit_columns(X, root)
         if constant.all():
             raise TermselError("every column of X is constant, so that there is none to select")
-        y, same = _unit_columns(y, root)
-        if same.all():
+        y, is_constant_target = _unit_columns(y, root)
+        if is_constant_target.all():
             raise TermselError("y is constant, so that there is nothing for columns to explain")
-        # Standard deviations of 1: the unit of a target does not decide how much it counts.
-        y = y[:, ~same] * np.sqrt(self._n)
+        # With standard deviations of 1, the unit of a target does not decide how much it counts.
+        y = y[:, ~is_constant_target] * np.sqrt(self._n)
         self._gram = X.T @ X
         self._right = X.T @ y
         self._total = float((y**2).sum())
@@ -86,37 +87,37 @@ class ColumnProblem(Problem):
             on=["constant"], off=[name for name, off in zip(names, constant, strict=True) if off])
 
     def evaluate(self, genes: BoolArray) -> Evaluation:
-        """Return the criterion for genes (p, columns); columns that depend on others violate it.
+        """Return the criterion for genes (p, 1 + k), the first of which is that of the constant.
 
-        All systems are solved at once: columns out of use become those of the unit matrix. The
-        first gene is that of the constant. RSS is y'y - b'X'y at the solution b.
+        Selections with a constant column, or with columns that depend on each other, are violated,
+        and have the value `_INFEASIBLE_VALUE`. RSS is y'y - b'X'y at the solution b.
         """
         violation = (genes & self.genome.off).sum(axis=1).astype(np.float64)
         genes = genes[:, 1:]
         in_use_together = genes[:, :, None] & genes[:, None, :]
-        # Columns that are not in use are those of the unit matrix, so that all systems have one
-        # size.
+        # Columns out of use become those of the unit matrix: all systems have one size, and are
+        # solved at once.
         system = np.where(in_use_together, self._gram, np.eye(genes.shape[1]))
-        violation += np.linalg.eigvalsh(system)[:, 0] < _SMALL
+        violation += np.linalg.eigvalsh(system)[:, 0] < _MIN_EIGENVALUE
         right = np.where(genes[:, :, None], self._right, 0.0)
         is_feasible = violation == 0
         rss = np.full(len(genes), np.inf)
         solved = np.linalg.solve(system[is_feasible], right[is_feasible])
-        # RSS = y^T y - b^T X^T y at the solution b.
         rss[is_feasible] = self._total - (solved * right[is_feasible]).sum(axis=(1, 2))
         value = self._criterion_values(rss, genes.sum(axis=1))
-        return Evaluation(np.where(is_feasible, value, _WORST)[:, None], violation)
+        return Evaluation(np.where(is_feasible, value, _INFEASIBLE_VALUE)[:, None], violation)
 
     def _criterion_values(self, rss: FloatArray, size: IntArray) -> FloatArray:
-        # An exact fit has a residual of rounding alone, whose logarithm would choose by chance.
+        """Return the criterion of sums of squares (p,) by selections of so many columns (p,)."""
+        # An exact fit has a residual of rounding alone, whose logarithm is a matter of chance.
         floor = np.finfo(np.float64).eps * max(self._total, np.finfo(np.float64).tiny)
         return np.asarray(
             self._n * np.log(np.maximum(rss, floor) / self._n) + self._penalty[size])
 
     def parts(self) -> tuple[EnumerablePart, ...]:
-        """Return the one linear system, its constant forced."""
+        """Return the one linear system, in which the constant is always used."""
         genome = self.genome
-        # Without the constant.
+        # The constant does not count.
         sizes = np.maximum(np.arange(genome.size + 1) - 1, 0)
         return (EnumerablePart(
             np.arange(genome.size),
@@ -124,11 +125,12 @@ class ColumnProblem(Problem):
             "rss", partial(self._criterion_values, size=sizes)),)
 
     def design(self) -> FloatArray:
-        """Return the constant and the centred columns, times the roots of the weights."""
+        """Return the columns of the constant and of X, as the system has them, shape (n, 1 + k)."""
         return self._design
 
     def decode(self, genes: BoolArray) -> Selection:
-        """Return the numbers of the columns as names of terms."""
+        """Return the columns that genes (1 + k,) select, by their numbers from 0 as names of terms.
+        """
         return Selection(tuple(str(i) for i in np.flatnonzero(genes[1:])), ())
 
 
@@ -205,7 +207,7 @@ class TermSelector(SelectorMixin, WithOptions):  # type: ignore[misc]
         y = np.asarray(y, np.float64).reshape(len(X), -1)
         weights = weights_of(sample_weight, X)
         use = weights > 0
-        # Rows that are there twice leave no more freedom than one with their weight.
+        # Repeated rows add no degrees of freedom.
         distinct = len(np.unique(np.column_stack([X, y])[use], axis=0))
         max_columns = max(1, distinct // 3) if self.max_terms is None else self.max_terms
         if not isinstance(max_columns, (int, np.integer)) or max_columns < 1:
@@ -213,7 +215,7 @@ class TermSelector(SelectorMixin, WithOptions):  # type: ignore[misc]
                              "or None for a third of the rows that differ")
         try:
             problem = ColumnProblem(X[use], y[use], weights[use], max_columns)
-            self.search_ = search(problem, self._made(), seed=self.seed,
+            self.search_ = search(problem, self._make_extension(), seed=self.seed,
                                   generations=self.generations)
         except TermselError as error:
             raise ValueError(str(error)) from error
@@ -221,10 +223,12 @@ class TermSelector(SelectorMixin, WithOptions):  # type: ignore[misc]
         return self
 
     def _get_support_mask(self) -> BoolArray:
+        """Return which columns are selected, shape (k,); raise NotFittedError before `fit`."""
         check_is_fitted(self)
         return self.support_
 
     def __sklearn_tags__(self) -> Any:
+        """Return the tags of the estimator, which say that it needs y."""
         tags = super().__sklearn_tags__()
         tags.target_tags.required = True
         return tags

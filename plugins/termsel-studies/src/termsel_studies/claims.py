@@ -17,7 +17,7 @@ from termsel_studies.significance import (
 )
 from termsel_studies.summaries import quantiles_with_infinity
 
-_MOST_NAMED = 6
+_MAX_NAMED = 6
 """Methods without runs on an instance that are named one by one."""
 A12_IN_WORDS = ("A12 is the share of pairs of runs in which one method is better, 0.5 for equal "
                 "ones, with its 95 % interval.")
@@ -26,12 +26,12 @@ _SIZES = ((0.71, "large"), (0.64, "medium"), (0.56, "small"))
 
 
 def valid_claims(groups: Groups, comparison: Comparison | None, rows: list[Row]) -> list[str]:
-    """Return sentences on what may be claimed, and what not; with few instances no comparison.
+    """Return sentences on what may be claimed of a study, and what not, as a paper could have them.
 
-    `groups` are runs by instance and method, `comparison` tests over instances, None where these
-    are too few, and `rows` the table of the study. Each sentence is one that a paper could have as
-    it stands: by what was compared, what a test allows to say, and what is missing from the
-    comparison.
+    The sentences say by what was compared, what the tests allow to claim, and what is missing from
+    the comparison. `groups` are the runs by instance and method, `rows` the table of the study.
+    `comparison` has the tests over instances; where it is None, as for too few instances, the
+    sentences are on single instances.
     """
     measure = groups.measure
     if groups.measure == "fitness":
@@ -44,10 +44,10 @@ def valid_claims(groups: Groups, comparison: Comparison | None, rows: list[Row])
         sentences.append("There is one method, so nothing is compared." if groups.methods else
                          "No run is finished, so nothing is compared.")
     elif comparison is None:
-        sentences += _claim_of_single(groups)
+        sentences += _claims_on_single_instances(groups)
     else:
         sentences += _claims_over_instances(comparison)
-        # Tests take instances for independent of each other, which splits of the same data are not.
+        # The tests assume that instances are independent, which splits of the same data are not.
         if len({row["split"] for row in rows}) > 1:
             sentences.append("Splits of the same data are not independent of each other, so p is "
                              "too small: trust what holds over many data sets.")
@@ -67,11 +67,12 @@ def valid_claims(groups: Groups, comparison: Comparison | None, rows: list[Row])
     return sentences
 
 
-def _claim_of_single(groups: Groups) -> list[str]:
-    """Return sentences on single instances, where they are too few for a test over them.
+def _claims_on_single_instances(groups: Groups) -> list[str]:
+    """Return sentences on each instance by itself, where they are too few for a test over them.
 
-    Runs of one instance differ by their seeds alone, so that Vargha and Delaney's A12 with its
-    interval compares methods on this instance, and says nothing of others.
+    Runs of one instance differ by their seeds alone. So the effect size A12 of Vargha and Delaney
+    compares methods on this instance, and says nothing of others. Instances with fewer than two
+    methods of several runs each have no sentence.
     """
     number = len(groups.common)
     total = len(groups.instances)
@@ -86,7 +87,7 @@ def _claim_of_single(groups: Groups) -> list[str]:
         sentences.append(_missing_runs_sentence(groups))
     for name in groups.common:
         by_method = groups.instances[name]
-        # A single run, such as one of a solver without chance, says nothing of the next one.
+        # A single run, such as that of a solver without chance, does not show how far runs scatter.
         repeated = [method for method in groups.methods if len(by_method[method].values) > 1]
         if len(repeated) < 2:
             continue
@@ -107,33 +108,41 @@ def _claim_of_single(groups: Groups) -> list[str]:
 
 
 def alike(first: float, second: float) -> bool:
-    """Return whether two figures are the same in the digits that a table shows."""
+    """Return whether two figures are equal, or the same in the four digits that a table shows."""
     return first == second or f"{first:.4g}" == f"{second:.4g}"
 
 
 def _advantage_in_words(values: Sequence[float], rival: str, of_rival: Sequence[float]) -> str:
-    """Return in words how probably a method beats another, and whether that may be chance."""
+    """Return in words by how much a method is better than `rival` on one instance.
+
+    `values` are the results of its runs, `of_rival` those of the rival; lower is better. The words
+    have the effect size with its interval, both numbers of runs, and whether it may be chance.
+    """
     size = effect_size(values, of_rival)
     low, high = effect_size_interval(size, len(values), len(of_rival))
-    counts = dict.fromkeys((len(values), len(of_rival)))
-    runs = " and ".join(map(str, counts))
+    # One number where both methods have as many runs.
+    different_counts = dict.fromkeys((len(values), len(of_rival)))
+    runs = " and ".join(map(str, different_counts))
     doubt = ", may be chance" if may_be_chance(values, of_rival) else ""
     return (f"{size_in_words(size)} over {rival} ({size:.2f} [{low:.2f}-{high:.2f}] of {runs} runs"
             f"{doubt})")
 
 
 def _missing_runs_sentence(groups: Groups) -> str:
-    """Return a sentence on which methods have no runs on which instances."""
+    """Return a sentence that names up to six methods with the instances they have no runs on."""
     missing = []
     for name, by_method in groups.instances.items():
         missing += [f"{method} on {name}" for method in groups.methods if method not in by_method]
-    n_further = len(missing) - _MOST_NAMED
-    return "There are no runs of " + ", ".join(missing[:_MOST_NAMED]) + (
+    n_further = len(missing) - _MAX_NAMED
+    return "There are no runs of " + ", ".join(missing[:_MAX_NAMED]) + (
         f", and {n_further} more of this kind." if n_further > 0 else ".")
 
 
 def size_in_words(value: float) -> str:
-    """Return an effect size (0 to 1) in the words of Vargha and Delaney 2000: negligible to large.
+    """Return "negligible", "small", "medium" or "large" for an effect size (0 to 1).
+
+    The words and their limits are those of Vargha and Delaney 2000. The size counts in both
+    directions: 0.2 is as large as 0.8.
     """
     return next((size for limit, size in _SIZES if max(value, 1 - value) >= limit), "negligible")
 
@@ -141,16 +150,16 @@ def size_in_words(value: float) -> str:
 def _claims_over_instances(comparison: Comparison) -> list[str]:
     """Return sentences on what may be claimed over all instances, by corrected tests.
 
-    Friedman's test over all methods comes first; only if that finds a difference do pairs count, by
-    Wilcoxon's test with Holm's correction. What is not proven is said, too, with the reminder that
-    it is no proof of the opposite.
+    With three or more methods, Friedman's test over all of them comes first, and pairs count only
+    if it finds a difference. Pairs count by Wilcoxon's test with Holm's correction. One sentence
+    says for how many pairs no difference is proven, and that this is no proof of the opposite.
     """
     sentences = []
     if comparison.p is not None:
         verdict = "differ" if comparison.p < SIGNIFICANCE else "cannot be distinguished"
         sentences.append(f"Over {comparison.instances} instances the methods {verdict} (Friedman, "
                          f"p = {comparison.p:.2g}).")
-    # Pairs are only looked at where the methods as a whole differ: Friedman's test comes first.
+    # Two methods have no Friedman's test: p is None, and their one pair is tested.
     if comparison.p is None or comparison.p < SIGNIFICANCE:
         proven = [pair for pair in comparison.pairs if pair.corrected < SIGNIFICANCE]
     else:

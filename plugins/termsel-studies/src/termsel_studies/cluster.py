@@ -24,10 +24,10 @@ log = logging.getLogger(__name__)
 PATIENCE = 60.0
 """Seconds to wait for a scheduler or for workers, at the beginning and when they are lost."""
 
-_LOOK = 1.0
+_LOOK_SECONDS = 1.0
 """Seconds between looks at whether Ctrl-C was pressed and whether the scheduler is there."""
 
-_MOST_LOSSES = 5
+_MAX_LOSSES = 5
 """Times in a row that a scheduler may be lost before any further cell is finished."""
 
 
@@ -42,22 +42,24 @@ def run_on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], st
     cells : sequence of Cell
         The runs of a study.
     features : mapping of str to FeatureSet
-        Of the runs that read files, by the name of the data.
+        The features of all cells by the key of their data, `Cell.data.key`.
     stop : Stop
         Budget of each run.
     address : str
-        Of the scheduler, such as "tcp://host:8786".
+        Address of the scheduler, such as "tcp://host:8786".
     plugins : mapping of str to str
-        Distributions and their versions, which every worker needs, and the same termsel.
+        Versions of the distributions that every worker needs, besides termsel and its packages.
 
     Yields
     ------
     Outcome
+        One of each cell that ended; cells that had not begun when `stop` returned True have none.
 
     Raises
     ------
     TermselError
-        If a worker has other versions, or the scheduler does not answer.
+        If `address` is none, a worker lacks a package or has another version of it, no scheduler
+        with workers answers within a minute, or it was lost five times in a row.
 
     Examples
     --------
@@ -73,38 +75,39 @@ def run_on_cluster(cells: Sequence[Cell], features: Mapping[str, FeatureSet], st
         client = _connect(address)
         running: dict[Future, Cell] = {}
         try:
-            # Others would compute something else, or nothing.
-            for worker, versions_there in sorted(
-                client.run(versions_here, tuple(required)).items()
+            # Workers with other versions would compute something else, or nothing.
+            for worker, versions_of_worker in sorted(
+                client.run(installed_versions, tuple(required)).items()
             ):
-                require_alike(required, versions_there, worker)
+                require_same_versions(required, versions_of_worker, worker)
             yield from _submit_cells(client, waiting, running, features, stop, required)
         except OSError as error:
             log.warning("The scheduler %s was lost: %s", address, error)
         finally:
             # A scheduler that is lost does not answer to the end of a client either.
             client.close(timeout=5)
-        # A scheduler that is started again gets the cells that it knew again.
+        # A scheduler that is started again knows nothing of the cells that it was running.
         waiting.extendleft(running.values())
-        # A scheduler that finishes some cells between its losses is worth further trials.
+        # A scheduler that finishes some cells between its losses is tried again and again.
         fruitless = fruitless + 1 if len(waiting) == before else 0
-        if fruitless == _MOST_LOSSES:
+        if fruitless == _MAX_LOSSES:
             raise TermselError(f"the scheduler {address} was lost {fruitless} times in a row",
                                hint="Look at its log. The finished runs are kept.")
 
 
 def _connect(address: str) -> Client:
-    """Return a client of a scheduler that has workers; wait for these, and say so.
+    """Return a client of the scheduler at an address, once it answers and has a worker.
 
-    Raises TermselError for no address, or after `PATIENCE` seconds without a worker.
+    The first failed trial is told by a warning. Raises TermselError if the text is no address with
+    a port, or after `PATIENCE` seconds without a worker.
     """
     from distributed import Client
 
-    refused = TermselError(f"{address!r} is no address of a scheduler",
+    no_address = TermselError(f"{address!r} is no address of a scheduler",
                            hint="Write --scheduler tcp://host:8786.")
-    # A client of dask would wait, then fail in its own words.
+    # For an address without a port, a client of dask would wait, then fail in its own words.
     if not _has_port(address):
-        raise refused
+        raise no_address
     until = time.monotonic() + PATIENCE
     has_warned = False
     while True:
@@ -112,7 +115,7 @@ def _connect(address: str) -> Client:
             client = Client(address, timeout=5, set_as_default=False)
             client.wait_for_workers(1, timeout=max(until - time.monotonic(), 1))
         except ValueError as error:
-            raise refused from error
+            raise no_address from error
         except (OSError, TimeoutError) as error:
             if time.monotonic() > until:
                 raise TermselError(
@@ -122,22 +125,26 @@ def _connect(address: str) -> Client:
             if not has_warned:
                 log.warning("Waiting for the scheduler %s and its workers.", address)
                 has_warned = True
-            time.sleep(_LOOK)
+            time.sleep(_LOOK_SECONDS)
         else:
             return client
 
 
 def _has_port(address: str) -> bool:
-    """Return whether an address states a port."""
+    """Return whether an address states a port; False also for a text that is no address."""
     try:
         return urlsplit("//" + address.rpartition("://")[2]).port is not None
     except ValueError:
         return False
 
 
-def require_alike(required: Mapping[str, str], installed: Mapping[str, str | None],
+def require_same_versions(required: Mapping[str, str], installed: Mapping[str, str | None],
                   worker: str) -> None:
-    """Raise TermselError unless the worker at an address has all versions that are required."""
+    """Raise TermselError unless a worker has each required package in exactly the required version.
+
+    `required` and `installed` are versions by the name of the package, None for one that is not
+    installed. `worker` is the address of the worker, for the message.
+    """
     for name, version in required.items():
         if installed.get(name) is None:
             raise TermselError(f"the worker {worker} lacks {name}, which the study needs",
@@ -148,9 +155,12 @@ def require_alike(required: Mapping[str, str], installed: Mapping[str, str | Non
                 hint="Install the same version on both: results may differ between versions.")
 
 
-@cache  # a fact of the installation
-def versions_here(names: tuple[str, ...]) -> dict[str, str | None]:
-    """Return the versions of packages and plugins in this process by name; None if not installed.
+@cache  # The installation does not change while the process runs.
+def installed_versions(names: tuple[str, ...]) -> dict[str, str | None]:
+    """Return the versions of the named packages and plugins in this process, by their names.
+
+    It is None for one that is not installed, and for one that is neither a package that termsel
+    records nor a plugin of it.
     """
     packages: dict[str, Any] = package_versions()
     plugins = {plugin.distribution: plugin.version for plugin in registry().plugins}
@@ -160,15 +170,18 @@ def versions_here(names: tuple[str, ...]) -> dict[str, str | None]:
 def _submit_cells(client: Client, waiting: deque[Cell], running: dict[Future, Cell],
                   features: Mapping[str, FeatureSet], stop: Stop, required: Mapping[str, str]
                   ) -> Iterator[Outcome]:
-    """Yield the outcomes of cells; if the scheduler is lost, end with some left in `running`.
+    """Yield the outcomes of cells as they end, of some only if the scheduler is lost.
 
-    Cells move from `waiting` to `running`; `stop` says whether no more are to begin.
+    Cells move from `waiting` to `running`, and leave `running` as they end: after a loss, both hold
+    what is to be run again. `stop` returns whether no further cell is to begin. Raises the
+    TermselError of a worker whose versions differ from `required`.
     """
     from distributed.scheduler import KilledWorker
 
-    # Tasks of their own with their checksum as the key: they travel once to each worker that needs
-    # them, and come again from the scheduler where a worker with them is lost.
-    data = {key: client.submit(_keep, feature_set, key=f"termsel-features-{key}", pure=True)
+    # The features are tasks of their own, with their checksum as the key. So they travel once to
+    # each worker that needs them, and the scheduler sends them again if such a worker is lost.
+    data = {key: client.submit(_keep_on_workers, feature_set, key=f"termsel-features-{key}",
+                               pure=True)
             for key, feature_set in features.items()}
     ended: Queue[Future] = Queue()
     while running or (waiting and not stop()):
@@ -182,10 +195,10 @@ def _submit_cells(client: Client, waiting: deque[Cell], running: dict[Future, Ce
             running[future] = cell
             future.add_done_callback(ended.put)
         try:
-            future = ended.get(timeout=_LOOK)
+            future = ended.get(timeout=_LOOK_SECONDS)
         except Empty:
             continue
-        # So are all others, and the data.
+        # The scheduler was lost, and all other cells and the data with it.
         if future.status in ("cancelled", "lost"):
             return
         cell = running.pop(future)
@@ -193,7 +206,7 @@ def _submit_cells(client: Client, waiting: deque[Cell], running: dict[Future, Ce
         if error is None:
             yield future.result()
         elif isinstance(error, KilledWorker):
-            # It was tried on several workers.
+            # Each of several workers ended as it ran the cell.
             yield failed_outcome(cell.key, DIED)
         # An error of termsel, such as other versions on a worker, ends the study.
         elif isinstance(error, TermselError):
@@ -202,14 +215,17 @@ def _submit_cells(client: Client, waiting: deque[Cell], running: dict[Future, Ce
             yield failed_outcome(cell.key, f"{type(error).__name__}: {error}")
 
 
-def _keep(features: FeatureSet) -> FeatureSet:
-    """Return the features: the task whose result stays on the workers."""
+def _keep_on_workers(features: FeatureSet) -> FeatureSet:
+    """Return the features unchanged: a task whose result dask keeps on the workers."""
     return features
 
 
 def _run_on_worker(cell: Cell, features: FeatureSet, required: Mapping[str, str]) -> Outcome:
-    """Return the outcome of a cell, run on a worker; raises TermselError if its versions differ."""
+    """Return the outcome of a cell, run on this worker.
+
+    Raises TermselError if the versions on the worker differ from those of `required`.
+    """
     from distributed import get_worker
 
-    require_alike(required, versions_here(tuple(required)), get_worker().address)
+    require_same_versions(required, installed_versions(tuple(required)), get_worker().address)
     return do(cell, features)

@@ -76,7 +76,10 @@ class Stability:
         return np.asarray(self.selections.mean(axis=0))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the frequencies and what came of the stable terms, as stability.json has it."""
+        """Return the content of stability.json: the frequencies, and the fit of the stable terms.
+
+    "rmse" is None where the stable terms are not a model.
+    """
         return {"repeats": len(self.selections), "threshold": self.threshold,
                 "frequency": dict(zip(self.terms, self.frequency.tolist(), strict=True)),
                 "n_terms": self.selections.sum(axis=1).tolist(),
@@ -174,7 +177,7 @@ def selection_frequencies(
         observers = (*observers, notebook)
     # One generator draws all shares; each search has a seed of its own.
     rng = np.random.default_rng(seed)
-    # The drawn roles are those of the features, which take the place of roles that are named.
+    # The roles drawn are in the features, so options that name roles or points to leave out go.
     fixed_options = {key: value for key, value in (options or {}).items()
                      if key not in ("off", "role")}
     rows: list[BoolArray] = []
@@ -189,7 +192,7 @@ def selection_frequencies(
                              patience=patience, **redrawn.options["search"],
                              observers=[_observer_of_all(observe, repetition, repeats)
                                         for observe in observers])
-            # A search that was interrupted is no selection like the others.
+            # A search that was interrupted ended early, so its selection does not count.
             interrupted = outcome.interrupted
             if not interrupted:
                 genes = with_recommended_member(redrawn, outcome).genes
@@ -197,36 +200,40 @@ def selection_frequencies(
         except KeyboardInterrupt:
             interrupted = True
         if interrupted:
-            # One selection has no frequencies.
+            # A single selection has no frequencies, so the interrupt ends the whole call.
             if len(rows) < 2:
                 raise KeyboardInterrupt
             take_pending_interrupt()
             break
     selections = np.array(rows)
     is_stable = selections.mean(axis=0) >= threshold
-    determined, rmse = _fit_terms(task, is_stable)
+    determined, rmse = _fit_stable_terms(task, is_stable)
     return Stability(
         terms=task.model.terms, selections=selections, threshold=threshold,
         stable=select(task.model.terms, is_stable), determined=determined, rmse=rmse,
         interrupted=interrupted)
 
 
-FEWEST_POINTS = 6
+MIN_POINTS = 6
 """Points from which on half of them may be left out: 3 remain, which a model needs."""
 
 
 def _require_points(features: FeatureSet) -> None:
-    """Raise TermselError for points without lines that are too few to draw some of them."""
-    if len(features.points) < FEWEST_POINTS and not len(features.lines):
+    """Raise TermselError if there are no lines, and fewer points than `MIN_POINTS`."""
+    if len(features.points) < MIN_POINTS and not len(features.lines):
         raise TermselError(
             f"{len(features.points)} points are too few for stability, which leaves out some of "
-            f"them again and again: at least {FEWEST_POINTS} are needed",
+            f"them again and again: at least {MIN_POINTS} are needed",
             hint="Measure more, or fit all of them: termsel run --points FILE.")
 
 
 def _observer_of_all(observe: Observer, repetition: int, repeats: int) -> Observer:
-    """Return an observer of one repetition, which passes to `observe` the share of all of them."""
+    """Return an observer of the search of one repetition, counted from 0.
+
+    It calls `observe` with the progress of all repetitions: the share is of all, not of the one.
+    """
     def observe_repetition(progress: Progress) -> None:
+        """Call `observe` with the share of all repetitions; one without a share counts as 0."""
         observe(replace(progress, share=(repetition + (progress.share or 0.0)) / repeats,
                         what=f"repetition {repetition + 1} of {repeats}"))
 
@@ -234,9 +241,12 @@ def _observer_of_all(observe: Observer, repetition: int, repeats: int) -> Observ
 
 
 def _with_drawn_roles(task: Task, rng: np.random.Generator) -> FeatureSet:
-    """Return the features with the roles control and check drawn again among the points.
+    """Return the features of a task with other points or lines as control.
 
-    Without selection points half of the control is off; of lines alone, half of them are left out.
+    Where there is control of points, the roles control and check are drawn again among the points
+    that have one of them, as many of each as before; points of one place get one role. Without
+    selection points, half of the control gets the role "off" instead. Where lines alone are
+    control, half of the lines are left out, rounded up to keep.
     """
     features = task.observations.features
     observations = task.observations
@@ -247,27 +257,30 @@ def _with_drawn_roles(task: Task, rng: np.random.Generator) -> FeatureSet:
     n_check = len(observations.check)
     if n_control:
         movable = np.flatnonzero(np.isin(roles, ("control", "check")))
-        # Points of one place move together: one of them would give the other away.
+        # Points of one place move together: a selection point at the place of a control point
+        # would be predicted too well.
         group = find_twins(points.ground[movable])
         order = np.argsort(rng.permutation(group.max() + 1)[group], kind="stable")
-        # Without selection points there is nothing to exchange: half of the control is left out.
+        # Without selection points there is no role to exchange with.
         n_kept = n_control if n_check else n_control // 2
         other_role = "check" if n_check else "off"
         drawn = np.where(np.arange(len(order)) < n_kept, "control", other_role)
-        # Twins follow each other; all of them take the role of the first.
+        # Twins follow each other in this order; all of them take the role of the first.
         _, first, group_of = np.unique(group[order], return_index=True, return_inverse=True)
         roles[movable[order]] = drawn[first[group_of]]
     elif len(lines):
-        # Lines have no other role: half of them is drawn, vertices and all.
+        # Lines cannot be selection lines, so those not drawn are left out.
         names = np.unique(lines.ids)
         lines = lines.take(np.isin(lines.ids, rng.permutation(names)[:(len(names) + 1) // 2]))
     return features.with_(points=replace(points, roles=tuple(roles)), lines=lines)
 
 
-def _fit_terms(task: Task, is_stable: BoolArray) -> tuple[bool, dict[str, Rmse | None]]:
-    """Return whether stable terms are a model of control and check together, and its RMSE by role.
+def _fit_stable_terms(task: Task, is_stable: BoolArray) -> tuple[bool, dict[str, Rmse | None]]:
+    """Return whether the stable terms are a model, and its RMSE [px] by role.
 
-    The RMSE is {} if they are none: undetermined, with poles, or without a term of either axis.
+    `is_stable` has a flag for each term, shape (k,). The terms are fitted to control and check
+    together. They are no model, and the RMSE is {}, if line or sample has none, if the features do
+    not determine their coefficients, or if there is a pole within the area of the points.
     """
     control_and_check = task.observations.together
     axis = task.model.axis
@@ -275,10 +288,10 @@ def _fit_terms(task: Task, is_stable: BoolArray) -> tuple[bool, dict[str, Rmse |
     # A model needs terms for line and for sample.
     if not is_stable[axis == 0].any() or not is_stable[axis == 1].any():
         return False, {}
-    # By plain least squares, which show whether the terms are determined.
+    # Regularised estimators would hide that terms are not determined; plain least squares do not.
     fitted = LeastSquares().fit(task.model, control_and_check, scaling, is_stable,
                                 np.ones(len(control_and_check), dtype=bool))
-    # Poles anywhere in the area of the points would make the model useless there.
+    # Near a pole between the points the prediction would be wrong though the residuals are small.
     guard = guard_points(scaling.features(control_and_check),
                          scaling.points(control_and_check.points))
     if not fitted.adjustment.feasible or pole_violation(

@@ -19,22 +19,24 @@ FORMAT = "0.3.5"
 """Version of the format, as IOHexperimenter numbers it."""
 
 
-WORST = 1e9
-"""What is written of a run without a feasible selection, and a little more for each further run:
-JSON has no infinity."""
+INFEASIBLE_VALUE = 1e9
+"""Value written for a run without a feasible selection, as JSON has no infinity. The number of the
+run is added, so that no two runs have the same value."""
 
 
 def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
-    """Yield names and texts of IOHprofiler's files: a folder a method, two files an instance.
+    """Yield the names and texts of the files of IOHprofiler.
 
-    Runs without a feasible selection are among them, with `WORST` as their best value.
+
+    Each method has a folder, and in it two files for each instance that it was run on: the
+    improvements of its runs, and their description. Runs without a feasible selection are among
+    them; their best value is `INFEASIBLE_VALUE` plus the number of the run.
     """
-    # De Nobel, Ye, Vermetten, Wang, Doerr and Bäck 2024, IOHexperimenter, Evol. Comput. 32(3); a
-    # run begins with the row of its first evaluation.
+    # De Nobel, Ye, Vermetten, Wang, Doerr and Bäck 2024, IOHexperimenter, Evol. Comput. 32(3).
     folders = _folder_names(groups.methods)
     for number, (instance, by_method) in enumerate(groups.instances.items(), 1):
         file_name = file_word(instance, "all")
-        # Methods of an instance search the same genome; a run that failed does not show its size.
+        # Methods of an instance search the same genome. A run that failed has no size of it.
         dimension = max([1, *(record.figures.get("n_genes") or 0
                               for runs in by_method.values() for record in runs.records)])
         for method, runs in by_method.items():
@@ -48,10 +50,11 @@ def ioh_files(groups: Groups) -> Iterator[tuple[str, str]]:
 
 
 def write(study: Study, folder: Path) -> list[Path]:
-    """Write the runs of a study below its folder; return [folder of them], [] if nothing searched.
+    """Write the runs of a study into "ioh" below a folder; return [that folder].
 
-    Runs of an earlier form of the study, which lie there, are removed: an analysis of the folder
-    would take them for methods of this one.
+    Returns [] if nothing was written, as for a study of the strategy auto alone, which does not
+    search. Files of runs that the study no longer has are removed: an analysis of the folder would
+    take them for methods of this study.
     """
     ioh_folder = folder / IOH_FOLDER
     earlier = set(ioh_folder.rglob("IOHprofiler_f*"))
@@ -68,52 +71,64 @@ def write(study: Study, folder: Path) -> list[Path]:
 
 
 def _improvements_text(records: list[CellRecord]) -> str:
-    """Return the improvements of all runs as text, each run from evaluation 1 to its last one."""
+    """Return rows of evaluation and best value of all runs, after a header, as text.
+
+    A run has a row for its first evaluation, for each improvement and for its last evaluation.
+    """
     lines = ["evaluations raw_y"]
     for number, record in enumerate(records):
-        # No two runs begin alike: iohinspector drops a row with the value of the row before it,
-        # though that is of another run.
-        points = {1: WORST + number, **{int(point[0]): point[1] for point in record.trace}}
-        # A run ends with the number of its evaluations, though the last improved nothing.
+        # No two runs may begin with the same value: iohinspector drops a row that has the value of
+        # the row before it, though that is of another run.
+        points = {1: INFEASIBLE_VALUE + number}
+        points |= {int(point[0]): point[1] for point in record.trace}
+        # The last row shows how many evaluations the run had, even if the last improved nothing.
         points.setdefault(_evaluations_of_run(record), _best_of_run(record, number)[1])
         lines += [f"{evaluations} {value:.17g}" for evaluations, value in points.items()]
     return "\n".join(lines) + "\n"
 
 
 def _evaluations_of_run(record: CellRecord) -> int:
-    """Return the evaluations of a run; 1 where it failed before it could show."""
+    """Return how many evaluations a run had: at least those of its trace, and at least 1."""
     return int(max([1, evaluations_of_run(record.figures), *(point[0] for point in record.trace)]))
 
 
 def _best_of_run(record: CellRecord, number: int) -> tuple[int, float]:
-    """Return the evaluation that found the best value of the number-th run, and that value.
+    """Return the evaluation at which a run found its best value, and that value.
 
-    A run that found none has a value worse than any.
+    `number` counts the runs from 0. Of a run without a feasible selection they are its last
+    evaluation and `INFEASIBLE_VALUE` plus the number.
     """
     if not record.trace:
-        return _evaluations_of_run(record), WORST + number
+        return _evaluations_of_run(record), INFEASIBLE_VALUE + number
     evaluation, value, _seconds = record.trace[-1]
     return int(evaluation), value
 
 
 def _method_description(number: int, instance: str, method: str, dimension: int,
                         records: list[CellRecord], data: str) -> dict[str, Any]:
-    """Return the description of one method on one instance, as IOHanalyzer reads it."""
-    described = []
-    for number, record in enumerate(records):
-        evaluation, value = _best_of_run(record, number)
-        described.append({"instance": 1, "evals": _evaluations_of_run(record),
+    """Return the description of one method on one instance, as IOHanalyzer reads it.
+
+    `number` is that of the instance, from 1; `dimension` the number of genes; `data` the path of
+    the file of improvements below the folder of the method.
+    """
+    runs_described = []
+    for run, record in enumerate(records):
+        evaluation, value = _best_of_run(record, run)
+        runs_described.append({"instance": 1, "evals": _evaluations_of_run(record),
                           "best": {"evals": evaluation, "y": value, "x": []}})
     return {
         "version": FORMAT, "suite": "termsel", "function_id": number, "function_name": instance,
         "maximization": False,
         "algorithm": {"name": method, "info": f"termsel {__version__}"},
         "attributes": ["evaluations", "raw_y"],
-        "scenarios": [{"dimension": dimension, "path": data, "runs": described}]}
+        "scenarios": [{"dimension": dimension, "path": data, "runs": runs_described}]}
 
 
 def _folder_names(methods: Iterable[str]) -> dict[str, str]:
-    """Return a folder name of its own for each method, different without regard to capitals."""
+    """Return the name of a folder for each method.
+
+    Names that differ in capitals alone get a number, as some file systems take them for one.
+    """
     folders: dict[str, str] = {}
     used_names: set[str] = set()
     for method in methods:

@@ -16,9 +16,10 @@ LONGITUDE_LATITUDE = "EPSG:4326"
 
 
 def map_of(study: Study) -> gpd.GeoDataFrame:
-    """Return rows of a study with the outline of each image's control.
+    """Return the rows of a study that are images, with the outline of each image's control.
 
-    Images without a result are left out.
+    Images without a result are left out. If some images have a CRS, so are those without one, as
+    they have no place on the map.
 
     Parameters
     ----------
@@ -28,7 +29,8 @@ def map_of(study: Study) -> gpd.GeoDataFrame:
     Returns
     -------
     geopandas.GeoDataFrame
-        The columns of `Study.rows`, and the hull of the control, in longitude and latitude.
+        The columns of `Study.rows`, and as geometry the convex hull of the control: in longitude
+        and latitude if any image has a CRS, else in the coordinates of the images, without a CRS.
 
     Raises
     ------
@@ -58,7 +60,7 @@ def map_of(study: Study) -> gpd.GeoDataFrame:
         features = read_result(study.folder / IMAGES / folders[key]).features
         positions = features.ground_vertices()[:, :2]
         hulls[key] = horizontal_crs(features.crs), shapely.multipoints(positions).convex_hull
-    # Where some images have a CRS, those without one have no place on the map.
+
     has_crs = any(crs for crs, _ in hulls.values())
     outlines = {}
     for key, (crs, outline) in hulls.items():

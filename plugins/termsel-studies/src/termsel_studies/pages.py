@@ -29,12 +29,16 @@ from termsel_studies.summaries import Summary, summarise_runs
 
 
 def remarks_of(study: Study) -> list[str]:
-    """Return sentences on the images together: which stand out, and notes that most have."""
+    """Return sentences on all images together: which stand out, and notes that most of them have.
+    """
     return [*study.remarks, *usual_notes_in_words(study.rows)]
 
 
 def tables_of(study: Study, *, brief: bool = False) -> tuple[list[TableBlock], list[str]]:
-    """Return the tables of a study, and valid claims.
+    """Return the tables of a study that have rows, and sentences on what may be claimed.
+
+    A study of images alone has one table, and no claims. Others have a table for each instance;
+    the tests over instances, where there are enough; fronts; and runs without a result.
 
     Parameters
     ----------
@@ -48,13 +52,14 @@ def tables_of(study: Study, *, brief: bool = False) -> tuple[list[TableBlock], l
     if study.spec.strategies == ("auto",):
         return [table for table in tables if table.rows], []
     groups = group(rows, study.records, study.spec.measure)
-    # Tests are of medians, one a method and instance.
+    # The tests compare medians: one value for each method and instance.
     comparison = compare_methods(groups.methods, medians_of(groups))
     figures = summarise_runs(groups)
     for name in groups.instances:
         of_instance = [figure for figure in figures if figure.instance == name]
-        tables.append((_main_figures if brief else _table_of_instance)(groups, name, of_instance))
-    # Fronts are compared where the objectives are the same: on one model, by one criterion.
+        table_of = _brief_table_of_instance if brief else _table_of_instance
+        tables.append(table_of(groups, name, of_instance))
+    # Fronts have the same objectives within one model and criterion, as groups by fitness do.
     searched = group([row for row in rows if row["strategy"] != "auto"], study.records, "fitness")
     tables.append(TableBlock(
         "Fronts", ("instance", "method", "hypervolume", "IGD+", "reference"),
@@ -73,14 +78,17 @@ def tables_of(study: Study, *, brief: bool = False) -> tuple[list[TableBlock], l
                       "p (Holm)"),
             [(pair.first, pair.second, str(pair.wins), str(pair.losses), f"{pair.p:.2g}",
               f"{pair.corrected:.2g}") for pair in comparison.pairs]))
-    # What failed is named with its reason: it counts as worst above.
+    # Runs that failed count as the worst in the tables above, so the reason is shown.
     tables.append(TableBlock("Runs without a result", ("run", "state", "reason"),
                              _rows_without_result(rows)))
     return [table for table in tables if table.rows], valid_claims(groups, comparison, rows)
 
 
 def _image_table(rows: list[Row]) -> TableBlock:
-    """Return a table with a row for each image; columns that are empty for all are left out."""
+    """Return the table of images, a row each, without columns that are empty for all.
+
+    Its keys are those of the cells, by which pictures of the images are found.
+    """
     usual = usual_notes(rows)
     header = ("image", "verdict", "reason", "model", "RMSE [px]", "RMSE [m]", "ICP RMSE [px]",
               "blunders", "without height", "place", "notes")
@@ -93,7 +101,6 @@ def _image_table(rows: list[Row]) -> TableBlock:
                       ", ".join(row["blunders"] or ()),
                       str(row["without_height"] or ""), row["place"] or "",
                       notes_on_image(row, usual)))
-    # A column that is empty for all images would only make the others narrow.
     shown = [i for i in range(len(header)) if any(line[i] for line in lines)]
     return TableBlock(count_of_verdicts(rows), tuple(header[i] for i in shown),
                       [tuple(line[i] for i in shown) for line in lines],
@@ -101,11 +108,12 @@ def _image_table(rows: list[Row]) -> TableBlock:
 
 
 def _table_of_instance(groups: Groups, name: str, figures: list[Summary]) -> TableBlock:
-    """Return the figures of all methods on an instance; effect sizes are those of the best one.
+    """Return the table of an instance with a row for each method.
 
-    Quartiles are of the measure that the study compares by. Columns on the optimum are there where
-    one is proven, and that of independent check points where the measure is another. The effect
-    size is the chance that the best method beats the one in the row.
+    Quartiles are of the measure that the study compares by. The effect size is the chance that a
+    run of the best method, that with the lowest median, beats one of the method in the row; blank
+    for the best itself. There are columns on the optimum if one is proven, and one of independent
+    check points if the study compares by another measure.
     """
     optimum = figures[0].optimum
     shows_independent = groups.measure != "independent"  # else the quartiles are theirs
@@ -138,11 +146,15 @@ def _table_of_instance(groups: Groups, name: str, figures: list[Summary]) -> Tab
             row.append(format_number(figure.independent, 3))
         rows.append((*row, format_number(figure.evaluations, 0),
                      format_number(figure.cpu_seconds, 2)))
-    return TableBlock(_title_of_study(name, optimum), tuple(header), rows)
+    return TableBlock(_title_of_instance(name, optimum), tuple(header), rows)
 
 
-def _main_figures(groups: Groups, name: str, figures: list[Summary]) -> TableBlock:
-    """Return the main figures of all methods on an instance, in at most five columns."""
+def _brief_table_of_instance(groups: Groups, name: str, figures: list[Summary]) -> TableBlock:
+    """Return the table of an instance with a row for each method, in at most five columns.
+
+    With a proven optimum, how often and how soon it was reached takes the place of the number of
+    finished runs.
+    """
     optimum = figures[0].optimum
     header = ["method", "median [quartiles]"]
     header += ["optimum reached", "expected evaluations"] if optimum is not None else ["runs"]
@@ -157,16 +169,19 @@ def _main_figures(groups: Groups, name: str, figures: list[Summary]) -> TableBlo
             row += [str(figure.finished)]
         row += [] if groups.measure == "independent" else [format_number(figure.independent, 3)]
         rows.append(tuple(row))
-    return TableBlock(_title_of_study(name, optimum), tuple(header), rows)
+    return TableBlock(_title_of_instance(name, optimum), tuple(header), rows)
 
 
-def _title_of_study(name: str, optimum: float | None) -> str:
-    """Return the title of a table, with the optimum if it is proven."""
+def _title_of_instance(name: str, optimum: float | None) -> str:
+    """Return the title of the table of an instance, with the optimum if it is proven."""
     return name if optimum is None else f"{name}: proven optimum {optimum:.4f}"
 
 
 def _rows_without_result(rows: list[Row]) -> list[tuple[str, str, str]]:
-    """Return run, state and reason of what failed; seeds of one reason are together."""
+    """Return run, state and reason of each run that failed or is infeasible.
+
+    Runs that differ in the seed alone, and failed for one reason, share a row.
+    """
     seeds_by_run: dict[tuple[str, str, str], list[str]] = {}
     for row in rows:
         if row["state"] in ("failed", "infeasible"):
@@ -177,36 +192,36 @@ def _rows_without_result(rows: list[Row]) -> list[tuple[str, str, str]]:
 
 
 def _seeds_in_words(seeds: list[str]) -> str:
-    """Return seeds, of many the first and how many more there are."""
-    more = len(seeds) - _MOST_SEEDS
-    return ", ".join(seeds[:_MOST_SEEDS]) + (f" and {more} more" if more > 0 else "")
+    """Return seeds with commas between them: the first five, and how many more there are."""
+    more = len(seeds) - _MAX_SEEDS
+    return ", ".join(seeds[:_MAX_SEEDS]) + (f" and {more} more" if more > 0 else "")
 
 
-_MOST_SEEDS = 5
-"""Seeds of one reason that are named."""
+_MAX_SEEDS = 5
+"""How many seeds are listed of runs that failed for one reason."""
 
 
 def _row_in_words(row: Row) -> str:
-    """Return the name of a row: problem, data, model and solver, as far as it has them."""
+    """Return problem, data, model and solver of a row with commas between, without blank ones."""
     return ", ".join(str(row[name]) for name in ("problem", "data", "model", "solver")
                      if row[name] not in ("", None))
 
 
 def format_number(value: float | None, digits: int) -> str:
-    """Return a number for a table; blank if there is none, and a sign for infinity."""
+    """Return a number for a table, with so many decimals: "" for None, "∞" if it is not finite."""
     if value is None:
         return ""
     return f"{value:.{digits}f}" if math.isfinite(value) else "∞"
 
 
 def title_of(study: Study) -> str:
-    """Return the title of a study, or what it is of."""
+    """Return the title of a study; without one "Batch of images" or "Study"."""
     of_images = study.spec.strategies == ("auto",)
     return study.spec.title or ("Batch of images" if of_images else "Study")
 
 
 def study_as_markdown(study: Study) -> str:
-    """Return all tables of a study, and its valid claims, as Markdown."""
+    """Return title, remarks, tables and valid claims of a study as Markdown."""
     tables, sentences = tables_of(study)
     remarks = [f"- {markdown_text(remark)}" for remark in remarks_of(study)]
     paragraphs = [f"# {markdown_text(title_of(study))}\n"]
@@ -222,7 +237,8 @@ def study_as_markdown(study: Study) -> str:
 
 def table_as_markdown(table: TableBlock, depth: int = 2) -> str:
     """Return a table with its heading as Markdown."""
-    # Numbers to the right, all else to the left; the first column is names.
+    # Columns of numbers are aligned to the right. The first column has names, though they may look
+    # like numbers.
     marks = ["---", *("---:" if _is_numeric(table, i) else "---"
                       for i in range(1, len(table.columns)))]
     lines = ["| " + " | ".join(map(markdown_text, row)) + " |"
@@ -232,7 +248,7 @@ def table_as_markdown(table: TableBlock, depth: int = 2) -> str:
 
 
 def _is_numeric(table: TableBlock, column: int) -> bool:
-    """Return whether all filled cells of a column are numbers."""
+    """Return whether all filled cells of a column begin like a number; True if none is filled."""
     cells = [row[column] for row in table.rows if row[column]]
     return all(cell[0].isdigit() or cell[0] in "-∞" for cell in cells)
 
@@ -258,7 +274,7 @@ def study_as_latex(study: Study) -> str:
 
 
 def _escape_latex(text: Any) -> str:
-    """Return a text for LaTeX: commands escaped, white space as one blank."""
+    """Return a text for LaTeX: signs that it takes for commands escaped, white space as one blank.
+    """
     words = make_printable(" ".join(str(text).split()))
-    # Signs that LaTeX takes for commands; all white space is one blank.
     return "".join(_LATEX.get(sign, sign) for sign in words)

@@ -14,7 +14,7 @@ from termsel.toolkit.charts import Document, Figure, Section, render_page, save,
 from termsel.toolkit.studies import IMAGES, folders_of, image_reasons
 from termsel_studies.figures import CHARTS, figures_of
 from termsel_studies.pages import remarks_of, study_as_latex, study_as_markdown, tables_of, title_of
-from termsel_studies.small import small_map
+from termsel_studies.small import draw_residual_thumbnail
 
 log = logging.getLogger(__name__)
 
@@ -23,7 +23,7 @@ REPORT = "report.html"
 FILES = ("summary.md", "summary.tex", REPORT, "figures")
 """Files and folders that `write` writes."""
 
-_SMALL = ("Arrows are the residuals of all features: blue at control points, orange "
+_LEGEND_OF_THUMBNAILS = ("Arrows are the residuals of all features: blue at control points, orange "
           "at selection points, black (white on a dark page) at independent check points. Red "
           "rings mark probable blunders. Each drawing has its own scale.")
 
@@ -61,7 +61,7 @@ def report(study: Study, charts: list[Figure] | None = None) -> str:
 
 
 def study_summary(study: Study) -> str:
-    """Return the valid claims on a study, and its main figures, as text.
+    """Return the page of a study as text, brief: valid claims, short tables, reasons of images.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def study_summary(study: Study) -> str:
     Examples
     --------
     >>> import termsel
-    >>> from termsel_studies import summary
+    >>> from termsel_studies import study_summary
     >>> study = termsel.compare(problems=["poly-terms"], solvers=["random"], seeds=[1],
     ...                         budget={"evaluations": 100})
     >>> "random" in study_summary(study)
@@ -85,17 +85,19 @@ def study_summary(study: Study) -> str:
 
 def _study_document(study: Study, charts: list[Figure], pictures: dict[str, str], *,
                     brief: bool = False) -> Document:
-    """Return the page of a study; `pictures` are drawings of images by the key of their cell.
+    """Return the page of a study: valid claims, images, other tables, and charts.
 
-    If brief, its tables are short, and it has the reasons of images.
+    `pictures` are drawings of images as SVG by the key of their cell; the table of images shows
+    them. If `brief`, tables have at most five columns, and the reasons of the verdicts on images
+    are sentences. Sections without content are left out.
     """
     tables, sentences = tables_of(study, brief=brief)
     images = []
     for table in tables:
         if table.keys:
-            drawn = [pictures.get(key, "") for key in table.keys] if pictures else ()
-            images.append(replace(table, keys=(), pictures=drawn))
-    legend = [_SMALL] if pictures and images else []
+            thumbnails = [pictures.get(key, "") for key in table.keys] if pictures else ()
+            images.append(replace(table, keys=(), pictures=thumbnails))
+    legend = [_LEGEND_OF_THUMBNAILS] if pictures and images else []
     rows = [row for row in study.rows if row["strategy"] == "auto"]
     reasons = image_reasons(rows) if brief else []
     sections = (
@@ -107,7 +109,6 @@ def _study_document(study: Study, charts: list[Figure], pictures: dict[str, str]
     done = len(study.records)
     number = count_in_words(len(study.cells), "image" if only_images else "run")
     return Document(title_of(study),
-                    # A table or section without content is left out.
                     number if study.complete else f"{done} of {number} finished", (),
                     tuple(section for section in sections if section.blocks))
 
@@ -115,7 +116,8 @@ def _study_document(study: Study, charts: list[Figure], pictures: dict[str, str]
 def residual_thumbnails(study: Study) -> dict[str, str]:
     """Return small drawings (SVG) of the residuals of finished images, by the key of their cell.
 
-    In place of a drawing that cannot be made is why, as text; {} without a folder.
+    If the result of an image cannot be read, the reason stands in place of its drawing, as HTML.
+    Returns {} for a study without a folder.
     """
     if study.folder is None:
         return {}
@@ -124,33 +126,32 @@ def residual_thumbnails(study: Study) -> dict[str, str]:
         if key not in study.records or study.records[key].state != "done":
             continue
         try:
-            drawings[key] = small_map(read_result(study.folder / IMAGES / name).view)
+            drawings[key] = draw_residual_thumbnail(read_result(study.folder / IMAGES / name).view)
         except TermselError as error:
             drawings[key] = escape(error.what)
     return drawings
 
 
 def write(study: Study, folder: Path) -> list[Path]:
-    """Write the tables and charts of a study into its folder, and return which files were written.
+    """Write the tables and charts of a study into a folder; return the files that were written.
 
-    summary.md and summary.tex are tables for people; report.html is a page of tables and charts,
-    and figures/ has the charts, where altair is installed. Tables come first: what cannot be drawn
-    is told by a warning, and takes nothing else along. Charts that an earlier form of the study had
-    and this one has not are removed.
+    summary.md and summary.tex have the tables. report.html, a page of tables and charts, and the
+    charts in figures/ are written only if altair and vl-convert are installed. A page or chart that
+    cannot be drawn is left out with a warning. Charts of an earlier form of the study that this one
+    does not have are removed.
     """
     written = []
     for name, text in {"summary.md": study_as_markdown(study),
                        "summary.tex": study_as_latex(study)}.items():
         write_text(folder / name, text)
         written.append(folder / name)
-    drawn = find_spec("altair") and find_spec("vl_convert")
-    charts = figures_of(study) if drawn else []
-    if drawn:
+    can_draw = find_spec("altair") and find_spec("vl_convert")
+    charts = figures_of(study) if can_draw else []
+    if can_draw:
         try:
             write_text(folder / REPORT, report(study, charts))
             written.append(folder / REPORT)
         except (TermselError, MemoryError) as error:
-            # Tables are written by now: what cannot be drawn takes nothing along.
             why = error.what if isinstance(error, TermselError) else "out of memory"
             log.warning("Warning: %s is missing: %s.", folder / REPORT, why.rstrip("."))
     for figure in charts:
@@ -159,7 +160,6 @@ def write(study: Study, folder: Path) -> list[Path]:
         try:
             save(with_theme(figure.chart, figure.title, figure.look), path)
         except TermselError as error:
-            # No chart takes the tables along.
             log.warning("%s", error)
             continue
         written.append(path)

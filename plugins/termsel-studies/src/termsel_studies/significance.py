@@ -28,16 +28,16 @@ class Pair:
 
     first: str
     second: str
-    # Of Wilcoxon's signed-rank test, two-sided.
+    # The p of Wilcoxon's signed-rank test, two-sided.
     p: float
-    # By Holm, for all pairs.
+    # The same p, corrected by Holm for the number of pairs.
     corrected: float
-    # Instances on which the one is lower.
+    # On how many instances the first method is lower.
     wins: int
-    # Or higher.
+    # On how many instances the first method is higher.
     losses: int
-    # By the ranks that the test sums, the one is lower: it may still lose on more instances, by
-    # less.
+    # Whether the first method is lower by the ranks that the test sums. It may still be higher on
+    # more instances, by smaller amounts.
     lower: bool
 
 
@@ -47,12 +47,12 @@ class Comparison:
 
     methods: tuple[str, ...]
     instances: int
-    # Mean rank of each; 1 is best.
+    # Mean rank of each method; 1 is best.
     ranks: tuple[float, ...]
-    # Of Friedman's test, for three methods or more.
+    # Statistic and p of Friedman's test; None for two methods.
     statistic: float | None
     p: float | None
-    # Nemenyi's critical one of mean ranks, likewise.
+    # Nemenyi's critical difference of mean ranks; None for two methods.
     difference: float | None
     pairs: tuple[Pair, ...]
 
@@ -62,34 +62,35 @@ def medians_of(groups: Groups) -> FloatArray:
     medians = np.empty((len(groups.common), len(groups.methods)))
     for i, name in enumerate(groups.common):
         for j, method in enumerate(groups.methods):
-            medians[
-                i, j] = quantiles_with_infinity(groups.instances[name][method].values, (0.5,))[0]
+            values = groups.instances[name][method].values
+            medians[i, j] = quantiles_with_infinity(values, (0.5,))[0]
     return medians
 
 
 def compare_methods(methods: Sequence[str], values: FloatArray) -> Comparison | None:
-    """Return Friedman's test, Wilcoxon's with Holm's correction, and the critical difference.
+    """Return the tests of methods over instances: of all methods together, and of each pair.
 
-    Values have the shape (instances, methods); lower is better, infinite is a method without a
-    result. None for a single method, or fewer than `MIN_INSTANCES` instances.
+    `values` have the shape (instances, methods); lower is better, and infinite is a method without
+    a result. Friedman's test and Nemenyi's critical difference need three methods or more; pairs
+    are tested by Wilcoxon's test with Holm's correction. None for a single method, or for fewer
+    than `MIN_INSTANCES` instances.
     """
     from scipy.stats import friedmanchisquare, rankdata
 
-    instances, number = values.shape
-    if number < 2 or instances < MIN_INSTANCES:
+    instances, n_methods = values.shape
+    if n_methods < 2 or instances < MIN_INSTANCES:
         return None
     # Demšar 2006, J. Mach. Learn. Res. 7, sections 3.1.3 and 3.2.
     ranks = rankdata(values, axis=1).mean(axis=0)
     statistic = p = difference = None
-    if number > 2:
-        # All alike on every instance: there is nothing to tell apart, and the test divides by zero.
+    if n_methods > 2:
+        # If all methods are equal on every instance, Friedman's test would divide by zero.
         all_equal = bool((values == values[:, :1]).all())
         statistic, p = (0.0, 1.0) if all_equal else map(float, friedmanchisquare(
             *rankdata(values, axis=1).T))
-        difference = critical_difference(number, instances)
-    # Every pair of methods, by Wilcoxon's test over the instances.
+        difference = critical_difference(n_methods, instances)
     tested = [(i, j, *signed_rank_test(values[:, i], values[:, j]))
-              for i, j in combinations(range(number), 2)]
+              for i, j in combinations(range(n_methods), 2)]
     corrected = holm_correction([p_value for _, _, p_value, _ in tested])
     pairs = []
     for (i, j, p_value, lower), after in zip(tested, corrected, strict=True):
@@ -103,13 +104,15 @@ def compare_methods(methods: Sequence[str], values: FloatArray) -> Comparison | 
 
 
 def signed_rank_test(first: FloatArray, second: FloatArray) -> tuple[float, bool]:
-    """Return the two-sided p of Wilcoxon's test of pairs (n,), and whether `first` is lower.
+    """Return the two-sided p of Wilcoxon's signed-rank test, and whether `first` is lower.
 
-    A method without a result is infinite, and worse than any; p is 1 if no pair differs.
+    `first` and `second` (n,) are paired by instance. An infinite value, of a method without a
+    result, is worse than any finite one; two infinite ones are equal. If no pair differs, p is 1
+    and `first` is not lower.
     """
     from scipy.stats import rankdata, wilcoxon
 
-    # Differences of a method without a result count as larger than all others; two of them as none.
+    # The test takes no infinite differences: they become finite ones, larger than all others.
     with np.errstate(invalid="ignore"):
         difference = np.where(first == second, 0.0, first - second)
     finite = np.abs(difference[np.isfinite(difference)])
@@ -118,16 +121,17 @@ def signed_rank_test(first: FloatArray, second: FloatArray) -> tuple[float, bool
     if not difference.any():
         return 1.0, False
     differences = difference[difference != 0]
-    # The sum of signed ranks, as the test has it.
     lower = bool((rankdata(np.abs(differences)) * np.sign(differences)).sum() < 0)
     return float(wilcoxon(difference).pvalue), lower
 
 
 def holm_correction(p_values: Sequence[float]) -> list[float]:
-    """Return p-values corrected for their number, in their order (Holm 1979, Scand. J. Stat. 6(2)).
+    """Return p-values corrected for their number, in the order given; [] of none.
+
+    Holm 1979, Scand. J. Stat. 6(2).
     """
     order = np.argsort(p_values, kind="stable")
-    # Holm: the smallest p times n, the next times n - 1, ..., never falling again.
+    # The smallest p counts n times, the next n - 1 times and so on; none is below the one before.
     scaled = np.asarray(p_values)[order] * np.arange(len(p_values), 0, -1)
     corrected = np.empty(len(p_values))
     corrected[order] = np.minimum(np.maximum.accumulate(scaled), 1.0) if len(scaled) else scaled
@@ -135,9 +139,9 @@ def holm_correction(p_values: Sequence[float]) -> list[float]:
 
 
 def critical_difference(methods: int, instances: int, level: float = SIGNIFICANCE) -> float:
-    """Return the least significant difference of mean ranks by Nemenyi's test.
+    """Return the difference of two mean ranks from which on Nemenyi's test finds it significant.
 
-    Demšar 2006, section 3.2.2.
+    `methods` and `instances` are how many there are. Demšar 2006, section 3.2.2.
     """
     from scipy.stats import studentized_range
 
@@ -146,40 +150,42 @@ def critical_difference(methods: int, instances: int, level: float = SIGNIFICANC
 
 
 def effect_size(first: Sequence[float], second: Sequence[float]) -> float:
-    """Return the probability that a value of `first` is below one of `second`, ties counted half.
+    """Return the share of pairs in which a value of `first` is below one of `second`, A12.
 
-    0.5 if both are alike; above it, `first` is the better one where lower is better.
+    Ties count half, so that it is 0.5 for equal methods; above 0.5, `first` is better, where lower
+    values are. Vargha and Delaney 2000, J. Educ. Behav. Stat. 25(2), equation 2.
     """
-    # Ties count half: Vargha and Delaney 2000, J. Educ. Behav. Stat. 25(2), equation 2, for values
-    # of which lower ones are better.
     a = np.asarray(first)[:, None]
     b = np.asarray(second)[None]
     return float((a < b).mean() + (a == b).mean() / 2)
 
 
 def effect_size_interval(size: float, n_first: int, n_second: int) -> tuple[float, float]:
-    """Return the 95 % confidence interval of an effect size of so many runs.
+    """Return the lower and upper end of the 95 % confidence interval of an effect size.
 
-    By method 5 of Newcombe 2006, Stat. Med. 25(4), which holds for a few runs and for sizes of 0
-    and 1: the sizes that the observed one does not contradict.
+    `n_first` and `n_second` are the numbers of runs. Within the interval are the sizes that the
+    observed one does not contradict, by method 5 of Newcombe 2006, Stat. Med. 25(4), which holds
+    for few runs and for sizes of 0 and 1 too.
     """
     mean_runs = (n_first + n_second) / 2 - 1
 
-    def contradicted(true_size: float) -> bool:
+    def is_contradicted(true_size: float) -> bool:
+        """Return whether the observed size is too far from a true one, by that one's variance."""
         variance = true_size * (1 - true_size) / (n_first * n_second) * (
             1 + mean_runs * ((1 - true_size) / (2 - true_size) + true_size / (1 + true_size)))
         return bool((size - true_size) ** 2 > _NORMAL_95**2 * variance)
 
     sizes = np.linspace(0, 1, 2001)
-    accepted = sizes[[not contradicted(float(value)) for value in sizes]]
-    # The size itself is within, though the grid may miss it.
+    accepted = sizes[[not is_contradicted(float(value)) for value in sizes]]
+    # The observed size is within, though the grid of 2001 sizes may have none near enough.
     return float(accepted.min(initial=size)), float(accepted.max(initial=size))
 
 
 def may_be_chance(first: Sequence[float], second: Sequence[float]) -> bool:
-    """Return whether runs of one method may be lower than those of the other by chance alone.
+    """Return whether the runs of two methods may differ by chance alone.
 
-    By the test of Mann and Whitney, two-sided; exact for few runs without ties.
+    They may if the two-sided test of Mann and Whitney does not find a difference at the level
+    `SIGNIFICANCE`.
     """
     from scipy.stats import mannwhitneyu
 
@@ -187,16 +193,17 @@ def may_be_chance(first: Sequence[float], second: Sequence[float]) -> bool:
 
 
 def performance_profile(values: FloatArray, ratios: Sequence[float]) -> FloatArray:
-    """Return on which share of instances each method is within a ratio of the best one.
+    """Return the share of instances on which each method is within a ratio of the best one.
 
-    Values, shape (instances, methods), are positive; ratios are from 1 on; shape (ratios, methods).
+    `values` (instances, methods) are 0 or more, infinite for a method without a result, which is
+    within no ratio; `ratios` are 1 or more. The shares have the shape (ratios, methods).
     """
     # Dolan and Moré 2002, Math. Program. 91, section 2.
     best = values.min(axis=1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
         relative = np.where(np.isfinite(values), values / best, np.inf)
-    # Also where the best is 0.
+    # The best method has the ratio 1, also where its value is 0 and 0 / 0 is not a number.
     relative[(values == best) & np.isfinite(values)] = 1.0
-    # A ratio at the limit counts, whatever rounding says.
+    # The factor lets a ratio count that is beyond the limit by rounding alone.
     return np.asarray((relative[None] <= np.asarray(ratios)[:, None, None] * (1 + 1e-12)
                        ).mean(axis=1))

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from termsel_studies.frequencies import Stability
 
 _SOLVER, _CRITERION = "all-terms", "press"
-"""They fit given terms to control and selection points together, without a search."""
+"""Solver and criterion that fit given terms to control and selection points together, without a
+search."""
 
 
 @click.command()
@@ -46,17 +47,17 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
     show_messages()
 
     from termsel.toolkit.runs import problem_for
-    from termsel_studies import frequencies as module
+    from termsel_studies import frequencies as frequencies_module
 
-    # All that can be refused is refused before the searches, which take long.
+    # Wrong arguments are refused before the searches, which take long.
     export_files = run_settings.export_files()
     page = run_settings.report_file()
     features, options = run_settings.read()
     problem = run_settings.problem or problem_for(features, run_settings.dataset)
-    _claim_folder(run_settings)
-    _require_search(run_settings)
+    _lock_folder(run_settings)
+    _refuse_methods(run_settings)
     with search_bar(problem, run_settings.quiet) as observe:
-        repeated = module.selection_frequencies(
+        repeated = frequencies_module.selection_frequencies(
             problem, repeats=repeats, threshold=threshold, features=features, options=options,
             dataset=run_settings.dataset, model=run_settings.model, solver=run_settings.solver,
             criterion=run_settings.criterion, **run_settings.budget,
@@ -64,7 +65,7 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
     if run_settings.as_json:
         print_json(repeated.to_dict())
     else:
-        _show(repeated)
+        _print_frequencies(repeated)
     if repeated.determined:
         unstable = [term for term in repeated.terms if term not in repeated.stable]
         if unstable and not run_settings.as_json:
@@ -73,7 +74,8 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
                 _options_of_fit(problem, run_settings, run_settings.options, unstable)))
         if run_settings.out is not None:
             settings = _options_of_fit(problem, run_settings, options, unstable)
-            _write(repeated, (export_files, page), problem, run_settings, features, settings)
+            _write_fit_and_frequencies(repeated, (export_files, page), problem, run_settings,
+                                       features, settings)
     else:
         _write_frequencies(repeated, run_settings.out)
         if export_files or page:
@@ -84,10 +86,11 @@ def stability(repeats: int, threshold: float, **arguments: Any) -> None:
         sys.exit(INTERRUPTED)
 
 
-def _claim_folder(run_settings: RunOptions) -> None:
+def _lock_folder(run_settings: RunOptions) -> None:
     """Lock the folder of --out, if there is one, until the command ends.
 
-    Raises TermselError if it has results that may not be replaced, or if another program uses it.
+    Raises TermselError if the folder has results that may not be replaced, or if another program
+    uses it.
     """
     from termsel import require_replaceable
     from termsel.toolkit.files import STABILITY, lock_output_folder
@@ -100,8 +103,11 @@ def _claim_folder(run_settings: RunOptions) -> None:
         lock_output_folder(run_settings.out, overwrite=run_settings.overwrite))
 
 
-def _require_search(run_settings: RunOptions) -> None:
-    """Raise TermselError for a method, which does not search; tell what becomes of a strategy."""
+def _refuse_methods(run_settings: RunOptions) -> None:
+    """Raise TermselError if --method is given, as methods do not search.
+
+    For the strategy auto, print a note that the solver of the problem runs instead.
+    """
     if run_settings.method is not None:
         raise TermselError("--method is for a model without a search, and this repeats a search",
                            hint="Leave --method out, or call termsel run.")
@@ -111,8 +117,7 @@ def _require_search(run_settings: RunOptions) -> None:
 
 
 def _write_frequencies(repeated: Stability, folder: Path | None) -> None:
-    """Write the frequencies alone, where the stable terms are no model; nothing without a folder.
-    """
+    """Write stability.json into a folder and say so; nothing for None."""
     from termsel.toolkit import write_text
     from termsel.toolkit.files import STABILITY
 
@@ -121,8 +126,11 @@ def _write_frequencies(repeated: Stability, folder: Path | None) -> None:
         say_written([folder / STABILITY])
 
 
-def _show(repeated: Stability) -> None:
-    """Print the frequencies and what became of the stable terms."""
+def _print_frequencies(repeated: Stability) -> None:
+    """Print the frequency of each term, how many are stable, and how well their model predicts.
+
+    Instead of the last: that the stable terms are no model, or nothing without independent points.
+    """
     # The most frequent first; terms that are alike stay in the order of the model.
     order = (-repeated.frequency).argsort(kind="stable")
     print_table(("term", "frequency", ""), [
@@ -141,36 +149,37 @@ def _show(repeated: Stability) -> None:
 
 def _options_of_fit(problem: str, run_settings: RunOptions, options: Mapping[str, str],
                     off: Sequence[str]) -> dict[str, str]:
-    """Return the options of a plain fit of all terms but `off`.
+    """Return the options by name of a plain fit of all terms but those of `off`.
 
-    They are those of `options` that the problem, the model, the criterion or a reader declares;
-    force_off has the terms that the user forced off, and then `off`.
+    Of `options`, they are those that the problem, the model, the criterion, the data or a reader
+    declares: a plain fit refuses options of the search, such as a population. force_off lists the
+    terms that the user forced off, then those of `off`.
     """
     from termsel.toolkit import registry
     from termsel.toolkit.runs import DATA_OPTIONS
 
-    names = registry()
-    recipe = names.get("problems", problem)
-    extensions = [names.get("models", run_settings.model or recipe.model),
-                  names.get("criteria", _CRITERION),
-                  *(entry.object for entry in names.entries("readers"))]
+    extensions_by_name = registry()
+    recipe = extensions_by_name.get("problems", problem)
+    extensions = [extensions_by_name.get("models", run_settings.model or recipe.model),
+                  extensions_by_name.get("criteria", _CRITERION),
+                  *(entry.object for entry in extensions_by_name.entries("readers"))]
     declared = [*recipe.options, *DATA_OPTIONS]
     for extension in extensions:
         declared += extension.declared_options
     names_of_options = {option.name for option in declared}
-    # Options of the searches alone, such as a population, would be refused by a plain fit.
     settings = {key: value for key, value in options.items() if key in names_of_options}
-    # Terms that the user forced off stay off.
     forced_off = settings.get("force_off", "").split(",")
     return {**settings, "force_off": ",".join(dict.fromkeys([*filter(None, forced_off), *off]))}
 
 
-def _write(repeated: Stability, outputs: tuple[Mapping[str, Path], Path | None], problem: str,
-           run_settings: RunOptions, features: FeatureSet | None,
-           options: Mapping[str, str]) -> None:
-    """Fit the stable terms, and write the fit with the frequencies into the folder of --out.
+def _write_fit_and_frequencies(
+    repeated: Stability, outputs: tuple[Mapping[str, Path], Path | None], problem: str,
+    run_settings: RunOptions, features: FeatureSet | None, options: Mapping[str, str],
+) -> None:
+    """Fit the stable terms; write the result with the frequencies into the folder of --out.
 
-    `outputs` are the exports by format, and the page of the report or None; they are written too.
+    `outputs` are the paths of exports by format, and the path of the report or None: these files
+    are written too. `options` are those of the fit, which force the other terms off.
     """
     from termsel import run, write_result
     from termsel.toolkit.files import RECORD, STABILITY
@@ -185,7 +194,7 @@ def _write(repeated: Stability, outputs: tuple[Mapping[str, Path], Path | None],
     content = repeated.to_dict()
     result = fitted.with_(stability=TermFrequencies(
         content["repeats"], content["threshold"], content["frequency"]),
-        # Among the files of the result, so that both are written, or neither.
+        # As a file of the result it is written with the others, or none of them is.
         files={**fitted.files, STABILITY: json_text(content)})
     write_result(result, run_settings.out)
     say_written([run_settings.out / STABILITY, run_settings.out / RECORD])

@@ -13,8 +13,8 @@ import numpy as np
 from termsel.toolkit.searches import TIE
 from termsel_studies.groups import Groups, Runs, evaluations_of_run
 
-_HUGE = 1e300
-"""Stands for infinity where quantiles are interpolated."""
+_NEARLY_INFINITE = 1e300
+"""Stands for infinity where quantiles are interpolated, which has no meaning with infinity."""
 
 
 @dataclass(frozen=True)
@@ -28,15 +28,15 @@ class Summary:
     finished: int
     # Least value, quartiles and greatest; infinite where runs had none.
     quartiles: list[float]
-    # Proven, where it is known and the measure is the fitness.
+    # The proven optimum of the fitness; None if it is not known, or another measure is compared.
     optimum: float | None
-    # Runs that reached it.
+    # How many runs reached the optimum; None without one.
     reached: int | None
-    # Wilson's 95 % of the share that reach it; zeros if unknown.
+    # Wilson's 95 % interval of the share of runs that reach the optimum; zeros without one.
     interval: tuple[float, float]
-    # Evaluations until then (`expected_running_time`).
+    # Expected evaluations until the optimum is reached (`expected_running_time`).
     expected: float | None
-    # RMSE [px].
+    # RMSE at independent check points [px].
     independent: float | None
     evaluations: float | None
     cpu_seconds: float | None
@@ -53,9 +53,9 @@ def summarise_runs(groups: Groups) -> list[Summary]:
 
 
 def optimum_of(runs: Any, measure: str) -> float | None:
-    """Return the proven optimum of an instance.
+    """Return the proven optimum of an instance by the rows of its `Runs`, one for each method.
 
-    None if no run knows it or the measure is no fitness.
+    None if no row has it, or if `measure` is another than "fitness".
     """
     rows = chain.from_iterable(run.rows for run in runs)
     optima = [row["optimum"] for row in rows if row.get("optimum") is not None]
@@ -63,21 +63,20 @@ def optimum_of(runs: Any, measure: str) -> float | None:
 
 
 def _summarise_method(instance: str, method: str, runs: Runs, optimum: float | None) -> Summary:
-    """Return the summary of one method's runs on one instance: quartiles, and how soon it succeeds.
+    """Return the summary of one method's runs on one instance.
 
-    Success is None without a proven optimum.
+    Without a proven optimum, `reached` and `expected` are None, and `interval` is (0, 0).
     """
     reached = None
     expected = None
     interval = (0.0, 0.0)
     if optimum is not None:
-        # To rounding: solvers add up in other orders.
         target = reachable_value(optimum)
         reached = sum(value <= target for value in runs.values)
         interval = wilson_interval(reached, len(runs.values))
-        hits = [effort_to_target(record.trace, target) if value <= target else math.inf
+        times_to_target = [effort_to_target(record.trace, target) if value <= target else math.inf
                 for record, value in zip(runs.records, runs.values, strict=True)]
-        expected = expected_running_time(hits,
+        expected = expected_running_time(times_to_target,
                                          [evaluations_of_run(record.figures)
                                           for record in runs.records])
     return Summary(
@@ -91,7 +90,10 @@ def _summarise_method(instance: str, method: str, runs: Runs, optimum: float | N
 
 
 def reachable_value(optimum: float) -> float:
-    """Return the largest value at which an optimum counts as reached, as rounding differs."""
+    """Return the largest value at which an optimum counts as reached.
+
+    It is a little above the optimum: solvers add up in different orders, so their rounding differs.
+    """
     return optimum + TIE * abs(optimum)
 
 
@@ -102,15 +104,18 @@ def _median_of(rows: Sequence[Mapping[str, Any]], name: str) -> float | None:
 
 
 def quantiles_with_infinity(values: Sequence[float], shares: Sequence[float]) -> list[float]:
-    """Return the quantiles at shares (0 to 1) of values, some of which may be infinite."""
-    finite = np.minimum(np.asarray(values, dtype=float), _HUGE)
-    # Interpolated between a value and infinity, which here is large but finite.
-    return [math.inf if value > _HUGE * 1e-6 else float(value)
+    """Return the quantiles at shares (0 to 1) of values, some of which may be infinite.
+
+    A quantile between a finite value and infinity is infinite.
+    """
+    finite = np.minimum(np.asarray(values, dtype=float), _NEARLY_INFINITE)
+    # The factor covers quantiles interpolated from a little of _NEARLY_INFINITE.
+    return [math.inf if value > _NEARLY_INFINITE * 1e-6 else float(value)
             for value in np.quantile(finite, shares)]
 
 
 def wilson_interval(successes: int, runs: int, level: float = 0.95) -> tuple[float, float]:
-    """Return the confidence interval of the share of successes (Wilson 1927), 0 to 1."""
+    """Return the lower and upper end of the confidence interval of a share of successes, 0 to 1."""
     from scipy.stats import binomtest
 
     # Wilson 1927, J. Am. Stat. Assoc. 22(158).
@@ -119,38 +124,47 @@ def wilson_interval(successes: int, runs: int, level: float = 0.95) -> tuple[flo
 
 
 def effort_to_target(trace: Sequence[Sequence[float]], target: float, column: int = 0) -> float:
-    """Return evaluations (column 0) or CPU seconds (2) until a target is reached, or infinity."""
+    """Return the evaluations (column 0) or CPU seconds (2) until a run reached a target.
+
+    `trace` has rows of evaluations, best value and CPU seconds. Infinite if the run did not reach
+    the target.
+    """
     return next((float(point[column]) for point in trace if point[1] <= target), math.inf)
 
 
-def expected_running_time(hits: Sequence[float], lengths: Sequence[float]) -> float:
-    """Return how long it takes to reach a target, with restarts of runs that do not.
+def expected_running_time(times_to_target: Sequence[float], lengths: Sequence[float]) -> float:
+    """Return how long it takes to reach a target if runs that miss it are started again.
 
-    `hits` and `lengths` are the times up to the target, or infinity, and up to the end of each run.
+    `times_to_target` has the time at which each run reached the target, or infinity; `lengths` its
+    whole time. Both are evaluations, or both are seconds, and so is the result. Infinite if no run
+    reached the target.
     """
-    # The time spent in all runs, per run that reached it: Hansen, Auger, Finck and Ros 2009,
-    # Real-parameter black-box optimization benchmarking: experimental setup.
-    successes = sum(map(math.isfinite, hits))
+    # The time spent in all runs by the number of runs that reached the target: Hansen, Auger, Finck
+    # and Ros 2009, Real-parameter black-box optimization benchmarking: experimental setup.
+    successes = sum(map(math.isfinite, times_to_target))
     total = sum(at if math.isfinite(at) else run_length
-                for at, run_length in zip(hits, lengths, strict=True))
+                for at, run_length in zip(times_to_target, lengths, strict=True))
     return total / successes if successes else math.inf
 
 
-def success_curve(hits: Sequence[float]) -> tuple[list[float], list[float]]:
-    """Return the finite moments of `hits`, sorted, and the share of all that is reached by each."""
-    steps = {moment: (i + 1) / len(hits)
-             for i, moment in enumerate(sorted(filter(math.isfinite, hits)))}
+def success_curve(times_to_target: Sequence[float]) -> tuple[list[float], list[float]]:
+    """Return the finite times of `times_to_target`, sorted, and the share of runs done by each.
+
+    Of equal times, one is returned, with the share of all of them.
+    """
+    steps = {moment: (i + 1) / len(times_to_target)
+             for i, moment in enumerate(sorted(filter(math.isfinite, times_to_target)))}
     return list(steps), list(steps.values())
 
 
 def targets_of(optimum: float | None, runs: Iterable[Runs], number: int = 21) -> list[float]:
-    """Return targets for an ECDF: 100 % to 0.01 % above the optimum, evenly in the logarithm.
+    """Return targets for an ECDF of run times, the easiest first.
 
-    Without an optimum the best value of all runs stands for it; [] if there is none either.
+    They are `number` values from 100 % to 0.01 % above the optimum, evenly in the logarithm.
+    Without an optimum the best value of all runs takes its place; [] if no run has a value.
     """
-    # Runtimes over many targets are of Hansen, Auger, Ros, Mersmann, Tušar and Brockhoff 2021,
-    # COCO, Optim. Methods Softw. 36(1), section 5; these targets are termsel's own. Where the
-    # optimum is not known, the best value of all runs stands for it.
+    # Run times over many targets follow Hansen, Auger, Ros, Mersmann, Tušar and Brockhoff 2021,
+    # COCO, Optim. Methods Softw. 36(1), section 5; these targets are termsel's own.
     values = [value for value in chain.from_iterable(run.values for run in runs)
               if math.isfinite(value)]
     if optimum is None and not values:
@@ -160,13 +174,14 @@ def targets_of(optimum: float | None, runs: Iterable[Runs], number: int = 21) ->
 
 
 def _best_within(trace: Sequence[Sequence[float]], budget: float) -> float:
-    """Return the best value of a run within a budget; infinite before its first one."""
+    """Return the best value of a run within a budget [evaluations]; infinite if it had none yet."""
     return min((point[1] for point in trace if point[0] <= budget), default=math.inf)
 
 
 def quartiles_by_budget(traces: Sequence[Sequence[Sequence[float]]], budgets: Sequence[float]
                         ) -> list[tuple[float, float, float, float]]:
-    """Return each budget [evaluations] with the quartiles of the runs' best values within it."""
+    """Return rows of a budget [evaluations] and three quartiles of the runs' best values within it.
+    """
     rows = []
     for budget in budgets:
         values = [_best_within(trace, budget) for trace in traces]
