@@ -91,7 +91,7 @@ def _read_sheet(sheet: Path, crs: str | None, meridian: dict[str, str]) -> Featu
     try:
         return read(sheet, crs=crs, **meridian)
     except TermselError as error:
-        # An error that --crs would mend is that of a file without a CRS.
+        # Errors that name --crs as their remedy are those of a file without a CRS.
         if crs is not None or "--crs" not in error.options:
             raise
     return read(sheet, crs="EPSG:4326", **meridian)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from termsel_standards.statement import PredictedStatement, Statements
 
 SIGNATURE = "Date:                Signed:"
-"""The last line of a statement, which is text to sign."""
+"""The last line of a statement, which people print and sign."""
 
 _PATH = click.Path(path_type=Path)
 _POSITIVE_METRES = click.FloatRange(0, 1e6, min_open=True)
@@ -57,7 +57,7 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
     from termsel_standards.statement import statements_of
 
     stated: list[Statements | PredictedStatement]
-    # A folder with a result is not a table, nor is its result.json.
+    # A file is a table of errors, unless it is the result.json of a folder.
     is_one = True
     if source.is_file() and source.suffix != ".json":
         errors = read_errors(source)
@@ -68,26 +68,28 @@ def accuracy(source: Path, survey_sigma: float | None, survey_sigma_z: float | N
         took = "which took"
 
         def state(result: Result) -> Statements | PredictedStatement:
+            """Return the statement on what a result predicts, or on its independent points."""
             return _predicted_statement(result) or _with_prediction(statements_of(
                 errors_of(result).surveyed(survey_sigma, survey_sigma_z), horizontal, vertical),
                 result)
 
-        results = _results_of(source)
+        results = _read_results(source)
         is_one = len(results) == 1
         stated = _statements_on_results(results, state)
     if as_json:
         content = stated[0] if is_one else stated
         click.echo(msgspec.json.format(msgspec.json.encode(content), indent=2))
         return
-    click.echo("\n\n\n".join("\n".join(_lines_of(statement, took)) for statement in stated))
+    click.echo("\n\n\n".join("\n".join(_statement_lines(statement, took)) for statement in stated))
 
 
 def _statements_on_results(results: list[Result],
                            state: Callable[[Result], Statements | PredictedStatement],
                            ) -> list[Statements | PredictedStatement]:
-    """Return the statements on results; of several, those that have none are named on stderr.
+    """Return the statements that `state` makes on results, in their order.
 
-    Raises TermselError if none has one.
+    Of several results, those it raises TermselError for are left out, and named on stderr with the
+    reason. Raises TermselError if no result has a statement.
     """
     from termsel import TermselError
 
@@ -105,15 +107,19 @@ def _statements_on_results(results: list[Result],
     return stated
 
 
-def _results_of(folder: Path) -> list[Result]:
-    """Return the result of a folder, or those of its folders, as of a block and a batch."""
+def _read_results(folder: Path) -> list[Result]:
+    """Return the result of a folder, or the results within it, as blocks and batches have them.
+
+    Warnings are printed for results whose notes doubt the RPC that they correct. Raises
+    TermselError if there is no result, or one cannot be read.
+    """
     from termsel import read_result
     from termsel.toolkit.files import results_within
     from termsel.toolkit.runs import RPC_DOUBTS
 
     inner = [] if (folder / "result.json").exists() else results_within(folder)
     results = [read_result(result) for result in inner] or [read_result(folder)]
-    # A statement is signed: what makes its figures too good is said beside it.
+    # People sign the statement, so they are told what makes its figures too good.
     for result in results:
         for note in result.notes:
             if note.startswith(RPC_DOUBTS):
@@ -122,7 +128,10 @@ def _results_of(folder: Path) -> list[Result]:
 
 
 def _predicted_statement(result: Result) -> PredictedStatement | None:
-    """Return the statement on what a result predicts; None if independent points tested it."""
+    """Return the statement on the accuracy that a result predicts.
+
+    None if independent points tested it, or if it predicts none.
+    """
     from termsel.toolkit.files import prediction_of
     from termsel_standards.statement import prediction_statement
 
@@ -131,30 +140,41 @@ def _predicted_statement(result: Result) -> PredictedStatement | None:
 
 
 def _with_prediction(stated: Statements, result: Result) -> Statements:
-    """Return tested statements, with what the run predicts where no standard has one."""
-    from termsel.toolkit.files import prediction_of
-    from termsel_standards.statement import LEAST_REDUCED
+    """Return tested statements, with what the run predicts if the check points are too few.
 
-    # A few check points must not leave less to sign than none at all.
-    prediction = prediction_of(result) if stated.distribution.points < LEAST_REDUCED else None
+    They are too few below `MIN_REDUCED`, where no standard has a statement. A run that predicts
+    nothing adds nothing.
+    """
+    from termsel.toolkit.files import prediction_of
+    from termsel_standards.statement import MIN_REDUCED
+
+    # A result without check points has its prediction to sign; one with a few has it too.
+    prediction = prediction_of(result) if stated.distribution.points < MIN_REDUCED else None
     return stated if prediction is None else replace(stated, prediction=prediction.sentence)
 
 
-def _lines_of(stated: Statements | PredictedStatement, took: str) -> Iterator[str]:
-    """Yield the lines of a statement for the terminal, tested or predicted."""
-    from termsel_standards.statement import Statements
+def _statement_lines(stated: Statements | PredictedStatement, took: str) -> Iterator[str]:
+    """Return the lines of a statement for the terminal, tested or predicted.
 
-    return _tested_lines(stated, took) if isinstance(stated,
-                                                     Statements) else _predicted_lines(stated)
+    `took` is the verb for the check points of a tested one, "which took" or "which must have
+    taken": termsel cannot know how the points of a table were used.
+    """
+    from termsel_standards.statement import Statements
+    if isinstance(stated, Statements):
+        return _tested_lines(stated, took)
+    return _predicted_lines(stated)
 
 
 _TWO_FIGURES = ("CE95 and NSSDA's figure differ: 95 % of the errors found are below CE95; NSSDA "
                 "takes 2.4477 times the mean RMSE of east and north, as of normal errors.")
-"""Why there are two figures at 95 %."""
+"""The note that says why there are two figures at 95 %."""
 
 
 def _tested_lines(stated: Statements, took: str) -> Iterator[str]:
-    """Yield the lines of a tested statement; `took` says what part the check points took."""
+    """Yield the lines of a tested statement: points, figures, statements of standards, notes.
+
+    `took` is as for `_statement_lines`.
+    """
     from termsel.toolkit import count_in_words
 
     points = stated.distribution.points
@@ -164,7 +184,7 @@ def _tested_lines(stated: Statements, took: str) -> Iterator[str]:
     yield f"{'':8}{'mean':>10}{'std':>10}{'RMSE':>10}{'95 %':>10}{'largest':>10}  normal"
     for component in stated.components:
         normal = "-" if component.normal is None else f"p = {component.normal:.2g}"
-        yield (f"{component.name:8}{component.mean:10.3f}{_value_or(component.deviation)}"
+        yield (f"{component.name:8}{component.mean:10.3f}{_figure_text(component.deviation)}"
                f"{component.rmse:10.3f}{component.percentile95:10.3f}{component.maximum:10.3f}  "
                f"{normal}")
     yield ""
@@ -180,7 +200,6 @@ def _tested_lines(stated: Statements, took: str) -> Iterator[str]:
         "" if distribution.quadrants is None else
         f" In the quadrants SW, SE, NW, NE: {', '.join(map(str, distribution.quadrants))}.")
     yield ""
-    # The statements are long sentences in the words of the standards.
     for statement in stated.statements:
         yield fill(f"{statement.standard}: {statement.words}.", 90, subsequent_indent="    ")
     if any(statement.standard == "NSSDA horizontal" and statement.value is not None
@@ -196,7 +215,7 @@ def _tested_lines(stated: Statements, took: str) -> Iterator[str]:
 
 
 def _predicted_lines(stated: PredictedStatement) -> Iterator[str]:
-    """Yield the lines of a predicted accuracy, as text to sign."""
+    """Yield the lines of a predicted accuracy, the last of them for date and signature."""
     yield f"{stated.source}: no independent check points"
     yield ""
     yield fill(f"{stated.words}.", 90)
@@ -224,11 +243,11 @@ def _figure_to_sign(stated: Statements) -> str:
     return f"To sign: none of these figures, as {too_few}."
 
 
-def _value_or(value: float | None) -> str:
-    """Return a figure in ten characters; "-" where there is none."""
+def _figure_text(value: float | None) -> str:
+    """Return a figure [m] to a millimetre in ten characters, aligned to the right; "-" for None."""
     return f"{'-':>10}" if value is None else f"{value:10.3f}"
 
 
 def _survey_text(value: float | None) -> str:
-    """Return the clause on the error of the survey [m]; None is not known."""
+    """Return the clause on the RMSE of the survey [m], which says so if it is None: not known."""
     return "; survey not known" if value is None else f"; survey {value:.3f} m"

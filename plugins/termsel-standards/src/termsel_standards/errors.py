@@ -67,7 +67,11 @@ class GroundErrors:
 
 
 def errors_of(result: Result) -> GroundErrors:
-    """Return the errors of a result's independent points at their heights.
+    """Return the errors on the ground of a result's independent points.
+
+    Their positions are computed from the image at their surveyed heights, as a map has them, or at
+    0 if the model uses no heights and they are not known.
+
 
     Parameters
     ----------
@@ -97,26 +101,27 @@ def errors_of(result: Result) -> GroundErrors:
     if not len(points):
         raise TermselError("the result has no independent points, so its accuracy is not known",
                            hint="Measure further points and give them the role independent.")
-    fitted = result.fit
+    fit = result.fit
     ground = points.ground
     # A plane model needs no heights: those of its points may be unknown.
-    heights = ground[:, 2] if fitted.model.uses_height else np.nan_to_num(ground[:, 2])
-    # Computed from the image at the surveyed heights, as a map has them.
-    offsets = (fitted.locate(points.image, heights) - ground)[:, :2]
+    heights = ground[:, 2] if fit.model.uses_height else np.nan_to_num(ground[:, 2])
+    offsets = (fit.locate(points.image, heights) - ground)[:, :2]
     crs = result.features.crs
     metres = offsets_in_metres(crs, ground, offsets)
     if metres is not None and not np.isfinite(metres).all():
-        lost = [name for name, offset in zip(points.ids, metres, strict=True)
-                if not np.isfinite(offset).all()]
-        raise TermselError("the model gives no ground position for "
-                           f"{count_in_words(len(lost), 'independent point')}, such as {lost[0]}",
-                           ids=lost,
+        ids_without_ground = [name for name, offset in zip(points.ids, metres, strict=True)
+                              if not np.isfinite(offset).all()]
+        count = count_in_words(len(ids_without_ground), "independent point")
+        raise TermselError(f"the model gives no ground position for {count}, such as "
+                           f"{ids_without_ground[0]}",
+                           ids=ids_without_ground,
                            hint="It is not valid there: choose another model, or measure more "
                                 "control.")
     if metres is None:
         raise TermselError("the errors on the ground are not known in metres",
                            hint="State the CRS of the ground coordinates when you run termsel.")
-    # An exported fit may use the independent points: then the errors are other than those recorded.
+    # An exported fit may use the independent points. Its errors then differ from those that the
+    # run recorded; the tolerance is for rounding.
     recorded = result.accuracy.ground if result.accuracy else None
     if recorded and not isclose(
             recorded.total, distance_figures(OnGround, metres).total, rel_tol=1e-6):
@@ -129,7 +134,7 @@ def errors_of(result: Result) -> GroundErrors:
         # The corners of the image, at the mean height of the points.
         lines, samples = (float(extent) - 1.0 for extent in result.features.image_size)
         corners = np.array([[0.0, 0.0], [0.0, samples], [lines, samples], [lines, 0.0]])
-        corner_ground = fitted.locate(corners, np.full(4, float(np.nan_to_num(heights).mean())))
+        corner_ground = fit.locate(corners, np.full(4, float(np.nan_to_num(heights).mean())))
         area = offsets_in_metres(crs, corner_ground, corner_ground[:, :2] - origin)
         area = area if area is not None and np.isfinite(area).all() else None
     if positions is None:
@@ -140,21 +145,26 @@ def errors_of(result: Result) -> GroundErrors:
 
 
 def _survey_of(points: Points) -> FloatArray:
-    """Return standard deviations of the survey (n, 2) [m] in x and y; NaN if not stated."""
+    """Return the standard deviations of the survey [m] in x and y, shape (n, 2).
+
+    They are NaN where a column is missing or a cell is blank. Raises TermselError for a cell that
+    is negative or no number.
+    """
     columns = [_parse_sigmas(points.attributes.get(name, [""] * len(points)), name, points.ids)
                for name in SIGMAS[:2]]
-    # Points have the columns only where their survey is known; blank cells are unknown, too.
     return np.column_stack(columns)
 
 
 def _parse_sigmas(cells: Iterable[Any], name: str, ids: Sequence[str], file: Path | None = None,
                   ) -> FloatArray:
-    """Return standard deviations [m] of cells, NaN for blank ones.
+    """Return the standard deviations [m] of the cells of a column, NaN for blank ones, shape (n,).
 
-    Raises TermselError for a negative one, or no number.
+    `name` is that of the column, `file` the table, if there is one: the messages name them. Raises
+    TermselError for a cell that is negative or no number.
     """
-    # Rows of a table are counted from 1, and the first is the header.
-    sigma = np.array([_number(str(cell), name, file, line) for line, cell in enumerate(cells, 2)])
+    # Line 1 of a table is its header.
+    sigma = np.array([_parse_number(str(cell), name, file, line)
+                      for line, cell in enumerate(cells, 2)])
     for value, point in zip(sigma.tolist(), ids, strict=True):
         if value < 0:
             raise TermselError(f"{name} of {point} is {value:g}", file=file,
@@ -162,10 +172,10 @@ def _parse_sigmas(cells: Iterable[Any], name: str, ids: Sequence[str], file: Pat
     return sigma
 
 
-def _number(cell: str, name: str, file: Path | None, line: int) -> float:
-    """Return the number of a cell, NaN of a blank one.
+def _parse_number(cell: str, name: str, file: Path | None, line: int) -> float:
+    """Return the number in a cell, NaN for a blank one.
 
-    Raises TermselError with line and column if none.
+    Raises TermselError with column and line for another text, and for what is not finite.
     """
     if not cell.strip():
         return np.nan
@@ -181,7 +191,10 @@ def _number(cell: str, name: str, file: Path | None, line: int) -> float:
 
 
 def _refuse_repeated_ids(ids: Sequence[str], path: Path) -> None:
-    """Raise TermselError for a point whose errors are in the table twice: it would count twice."""
+    """Raise TermselError if an id is in a table twice: the point would count twice.
+
+    `ids` are those of the rows, "" for a row without one.
+    """
     lines: dict[str, int] = {}
     for line, name in enumerate(ids, 2):
         if name and name in lines:
@@ -192,7 +205,10 @@ def _refuse_repeated_ids(ids: Sequence[str], path: Path) -> None:
 
 
 def _refuse_repeated_places(positions: FloatArray, ids: Sequence[str], path: Path) -> None:
-    """Raise TermselError for points at one place, which are no independent check points."""
+    """Raise TermselError if two points of a table are at one place, which test the same thing.
+
+    `positions` (n, 2) are x and y; rows where either is not known are no places.
+    """
     lines: dict[tuple[float, ...], int] = {}
     for line, place in enumerate(map(tuple, positions.tolist()), 2):
         if np.isfinite(place).all() and place in lines:
@@ -219,7 +235,8 @@ def read_errors(path: Path | str) -> GroundErrors:
     Raises
     ------
     TermselError
-        If the file cannot be read, lacks dx or dy, or has a cell that is no number.
+        If the file cannot be read, is empty, has no rows or no columns dx and dy, has a cell that
+        is no number, a blank error or a negative standard deviation, or has an id or place twice.
 
     Examples
     --------
@@ -251,7 +268,7 @@ def read_errors(path: Path | str) -> GroundErrors:
                                 "accuracy of a run give its folder: termsel accuracy DIR.")
     ids = tuple(row.get("id", "").strip() or str(i) for i, row in enumerate(rows, 1))
     _refuse_repeated_ids([row.get("id", "").strip() for row in rows], path)
-    # A column of heights that is all blank is none.
+    # A column dz without any number counts as missing.
     axes = AXES if any(row.get("dz", "").strip() for row in rows) else AXES[:2]
     errors = _parse_columns(path, rows, [f"d{axis}" for axis in axes])
     if np.isnan(errors).any():
@@ -280,8 +297,12 @@ def _delimiter_of(lines: Sequence[str]) -> str:
 
 def _parse_columns(path: Path, rows: Sequence[Mapping[str, str]],
                    names: Sequence[str]) -> FloatArray:
-    """Return the numbers (n, columns) of some columns of a table's rows; NaN for blank cells."""
+    """Return the numbers in columns of a table, shape (rows, columns).
+
+    They are NaN for blank cells and missing columns. Raises TermselError for a cell that is no
+    number; `path` is the table that it names.
+    """
     values = []
     for line, row in enumerate(rows, 2):
-        values.append([_number(row.get(name, ""), name, path, line) for name in names])
+        values.append([_parse_number(row.get(name, ""), name, path, line) for name in names])
     return np.array(values)

@@ -11,21 +11,23 @@ from termsel.toolkit import FloatArray
 from termsel.toolkit.coordinates import to_wgs84
 from termsel.toolkit.models import ground_where_held, image_places
 
-_SIDE = 9
-"""Number of positions along either side of the image."""
+_N_PLACES_PER_SIDE = 9
+"""Number of positions along either side of the image, both corners included."""
 
 _TURN = 360.0
 """A full turn [deg]."""
 
 
 def outline_of(result: Result) -> FloatArray:
-    """Return longitude and latitude of the image's outline, closed, counter-clockwise (n, 2).
+    """Return the outline of an image on the ground: longitude and latitude, shape (n, 2).
 
-    The ground is at the middle height of the control. If the size of the image is not known, the
-    outline is that of the rectangle around the features. Of an oblique view it goes around what
-    lies below the horizon, as far as the model holds. Longitudes go on beyond 180 degrees, either
-    way, where the image does; around a pole the outline goes once around the Earth, and over the
-    pole.
+    It is counter-clockwise, and its last place is its first. It is taken at the middle height of
+    the control. Without a size of the image, the image is the rectangle around the features in it.
+    If the model does not hold all along the borders of the image, as in an oblique view, the
+    outline goes around the ground where it holds. If there is no ground at all for some of these
+    places, it is the rectangle around the features on the ground. Longitudes go on beyond 180
+    degrees, either way, where the image does; around a pole the outline goes once around the Earth,
+    and over the pole.
     """
     features = result.features
     fitted = result.exported
@@ -35,18 +37,19 @@ def outline_of(result: Result) -> FloatArray:
     if features.image_size is not None:
         low = np.zeros(2)
         high = np.array(features.image_size) - 1.0
-    # Around the four edges of the image, some places along each.
-    share = np.linspace(0.0, 1.0, _SIDE)[:-1]
-    zero = np.zeros(_SIDE - 1)
-    end = np.ones(_SIDE - 1)
-    around = np.concatenate([np.column_stack(pair) for pair in (
-        (zero, share), (share, end), (end, 1 - share), (1 - share, zero))])
+    # In shares of the image: down the first samples, along the last lines, and back.
+    share_of_side = np.linspace(0.0, 1.0, _N_PLACES_PER_SIDE)[:-1]
+    zero = np.zeros(_N_PLACES_PER_SIDE - 1)
+    end = np.ones(_N_PLACES_PER_SIDE - 1)
+    places_around = np.concatenate([np.column_stack(pair) for pair in (
+        (zero, share_of_side), (share_of_side, end), (end, 1 - share_of_side),
+        (1 - share_of_side, zero))])
     height = float(fitted.ground_box()[0][2])
-    ground = fitted.locate(low + around * (high - low), np.full(len(around), height))
+    ground = fitted.locate(low + places_around * (high - low), np.full(len(places_around), height))
     if fitted.view is not None and not fitted.holds(ground).all():
         ground = _hull_of_valid_ground(fitted, height)
     lonlat = to_wgs84(features.crs)(ground)[:, :2]
-    # Beyond the horizon there is no ground: then the rectangle around the features.
+    # Beyond the horizon there is no ground, so the features stand for the image.
     if not np.isfinite(lonlat).all():
         control_lonlat = to_wgs84(features.crs)(np.nan_to_num(result.residuals.ground))[:, :2]
         control_lonlat[:, 0] = _around_their_mean(control_lonlat[:, 0])
@@ -56,7 +59,7 @@ def outline_of(result: Result) -> FloatArray:
                            [low_corner[0], high_corner[1]]])
     lonlat = _without_jump(lonlat)
     x, y = lonlat.T
-    # The shoelace formula: a negative area runs clockwise.
+    # By the shoelace formula the area of a clockwise outline is negative.
     if x @ np.roll(y, -1) - y @ np.roll(x, -1) < 0:
         lonlat = lonlat[::-1]
     return np.asarray(np.round(np.concatenate([lonlat, lonlat[:1]]), 9))
@@ -122,10 +125,12 @@ def geometry_of(outline: FloatArray) -> dict[str, Any]:
 
 
 def _hull_of_valid_ground(fitted: Fit, height: float) -> FloatArray:
-    """Return the hull (n, 3) of the ground on which a model is valid, at a height [m]."""
+    """Return the hull (n, 3) of the ground at a height [m] on which a model holds.
+
+    Places of the image beyond the horizon have no ground, and are left out.
+    """
     from scipy.spatial import ConvexHull  # takes long to import
 
     ground = ground_where_held(fitted, image_places(fitted), height)
-    # Places beyond the horizon have no ground; the hull goes around the others.
     ground = ground[np.isfinite(ground).all(axis=1)]
     return np.asarray(ground[ConvexHull(ground[:, :2]).vertices])

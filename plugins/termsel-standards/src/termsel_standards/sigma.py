@@ -40,19 +40,20 @@ TOLERANCE = 0.01
 _INCLUDED = ("the model's coefficients and of what it does not fit, without the errors of heights "
              "and of control on the ground")
 
-# Intervals along either side.
-_FIRST, _FINEST = 9, 129
-# Intervals between the least and the largest height.
-_LEVELS = 12
-# Further nodes on each side: at its ends a spline is less exact.
-_AROUND = 4
-# Places where a grid is tested.
-_TESTED = 400
-# Pixels along the longer side.
-_USUAL = 500
-# Pixels along either side.
-_LARGEST = 2e4
-# Of the extent of the control: differences for the moves on the ground.
+# Intervals of the coarsest and the finest grid along either side.
+_MIN_INTERVALS, _MAX_INTERVALS = 9, 129
+# Intervals of the grid between the least and the largest height.
+_N_LEVELS = 12
+# Nodes of the grid beyond each of its sides, as a spline is less exact near its ends.
+_N_NODES_BEYOND = 4
+# Places at which a grid is tested.
+_N_TESTED = 400
+# Pixels of a raster along its longer side by default.
+_USUAL_SIDE = 500
+# Most pixels of a raster along either side.
+_MAX_SIDE = 2e4
+# Half the distance on the ground of places whose difference is a derivative, as a share of half the
+# extent of the control.
 _STEP = 1e-4
 
 
@@ -129,17 +130,17 @@ def write_sigma(
     require_replaceable([output], reads=[image, like_map, dem], overwrite=overwrite)
     if height is not None and not isfinite(height):
         raise TermselError(f"the height of a map cannot be {height}", hint="Give a number.")
-    of_run = result
+    result_of_run = result
     result = result.as_exported(final)
-    # Without a size of the image the raster covers what the image shows.
     if image is not None:
         result = result.of_image(picture_for(result, image).size)
     level = float(result.fit.ground_box()[0][2]) if height is None else height
     grid = _choose_grid(result, like_map, bounds, resolution, crs, heights=(dem, level))
     with surface_of(dem, result.features.crs, level) as surface:
-        tags = accuracy_tags(of_run, say_difference(result.features, result.project, surface))
+        difference = say_difference(result.features, result.project, surface)
+        tags = accuracy_tags(result_of_run, difference)
         nodes = _Nodes.of(result, grid, surface)
-        precision = (f"interpolated, within {100 * nodes.error:.2g} % of the model at {_TESTED} "
+        precision = (f"interpolated, within {100 * nodes.error:.2g} % of the model at {_N_TESTED} "
                      "places")
         log.info("Uncertainty: %d x %d px of %g %s in %s, %s.",
                  *(grid.samples, grid.lines, grid.transform.a, grid.unit, grid.crs, precision))
@@ -150,6 +151,7 @@ def write_sigma(
                         "within %.0f %% of itself.", 100 * nodes.error)
 
         def describe(raster: Any) -> None:
+            """Write the tags of a raster, and the names and units of its bands."""
             raster.update_tags(**tags,
                                UNCERTAINTY=f"standard deviations of {_INCLUDED}; {precision}")
             for band, (name, unit) in enumerate(BANDS, 1):
@@ -166,10 +168,11 @@ def write_sigma(
 def _choose_grid(result: Result, like_map: Path | str | None, bounds: Sequence[float] | None,
                  resolution: float | None, crs: str | None,
                  heights: tuple[Path | str | None, float]) -> MapGrid:
-    """Return the pixels of the raster: of a map, or of bounds, or of the image's extent.
+    """Return the pixels of the raster: those of a map, or within bounds, or within the image.
 
-    Without a resolution it has some `_USUAL` pixels along its longer side. Raises TermselError for
-    bounds without an area, or too many pixels.
+    Without a resolution, the longer side has about `_USUAL_SIDE` pixels. `heights` are the raster
+    of heights or None, and the height used without one. Raises TermselError for a resolution that
+    is not above 0, a map without a CRS or with a turn, bounds without an area, and too many pixels.
     """
     from affine import Affine
 
@@ -178,7 +181,7 @@ def _choose_grid(result: Result, like_map: Path | str | None, bounds: Sequence[f
                            hint="Give a positive number.")
     if like_map is not None:
         with open_raster(like_map) as raster:
-            # Off-diagonal terms of the transform turn the map: its rows are then no parallels.
+            # The terms b and d of the transform turn a map, so that north is not up.
             if raster.crs is None or raster.transform.b or raster.transform.d:
                 why = "has no CRS" if raster.crs is None else "does not have north up"
                 raise TermselError(f"this raster {why}, so it is no map to take pixels from",
@@ -197,11 +200,11 @@ def _choose_grid(result: Result, like_map: Path | str | None, bounds: Sequence[f
     if not (all(map(isfinite, bounds)) and west < east and south < north):
         raise _no_area_error(bounds, target)
     if resolution is None:
-        # One digit, so that pixels have a size that people would choose.
-        resolution = float(f"{max(east - west, north - south) / _USUAL:.1g}")
+        # The size has one digit, as people would choose it.
+        resolution = float(f"{max(east - west, north - south) / _USUAL_SIDE:.1g}")
     samples, lines = (max(round(extent / resolution), 1) for extent in (east - west, north - south))
-    if max(samples, lines) > _LARGEST:
-        usual = float(f"{max(east - west, north - south) / _USUAL:.1g}")
+    if max(samples, lines) > _MAX_SIDE:
+        usual = float(f"{max(east - west, north - south) / _USUAL_SIDE:.1g}")
         raise TermselError(f"with pixels of {resolution:g} the raster would have {lines} lines and "
                            f"{samples} samples",
                            hint=f"Give a larger --res, such as {usual:g} in units of the "
@@ -211,12 +214,13 @@ def _choose_grid(result: Result, like_map: Path | str | None, bounds: Sequence[f
 
 @dataclass(frozen=True, eq=False)
 class _Nodes:
-    """Standard deviations on a grid of nodes, and how to look them up.
+    """Standard deviations on a grid of nodes, and how to interpolate between them.
 
-    The table is of squares, the four bands by x by y by height, as coefficients of splines of an
-    order. `error` is the largest relative error found. `to_ground` turns places on the map (n, 2)
-    into ground in the CRS of the control (n, 3), whose own vertices are `control`; `flat` says that
-    the model uses no heights.
+    `axes` are x, y and height of the nodes. `table` has the variances as coefficients of splines of
+    `order`, shape (4, x, y, heights); `error` is the largest relative error found. `to_ground`
+    transforms places on the map (n, 2) into ground (n, 3) in the CRS of the control, and `surface`
+    gives the height of x and y (n, 2) there. `control` are the vertices of the control; `flat` says
+    that the model uses no heights.
     """
 
     axes: tuple[FloatArray, FloatArray, FloatArray]
@@ -230,14 +234,15 @@ class _Nodes:
 
     @classmethod
     def of(cls, result: Result, grid: MapGrid, surface: Any) -> _Nodes:
-        """Return nodes so close that interpolation between them is within the tolerance.
+        """Return nodes so close that interpolation is within `TOLERANCE`, or the closest allowed.
 
-        Raises TermselError if there are no heights, no control near, or no uncertainty on the map.
+        Raises TermselError if no place of the map has a height, all are far outside the control, or
+        the uncertainty is known at none of them.
         """
         from scipy.ndimage import spline_filter
 
         flat = not result.fit.model.uses_height
-        # The raster is of the fit that is exported; how far control reaches is that of the run.
+        # The raster is of the fit that is exported, but the extent of control is that of the run.
         as_made = result.fit.original or result.fit
         control = as_made.control.take(as_made.used).ground_vertices()
         to_ground = _to_ground(grid.crs, result.features.crs, control)
@@ -246,10 +251,9 @@ class _Nodes:
         north = grid.transform.f
         east = west + grid.samples * grid.transform.a
         south = north + grid.lines * grid.transform.e
-        # Of where the grid is tested.
         rng = np.random.default_rng(0)
-        tested = np.column_stack([rng.uniform(west, east, _TESTED),
-                                  rng.uniform(south, north, _TESTED)])
+        tested = np.column_stack([rng.uniform(west, east, _N_TESTED),
+                                  rng.uniform(south, north, _N_TESTED)])
         tested_ground = to_ground(tested)
         tested_ground[:, 2] = heights(tested_ground[:, :2])
         known_heights = tested_ground[np.isfinite(tested_ground[:, 2]), 2]
@@ -258,7 +262,7 @@ class _Nodes:
                                hint="Give a raster that covers the map.")
         low = known_heights.min()
         high = known_heights.max()
-        levels = np.array([low]) if flat or low == high else _axis_nodes(low, high, _LEVELS)
+        levels = np.array([low]) if flat or low == high else _axis_nodes(low, high, _N_LEVELS)
         closest = np.nanmin(distance_outside_control(control, tested_ground))
         if FAR_OUTSIDE < closest < np.inf:
             raise TermselError("all of this map is far outside the control, and the model is not "
@@ -270,17 +274,18 @@ class _Nodes:
             raise TermselError("the uncertainty of this model is not known anywhere on this map",
                                hint="The control determines the model without redundancy, or the "
                                     "map is elsewhere. Give more control, or other --bounds.")
-        intervals = _FIRST
+        intervals = _MIN_INTERVALS
         while True:
             x = _axis_nodes(west, east, intervals)
             y = _axis_nodes(south, north, intervals)
             mesh = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
             ground = np.repeat(to_ground(mesh), len(levels), axis=0)
             ground[:, 2] = np.tile(levels, len(mesh))
-            # Squares are the smoother: those of polynomials are polynomials.
+            # Variances are smoother than standard deviations: those of polynomials are polynomials.
             squares = _sigma_at(result, ground).T.reshape(4, len(x), len(y), len(levels)) ** 2
+            # A cubic spline needs values at all nodes. Linear interpolation needs those around a
+            # place.
             order = 3 if np.isfinite(squares).all() else 1
-            # Splines need all nodes; where some have no value, a line between two does.
             table = squares
             if order == 3:
                 table = np.stack([spline_filter(square, order=3, mode="mirror")
@@ -291,28 +296,26 @@ class _Nodes:
             with np.errstate(invalid="ignore", divide="ignore"):
                 error = np.abs(interpolated / truth - 1.0)
             largest = float(np.nanmax(error, initial=0.0))
-            if largest <= TOLERANCE or 2 * intervals > _FINEST:
+            if largest <= TOLERANCE or 2 * intervals > _MAX_INTERVALS:
                 return replace(nodes, error=largest)
-            # Halved spacing until the test places agree, or the finest grid is reached.
             intervals *= 2
 
-    def looked_up(self, xy: FloatArray, ground: FloatArray) -> FloatArray:
-        """Return sigma (n, 4) of places on the map (n, 2) whose ground is (n, 3).
+    def interpolate_sigma(self, xy: FloatArray, ground: FloatArray) -> FloatArray:
+        """Return the standard deviations at places on the map (n, 2), whose ground is (n, 3).
 
-        NaN without a height.
-
-        Line and sample are in px, east and north in m.
+        They are those of line and sample [px], and of east and north [m], shape (n, 4); NaN where
+        the ground has no height, unless the model uses none.
         """
         from scipy.ndimage import map_coordinates
 
-        # Positions in units of the nodes, those of heights beyond the nodes at the last of them.
+        # Positions count nodes from 0; what lies beyond the nodes gets the position of the last.
         positions = np.zeros((len(self.axes), len(xy)))
         for position, values, axis in zip(positions, (*xy.T, ground[:, 2]), self.axes, strict=True):
             if len(axis) > 1:
                 unit = (values - axis[0]) / np.ptp(axis) * (len(axis) - 1)
                 position[:] = np.clip(unit, 0, len(axis) - 1)
             else:
-                # One node: every value is there, and what is unknown stays so.
+                # Every value is at the only node; the product keeps NaN where it is unknown.
                 position[:] = 0.0 * values
         unknown = ~np.isfinite(positions).all(axis=0)
         positions[:, unknown] = 0.0
@@ -322,7 +325,10 @@ class _Nodes:
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
     def pixels(self, window: Any, transform: Any) -> Any:
-        """Return the bands (bands, lines, samples) of a window of the raster."""
+        """Return the bands of a window of the raster, shape (bands, lines, samples).
+
+        All bands are NaN where a standard deviation is not known.
+        """
         x = transform.c + (np.arange(window.width) + 0.5) * transform.a
         y = transform.f + (np.arange(window.height) + 0.5) * transform.e
         xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -331,7 +337,7 @@ class _Nodes:
         bands = np.empty((len(BANDS), len(xy)), dtype=np.float32)
         bands[:4] = self.looked_up(xy, ground).T
         if self.flat:
-            # Heights of the ground say nothing of a plane model.
+            # A plane model has no range of heights to be outside of.
             ground[:, 2] = np.nan
         distance = distance_outside_control(self.control, ground)
         bands[4] = np.where(np.isfinite(distance), distance > 0, np.nan)
@@ -341,39 +347,45 @@ class _Nodes:
 
 def _advice_far_outside(grid: MapGrid, control_crs: str, control: FloatArray,
                         heights: FloatArray, *, flat: bool) -> str:
-    """Return what to do about a map whose ground is all far outside the control (v, 3)."""
+    """Return a hint for a map whose ground is all far outside the control (v, 3).
+
+    `heights` are those of the map; the hint names them if none is within those of the control.
+    """
     lowest, highest = np.nanmin(control[:, 2]), np.nanmax(control[:, 2])
     if not flat and (heights.max() < lowest or heights.min() > highest):
-        of_heights = (f"Its heights are {heights.min():,.0f} to {heights.max():,.0f}, those of the "
-                      f"control {lowest:,.0f} to {highest:,.0f}: give those of the ground. ")
+        about_heights = (f"Its heights are {heights.min():,.0f} to {heights.max():,.0f}, those of "
+                         f"the control {lowest:,.0f} to {highest:,.0f}: give those of the ground. ")
     else:
-        of_heights = ""
+        about_heights = ""
     to_map = plane_transformer(horizontal_crs(control_crs), grid.crs)
     x, y = to_map.transform(*control[:, :2].T)
-    # A degree in whole numbers would be most of a map.
+    # A whole degree is larger than most maps.
     decimals = 4 if is_geographic(grid.crs) else 0
     bounds = " ".join(f"{round(bound, decimals):.10g}"
                       for bound in (min(x), min(y), max(x), max(y)))
     given = grid.bounds
     if not is_geographic(grid.crs) and _may_be_degrees(given):
-        return (f"{of_heights}The raster is in {grid.crs}, and these bounds look like degrees: add "
-                f"--crs EPSG:4326, or give --bounds {bounds}, which holds the control.")
-    return f"{of_heights}The raster is in {grid.crs}, where --bounds {bounds} holds the control."
+        return (f"{about_heights}The raster is in {grid.crs}, and these bounds look like degrees: "
+                f"add --crs EPSG:4326, or give --bounds {bounds}, which holds the control.")
+    return f"{about_heights}The raster is in {grid.crs}, where --bounds {bounds} holds the control."
 
 
-_MOST_DEGREES = (360.0, 90.0)
+_MAX_DEGREES = (360.0, 90.0)
 """Longitude and latitude beyond which no bounds are degrees."""
 
 
 def _may_be_degrees(bounds: Sequence[float]) -> bool:
     """Return whether bounds, west south east north, may be of longitudes and latitudes."""
-    longitude, latitude = _MOST_DEGREES
+    longitude, latitude = _MAX_DEGREES
     west, south, east, north = map(abs, bounds)
     return max(west, east) <= longitude and max(south, north) <= latitude
 
 
 def _no_area_error(bounds: Sequence[float], crs: str) -> TermselError:
-    """Return the error for bounds that enclose no area, with those that were probably meant."""
+    """Return the error for bounds that enclose no area: why, and the bounds in their right order.
+
+    The latter are left out if the area is 0 in any order. `crs` is that of the raster.
+    """
     west, south, east, north = bounds
     reasons = []
     if west >= east:
@@ -393,15 +405,17 @@ def _no_area_error(bounds: Sequence[float], crs: str) -> TermselError:
 
 
 def _axis_nodes(low: float, high: float, intervals: int) -> FloatArray:
-    """Return nodes from one end to the other in so many intervals, and `_AROUND` beyond either."""
+    """Return nodes from `low` to `high` in so many intervals, and further ones beyond both ends."""
     step = (high - low) / intervals
-    return np.asarray(low + step * np.arange(-_AROUND, intervals + _AROUND + 1))
+    return np.asarray(low + step * np.arange(-_N_NODES_BEYOND, intervals + _N_NODES_BEYOND + 1))
 
 
 def _to_ground(
     crs: str, control_crs: str, control: FloatArray
 ) -> Callable[[FloatArray], FloatArray]:
-    """Return the function from x and y on the map (n, 2) to the ground (n, 3), with heights of 0.
+    """Return a function from x and y on the map (n, 2) to the ground (n, 3) with heights of 0.
+
+    `crs` is that of the map. Longitudes are those next to the control (v, 3).
     """
     turn = plane_transformer(crs, horizontal_crs(control_crs))
     full_turn = turn_of(control_crs)
@@ -411,7 +425,7 @@ def _to_ground(
         """Return ground places (n, 3) of the map; NaN where the transformation has no value."""
         x, y = turn.transform(xy[:, 0], xy[:, 1])
         x, y = (np.where(np.isfinite(values), values, np.nan) for values in (x, y))
-        # Longitudes are periodic: those next to the control are meant.
+        # Longitudes repeat after a full turn, and the control may be on the other side of 180°.
         return np.column_stack(
             [nearest_longitudes(x, middle, full_turn), y, np.zeros(len(xy))])
 
@@ -419,12 +433,13 @@ def _to_ground(
 
 
 def _sigma_at(result: Result, ground: FloatArray) -> FloatArray:
-    """Return sigma of line and sample [px], east and north [m], at ground places (n, 3): (n, 4).
+    """Return the standard deviations at ground places (n, 3), shape (n, 4).
 
-    NaN where any is not known; raises TermselError if the ground is not in metres.
+    They are those of line and sample [px], and of east and north [m]; all four are NaN where one is
+    not known. Raises TermselError if lengths on the ground are not known in metres.
     """
     with np.errstate(all="ignore"):
-        of_image = result.sigma(ground)
+        sigma_of_image = result.sigma(ground)
         scale = result.fit.ground_box()[1][:2]
         step = _STEP * np.where(scale > 0, scale, scale.max())
         # Central differences of line and sample by east and north.
@@ -432,14 +447,13 @@ def _sigma_at(result: Result, ground: FloatArray) -> FloatArray:
             ((result.project(ground + move) - result.project(ground - move)) / (2 * size)).T
             for move, size in zip(np.eye(2, 3) * step[:, None], step, strict=True))
         determinant = lx * sy - ly * sx
-        # Moves on the ground for 1 px of line and of sample.
-        # The inverse of [lx ly; sx sy], with the errors of line and of sample independent.
-        east = np.hypot(of_image[:, 0] * sy, of_image[:, 1] * ly) / np.abs(determinant)
-        north = np.hypot(of_image[:, 0] * sx, of_image[:, 1] * lx) / np.abs(determinant)
+        # Errors of line and sample, taken as independent, times the inverse of [lx ly; sx sy].
+        east = np.hypot(sigma_of_image[:, 0] * sy, sigma_of_image[:, 1] * ly) / np.abs(determinant)
+        north = np.hypot(sigma_of_image[:, 0] * sx, sigma_of_image[:, 1] * lx) / np.abs(determinant)
         metres = offsets_in_metres(result.features.crs, ground, np.column_stack([east, north]))
     if metres is None:
         raise TermselError("the uncertainty on the ground is not known in metres",
                            hint="State the CRS of the ground coordinates when you run termsel.")
-    values = np.column_stack([of_image, metres])
+    values = np.column_stack([sigma_of_image, metres])
     values[~np.isfinite(values).all(axis=1)] = np.nan
     return values

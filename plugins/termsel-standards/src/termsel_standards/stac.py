@@ -15,13 +15,13 @@ from termsel_standards.outline import bounds_of, geometry_of, outline_of
 from termsel_standards.quality.report import file_sha256
 
 VERSION = "1.1.0"
-"""Of STAC."""
+"""Version of STAC."""
 EXTENSIONS = {"proj": "https://stac-extensions.github.io/projection/v2.0.0/schema.json",
               "processing": "https://stac-extensions.github.io/processing/v1.2.0/schema.json",
               "file": "https://stac-extensions.github.io/file/v2.1.0/schema.json",
               "accuracy": "https://stac-extensions.github.io/accuracy/v1.0.0-beta.1/schema.json"}
 """Extensions by the prefix of their fields; an item declares those whose fields it has."""
-# Of a multihash: the function is SHA-256, and 32 bytes follow.
+# The beginning of a multihash: the function is SHA-256, and 32 bytes follow.
 _SHA256 = "1220"
 _AUTHORITY = re.compile(r"[A-Z]+:\w+")
 
@@ -50,9 +50,10 @@ class StacItem(Writer):
         return result.features.crs != LOCAL
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the outline and accuracy of the image as an item.
+        """Write the outline and accuracy of the image as an item into the file `path`.
 
-        Raises TermselError without a CRS.
+        Raises TermselError without a CRS of the Earth, for a date that cannot be read, and for an
+        image that cannot be read.
         """
         if not self.accepts(result):
             raise TermselError("a STAC item requires a CRS of the Earth",
@@ -67,7 +68,7 @@ class StacItem(Writer):
             "processing:lineage": f"{result.model} by {result.solver}, fitted to "
                                   f"{result.data.source} (sha256 {result.data.sha256})"}
         if result.accuracy and result.accuracy.ground:
-            # Of the run: the exported fit may have used the independent points.
+            # The accuracy is that of the run: an exported fit may have used the independent points.
             properties["accuracy:geometric_rmse"] = result.accuracy.ground.total
         asset = self._image_asset()
         item = {
@@ -79,25 +80,31 @@ class StacItem(Writer):
         write_text(path, json.dumps(item, indent=2, ensure_ascii=False) + "\n")
 
     def _image_asset(self) -> dict[str, Any]:
-        """Return the image as an asset: address, size and checksum; {} if neither is given."""
+        """Return the image as an asset: its address, and if it is given its checksum and size.
+
+        Without an address the name of the image is taken; {} if there is neither. Raises
+        TermselError if the image cannot be read.
+        """
         image = self.options["image"]
         href = self.options["href"]
         if image is None:
             return {"href": href, "roles": ["data"]} if href else {}
-        # A multihash: which function, how many bytes, then the digest.
         path = Path(image)
         return {"href": href or path.name, "roles": ["data"],
                 "file:checksum": _SHA256 + file_sha256(path), "file:size": path.stat().st_size}
 
 
 def _extensions_of(fields: list[str]) -> list[str]:
-    """Return the addresses of the extensions that the names of fields are of."""
+    """Return the addresses of the extensions that named fields are of, by their prefixes."""
     prefixes = {field.partition(":")[0] for field in fields if ":" in field}
     return [uri for prefix, uri in EXTENSIONS.items() if prefix in prefixes]
 
 
 def _rfc3339_time(date: str) -> str:
-    """Return a date as RFC 3339 has it, in UTC; "" of "". Raises TermselError if it is no date."""
+    """Return a date in the form of RFC 3339, in UTC; "" for "".
+
+    A date without a zone is taken for UTC. Raises TermselError for a text that is no date.
+    """
     if not date:
         return ""
     try:
@@ -105,6 +112,5 @@ def _rfc3339_time(date: str) -> str:
     except ValueError:
         raise TermselError(f"the date {date!r:.40} cannot be read",
                            hint="Give it as 2024-05-31T10:20:30Z.") from None
-    # A date without a zone is taken for UTC.
     when = when if when.tzinfo else when.replace(tzinfo=UTC)
     return when.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -20,26 +20,27 @@ from termsel_standards.errors import GroundErrors
 
 ASPRS = ("ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2, "
          "Version 2 (2024)")
-"""As statements of section 7.16 call it."""
-VERTICAL = 1.96
+"""The standard, as the statements of its section 7.16 call it."""
+VERTICAL_FACTOR = 1.96
 """NSSDA's factor from the vertical RMSE to 95 % confidence (appendix 3-A)."""
-MOST_POINTS, AREA_STEP, POINT_STEP = 120, 1000.0, 10
+MAX_POINTS, AREA_STEP, POINT_STEP = 120, 1000.0, 10
 """ASPRS, table C.1: 10 points more for every 1,000 km2 above the first, 120 at most."""
 SHIFT_CHANCE = 1 / 400
-"""Probability of a mean as far off by chance below which a note says so."""
+"""Probability that a mean is so far off by chance, below which a note tells of a shift."""
 SHIFT_POINTS = 10
 """Check points below which the mean is not tested."""
-IMPLAUSIBLE = 2.0
-"""RMSE of a survey by that of errors against it, from which on one of both is wrong."""
-MEAN = 0.25
+MAX_SURVEY_RATIO = 2.0
+"""Ratio of the RMSE of a survey to that of the errors against it, above which one of them is wrong:
+the errors contain those of the survey."""
+MAX_MEAN_SHARE = 0.25
 """ASPRS: largest mean error, as a share of the RMSE of the class."""
-QUADRANT, MIN_DISTANCE = 0.2, 0.1
+MIN_QUADRANT_SHARE, MIN_DISTANCE = 0.2, 0.1
 """NSSDA, appendix 3-C: least share of points in a quadrant, and distance over the diagonal."""
-LEAST_REDUCED = NSSDA_POINTS
+MIN_REDUCED = NSSDA_POINTS
 """Check points below which ASPRS is not stated by a reduced number either. The 2024 edition has no
 lower limit; this is that of NSSDA and of the edition of 2014, as an RMSE of fewer says little."""
-# Errors that a test of normality needs.
-_FEWEST = 3
+# How many errors a test of normality needs.
+_MIN_NORMALITY = 3
 
 
 @dataclass(frozen=True)
@@ -112,8 +113,8 @@ class Distribution:
         """What the distribution lacks of the recommended one, as parts of sentences; () if nothing.
         """
         faults = []
-        if self.quadrants and min(self.quadrants) < QUADRANT * self.points:
-            faults.append(f"a quadrant has fewer than {QUADRANT:.0%} of the points")
+        if self.quadrants and min(self.quadrants) < MIN_QUADRANT_SHARE * self.points:
+            faults.append(f"a quadrant has fewer than {MIN_QUADRANT_SHARE:.0%} of the points")
         if self.apart is not None and self.apart < MIN_DISTANCE:
             faults.append(f"two points are closer than {MIN_DISTANCE:.0%} of the diagonal")
         return tuple(faults)
@@ -198,7 +199,10 @@ class PredictedStatement:
 
 
 def prediction_statement(source: str, prediction: Prediction) -> PredictedStatement:
-    """Return the statement on a predicted accuracy, by which ASPRS and NSSDA are not stated."""
+    """Return the statement on a predicted accuracy of the result of a source.
+
+    ASPRS and NSSDA are not stated, as a prediction is no test.
+    """
     why = "not stated, as no independent check points were measured: a prediction is no test"
     rmse, low, high = prediction.metres or (None, None, None)
     return PredictedStatement(
@@ -247,20 +251,20 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
     n, axes = errors.shape
     components = tuple(_component_figures(name, errors[:, i])
                        for i, name in enumerate(("east", "north", "up")[:axes]))
-    away = np.linalg.norm(errors[:, :2], axis=1)
+    distances = np.linalg.norm(errors[:, :2], axis=1)
     figures = distance_figures(OnGround, errors[:, :2])
     # ASPRS 2024: RMSE^2 against the check points plus RMSE^2 of their survey.
     survey_horizontal = _survey_rmse(ground_errors.survey[:, :2])
     survey_vertical = _survey_rmse(ground_errors.survey[:, 2:]) if axes > 2 else None
-    # Where the survey is not known it is left out, and a note says so.
-    with_survey = hypot(figures.total, survey_horizontal or 0.0)
+    # A survey that is not known counts as free of errors, and a note says so.
+    horizontal_with_survey = hypot(figures.total, survey_horizontal or 0.0)
     vertical = components[2].rmse if axes > 2 else None
-    height = None if vertical is None else hypot(vertical, survey_vertical or 0.0)
-    three_dimensional = None if height is None else hypot(with_survey, height)
+    vertical_with_survey = None if vertical is None else hypot(vertical, survey_vertical or 0.0)
+    three_dimensional = (None if vertical_with_survey is None
+                         else hypot(horizontal_with_survey, vertical_with_survey))
     distribution = distribution_of(ground_errors)
-    # Every figure has a statement, or says why none can be made.
     vegetated_sentence = "not stated, as it is not known which check points are under vegetation"
-    if height is None:
+    if vertical_with_survey is None:
         vegetated_sentence = "not stated, as no heights were tested"
     by_nssda = nssda_accuracy(n, figures)
     if by_nssda.value is None:
@@ -269,13 +273,14 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
         nssda_sentence = (f"Tested {_size_text(by_nssda.value)} meters horizontal accuracy at 95% "
                           "confidence level")
     too_few = f"{count_in_words(n, 'independent point')}, at least {NSSDA_POINTS} needed"
-    horizontal = _asprs_statement("horizontal", n, with_survey, horizontal_class)
-    if survey_horizontal is not None and survey_horizontal > IMPLAUSIBLE * figures.total:
-        horizontal = Statement("ASPRS horizontal", with_survey, "not stated, as the error stated "
-                               "for the survey is larger than the errors found, which contain it")
+    horizontal = _asprs_statement("horizontal", n, horizontal_with_survey, horizontal_class)
+    if survey_horizontal is not None and survey_horizontal > MAX_SURVEY_RATIO * figures.total:
+        horizontal = Statement("ASPRS horizontal", horizontal_with_survey,
+                               "not stated, as the error stated for the survey is larger than the "
+                               "errors found, which contain it")
     statements = (
         horizontal,
-        _asprs_statement("vertical", n, height, vertical_class),
+        _asprs_statement("vertical", n, vertical_with_survey, vertical_class),
         _asprs_statement("three-dimensional", n, three_dimensional, None),
         Statement("ASPRS vegetated vertical", None, vegetated_sentence),
         Statement("NSSDA horizontal", by_nssda.value, nssda_sentence),
@@ -285,7 +290,7 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
                             (horizontal_class, vertical_class))
     return Statements(
         source=ground_errors.source, components=components, horizontal=figures.total,
-        ce90=figures.ce90, ce95=float(np.quantile(away, 0.95)), vertical=vertical,
+        ce90=figures.ce90, ce95=float(np.quantile(distances, 0.95)), vertical=vertical,
         le90=float(np.quantile(np.abs(errors[:, 2]), 0.9)) if axes > 2 else None,
         three_dimensional=None if vertical is None else hypot(figures.total, vertical),
         survey_horizontal=survey_horizontal, survey_vertical=survey_vertical,
@@ -293,12 +298,12 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
 
 
 def _component_figures(name: str, errors: FloatArray) -> Component:
-    """Return the figures of the errors (n,) along one axis [m]."""
+    """Return the figures of the errors (n,) along one axis [m], n at least 1."""
     n = len(errors)
     size = np.abs(errors)
-    # Shapiro and Wilk's test divides by the scatter, which equal errors have none of.
+    # Shapiro and Wilk's test divides by the scatter, which is 0 for equal errors.
     normal = None
-    if n >= _FEWEST and np.ptp(errors) > 0:
+    if n >= _MIN_NORMALITY and np.ptp(errors) > 0:
         from scipy.stats import shapiro  # takes long to import
 
         normal = float(shapiro(errors).pvalue)
@@ -316,7 +321,7 @@ def _survey_rmse(sigma: FloatArray) -> float | None:
     return float(np.sqrt((sigma**2).sum(axis=1).mean()))
 
 
-_WORDS = {
+_CLASS_AND_FIGURE = {
     "horizontal": ("RMSEH Horizontal Positional Accuracy Class",
                    "tested horizontal positional accuracy was found to be RMSEH = {}"),
     "vertical": ("RMSEV Vertical Accuracy Class",
@@ -324,30 +329,30 @@ _WORDS = {
     "three-dimensional": ("RMSE3D Three-Dimensional Positional Accuracy Class",
                           "tested three-dimensional accuracy was found to be RMSE3D = {} within "
                           "the NVA tested area")}
-"""Class and figure in the statements of ASPRS."""
+"""Name of the class, and sentence on the figure, in the statements of ASPRS by direction."""
 
 
 def _asprs_statement(direction: str, points: int, value: float | None,
                      stated_class: float | None) -> Statement:
-    """Return the statement of ASPRS on a RMSE [m]; it says why, if none can be made.
+    """Return the statement of ASPRS on an RMSE [m], or a statement that says why there is none.
 
-    `direction` is horizontal or vertical, `stated_class` the class to test [m], None for the least.
+    `direction` is "horizontal", "vertical" or "three-dimensional"; `points` is how many check
+    points there are; `stated_class` is the class to test [m], None for the least that is met.
+    There is none without a value, with too few points, or if the class is not met.
     """
-    # Without a stated class the data meet the least one that is not below their accuracy.
     name = f"ASPRS {direction}"
     if value is None:
         return Statement(name, None, "not stated, as no heights were tested")
-    if points < LEAST_REDUCED:
+    if points < MIN_REDUCED:
         return Statement(name, value, f"not stated: {count_in_words(points, 'check point')}; at "
-                         f"least {LEAST_REDUCED} are needed for a statement by a reduced number, "
+                         f"least {MIN_REDUCED} are needed for a statement by a reduced number, "
                          f"and {ASPRS_POINTS} for the full one")
     class_ = class_of(value) if stated_class is None else stated_class
-    kind, figure_words = _WORDS[direction]
+    kind, figure_words = _CLASS_AND_FIGURE[direction]
     if value > class_:
         return Statement(name, value, f"not stated, as {_in_statement_unit(value)} is above the "
                          f"{_in_statement_unit(class_)} of the class")
     figure = "The " + figure_words.format(_in_statement_unit(value))
-    # With 30 points or more the full statement, else the one for a reduced number.
     if points >= ASPRS_POINTS:
         return Statement(name, value, f"This data set was tested to meet {ASPRS} for a "
                          f"{_in_statement_unit(class_)} {kind}. {figure}")
@@ -359,21 +364,24 @@ def _asprs_statement(direction: str, points: int, value: float | None,
 
 
 def class_of(value: float) -> float:
-    """Return the least class [m], a number of two digits, that a RMSE [m] meets."""
-    # Errors that are all zero meet any class.
+    """Return the least class [m], a number of two digits, that an RMSE [m] meets; 0 for 0."""
     if value <= 0:
         return 0.0
     unit = 10.0 ** (floor(log10(value)) - 1)
-    # A value that is a class but for rounding is in it.
+    # The term lets a value be in a class that it exceeds by rounding alone.
     return float(f"{ceil(value / unit - 1e-9) * unit:.10g}")
 
 
 def _nssda_vertical(vertical: float | None, too_few: str | None) -> Statement:
-    """Return the statement of vertical accuracy by NSSDA; it says why, if none can be made."""
+    """Return the statement of NSSDA on a vertical RMSE [m], or one that says why there is none.
+
+    There is none if `vertical` is None, as no heights were tested, or if `too_few` is not None: the
+    words for too few points.
+    """
     if vertical is None or too_few:
         return Statement("NSSDA vertical", None, "not stated, as no heights were tested"
                          if vertical is None else f"not stated: {too_few}")
-    value = VERTICAL * vertical
+    value = VERTICAL_FACTOR * vertical
     return Statement("NSSDA vertical", value,
                      f"Tested {_size_text(value)} meters vertical accuracy "
                      "at 95% confidence level")
@@ -382,7 +390,8 @@ def _nssda_vertical(vertical: float | None, too_few: str | None) -> Statement:
 def distribution_of(ground_errors: GroundErrors) -> Distribution:
     """Return the number of check points, the number that ASPRS asks for, and their distribution.
 
-    Area, quadrants and distances are None if a position is not known.
+    If a position is not known, area, quadrants and distances are None, and the number asked for is
+    that of a small area.
     """
     n = len(ground_errors.ids)
     positions = ground_errors.positions
@@ -405,7 +414,7 @@ def distribution_of(ground_errors: GroundErrors) -> Distribution:
     diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
     separations = np.linalg.norm(positions[:, None] - positions[None],
                                  axis=2)[np.triu_indices(n, 1)]
-    return Distribution(n, min(required, MOST_POINTS), area,
+    return Distribution(n, min(required, MAX_POINTS), area,
                         (quadrants[0], quadrants[1], quadrants[2], quadrants[3]),
                         float(separations.min()) / diagonal if n > 1 and diagonal > 0 else None)
 
@@ -413,14 +422,16 @@ def distribution_of(ground_errors: GroundErrors) -> Distribution:
 def _limiting_notes(ground_errors: GroundErrors, total: float, survey: float | None,
                     distribution: Distribution, components: tuple[Component, ...],
                     classes: tuple[float | None, float | None]) -> list[str]:
-    """Return sentences on what limits the figures: points, blunders, the survey.
+    """Return sentences on what limits the figures; [] if nothing does.
 
-    [] if nothing does.
+    They are on the number and distribution of points, blunders, the survey and shifts. `total` is
+    the horizontal RMSE and `survey` that of the survey [m]; `classes` are the horizontal and the
+    vertical class to test [m], if any.
     """
     from scipy.stats import t as student  # takes long to import
 
     notes = []
-    # With fewer the statement says it.
+    # With fewer points than `ASPRS_POINTS`, the statement says so.
     if ASPRS_POINTS <= len(ground_errors.ids) < distribution.required:
         notes.append(f"ASPRS asks for {distribution.required} check points for this area; this is "
                      f"a test by {count_in_words(len(ground_errors.ids), 'check point')}.")
@@ -431,7 +442,7 @@ def _limiting_notes(ground_errors: GroundErrors, total: float, survey: float | N
     if survey is None:
         notes.append("The error of the survey is not known and not included: give columns sigma_x "
                      "and sigma_y, or --survey-sigma.")
-    elif survey > IMPLAUSIBLE * total:
+    elif survey > MAX_SURVEY_RATIO * total:
         notes.append(f"The survey is said to be off by {_size_text(survey)} m, and the errors "
                      f"found are {_size_text(total)} m. Check --survey-sigma or the columns "
                      "sigma_x and sigma_y: "
@@ -441,24 +452,24 @@ def _limiting_notes(ground_errors: GroundErrors, total: float, survey: float | N
     notes += [f"Check points: {fault}." for fault in distribution.faults]
     n = len(ground_errors.ids)
     for component in components:
-        # By Student's distribution: of few points means are far off by chance, and errors that
-        # neighbours share look like a shift.
+        # Student's distribution allows for the chance of few points. Below `SHIFT_POINTS` even that
+        # is not enough, as errors that neighbours share look like a shift.
         bound = student.ppf(1.0 - SHIFT_CHANCE / 2, n - 1) / n**0.5 if n >= SHIFT_POINTS else np.inf
         if component.deviation and abs(component.mean) > bound * component.deviation:
             notes.append(f"The mean error {component.name} is significant (Student's t of {n} "
                          f"check points, p < {SHIFT_CHANCE}): look for a shift.")
         limit = classes[component.name == "up"]
-        if limit is not None and abs(component.mean) > MEAN * limit:
-            notes.append(f"The mean error {component.name} is above {MEAN:.0%} of the RMSE of the "
-                         "class, ASPRS's limit: look for its cause.")
+        if limit is not None and abs(component.mean) > MAX_MEAN_SHARE * limit:
+            notes.append(f"The mean error {component.name} is above {MAX_MEAN_SHARE:.0%} of "
+                         "the RMSE of the class, ASPRS's limit: look for its cause.")
     return notes
 
 
 def _in_statement_unit(value: float) -> str:
-    """Return a length [m] in the unit of the statements of ASPRS."""
+    """Return a length [m] in centimetres, the unit of the statements of ASPRS."""
     return f"{_size_text(100 * value)} cm"
 
 
 def _size_text(value: float) -> str:
-    """Return a length [m] to three digits, whole from 1000 on."""
+    """Return a length to three digits, or to whole units if it has four or more."""
     return f"{value:.3g}" if value < 999.5 else f"{value:.0f}"

@@ -16,7 +16,7 @@ class Writing:
     Parameters
     ----------
     namespaces : mapping
-        URI of each prefix; none for a vocabulary without namespaces.
+        URI of each prefix; by default there are no namespaces.
     """
 
     def __init__(self, namespaces: Mapping[str, str] | None = None) -> None:
@@ -24,7 +24,10 @@ class Writing:
 
     def __call__(self, name: str, *content: Element | str | None,
                  attributes: Mapping[str, str] | None = None) -> Element:
-        """Return an element of the name "prefix:name"; content of None is left out."""
+        """Return an element with text or child elements as content; None is left out.
+
+        `name` and the names of attributes are "prefix:name", or a name alone without a namespace.
+        """
         element = Element(self._qualify_name(name), {self._qualify_name(key): value
                                                      for key, value in (attributes or {}).items()})
         for child in content:
@@ -35,13 +38,13 @@ class Writing:
         return element
 
     def _qualify_name(self, name: str) -> str:
-        """Return a name with the address of its prefix, as ElementTree has it."""
+        """Return the name "prefix:name" as ElementTree takes it, "{uri}name"; others unchanged."""
         prefix, colon, local = name.partition(":")
-        # ElementTree writes {uri}name for a prefix of its own.
         return f"{{{self.namespaces[prefix]}}}{local}" if colon else name
 
     def text(self, root: Element) -> str:
-        """Return a document as text."""
+        """Return the XML document of a root element as text, with the prefixes of the vocabulary.
+        """
         for prefix, uri in self.namespaces.items():
             ElementTree.register_namespace(prefix, uri)
         return xml_document(root)

@@ -27,10 +27,9 @@ _x = Writing(_NAMESPACES)
 def iso_xml(report: Quality) -> str:
     """Return the report as an XML document whose root is mdb:MD_Metadata.
 
-    The standards are ISO 19115-1 and 19157, in the XML of ISO 19115-3. The order of the elements is
-    that of their schema.
+    The standards are ISO 19115-1 and 19157, in the XML of ISO 19115-3.
     """
-    # The order of the elements is that of the schema.
+    # The schema prescribes the order of the elements.
     content = [
         _x("mdb:contact", _organisation_element(report.organisation, "pointOfContact")),
         _x("mdb:dateInfo", _date_element(report.made)),
@@ -51,10 +50,12 @@ def iso_xml(report: Quality) -> str:
 
 
 def _quality_elements(report: Quality) -> list[Element]:
-    """Return an element of data quality for each figure, and one with the statements, if any."""
-    # Figures on the ground are external accuracy, those in the image accuracy of the grid.
+    """Return an element of data quality for each figure, and one with the statements, if any.
+
+    Figures on the ground are absolute external accuracy, those in the image accuracy of the grid.
+    """
     elements = [_x("mdq:DQ_AbsoluteExternalPositionalAccuracy" if measure.unit == "m"
-                   else "mdq:DQ_GriddedDataPositionalAccuracy", _measure(measure),
+                   else "mdq:DQ_GriddedDataPositionalAccuracy", _measure_element(measure),
                    _evaluation_element(report),
                    _x("mdq:result", _x(
                    "mdq:DQ_QuantitativeResult", _time_element("mdq:dateTime", report.made),
@@ -71,8 +72,11 @@ def _quality_elements(report: Quality) -> list[Element]:
     return elements
 
 
-def _measure(measure: Measure) -> Element:
-    """Return which measure a figure is of, as an element."""
+def _measure_element(measure: Measure) -> Element:
+    """Return the element that says which measure a figure is of.
+
+    It has an identifier if the measure is one of ISO 19157.
+    """
     if measure.identifier:
         identification = _x("mdq:measureIdentification",
                             _identifier_element(measure.identifier, "ISO 19157:2013"))
@@ -84,9 +88,11 @@ def _measure(measure: Measure) -> Element:
 
 
 def _evaluation_element(report: Quality) -> Element:
-    """Return the method by which figures were found, with its sample of points, as an element."""
-    # An inspection of a sample: the independent points stand for all of the image. Without any
-    # the data are held against themselves.
+    """Return the element on the method by which figures were found, and its sample of points.
+
+    Both a test and a prediction are inspections of a sample: the points stand for all of the image.
+    """
+    # A test compares the data with an external source; a prediction compares them with themselves.
     kind = "directInternal" if report.predicted else "directExternal"
     scheme = f"{report.check_points} independent points, chosen before the model was fitted"
     points = report.check_points
@@ -104,8 +110,9 @@ def _evaluation_element(report: Quality) -> Element:
 
 
 def _lineage_element(report: Quality) -> Element:
-    """Return the sources of the result and the programs that made it, as an element."""
-    # The program itself is the processor; others are documentation of it.
+    """Return the element on the sources of the result, the programs that made it and its settings.
+    """
+    # termsel is the processor; the schema takes other programs as documentation of it.
     software = [_x("mrl:documentation", _citation_element(name, edition))
                 for name, edition in report.software.items() if name != "termsel"]
     return _x("mrl:LI_Lineage", _string_element("mrl:statement", report.lineage),
@@ -126,7 +133,7 @@ def _lineage_element(report: Quality) -> Element:
 
 
 def _source_element(source: QualitySource) -> Element:
-    """Return a source with its checksum as an element."""
+    """Return the element of a source, with its checksum as an identifier."""
     return _x("mrl:LI_Source", _string_element("mrl:description", source.description),
               _x("mrl:sourceCitation", _x(
                   "cit:CI_Citation", _string_element("cit:title", source.name),
@@ -134,13 +141,13 @@ def _source_element(source: QualitySource) -> Element:
 
 
 def _scope_element(report: Quality) -> Element:
-    """Return the extent that figures are of, the whole data set, as an element."""
+    """Return the element on the scope of figures, which is the whole data set."""
     return _x("mcc:MD_Scope", _x("mcc:level", _code_element("mcc:MD_ScopeCode", "dataset")),
               _x("mcc:extent", _extent_element(report)))
 
 
 def _extent_element(report: Quality) -> Element:
-    """Return the bounds in longitude and latitude as an element."""
+    """Return the element on the extent: bounds in longitude and latitude [degrees]."""
     names = ("westBoundLongitude", "eastBoundLongitude", "southBoundLatitude", "northBoundLatitude")
     return _x("gex:EX_Extent", _x("gex:geographicElement", _x(
         "gex:EX_GeographicBoundingBox", *(
@@ -149,8 +156,10 @@ def _extent_element(report: Quality) -> Element:
 
 
 def _organisation_element(name: str, role: str) -> Element:
-    """Return an organisation with a role as an element; without a name that is unknown."""
-    # The schema wants a name, or why there is none.
+    """Return the element of an organisation in a role.
+
+    For a name of "" it says that the name is unknown: the schema requires a name or a reason.
+    """
     if name:
         party = _string_element("cit:name", name)
     else:
@@ -160,44 +169,47 @@ def _organisation_element(name: str, role: str) -> Element:
 
 
 def _citation_element(title: str, edition: str = "") -> Element:
-    """Return a title, with its edition if that is not "", as an element."""
+    """Return the element of a citation by its title, and its edition if that is not ""."""
     return _x("cit:CI_Citation", _string_element("cit:title", title),
               _string_element("cit:edition", edition) if edition else None)
 
 
 def _identifier_element(code: str, space: str = "", version: str = "") -> Element:
-    """Return a code, with its space and version if they are not "", as an element."""
+    """Return the element of a code, with its namespace and version if they are not ""."""
     return _x("mcc:MD_Identifier", _string_element("mcc:code", code),
               _string_element("mcc:codeSpace", space) if space else None,
               _string_element("mcc:version", version) if version else None)
 
 
 def _date_element(when: str) -> Element:
-    """Return the date of creation as an element."""
+    """Return the element of a date of creation, given in ISO 8601."""
     return _x("cit:CI_Date", _time_element("cit:date", when),
               _x("cit:dateType", _code_element("cit:CI_DateTypeCode", "creation")))
 
 
 def _time_element(name: str, when: str) -> Element:
-    """Return a time in ISO 8601 as an element."""
+    """Return an element of a name with a time in ISO 8601 as content."""
     return _x(name, _x("gco:DateTime", when))
 
 
 def _string_element(name: str, text: str) -> Element:
-    """Return a text as an element with its type."""
+    """Return an element of a name with a text as content."""
     return _x(name, _x("gco:CharacterString", text))
 
 
 def _code_element(name: str, value: str) -> Element:
-    """Return a value of one of the standard's lists as an element."""
-    # A value of a list is given as text and, for programs, by the list that it is of.
+    """Return the element of a value in one of the lists of codes of the standard.
+
+    `name` is that of the list, with its prefix. Programs find the list by its address in the
+    attributes.
+    """
     return _x(name, value, attributes={
         "codeList": f"{_LISTS}#{name.partition(':')[2]}", "codeListValue": value})
 
 
 def _unit_element(unit: str) -> Element:
-    """Return the unit of a figure, m or px, as an element."""
-    # Metres have a definition at OGC; px get one of their own.
+    """Return the element of the unit of a figure, "m" or "px"."""
+    # OGC defines the metre; pixels are defined here.
     if unit == "m":
         return _x("mdq:valueUnit", attributes={"xlink:href": _METRE})
     return _x("mdq:valueUnit", _x(

@@ -20,13 +20,13 @@ from termsel.toolkit import as_plain_data, require_regular
 from termsel.toolkit.coordinates import LOCAL, horizontal_crs
 from termsel.toolkit.files import Prediction, prediction_of
 from termsel_standards.outline import bounds_of, outline_of
-from termsel_standards.statement import LEAST_REDUCED
+from termsel_standards.statement import MIN_REDUCED
 
 RMSEP = "47"
 """Identifier of the root mean square error of planimetry among the measures of ISO 19157."""
 
 # Bytes of a file that are read at once.
-_CHUNK = 1 << 20
+_CHUNK_BYTES = 1 << 20
 
 QUALITY_OPTIONS = (
     Option("title", "", "Title of the image; by default the name of the file of points."),
@@ -117,7 +117,7 @@ class Quality:
     parameters: dict[str, str]
 
 
-def requires_earth(result: Result) -> None:
+def require_earth(result: Result) -> None:
     """Raise TermselError unless the ground coordinates have a CRS of the Earth."""
     if result.features.crs == LOCAL:
         raise TermselError("a quality report requires a CRS of the Earth",
@@ -134,19 +134,25 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
         Its accuracy is that of the run: an exported fit may have used the independent points.
     title, organisation : str
     image : path-like, optional
-        Its checksum is stated.
+        The image, whose checksum is stated.
+
+    Returns
+    -------
+    Quality
+        With measures of the independent points; without such points with those that are predicted,
+        if any.
 
     Raises
     ------
     TermselError
         If the ground coordinates have no CRS of the Earth, or the image cannot be read.
     """
-    requires_earth(result)
+    require_earth(result)
     # ISO and FGDC take bounds in degrees.
     west, south, east, north = bounds_of(outline_of(result))
     counts = result.data.counts
     terms = result.selection
-    # What the run was asked for, so that it can be repeated.
+    # With these settings the run can be repeated.
     settings = {"problem": result.problem, "model": result.model, "solver": result.solver,
                 "criterion": result.criterion, "seed": str(result.seed),
                 "terms": " ".join(terms.terms),
@@ -187,10 +193,10 @@ def quality_of(result: Result, title: str = "", organisation: str = "",
 
 
 def _tested_measures(result: Result) -> tuple[Measure, ...]:
-    """Return the figures of the independent points, each with its meaning.
+    """Return the figures of the independent points, on the ground first; () without such points.
 
-    Each has the name and the unit that a standard of metadata asks for. () without such points, as
-    figures of others are no test.
+    On the ground there are none if the errors are not known in metres; the figure of NSSDA needs
+    enough points.
     """
     if result.accuracy is None:
         return ()
@@ -215,7 +221,10 @@ def _tested_measures(result: Result) -> tuple[Measure, ...]:
 
 
 def _predicted_measures(prediction: Prediction) -> tuple[Measure, ...]:
-    """Return the figures of a predicted accuracy, named as predicted."""
+    """Return the RMSE on the ground, if it is known, and in the image that are predicted.
+
+    Their names and descriptions say that they are predicted, and give their intervals.
+    """
     source = f"predicted {prediction.method}, with a {100 * prediction.level:g} % interval"
     measures = []
     if prediction.metres is not None:
@@ -229,7 +238,11 @@ def _predicted_measures(prediction: Prediction) -> tuple[Measure, ...]:
 
 
 def _standard_statements(result: Result, prediction: Prediction | None) -> tuple[str, ...]:
-    """Return the statements of standards, or why they are not made."""
+    """Return the statements of ASPRS and NSSDA, or why they are not made.
+
+    If there are too few independent points or none, the predicted accuracy follows or stands alone;
+    where nothing is known, one sentence says so.
+    """
     accuracy = result.accuracy
     if accuracy is None:
         if prediction is None:
@@ -240,8 +253,8 @@ def _standard_statements(result: Result, prediction: Prediction | None) -> tuple
     if accuracy.nssda.value is not None:
         statements.append(f"Tested {accuracy.nssda.value:.3g} meters horizontal accuracy at 95% "
                           "confidence level")
-    # A test by few points is no statement of a standard, and less sure than the prediction.
-    if prediction is not None and accuracy.image.n < LEAST_REDUCED:
+    # No standard has a statement on a test by so few points, and the prediction is surer.
+    if prediction is not None and accuracy.image.n < MIN_REDUCED:
         statements.append(prediction.sentence)
     if accuracy.ground is None:
         statements.append("The errors on the ground are not known in metres")
@@ -250,13 +263,13 @@ def _standard_statements(result: Result, prediction: Prediction | None) -> tuple
 
 def file_sha256(path: Path) -> str:
     """Return the SHA-256 of a file in hexadecimal; raises TermselError if it cannot be read."""
-    # Device files and pipes are refused: their reading may never end.
     digest = hashlib.sha256()
     try:
+        # The reading of device files and pipes might never end.
         require_regular(path)
-        # In chunks, as images are larger than memory.
+        # Images may be larger than memory.
         with path.open("rb") as file:
-            while block := file.read(_CHUNK):
+            while block := file.read(_CHUNK_BYTES):
                 digest.update(block)
     except OSError as error:
         raise TermselError(f"cannot read this file: {error.strerror or error}",
@@ -270,5 +283,5 @@ def decimal_text(value: float) -> str:
 
 
 def _name_as_text(path: str | Path) -> str:
-    """Return the name of a file as text; bytes that are not UTF-8 as escapes."""
+    """Return the name of a file without its folder; bytes that are not UTF-8 become escapes."""
     return Path(path).name.encode("utf-8", errors="backslashreplace").decode()
