@@ -26,7 +26,7 @@ from termsel_block.files.folders import RECORD, TIES
 from termsel_block.geometry.frame import FloatArray
 
 _LAS_STEPS = 1e-3, 1e-8
-"""Steps of coordinates in LAS: of metres, and of degrees, which are a millimetre."""
+"""Steps of coordinates in LAS: in metres, and in degrees, where a step is about a millimetre."""
 
 
 def write_places(folder: Path | str, target: Path | str, *, overwrite: bool = False) -> int:
@@ -71,25 +71,25 @@ def write_places(folder: Path | str, target: Path | str, *, overwrite: bool = Fa
                            hint=f"Known: {', '.join(writers)}.")
     require_replaceable([target], reads=[folder / RECORD, folder / TIES], overwrite=overwrite)
     ids, values, crs = _read_ties(folder)
-    # Written in a private folder first, so that the target is replaced by a complete file.
+    # A private folder has the file until it is complete, so that no half of it takes the target.
     with private_folder() as private:
-        complete = private / f"places{target.suffix.lower()}"
-        writers[target.suffix.lower()](complete, target, ids, values, crs)
-        write_bytes(target, complete.read_bytes())
+        complete_file = private / f"places{target.suffix.lower()}"
+        writers[target.suffix.lower()](complete_file, target, ids, values, crs)
+        write_bytes(target, complete_file.read_bytes())
     return len(ids)
 
 
 def _read_ties(folder: Path) -> tuple[list[str], FloatArray, str]:
-    """Return names, the other columns (n, 7) of ties.csv, and the CRS of a block.
+    """Return the ids of the ties of a block (n), the other columns of ties.csv (n, 7), and the CRS.
 
-    The columns are x, y, z, their standard deviations east, north, up [m], and the number of
-    images. Raises TermselError if the folder has no block, or files that are damaged.
+    The columns are x, y, z, the standard deviations to the east, to the north and up [m], and the
+    number of images. The CRS is "local" if the block has none. Raises TermselError if the folder
+    has no block, or its files are damaged.
     """
     for name in (RECORD, TIES):
         if not path_inside(folder, name).is_file():
             raise TermselError(f"there is no block in this folder: it has no {name}", file=folder,
                                hint="Name the folder that termsel block --out wrote.")
-    # Both files come from disk, where anything may have happened to them.
     try:
         record = msgspec.json.decode(read_data(folder / RECORD), type=dict[str, Any])
         text = read_text(folder / TIES)
@@ -105,45 +105,45 @@ def _read_ties(folder: Path) -> tuple[list[str], FloatArray, str]:
     return [unguard_cell(row[0]) for row in rows], values, str(record.get("crs") or LOCAL)
 
 
-def _write_geopackage(complete: Path, target: Path, ids: list[str], values: FloatArray,
+def _write_geopackage(complete_file: Path, target: Path, ids: list[str], values: FloatArray,
                       crs: str) -> None:
-    """Write the ties as a layer of points to the file `complete`, which then becomes `target`.
+    """Write the ties as a layer of points into `complete_file`.
 
-    `values` (t, 7) are x, y, z, three standard deviations [m] and the number of images.
+    `values` (n, 7) are as `_read_ties` returns them. `target` is the name that the file gets later,
+    for messages. Raises TermselError without shapely or pyogrio.
     """
-    shapely = _import_needed("shapely", target, "termsel[gis]")
-    write = _import_needed("pyogrio.raw", target, "termsel[gis]").write
+    shapely = _import_required("shapely", target, "termsel[gis]")
+    write = _import_required("pyogrio.raw", target, "termsel[gis]").write
     names = ["id", "sigma_east", "sigma_north", "sigma_up", "images"]
     fields = [np.array(ids, object), *values[:, 3:6].T, values[:, 6].astype(np.int32)]
     with warnings.catch_warnings():
-        # Plane coordinates have none, as the block says.
+        # The layer of a block in plane coordinates has no CRS on purpose.
         warnings.filterwarnings("ignore", "'crs' was not provided")
-        write(str(complete), shapely.to_wkb(shapely.points(values[:, :3])), fields, names,
+        write(str(complete_file), shapely.to_wkb(shapely.points(values[:, :3])), fields, names,
               layer="places", driver="GPKG", geometry_type="Point Z",
               crs=horizontal_crs(crs) or None,
               dataset_options={"VERSION": "1.3"})
 
 
-def _write_cloud(complete: Path, target: Path, _: list[str], values: FloatArray, crs: str) -> None:
-    """Write the ties as a LAS file `complete`, which then becomes `target`; it has no ids.
+def _write_cloud(complete_file: Path, target: Path, _: list[str], values: FloatArray,
+                 crs: str) -> None:
+    """Write the ties without their ids as LAS or LAZ into `complete_file`.
 
-    `values` (n, 7) are x, y, z, standard deviations to the east, to the north and up [m], and the
-    number of images of each tie. LAS stores whole steps from an offset, whose size depends on
-    whether the CRS counts degrees. Raises TermselError without laspy, or without what it needs for
-    LAZ.
+    `values` (n, 7) are as `_read_ties` returns them. `target` is the name that the file gets later,
+    for messages. Raises TermselError without laspy or pyproj, or without lazrs for LAZ.
     """
-    laspy = _import_needed("laspy", target, "termsel-block[las]")
+    laspy = _import_required("laspy", target, "termsel-block[las]")
     header = laspy.LasHeader(point_format=6, version="1.4")
-    system_name = horizontal_crs(crs)
-    degrees = False
-    if system_name:
-        system = _import_needed("pyproj", target, "termsel[gis]").CRS(system_name)
-        degrees = system.is_geographic
-        header.add_crs(system)
-    # LAS holds whole numbers of steps from an offset.
+    horizontal = horizontal_crs(crs)
+    is_in_degrees = False
+    if horizontal:
+        crs_of_pyproj = _import_required("pyproj", target, "termsel[gis]").CRS(horizontal)
+        is_in_degrees = crs_of_pyproj.is_geographic
+        header.add_crs(crs_of_pyproj)
+    # LAS stores coordinates as whole numbers of steps from an offset.
     header.offsets = np.floor(values[:, :3].min(axis=0)) if len(values) else np.zeros(3)
-    step = _LAS_STEPS[degrees]
-    # Heights are in metres in either case.
+    step = _LAS_STEPS[is_in_degrees]
+    # Heights are in metres even if the CRS is in degrees.
     header.scales = np.array([step, step, _LAS_STEPS[0]])
     names = ("sigma_east", "sigma_north", "sigma_up")
     header.add_extra_dims([laspy.ExtraBytesParams(name, np.float32) for name in names]
@@ -154,16 +154,16 @@ def _write_cloud(complete: Path, target: Path, _: list[str], values: FloatArray,
         cloud[name] = column.astype(np.float32)
     cloud["images"] = values[:, 6].astype(np.uint16)
     try:
-        cloud.write(str(complete))
+        cloud.write(str(complete_file))
     except laspy.LaspyException as error:
         raise TermselError(f"laspy cannot write this: {str(error).rstrip('.')}", file=target,
                            hint="LAZ needs lazrs: pip install lazrs. Or name a .las.") from error
 
 
-def _import_needed(module: str, target: Path, package: str) -> Any:
-    """Import the module that a format requires.
+def _import_required(module: str, target: Path, package: str) -> Any:
+    """Return the module that the format of a file requires.
 
-    Raises TermselError with the package if it is missing.
+    Raises TermselError that names `package`, which has the module, if it is not installed.
     """
     try:
         return importlib.import_module(module)

@@ -1,4 +1,4 @@
-"""Files of several folders that are put in place together, or not at all."""
+"""Files that are put into a folder and its subfolders all together, or not at all."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from termsel.toolkit.files import sync
 
 @contextmanager
 def place_together(folder: Path, last: str) -> Iterator[Path]:
-    """Yield a private folder, whose files come into a folder when the block succeeds.
+    """Yield a private folder, whose files are moved into `folder` when the `with` block ends.
 
-    Files that are there are replaced, and others stay. If anything fails, the folder has what it
-    had; if it was not there, it is not.
+    Files of the same names are replaced, and others stay. If the block or a move fails, the folder
+    has what it had before, and is removed if it did not exist.
 
     Parameters
     ----------
     folder : Path
     last : str
-        File that comes last: where it is, everything is.
+        Name of the file that is moved last: where it is, all others are.
 
     Raises
     ------
@@ -31,7 +31,8 @@ def place_together(folder: Path, last: str) -> Iterator[Path]:
         If another process is at work in the folder, or a file cannot be written.
     """
     # Folders that this creates, so that it can remove them if nothing comes into them.
-    above = [parent for parent in (folder, *folder.absolute().parents) if not parent.exists()]
+    created_folders = [parent for parent in (folder, *folder.absolute().parents)
+                       if not parent.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with lock_folder(folder), private_folder(folder) as private:
@@ -40,7 +41,6 @@ def place_together(folder: Path, last: str) -> Iterator[Path]:
             new.mkdir()
             old.mkdir()
             yield new
-            # The last file shows that all are there: it is moved when the others are.
             files = sorted((file for file in new.rglob("*") if file.is_file()),
                            key=lambda file: file == new / last)
             _move_into_place(files, new, old, folder)
@@ -49,16 +49,17 @@ def place_together(folder: Path, last: str) -> Iterator[Path]:
                            hint="Check that the folder is writable and has free space, or choose "
                                 "another --out.") from error
     finally:
-        for parent in above:
-            # It has something.
+        for parent in created_folders:
+            # A folder with files is not removed: rmdir fails.
             with suppress(OSError):
                 parent.rmdir()
 
 
 def _move_into_place(files: list[Path], new: Path, old: Path, folder: Path) -> None:
-    """Move files from `new` to their places in `folder`, and those that were there to `old`.
+    """Move files from `new` to the same places in `folder`, and those that were there to `old`.
 
-    If one cannot be moved, or on an interruption, all are moved back and the error is raised.
+    Missing subfolders are created. If a move fails or is interrupted, all moves are undone, and the
+    exception is raised.
     """
     moves: list[tuple[Path, Path]] = []
     new_folders: list[Path] = []
@@ -71,15 +72,15 @@ def _move_into_place(files: list[Path], new: Path, old: Path, folder: Path) -> N
                     new_folders.append(folder / subfolder)
                 (old / subfolder).mkdir(exist_ok=True)
             # The old file is moved away, then the new one takes its place.
-            for start, end in ((folder / name, old / name), (file, folder / name)):
-                if os.path.lexists(start):
-                    start.rename(end)
-                    moves.append((start, end))
+            for source, destination in ((folder / name, old / name), (file, folder / name)):
+                if os.path.lexists(source):
+                    source.rename(destination)
+                    moves.append((source, destination))
         sync(folder)
-    # BaseException has interruptions, too; moves are undone in the opposite order.
+    # BaseException includes KeyboardInterrupt.
     except BaseException:
-        for start, end in reversed(moves):
-            end.rename(start)
+        for source, destination in reversed(moves):
+            destination.rename(source)
         for parent in reversed(new_folders):
             parent.rmdir()
         raise
