@@ -12,7 +12,7 @@ from rasterio.transform import Affine
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from termsel import TermselError
-from termsel_app.matching import refined_place
+from termsel_app.matching import refine_point
 from termsel_app.prediction import Prediction
 from termsel_app.quality import Question, judge_control
 from termsel_app.session import Files, Session, open_session
@@ -64,7 +64,7 @@ def test_a_click_is_refined_to_a_part_of_a_pixel(
     true = np.array([200.0, 310.0])
     before = session.version
     name = session.put({"image": (true + off).tolist(), "map": place(*true)})
-    proposal = refined_place(session, name)
+    proposal = refine_point(session, name)
     assert np.hypot(*(np.array(proposal["image"]) - true)) < 0.15
     assert proposal["distance"] == pytest.approx(np.hypot(*off), abs=0.2)
     assert session.version == before + 1  # nothing is taken before the user says so
@@ -74,11 +74,11 @@ def test_a_click_is_refined_to_a_part_of_a_pixel(
 def test_what_does_not_look_alike_is_left(session: Session) -> None:
     name = session.put({"image": [300.0, 150.0], "map": place(120, 400)})
     with pytest.raises(TermselError, match="do not look alike"):
-        refined_place(session, name)
+        refine_point(session, name)
     session.delete([name])
     half = session.put({"image": [300.0, 150.0]})
     with pytest.raises(TermselError, match="both positions"):
-        refined_place(session, half)
+        refine_point(session, half)
     session.delete([half])
 
 

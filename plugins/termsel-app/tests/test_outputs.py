@@ -111,7 +111,7 @@ def test_a_result_of_the_same_control_is_not_computed_again(
             (folder / "result" / "result.json").write_text("{}")
 
     calls: list[str] = []
-    monkeypatch.setattr("termsel_app.outputs.call", run)
+    monkeypatch.setattr("termsel_app.outputs.run_command", run)
     given = Files(str(scene / "scene.tif"), points=str(scene / "twelve.csv"))
     with open_session(given, tmp_path / "s") as session:
         for name in ("map", "rpc", "result"):

@@ -26,7 +26,7 @@ import rasterio
 import termsel
 from termsel.toolkit import charts
 from termsel_app.iiif import parse_image_info
-from termsel_app.quality import shown_accuracy
+from termsel_app.quality import first_accuracy
 from termsel_app.rasters import encode_png
 
 REQUIRED = os.environ.get("TERMSEL_BROWSER") == "required"
@@ -401,7 +401,7 @@ def test_the_result_that_is_saved_has_the_figures_of_the_page(
     shown = measured.text("accuracy")
     measured.save("Result folder")
     result = termsel.read_result(example / "measured" / "result")
-    figure = shown_accuracy(result)
+    figure = first_accuracy(result)
     assert figure is not None
     assert shown.split()[0] == charts.rounded_size_text(figure["px"][0])
     measured.silent()

@@ -399,8 +399,8 @@ def test_a_map_has_one_scale() -> None:
 def test_a_page_says_how_much_of_a_large_block_it_shows(
         adjusted: BlockResult, monkeypatch: pytest.MonkeyPatch) -> None:
     """Some of the ties, but the outlines of all images."""
-    monkeypatch.setattr(page, "_DRAWN_TIES", 20)
-    monkeypatch.setattr(page, "_IMAGES", 1)
+    monkeypatch.setattr(page, "_MAX_TIES", 20)
+    monkeypatch.setattr(page, "_MAX_IMAGES", 1)
     shown = page.page_of(adjusted, record_of(adjusted))
     count = int((times_seen(adjusted) > 1).sum())
     assert f"height; 20 of {count} are shown. Triangles" in shown

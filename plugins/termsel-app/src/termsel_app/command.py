@@ -69,7 +69,8 @@ def app(image: str | None, maps: tuple[str, ...], points: Path | None, lines: Pa
     from termsel_app.session import Files, open_session
 
     require_page()
-    files = Files(image, maps, _name(points), _name(lines), _name(rpc), _name(dem), crs)
+    files = Files(image, maps, _path_text(points), _path_text(lines), _path_text(rpc),
+                  _path_text(dem), crs)
     if example:
         files, folder = example_files(files, folder)
     elif image is None:
@@ -81,7 +82,7 @@ def app(image: str | None, maps: tuple[str, ...], points: Path | None, lines: Pa
     with open_session(files, folder, remote=remote_allowed(),
                       drivers=allowed_drivers()) as session:
 
-        def started(address: str, first_address: str) -> None:
+        def announce_page(address: str, first_address: str) -> None:
             """Print the page's address, and open it in the browser unless that is not wanted."""
             echo(f"The page is at {address}")
             echo(f"Saved in {folder}; Ctrl-C ends it.", err=True)
@@ -89,13 +90,13 @@ def app(image: str | None, maps: tuple[str, ...], points: Path | None, lines: Pa
                 webbrowser.open(first_address)
 
         try:
-            serve(session, port, started)
+            serve(session, port, announce_page)
         except KeyboardInterrupt:
             echo(f"\nEnded. All changes are saved in {folder}; the same command goes on.",
                  err=True)
 
 
-def _name(path: Path | None) -> str | None:
+def _path_text(path: Path | None) -> str | None:
     """Return a path as text; None stays None."""
     return None if path is None else str(path)
 
@@ -103,10 +104,10 @@ def _name(path: Path | None) -> str | None:
 def files_of_session(files: Files, folder: Path | None) -> tuple[Files, Path]:
     """Return the files of a session and the folder of its journal.
 
-    The first argument of the command, `files.image`, may be an image, the folder of a session or
-    that of a result. Without `folder`, a session is kept in its own; that of an image or a
-    result begins in a folder beside it, NAME-control. Raises TermselError for a folder that is
-    neither.
+    `files.image` is the first argument of the command: an image or its IIIF address, the folder of
+    a session, or that of a result. A session goes on with its own files and the new maps. Without
+    `folder`, it stays in its folder; that of a result begins beside the result in NAME-control, and
+    that of an image in NAME-control in the current folder. Raises TermselError for another folder.
     """
     from dataclasses import replace
 
@@ -131,7 +132,7 @@ def files_of_session(files: Files, folder: Path | None) -> tuple[Files, Path]:
 
 
 def default_folder(name: Path | str) -> Path:
-    """Return the path of a session's folder that the user did not type.
+    """Return a name as the path of a session's folder, for a name that the user did not type.
 
     Raises TermselError if it is a symbolic link, which somebody else may have laid there.
     """
@@ -141,9 +142,10 @@ def default_folder(name: Path | str) -> Path:
 
 
 def files_of_result(folder: Path, files: Files) -> Files:
-    """Return `files` with the points, lines, CRS and size of the result in a folder, and no image.
+    """Return `files` with the points, lines and CRS of the result in a folder.
 
-    Maps, RPC and DEM stay. Raises TermselError if the result cannot be read.
+    There is no image, but the size of that of the result, if it is known. Maps, RPC and DEM stay.
+    Raises TermselError if the result cannot be read.
     """
     from dataclasses import replace
 
@@ -157,9 +159,9 @@ def files_of_result(folder: Path, files: Files) -> Files:
 
 
 def example_files(files_given: Files, folder: Path | None) -> tuple[Files, Path]:
-    """Write the files of the tutorial, unless they are there.
+    """Write the files of the tutorial, unless they are there; return them and the session's folder.
 
-    Returns `files_given` with image, map, DEM and CRS of its scene, and the folder of the session.
+    The files are `files_given` with image, map, DEM and CRS of the tutorial's scene.
     """
     from dataclasses import replace
 

@@ -20,7 +20,7 @@ ROLES = ("", "control", "check", "independent", "off")
 MAX_FEATURES = 20_000
 """Features that a session may have."""
 COORDINATE_LIMIT = 1e300
-"""Coordinates are less: JSON has integers of any length."""
+"""Coordinates are smaller than this: JSON has integers that are too large for a float."""
 
 Record = dict[str, Any]
 """A feature: id, kind ("point" or "line"), role, and image and ground, either of which may still be
@@ -42,23 +42,26 @@ class Patch:
 
 @dataclass
 class ControlFeatures:
-    """All features of a session by id, in the order in which they were begun, and what to undo."""
+    """All features of a session by id, in the order in which they were begun, and their changes.
+
+    `done` has the changes that can be undone, `undone` those that can be done again.
+    """
 
     undone: list[tuple[Patch, ...]] = field(default_factory=list)
     done: list[tuple[Patch, ...]] = field(default_factory=list)
     _records: dict[str, Record] = field(default_factory=dict)
-    _places: dict[str, int] = field(default_factory=dict)
-    _begun: int = 0
+    _ranks: dict[str, int] = field(default_factory=dict)
+    _last_rank: int = 0
     _in_order: bool = True
 
     @property
     def records(self) -> dict[str, Record]:
-        """All features by id, in the order in which they came; one that is renamed keeps its place.
+        """All features by id, in the order in which they were begun; a renamed one keeps its rank.
         """
         if not self._in_order:
-            # Sorted when somebody looks, not at every change: a journal may have many thousands.
+            # Sorting at every change would be slow: a journal may have many thousands of them.
             self._records = dict(sorted(self._records.items(),
-                                        key=lambda item: self._places[item[0]]))
+                                        key=lambda item: self._ranks[item[0]]))
             self._in_order = True
         return self._records
 
@@ -67,8 +70,7 @@ class ControlFeatures:
         return len(self._records)
 
     def apply(self, patches: Iterable[Patch]) -> None:
-        """Change the records by patches, together one change to undo; what was undone is forgotten.
-        """
+        """Change the records by patches, which are undone together; nothing can be redone then."""
         patches = tuple(patches)
         self._apply_patches(patches)
         self.done.append(patches)
@@ -85,9 +87,9 @@ class ControlFeatures:
         return patches
 
     def redo(self) -> tuple[Patch, ...]:
-        """Repeat the change undone last and return its patches.
+        """Repeat the change that was undone last, and return its patches.
 
-        Raises TermselError if there is none.
+        Raises TermselError if there is none, as after a new change.
         """
         if not self.undone:
             raise TermselError("there is nothing to do again")
@@ -104,17 +106,19 @@ class ControlFeatures:
             # A feature that gets another name keeps its rank among the others.
             if before is not None and before != after:
                 self._records.pop(before, None)
-                rank = self._places.pop(before, self._begun)
+                rank = self._ranks.pop(before, self._last_rank)
                 if after is not None:
-                    self._places[after] = rank
+                    self._ranks[after] = rank
                     self._in_order = False
             if after is not None and patch.after is not None:
-                self._begun += 1
-                self._places.setdefault(after, self._begun)
+                self._last_rank += 1
+                self._ranks.setdefault(after, self._last_rank)
                 self._records[after] = patch.after
 
     def new_id(self, kind: str) -> str:
-        """Return an id that no feature has, such as P07 or L07: the next after the largest in use.
+        """Return an id that no feature has: the next after the largest in use, from P01 or L01 on.
+
+        Ids that are no such letter and number do not count.
         """
         letter = "P" if kind == "point" else "L"
         numbers = [int(match[1]) for name in self.records
@@ -122,15 +126,19 @@ class ControlFeatures:
         return f"{letter}{max(numbers, default=0) + 1:02d}"
 
     def complete(self, kind: str) -> list[Record]:
-        """Return the features of a kind, point or line, that have places in both image and ground.
+        """Return the features of a kind, "point" or "line", with a place in image and ground each.
+
+        A line may have but one of its two ends there; see `is_whole`.
         """
         return [record for record in self.records.values()
                 if record["kind"] == kind and record["image"] and record["ground"]]
 
     def features(self, crs: str) -> FeatureSet:
-        """Return the features that are complete, as termsel takes them.
+        """Return the complete features as termsel takes them.
 
-        Raises TermselError for what cannot be control, such as two points at one place.
+        They are the points with both places, of any role, and the lines with both ends in both
+        spaces, unless they are off. Raises TermselError for what cannot be control, such as two
+        points at one place.
         """
         points = self.complete("point")
         lines = [record for record in self.complete("line")
@@ -151,7 +159,7 @@ class ControlFeatures:
 
 
 def is_whole(record: Record) -> bool:
-    """Return whether a line has both its places in the image and both on the ground."""
+    """Return whether a line has both its ends in the image and both on the ground."""
     return all(record[space] and len(record[space]) == 2 for space in ("image", "ground"))
 
 
@@ -161,9 +169,11 @@ def _ground_array(positions: Iterable[Any]) -> Any:
 
 
 def checked_record(record: Mapping[str, Any]) -> Record:
-    """Return a record that came from a page or a file with id, kind, role, image and ground alone.
+    """Return a record that came from a page or a file, checked, without its other keys.
 
-    Raises TermselError if it is no point or line, or its id, role or coordinates are not valid.
+    It has id, kind, role, image and ground. Blanks around the id are dropped; a missing role is "",
+    and a missing place None. Raises TermselError if it is no point or line, or if its id, role or
+    coordinates are not valid.
     """
     kind = record.get("kind")
     if kind not in ("point", "line"):
@@ -185,31 +195,34 @@ def checked_record(record: Mapping[str, Any]) -> Record:
 
 
 def _checked_places(value: Any, size: int, count: int | None) -> Any:
-    """Return the checked place of a point (`count` None), or the up to `count` places of a line.
+    """Return the checked place of a point, or the list of checked places of a line.
 
-    A place has `size` coordinates; None if there is none.
+    For a point `count` is None; a line has at most `count` places. A place has `size` coordinates.
+    None if there is no place. Raises TermselError for another shape or wrong coordinates.
     """
     if value is None or value == []:
         return None
     if count is None:
-        return _place(value, size)
+        return _checked_place(value, size)
     if not isinstance(value, list) or len(value) > count:
         raise TermselError("a line has two ends")
-    return [_place(position, size) for position in value]
+    return [_checked_place(position, size) for position in value]
 
 
-def _place(value: Any, size: int) -> list[float | None]:
-    """Return a place of `size` finite coordinates; the height of a place on the ground may be None.
+def _checked_place(value: Any, size: int) -> list[float | None]:
+    """Return a place of `size` finite coordinates; the third, a height, may be None.
+
+    Raises TermselError for other lengths and values.
     """
     if not isinstance(value, list) or len(value) != size:
         raise TermselError(f"a position has {size} coordinates")
     if size == 3 and value[2] is None:
-        return [*(_number(number) for number in value[:2]), None]
-    return [_number(number) for number in value]
+        return [*(_checked_coordinate(number) for number in value[:2]), None]
+    return [_checked_coordinate(number) for number in value]
 
 
-def _number(value: Any) -> float:
-    """Return a coordinate; raises TermselError if it is no finite number of usual size."""
+def _checked_coordinate(value: Any) -> float:
+    """Return a coordinate; raise TermselError if it is no number below `COORDINATE_LIMIT`."""
     if (isinstance(value, bool) or not isinstance(value, int | float)
             or not abs(value) < COORDINATE_LIMIT):
         raise TermselError(f"{value!r:.40} is no coordinate", hint="Give finite numbers.")

@@ -23,7 +23,8 @@ MAX_DESCRIPTION_BYTES = 2**20
 """Bytes of a description that are read."""
 SECONDS = 20
 _ID = re.compile(r"https?://[\w.:\[\]-]+(/[^\s;,'\"\x00-\x1f\x7f]*)?", re.ASCII)
-"""The id of an image: its server comes into the policy of the page, and so has no signs of that."""
+"""The id of an image. Its server is written into the content policy of the page, so it must not
+have signs that separate parts of a policy."""
 KEPT = ("@context", "id", "@id", "type", "protocol", "profile", "width", "height", "tiles", "sizes",
         "maxWidth", "maxHeight", "maxArea", "extraFormats", "extraQualities", "extraFeatures",
         "preferredFormats")
@@ -46,15 +47,15 @@ class IiifImage:
 
 
 def is_iiif(name: str | None) -> bool:
-    """Return whether an image's name is the address of an info.json of the IIIF; None is not."""
+    """Return whether the name of an image is the address of an info.json; False for None."""
     return name is not None and name.startswith(("http://", "https://")) and name.endswith(INFO)
 
 
 def fetch_image(address: str, remote: bool) -> IiifImage:
-    """Return an image by the address of its description.
+    """Return the image whose description is at an address.
 
-    Raises TermselError unless servers may be asked and termsel-iiif is installed, or if there is no
-    description.
+    Raises TermselError if `remote` is False, so that no server may be asked; if termsel-iiif is not
+    installed; if the address cannot be fetched; or if what is there describes no image.
     """
     if not remote:
         raise TermselError("this image is on a server, and access to servers is not allowed",
@@ -98,9 +99,10 @@ def parse_image_info(content: bytes, address: str) -> IiifImage:
 
 
 def _square_without_height(tile: Any) -> Any:
-    """Return the description of tiles with a height: that of the width, where it states none.
+    """Return the description of tiles with a height, which is the width if none is stated.
 
-    So the Image API has it (3.0, section 5.4); the page would ask for tiles of another size.
+    The Image API says so (3.0, section 5.4), but OpenLayers would take another height. What is no
+    description of tiles is returned unchanged.
     """
     if isinstance(tile, dict) and "width" in tile:
         return {"height": tile["width"], **tile}

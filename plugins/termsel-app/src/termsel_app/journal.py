@@ -22,8 +22,8 @@ JOURNAL_SCHEMA = "termsel-app-1"
 JOURNAL_NAME = "session.jsonl"
 MAX_JOURNAL_BYTES = 2**28
 """Bytes of a journal that are read."""
-MOST_REPEATED = 2_000_000
-"""Changes of features that are repeated from a journal, 2 s."""
+MAX_REPEATED = 2_000_000
+"""Changes of features that are repeated from a journal at most; they take about 2 s."""
 
 
 class Journal:
@@ -46,20 +46,21 @@ class Journal:
         self.append({"schema": JOURNAL_SCHEMA, **header})
 
     def append(self, entry: Mapping[str, Any]) -> None:
-        """Write an entry and wait until it is on the disk.
+        """Write an entry, and wait until it is on the disk.
 
-        Raises TermselError where that fails; then the journal is as it was before.
+        Raises TermselError if that fails; the journal is then as it was before.
         """
-        # One line an entry, so that a torn one is only the last.
+        # An entry is one line, so that a crash can damage the last line alone.
         text = json.dumps(entry, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
         end = self._file.seek(0, os.SEEK_END)
         try:
             content = memoryview(f"{text}\n".encode())
-            while content:  # a disk that is nearly full takes a part
+            # A disk that is nearly full may take but a part at once.
+            while content:
                 content = content[self._file.write(content):]
             os.fsync(self._file.fileno())
         except OSError as error:
-            # Half an entry would hide all that follow.
+            # The next entry would continue the line of half an entry, and be lost with it.
             self._file.truncate(end)
             raise TermselError(
                 f"the change could not be saved: {error.strerror or error}", file=self._path,
@@ -87,13 +88,13 @@ def open_journal(folder: Path) -> Iterator[
         if path.exists():
             require_regular(path)
         try:
-            file = open(path, "a+b", buffering=0, opener=_without_links)  # noqa: SIM115
+            file = open(path, "a+b", buffering=0, opener=_open_without_links)  # noqa: SIM115
         except OSError as error:
             raise TermselError(f"the session cannot be written: {error.strerror}", file=path,
                                hint="Choose another --out.") from error
-        with file, _unless_empty(file, path):
+        with file, _removed_if_empty(file, path):
             entries, length = read_entries(file, path)
-            # What a crash has cut off was never confirmed on the page.
+            # A line without an end was cut off by a crash, and never confirmed on the page.
             file.truncate(length)
             journal = Journal(file, path)
             if not entries:
@@ -103,22 +104,27 @@ def open_journal(folder: Path) -> Iterator[
 
 
 @contextmanager
-def _unless_empty(file: FileIO, path: Path) -> Iterator[None]:
-    """Remove the journal at the end if nothing was written to it."""
+def _removed_if_empty(file: FileIO, path: Path) -> Iterator[None]:
+    """Remove the journal `path` at the end of the block if nothing was written to it.
+
+    So a session that could not begin, as its image cannot be read, leaves no journal.
+    """
     try:
         yield
     finally:
-        # Opened for nothing, as where an image cannot be read.
         if not os.fstat(file.fileno()).st_size:
             path.unlink(missing_ok=True)
 
 
 def header_of(folder: Path) -> dict[str, Any]:
-    """Return the header of the session in a folder; raises TermselError if there is none."""
+    """Return the header of the session in a folder.
+
+    Raises TermselError if there is no journal, or it cannot be read, is empty or is damaged.
+    """
     path = path_inside(folder, JOURNAL_NAME)
     require_regular(path)
     try:
-        with open(path, "rb", buffering=0, opener=_without_links) as file:
+        with open(path, "rb", buffering=0, opener=_open_without_links) as file:
             entries, _ = read_entries(file, path)
     except OSError as error:
         raise TermselError(f"the session cannot be read: {error.strerror}", file=path,
@@ -129,23 +135,27 @@ def header_of(folder: Path) -> dict[str, Any]:
     return _parse_header(entries[0], path)
 
 
-def _without_links(name: str, flags: int) -> int:
-    """Open a file as `open` does, but fail on a symbolic link, which could lead anywhere."""
-    # A link in a folder of strangers could lead anywhere; Windows has no such flag.
+def _open_without_links(name: str, flags: int) -> int:
+    """Open a file as an opener of `open` does; raise OSError for a symbolic link.
+
+    A link in a folder that others can write to could lead to any file of the user.
+    """
+    # Windows does not have the flag.
     return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 def read_entries(file: FileIO, path: Path) -> tuple[list[dict[str, Any]], int]:
     """Return the entries of a journal, and its length [bytes] up to the end of the last whole line.
 
-    Raises TermselError for a line that is no entry, or a journal too large to be read.
+    A last line without an end is left out. Raises TermselError for a whole line that is no JSON
+    object, or a journal of more than `MAX_JOURNAL_BYTES`.
     """
     file.seek(0)
     if os.fstat(file.fileno()).st_size > MAX_JOURNAL_BYTES:
         raise TermselError("the session is too large to be read", file=path,
                            hint="Export its points, and begin another one: --out DIR.")
     content = file.readall() or b""
-    length = content.rfind(b"\n") + 1  # what follows was cut off
+    length = content.rfind(b"\n") + 1
     entries = []
     for number, line in enumerate(content[:length].splitlines(), 1):
         try:
@@ -164,7 +174,9 @@ def read_entries(file: FileIO, path: Path) -> tuple[list[dict[str, Any]], int]:
 
 
 def _parse_header(entry: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Return the header in the first entry of a journal; raises TermselError if it is no session's.
+    """Return the first entry of a journal without its schema.
+
+    Raises TermselError if the schema is not that of a session.
     """
     if entry.get("schema") != JOURNAL_SCHEMA:
         raise TermselError("this is no session of termsel app: its first line lacks "
@@ -175,9 +187,10 @@ def _parse_header(entry: dict[str, Any], path: Path) -> dict[str, Any]:
 
 
 def replay_journal(entries: list[dict[str, Any]], path: Path) -> ControlFeatures:
-    """Return the features after all changes of a journal, whose first entry is the header.
+    """Return the features after all changes of a journal; `entries` are those after the header.
 
-    `entries` are those after the header. Raises TermselError with the line that cannot be repeated.
+    Raises TermselError, with the line in the journal, for an entry that cannot be repeated, and for
+    more features or changes than a session may have.
     """
     control = ControlFeatures()
     repeated = 0
@@ -196,15 +209,18 @@ def replay_journal(entries: list[dict[str, Any]], path: Path) -> ControlFeatures
                                line=number, hint="Was the file edited? Remove the line, or choose "
                                                  "another --out.") from error
         repeated += len(patches)  # each undo and redo may be of all features
-        if len(control) > MAX_FEATURES or repeated > MOST_REPEATED:
+        if len(control) > MAX_FEATURES or repeated > MAX_REPEATED:
             raise TermselError(f"a session has at most {MAX_FEATURES:,} features and "
-                               f"{MOST_REPEATED:,} changes of them", file=path, line=number,
+                               f"{MAX_REPEATED:,} changes of them", file=path, line=number,
                                hint="Export its points, and begin another one: --out DIR.")
     return control
 
 
 def patches_of(entry: Mapping[str, Any]) -> list[Patch]:
-    """Return the patches of an entry with a change; raises TermselError if it has none."""
+    """Return the patches in an entry of a journal.
+
+    Raises TermselError if it has no change, or one whose features are not valid.
+    """
     change = entry.get("change")
     if not isinstance(change, list) or not all(
             isinstance(pair, list) and len(pair) == 2 for pair in change):
@@ -212,13 +228,13 @@ def patches_of(entry: Mapping[str, Any]) -> list[Patch]:
     patches = []
     for pair in change:
         before, after = (
-            None if record is None else checked_record(_parse_record(record)) for record in pair)
+            None if record is None else checked_record(_require_object(record)) for record in pair)
         patches.append(Patch(before, after))
     return patches
 
 
-def _parse_record(record: Any) -> dict[str, Any]:
-    """Return a record; raises TermselError if it is no JSON object."""
+def _require_object(record: Any) -> dict[str, Any]:
+    """Return a record as it is; raise TermselError if it is no JSON object."""
     if not isinstance(record, dict):
         raise TermselError("it has no points or lines")
     return record

@@ -18,9 +18,10 @@ NODES_OF_TILE = 17
 
 
 def image_resolutions(size: tuple[int, int] | None) -> list[float]:
-    """Return how many pixels of an image (lines, samples) a pixel of a tile spans on each level.
+    """Return how many pixels of an image a pixel of a tile spans on each level.
 
-    The coarsest level comes first, the last is 1. Without a size it is that of 1000 x 1000 px.
+    The coarsest level comes first; the last spans 1. `size` is lines and samples of the image; an
+    image without one is taken to have 1000 x 1000 px.
     """
     height, width = size or (1000, 1000)
     levels = max(int(np.ceil(np.log2(max(height, width) / TILE))), 0)
@@ -28,7 +29,9 @@ def image_resolutions(size: tuple[int, int] | None) -> list[float]:
 
 
 def image_tile(image: Raster, level: int, column: int, row: int) -> Pixels:
-    """Return a tile of the image (TILE, TILE, 4); transparent outside it, and on levels it has not.
+    """Return a tile of the image, shape (TILE, TILE, 4).
+
+    It is transparent outside the image, and all over on a level that the image does not have.
     """
     resolutions = image_resolutions((image.height, image.width))
     if not 0 <= level < len(resolutions):
@@ -40,7 +43,7 @@ def image_tile(image: Raster, level: int, column: int, row: int) -> Pixels:
 def box_of_tile(session: Session, box: Box, level: int, column: int, row: int) -> Box | None:
     """Return the box of a tile of the map, whose grid begins in the north-west of `box`.
 
-    None if there is no such level.
+    None if the map has no such level.
     """
     resolutions = session.maps.resolutions(box)
     if not 0 <= level < len(resolutions):
@@ -52,15 +55,14 @@ def box_of_tile(session: Session, box: Box, level: int, column: int, row: int) -
 
 
 def warped_tile(image: Raster, prediction: Prediction, box: Box) -> Pixels:
-    """Return a tile of the map (TILE, TILE, 4) as the image shows it through the model.
+    """Return a tile of the map as the image shows it through the model, shape (TILE, TILE, 4).
 
-    Transparent as a whole if the model does not see all of the box.
+    All of it is transparent if the model has no place in the image for some part of the box.
     """
     from scipy.ndimage import map_coordinates
 
     west, south, east, north = box
-    # The model at 17 x 17 nodes, and bilinear between them: no eye sees a
-    # difference.
+    # The model is computed at nodes and interpolated bilinearly between them, which nobody can see.
     x = np.linspace(west, east, NODES_OF_TILE)
     y = np.linspace(north, south, NODES_OF_TILE)
     nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -74,10 +76,11 @@ def warped_tile(image: Raster, prediction: Prediction, box: Box) -> Pixels:
     return resample_tile(image, lines, samples)
 
 
-def drawn_graticule(session: Session, box: Box) -> dict[str, Any]:
-    """Return lines of round coordinates on the map, and through the model in the image.
+def graticule_for_page(session: Session, box: Box) -> dict[str, Any]:
+    """Return lines of round coordinates within a box of the map, for the page.
 
-    `image` of a line is None as long as there is no model.
+    Each of "lines" has "label", "axis", and its vertices on the "map" and in the "image" through
+    the model, without those that the model does not see; "image" is None if there is no model.
     """
     lines = graticule_lines(session.places, box)
     prediction = session.prediction
@@ -94,10 +97,11 @@ def drawn_graticule(session: Session, box: Box) -> dict[str, Any]:
     }
 
 
-def drawn_vectors(session: Session) -> dict[str, Any]:
-    """Return the map's vector layers through the model: `lines` of (line, sample), for the page.
+def vectors_for_page(session: Session) -> dict[str, Any]:
+    """Return the vector layers of the map as the model shows them in the image, for the page.
 
-    Empty as long as there is no model.
+    Each of "lines" is a list of line and sample, without vertices that the model does not see.
+    Lines of fewer than two vertices are left out. There are none if there is no model.
     """
     prediction = session.prediction
     if prediction is None:
@@ -105,12 +109,13 @@ def drawn_vectors(session: Session) -> dict[str, Any]:
     lines = []
     for layer in session.maps.vectors:
         for feature in layer.collection["features"]:
-            lines += [project_visible(prediction, line) for line in _lines_of(feature["geometry"])]
+            lines += [project_visible(prediction, line)
+                      for line in _vertices_of_lines(feature["geometry"])]
     return {"lines": [line for line in lines if len(line) > 1]}
 
 
 def project_visible(prediction: Prediction, vertices: Any) -> list[list[float]]:
-    """Return line and sample of vertices on the map (n, 2), but for those the model does not see.
+    """Return line and sample of vertices on the map (n, 2), without those the model does not see.
     """
     if not len(vertices):
         return []
@@ -119,8 +124,8 @@ def project_visible(prediction: Prediction, vertices: Any) -> list[list[float]]:
     return visible
 
 
-def _lines_of(geometry: Any) -> list[Any]:
-    """Return the vertices of each line of a geometry of GeoJSON, rings included; [] of points."""
+def _vertices_of_lines(geometry: Any) -> list[Any]:
+    """Return the vertices of each line and ring in a geometry of GeoJSON; [] for points."""
     kind = geometry["type"]
     coordinates = geometry.get("coordinates", ())
     if kind == "LineString":
@@ -130,5 +135,5 @@ def _lines_of(geometry: Any) -> list[Any]:
     if kind == "MultiPolygon":
         return list(chain.from_iterable(coordinates))
     if kind == "GeometryCollection":
-        return list(chain.from_iterable(map(_lines_of, geometry["geometries"])))
+        return list(chain.from_iterable(map(_vertices_of_lines, geometry["geometries"])))
     return []

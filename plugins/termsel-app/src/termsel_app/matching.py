@@ -16,7 +16,7 @@ import termsel
 from termsel import TermselError
 from termsel.toolkit import FloatArray
 from termsel_app.maps import MapRaster
-from termsel_app.outputs import call
+from termsel_app.outputs import run_command
 from termsel_app.places import transform_places, transformer_between
 from termsel_app.quality import write_control_tables
 from termsel_app.session import from_folder
@@ -27,30 +27,30 @@ if TYPE_CHECKING:
     from termsel_app.rasters import Pixels
     from termsel_app.session import Session
 
-HALF = 64
+HALF_WINDOW = 64
 """Pixels of the image around a point that are matched, to each side."""
-SEARCH = 16.0
-"""Pixels that a click may be off."""
+SEARCH_RADIUS = 16.0
+"""Pixels by which a click may be off."""
 MIN_MATCHES, MAX_SPREAD = 3, 1.0
-"""Matches that must agree around a point, and to how many pixels."""
+"""How many matches around a point must agree, and to how many pixels."""
 NODES_OF_WINDOW = 9
 MAX_WINDOW_SIDE = 1024
 """Pixels of the map along a side that are read around a point."""
-PROPOSED, CELLS = 12, 4
+MAX_PROPOSED, CELLS = 12, 4
 """New points that are proposed at once, and parts of the image along a side that they lie in."""
-FAR = 3.0
+MAX_SIGMAS = 3.0
 """Standard deviations from the prediction beyond which a candidate is not proposed."""
 CANDIDATES_FILE = "candidates.csv"
 _MATCHERS = ("sift", "phase", "structure")
 
 
-def is_possible(session: Session) -> bool:
+def can_match(session: Session) -> bool:
     """Return whether termsel-match is installed, and there are an image and a raster of the map."""
     return (find_spec("termsel_match") is not None and session.image is not None
             and bool(session.maps.rasters))
 
 
-def require(session: Session) -> Prediction:
+def require_model(session: Session) -> Prediction:
     """Return the model that matching starts from.
 
     Raises TermselError without termsel-match, an image, a raster of the map, or a model.
@@ -66,12 +66,14 @@ def require(session: Session) -> Prediction:
     return session.prediction
 
 
-def refined_place(session: Session, name: str) -> dict[str, Any]:
-    """Return where the image shows what the map shows at a point, to a part of a pixel.
+def refine_point(session: Session, name: str) -> dict[str, Any]:
+    """Return where the image shows what the map shows at a point, to a fraction of a pixel.
 
-    Raises TermselError where both do not look alike around it.
+    "image" is line and sample, "distance" how far that is from the click [px], and "matcher" which
+    matcher found it. The point itself stays as it is. Raises TermselError if it has not both places
+    or there is no model, and if image and map do not look alike around it.
     """
-    prediction = require(session)
+    prediction = require_model(session)
     record = session.control.records.get(name)
     if record is None or record["kind"] != "point" or not record["image"] or not record["ground"]:
         raise TermselError("only a point with both positions can be refined")
@@ -87,10 +89,13 @@ def refined_place(session: Session, name: str) -> dict[str, Any]:
 
 
 def _match_shifts(matcher: Any, first: Any, second: Any) -> FloatArray:
-    """Return how far matches of two windows are apart (n, 2), each to a part of a pixel [px]."""
+    """Return the shifts [px] of n matches from the first to the second window, shape (n, 2).
+
+    They are exact to a fraction of a pixel.
+    """
     from termsel_match.matchers.refinement import Layers, refine_matches
 
-    matches = matcher.match(first, second, SEARCH)
+    matches = matcher.match(first, second, SEARCH_RADIUS)
     if not matcher.places_exactly:
         matches = refine_matches(Layers(first.pixels[None], first.known),
                                  Layers(second.pixels[None],
@@ -100,7 +105,11 @@ def _match_shifts(matcher: Any, first: Any, second: Any) -> FloatArray:
 
 
 def _agreed_shift(shifts: FloatArray) -> FloatArray | None:
-    """Return the median (2,) [px] of shifts (n, 2) that agree; None if too few agree."""
+    """Return the median [px] of the shifts (n, 2) that agree, shape (2,).
+
+    Shifts agree that are within `MAX_SPREAD` of the median of all. None if these are fewer than
+    `MIN_MATCHES` or than half of all.
+    """
     if len(shifts) < MIN_MATCHES:
         return None
     median = np.median(shifts, axis=0)
@@ -112,48 +121,53 @@ def _agreed_shift(shifts: FloatArray) -> FloatArray | None:
 
 
 def _cut_windows(session: Session, prediction: Prediction, record: Record) -> tuple[Any, Any]:
-    """Return the window of the image around a point, and the map as the image would show it.
+    """Return two windows around a point: of the image, and of the map as the image would show it.
 
-    Raises TermselError if no raster of the map shows half of it.
+    The map is the first raster that shows more than half of the window. Raises TermselError if none
+    does.
     """
     from termsel_match.matchers import Window
 
     assert session.image is not None
-    width = 2 * HALF + 1
+    width = 2 * HALF_WINDOW + 1
     line, sample = record["image"]
     # Whole pixels, so that the image itself is not resampled.
-    first_line = round(line) - HALF
-    first_sample = round(sample) - HALF
+    first_line = round(line) - HALF_WINDOW
+    first_sample = round(sample) - HALF_WINDOW
     picture = session.image.pixels((first_line, first_sample, width, width), (width, width))
     nodes = np.linspace(0, width - 1, NODES_OF_WINDOW)
     mesh = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), axis=-1).reshape(-1, 2)
-    on_map = prediction.to_map(mesh + np.array([first_line, first_sample]))
-    at_point = prediction.to_map([record["image"]])[0]
-    # The map is looked at where it would be if the point were right: the mean difference of model
-    # and point is taken off.
-    on_map += session.places.to_map([record["ground"][:2]])[0] - at_point
+    map_nodes = prediction.to_map(mesh + np.array([first_line, first_sample]))
+    predicted_on_map = prediction.to_map([record["image"]])[0]
+    # The map is moved so that the model agrees with the point: matching finds the error that is
+    # left.
+    map_nodes += session.places.to_map([record["ground"][:2]])[0] - predicted_on_map
     for raster in session.maps.rasters:
-        map_window = _grey_at(raster, on_map, session.maps.shown, width)
+        map_window = _grey_at(raster, map_nodes, session.maps.shown, width)
         if map_window[1].mean() > 0.5:
             return Window(*_grey_and_opaque(picture)), Window(*map_window)
     raise TermselError("no raster of the map shows this position",
                        hint="Refine points that lie on a raster; keep this one as it was clicked.")
 
 
-def _grey_at(raster: MapRaster, on_map: FloatArray, page_crs: str, width: int) -> tuple[Any, Any]:
-    """Return the grey that a raster shows at places that a grid of nodes gives, and where it does.
+def _grey_at(raster: MapRaster, map_nodes: FloatArray, page_crs: str, width: int,
+             ) -> tuple[Any, Any]:
+    """Return the grey of a raster in a window, and where it is known, both of shape (width, width).
 
-    Interpolated: the nearest pixels would be off by up to half of one.
+    `map_nodes` (n, 2) are the places on the map, in the CRS of the page, of a regular grid of nodes
+    over the window; places between them, and the grey between pixels, are interpolated linearly.
+    Nothing is known if a node has no place in the raster's CRS.
     """
     from scipy.ndimage import map_coordinates
 
-    positions = transform_places(transformer_between(raster.crs, page_crs), on_map, inverse=True)
+    positions = transform_places(transformer_between(raster.crs, page_crs), map_nodes, inverse=True)
     columns, rows = ~raster.raster.dataset.transform @ (positions[:, 0], positions[:, 1])
     if not np.isfinite(rows + columns).all():
         return _grey_and_opaque(np.zeros((width, width, 4), dtype=np.uint8))
     first_row, first_column = np.floor([rows.min(), columns.min()]).astype(int) - 1
     size = np.ceil([rows.max() - first_row, columns.max() - first_column]).astype(int) + 2
-    step = max(-(-int(size.max()) // MAX_WINDOW_SIDE), 1)  # a map that is far finer than the image
+    # Of a map that is far finer than the image, one pixel of `step` is read.
+    step = max(-(-int(size.max()) // MAX_WINDOW_SIDE), 1)
     shape = (-(-int(size[0]) // step), -(-int(size[1]) // step))
     box = (first_row, first_column, shape[0] * step, shape[1] * step)
     grey, opaque = _grey_and_opaque(raster.raster.pixels(box, shape))
@@ -168,17 +182,22 @@ def _grey_at(raster: MapRaster, on_map: FloatArray, page_crs: str, width: int) -
 
 
 def _grey_and_opaque(pixels: Pixels) -> tuple[Any, Any]:
-    """Return the mean of the colours (lines, samples), and where pixels are not transparent."""
+    """Return the mean of the colours of pixels, and whether they are not transparent at all places.
+
+    Both have the shape (lines, samples).
+    """
     return pixels[..., :3].mean(axis=2).astype(np.float32), pixels[..., 3] > 0
 
 
 def propose_points(session: Session) -> list[dict[str, Any]]:
-    """Return points that matching proposes, spread over the image, the clearest first.
+    """Return up to `MAX_PROPOSED` points that matching proposes, the clearest first.
 
-    They lie where the model expects them; which of them are right the user sees.
+    Each has its place in the "image" and on the "map", and a "score". They are spread over the
+    image, one in each cell, and agree with the model within `MAX_SIGMAS`; the user decides which
+    are right. Raises TermselError without a model, or if matching fails.
     """
-    prediction = require(session)
-    # The points so far are the start: matching looks near where they put a place.
+    prediction = require_model(session)
+    # Matching starts from the points there are, and searches near where they put a place.
     with session.lock:
         features = session.control.features(session.places.crs)
     write_control_tables(features, session.folder)
@@ -188,22 +207,21 @@ def propose_points(session: Session) -> list[dict[str, Any]]:
                  "--start", "points.csv", "--output", CANDIDATES_FILE, "--overwrite", "--quiet"]
     if session.files.dem is not None:
         arguments += ["--dem", from_folder(session.files.dem, session.folder)]
-    call(arguments, session.folder)
+    run_command(arguments, session.folder)
     candidates = termsel.read(session.folder / CANDIDATES_FILE)
     points = candidates.points
     plane = transform_places(
         transformer_between(candidates.crs, session.maps.shown), points.ground[:, :2])
-    # What lies farther from its prediction than this may be by chance is a mismatch.
-    away = np.hypot(*(prediction.to_image(plane) - points.image).T)
+    errors = np.hypot(*(prediction.to_image(plane) - points.image).T)
     sigma = np.hypot(*prediction.sigma(plane).T)
     score = candidates.numbers("score") if "score" in points.attributes else np.zeros(len(points))
     size = np.asarray(session.size or (1, 1))
     used: set[tuple[int, ...]] = set()
     proposals: list[dict[str, Any]] = []
-    # The best of each cell, so that the proposals do not crowd where the image is clearest.
+    # One proposal a cell, as otherwise they would crowd where the image is clearest.
     for i in np.argsort(-score, kind="stable"):
         cell = tuple((points.image[i] * CELLS // size).astype(int).tolist())
-        if cell in used or not away[i] <= FAR * sigma[i] or len(proposals) == PROPOSED:
+        if cell in used or not errors[i] <= MAX_SIGMAS * sigma[i] or len(proposals) == MAX_PROPOSED:
             continue
         used.add(cell)
         proposals.append({"image": points.image[i].tolist(), "map": plane[i].tolist(),

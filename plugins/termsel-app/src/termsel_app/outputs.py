@@ -1,4 +1,4 @@
-"""What a session gives away: tables of control, and what commands of termsel make of it.
+"""What a session can save: tables of control, and what commands of termsel make of them.
 
 Each output has a name of its own in the folder of the session; a page chooses among these, and
 names no file. The commands run as they do in a terminal, so that results are the same.
@@ -28,8 +28,8 @@ _SECONDS = 900
 class Output:
     """Something that can be saved.
 
-    `names` are its files in the folder; `command` the command of termsel that makes them, in which
-    {image}, {dem} and {map} stand for files; none for the tables of control alone.
+    `names` are its files in the folder. `command` are the arguments of termsel that make them, in
+    which "{image}" stands for the image; () if the tables of control or the result are all.
     """
 
     label: str
@@ -60,7 +60,7 @@ OUTPUTS = {
 def run_arguments(session: Session) -> list[str]:
     """Return the arguments of `termsel run` that repeat the session, called in its folder.
 
-    Images of a server are left out: a run reads files.
+    An image on a server is left out, as a run reads files.
     """
     features = session.control.features(session.places.crs)
     arguments = ["run"]
@@ -83,10 +83,11 @@ def command_line(session: Session) -> str:
 
 
 def save(session: Session, name: str, image_id: object = None) -> list[Path]:
-    """Write an output and return its files.
+    """Write the output of a name in `OUTPUTS`, and return the paths of its files.
 
-    An annotation is of the IIIF image with an id. Raises TermselError if there is no such output,
-    or the command fails: with what it says.
+    `image_id` is the address of the IIIF image that an annotation is of; by default that of the
+    session's image on a server. Raises TermselError if there is no such output, what it needs is
+    missing, or a command fails.
     """
     output = OUTPUTS.get(name)
     if output is None:
@@ -101,21 +102,23 @@ def save(session: Session, name: str, image_id: object = None) -> list[Path]:
         arguments = complete_command(output.command, session.files, session.folder)
         if name == "annotation":
             served = None if session.served is None else session.served.id
-            arguments += _option_of_image(image_id or served)
-        call(arguments, session.folder)
+            arguments += _image_id_option(image_id or served)
+        run_command(arguments, session.folder)
     if name == "points":
         return files
     return [session.folder / path for path in output.names]
 
 
 def _update_result(session: Session, arguments: list[str], tables: Sequence[Path]) -> None:
-    """Run the command that writes the folder of the result, if control or files have changed since.
+    """Run the command that writes the folder of the result, unless nothing has changed since then.
+
+    What counts are the arguments, the content of the tables, and time and size of the files.
     """
     control = tuple(table.read_bytes() for table in tables)
     made_from = (*arguments, *control, *_file_states(session))
-    # A file within an archive, or on a server, may change unseen.
+    # None is a file within an archive or on a server, which may change unseen.
     if None in made_from or session.result_made_from != made_from:
-        call(arguments, session.folder)
+        run_command(arguments, session.folder)
         session.result_made_from = (*arguments, *control, *_file_states(session))
 
 
@@ -138,10 +141,10 @@ def _file_states(session: Session) -> list[tuple[int, int] | None]:
     return states
 
 
-def _option_of_image(image_id: object) -> list[str]:
-    """Return the option that names the IIIF image of an annotation.
+def _image_id_option(image_id: object) -> list[str]:
+    """Return the two arguments that name the IIIF image of an annotation.
 
-    Raises TermselError if the id is no address.
+    Raises TermselError if the id is no address of http or https.
     """
     if not isinstance(image_id, str) or not image_id.startswith(("http://", "https://")):
         raise TermselError("an annotation is of an IIIF image, and its id is not known",
@@ -150,9 +153,10 @@ def _option_of_image(image_id: object) -> list[str]:
 
 
 def complete_command(command: Sequence[str], files: Files, folder: Path) -> list[str]:
-    """Return a command with {image} replaced by the session's, and with its DEM for a map.
+    """Return the arguments of a command with the session's image in place of "{image}".
 
-    Raises TermselError if the image is needed and is no file.
+    `rectify` gets the DEM of the session, if it has one. Names are as seen from `folder`. Raises
+    TermselError if the image is needed and is no file.
     """
     if "{image}" in command and (files.image is None or is_iiif(files.image)):
         raise TermselError("a map needs the image as a file, and this session has none",
@@ -164,8 +168,12 @@ def complete_command(command: Sequence[str], files: Files, folder: Path) -> list
     return arguments
 
 
-def call(arguments: Sequence[str], folder: Path) -> None:
-    """Run a command of termsel in a folder; raises TermselError with what it says if it fails."""
+def run_command(arguments: Sequence[str], folder: Path) -> None:
+    """Run a command of termsel in a folder, in a process of its own.
+
+    Raises TermselError with the last lines of its messages if it fails, and if it takes longer than
+    `_SECONDS`.
+    """
     try:
         done = subprocess.run([sys.executable, "-P", "-m", "termsel", *arguments], cwd=folder,
                               capture_output=True, text=True, encoding="utf-8", errors="replace",
@@ -179,6 +187,7 @@ def call(arguments: Sequence[str], folder: Path) -> None:
         raise TermselError(message or f"termsel {arguments[0]} failed")
 
 
-def control_count(control: ControlFeatures) -> int:
-    """Return the number of features that have places in both image and ground."""
+def n_complete_features(control: ControlFeatures) -> int:
+    """Return how many features have a place in both image and ground (`ControlFeatures.complete`).
+    """
     return len(control.complete("point")) + len(control.complete("line"))

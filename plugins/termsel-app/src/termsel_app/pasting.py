@@ -32,10 +32,10 @@ _IMAGE = ("line", "sample")
 _WITHOUT_HEADER = {3: ("id", "x", "y"), 4: ("id", "x", "y", "z"),
                    5: ("id", "line", "sample", "x", "y"),
                    6: ("id", "line", "sample", "x", "y", "z")}
-"""What the columns of rows without a header are, where the first has ids."""
+"""The columns of rows without a header, by their number, if the first column has ids."""
 
-_LEFT_OUT = ("has no column of ids", "its heights are unknown")
-"""What notes say that does not hold on the page: it gives ids, and has heights of a DEM."""
+_NOTES_LEFT_OUT = ("has no column of ids", "its heights are unknown")
+"""Words of notes that are not shown: the page gives ids itself, and takes heights from a DEM."""
 
 _EXAMPLE = "id,role,line,sample,x,y,z"
 _PASTED = "what was pasted"
@@ -45,29 +45,28 @@ def read_pasted(text: str, crs: str, size: tuple[int, int] | None,
                 ) -> tuple[list[Record], list[str]]:
     """Return the points of a table that was pasted as records, and notes on how it was read.
 
-    Columns are known by their names; without a header by their number, if the first has ids.
-    Points without an id have "" for one. `crs` is that of the ground coordinates, `size` lines and
-    samples of the image.
-
-    Raises TermselError for what `termsel run` would refuse, with row and column.
+    Columns are known by their names in a header, or else by their number if the first has ids.
+    Points without an id have the id "". `crs` is that of the ground coordinates, `size` lines and
+    samples of the image, if they are known. Raises TermselError in the words of the page for what
+    `termsel run` would refuse, with row and column.
     """
-    with private_folder() as folder, _notes_kept() as notes:
+    with private_folder() as folder, _collected_notes() as notes:
         path = folder / "pasted.csv"
         path.write_text(text, "utf-8", errors="replace")
         try:
             records = _records_of_table(path, crs, size)
         except TermselError as error:
-            raise _on_page(error, path) from error
-    kept = [note for note in notes if not any(words in note for words in _LEFT_OUT)]
+            raise _error_for_page(error, path) from error
+    kept = [note for note in notes if not any(words in note for words in _NOTES_LEFT_OUT)]
     return records, [note.replace(str(path), _PASTED) for note in kept]
 
 
 def _records_of_table(path: Path, crs: str, size: tuple[int, int] | None) -> list[Record]:
     """Return the points of a file as records; see `read_pasted`.
 
-    Rows may have no header where their width says what they are. Where a table has one pair of
-    coordinates alone, the other one is clicked on the page: such points have `ground` or `image`
-    alone. Raises TermselError for what is no table of points.
+    If the table has but one pair of coordinates, the records have `ground` or `image` alone, and
+    None for the other, which is clicked on the page. Raises TermselError for what is no table of
+    points.
     """
     rows = read_cells(path, POINTS, {}).rows
     if not rows:
@@ -84,7 +83,7 @@ def _records_of_table(path: Path, crs: str, size: tuple[int, int] | None) -> lis
     try:
         features = termsel.read(path, crs=crs, columns=columns or None)
     except TermselError as error:
-        # Rows of one pair of coordinates get the other one by clicks.
+        # The reader takes no tables with one pair of coordinates, but the page does.
         is_unknown = error.code == "format-unknown"
         if error.code == "ground-alone" or (is_unknown and {"x", "y"} <= set(names)):
             return _ground_records(path, columns, names, crs)
@@ -93,21 +92,27 @@ def _records_of_table(path: Path, crs: str, size: tuple[int, int] | None) -> lis
         raise
     if not len(features.points):
         raise TermselError("these are lines, not points", hint="Paste points alone.")
-    # The CRS that is read may state feet of z, where that of the session has metres.
+    # The CRS of the table may have heights in feet, and that of the session in metres.
     refuse_other_units(features.named_units, crs)
     require_inside(features, size, None)
-    return _records(features.points, has_ids="id" in names, spaces=("image", "ground"))
+    return _records_of_points(features.points, has_ids="id" in names, spaces=("image", "ground"))
 
 
 def _columns_without_header(rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
-    """Return the meanings of the columns of rows of an id and numbers; () for other rows."""
+    """Return the names of the columns of rows without a header; () for other rows.
+
+    Such rows have an id and numbers, as many as `_WITHOUT_HEADER` knows. The first column has ids
+    if one of them is no number, or if there are three columns and all are whole numbers.
+    """
     width = len(rows[0])
     if width not in _WITHOUT_HEADER or not all(map(_is_coordinate, rows[0][1:])):
         return ()
     first = [row[0].strip() for row in rows if row]
-    # Three columns of whole numbers, x and y have numbered points; more may begin with a line.
-    are_ids = not all(map(_is_coordinate, first)) or (width == 3 and all(map(str.isdigit, first)))
-    return _WITHOUT_HEADER[width] if are_ids else ()
+    # In three columns, whole numbers before x and y number the points. In more columns, they may be
+    # lines of the image.
+    first_has_ids = (not all(map(_is_coordinate, first))
+                     or (width == 3 and all(map(str.isdigit, first))))
+    return _WITHOUT_HEADER[width] if first_has_ids else ()
 
 
 def _is_coordinate(cell: str) -> bool:
@@ -121,9 +126,13 @@ def _is_coordinate(cell: str) -> bool:
 
 def _ground_records(path: Path, columns: Mapping[str, str], names: Sequence[str], crs: str,
                     ) -> list[Record]:
-    """Return the points of a table of ground coordinates alone."""
+    """Return the points of a table of ground coordinates alone, as records without `image`.
+
+    Raises TermselError if the table states another CRS or unit than that of the session, or has
+    coordinates that are none of the CRS.
+    """
     coordinates = [name for name in _GROUND if name in names]
-    table = read_table(path, _aliases(coordinates), columns=_text_of(columns))
+    table = read_table(path, _aliases(coordinates), columns=_columns_option(columns))
     if table.crs not in ("", crs):
         raise TermselError(f"the table is in {table.crs}, and this session in {crs}",
                            hint=f"Transform the points to {crs}.")
@@ -132,33 +141,40 @@ def _ground_records(path: Path, columns: Mapping[str, str], names: Sequence[str]
     points = table.points(np.zeros((len(ground), 2)), ground, None, table.roles())
     refuse_other_units(table.named_units(), crs)
     check_ground(FeatureSet(points, crs=crs))
-    return _records(points, has_ids="id" in names, spaces=("ground",))
+    return _records_of_points(points, has_ids="id" in names, spaces=("ground",))
 
 
 def _image_records(path: Path, names: Sequence[str], size: tuple[int, int] | None) -> list[Record]:
-    """Return the points of a table of lines and samples alone."""
+    """Return the points of a table of lines and samples alone, as records without `ground`.
+
+    Raises TermselError for points outside an image of this size.
+    """
     table = read_table(path, _aliases(_IMAGE))
     image = table.stack(*_IMAGE)
-    # Points need ground coordinates, each its own; nobody sees these.
+    # `Points` refuses equal ground coordinates, so they get different ones, which are dropped.
     ground = np.zeros((len(image), 3))
     ground[:, 0] = np.arange(len(image))
     points = table.points(image, ground, None, table.roles())
     require_inside(FeatureSet(points, crs="local"), size, None)
-    return _records(points, has_ids="id" in names, spaces=("image",))
+    return _records_of_points(points, has_ids="id" in names, spaces=("image",))
 
 
 def _aliases(coordinates: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Return names of the columns of ids, roles and some coordinates."""
+    """Return the names that columns may have, by meaning: ids, roles and these coordinates."""
     return {name: POINTS[name] for name in ("id", "role", "enabled", *coordinates)}
 
 
-def _text_of(columns: Mapping[str, str]) -> str:
-    """Return columns by meaning as the option --columns has them."""
+def _columns_option(columns: Mapping[str, str]) -> str:
+    """Return columns by meaning as the text that the option --columns takes."""
     return ",".join(f"{name}={column}" for name, column in columns.items())
 
 
-def _records(points: Points, *, has_ids: bool, spaces: Sequence[str]) -> list[Record]:
-    """Return points as records with their places in some spaces, image or ground."""
+def _records_of_points(points: Points, *, has_ids: bool, spaces: Sequence[str]) -> list[Record]:
+    """Return points as records with places in some of the spaces "image" and "ground".
+
+    Without `has_ids`, the reader made up the ids, and the records have "" instead. An unknown
+    height is None. Raises TermselError for points that are no valid records.
+    """
     records = []
     for name, role, image, ground in zip(points.ids, points.roles, points.image.tolist(),
                                          points.ground.tolist(), strict=True):
@@ -173,10 +189,10 @@ def _records(points: Points, *, has_ids: bool, spaces: Sequence[str]) -> list[Re
     return records
 
 
-def _on_page(error: TermselError, path: Path) -> TermselError:
+def _error_for_page(error: TermselError, path: Path) -> TermselError:
     """Return an error in the words of the page, which has rows instead of files and options.
 
-    `path` is of the file that the pasted rows were written to; the page does not name it.
+    `path` is the file that the pasted rows were written to, which the words do not name.
     """
     place = ", ".join(f"{word} {value}" for word, value in (
         ("row", error.line), ("column", error.column)) if value)
@@ -189,7 +205,7 @@ def _on_page(error: TermselError, path: Path) -> TermselError:
         error.what = "the rows have no header that names their columns"
         hint = (f"Put one above them, such as {_EXAMPLE}. Rows without one begin with an id: "
                 "A1, 512300.5, 5339520.1.")
-    # What can be typed in a shell is no help on the page.
+    # Hints on options and commands are of no use on the page.
     elif "--" in hint or "termsel " in hint or hint.startswith("Give the image"):
         hint = "Correct the table, and paste it again."
     what = f"{error.what} ({place})" if place else error.what
@@ -198,7 +214,10 @@ def _on_page(error: TermselError, path: Path) -> TermselError:
 
 
 def _header_of(guess: str) -> str:
-    """Return the header that says what a text of --columns says, such as line,sample,x,y."""
+    """Return the header that a table needs for a value of --columns, such as line,sample,x,y.
+
+    If the value names columns rather than counting them, it is which name to write for which.
+    """
     column_of = dict(pair.split("=", 1) for pair in guess.split(","))
     if not all(map(str.isdigit, column_of.values())):
         return ", ".join(f"{name} for {column}" for name, column in column_of.items())
@@ -208,20 +227,20 @@ def _header_of(guess: str) -> str:
 
 
 @contextmanager
-def _notes_kept() -> Iterator[list[str]]:
-    """Yield a list of what termsel logs in this thread during the block."""
+def _collected_notes() -> Iterator[list[str]]:
+    """Yield a list that gets the messages which termsel logs in this thread during the block."""
     notes: list[str] = []
-    keeper = _Keeper(notes)
+    collector = _MessageCollector(notes)
     logger = logging.getLogger("termsel")
-    logger.addHandler(keeper)
+    logger.addHandler(collector)
     try:
         yield notes
     finally:
-        logger.removeHandler(keeper)
+        logger.removeHandler(collector)
 
 
-class _Keeper(logging.Handler):
-    """Keeps the messages of one thread."""
+class _MessageCollector(logging.Handler):
+    """Appends the messages of the thread that makes it to a list."""
 
     def __init__(self, notes: list[str]) -> None:
         super().__init__(logging.INFO)

@@ -32,9 +32,11 @@ def shown_crs(crs: str) -> str:
     return MERCATOR if crs != LOCAL and is_geographic(crs) else crs
 
 
-@lru_cache  # PROJ takes milliseconds, and each move on the map asks
+@lru_cache  # PROJ takes milliseconds, and each move of the mouse on the map asks for one.
 def transformer_between(source: str, target: str) -> Any:
-    """Return the transformer of x and y from one CRS to another; None if both are alike or local.
+    """Return the transformer of x and y from one CRS to another.
+
+    None, for no transformation, if both are the same or one is "local".
     """
     from pyproj import CRS
 
@@ -45,9 +47,9 @@ def transformer_between(source: str, target: str) -> Any:
 
 
 def transform_places(transformer: Any, xy: Any, inverse: bool = False) -> FloatArray:
-    """Return x and y (n, 2) by a transformer (None changes nothing).
+    """Return places (n, 2) transformed by a transformer; unchanged by None.
 
-    Infinite where it has no value.
+    They are infinite where the transformation has no value.
     """
     positions: FloatArray = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
     if transformer is None:
@@ -64,9 +66,9 @@ class Places:
     Parameters
     ----------
     crs : str
-        Of the ground coordinates.
-    shown : str
-        In which the map is shown.
+        CRS of the ground coordinates.
+    page_crs : str
+        CRS in which the page shows the map, kept as `shown`.
     dem : pathlib.Path, optional
         Raster of heights, open until `close`.
     """

@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 NINE_IN_TEN = float(np.sqrt(2.0 * np.log(10.0)))
 """Radius of the circle with nine in ten of normal errors, in standard deviations of an axis."""
-_TURN = np.linspace(0.0, 2.0 * np.pi, 33)
+_ANGLES = np.linspace(0.0, 2.0 * np.pi, 33)
 
 
 @dataclass(frozen=True)
 class _FilledHeights:
-    """Heights of the ground by a DEM, and one height where that has none."""
+    """Heights of the ground by the DEM of `places`, and one height where it has none."""
 
     places: Places
     height: float
 
     def __call__(self, xy: FloatArray) -> FloatArray:
-        """Return heights (n,) of ground places (n, 2)."""
+        """Return the heights of ground places x and y (n, 2), shape (n,); all are finite."""
         heights = self.places.heights(np.asarray(xy, dtype=np.float64))
         return np.where(np.isfinite(heights), heights, self.height)
 
@@ -76,8 +76,8 @@ class Prediction:
     def ground(self, xy: Any) -> FloatArray:
         """Return the ground coordinates (n, 3) that the model takes for places on the map (n, 2).
 
-        Where the DEM has no height, it is the median of the control; 0 for a model of the map
-        itself.
+        Heights are those of the DEM, or the median of the control where it has none. For a model
+        of the map they are 0, and x and y those of the map.
         """
         if self.in_map:
             xy = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
@@ -87,7 +87,10 @@ class Prediction:
         return ground
 
     def to_image(self, xy: Any) -> FloatArray:
-        """Return line and sample (n, 2) of places on the map; NaN where the model sees none."""
+        """Return line and sample (n, 2) of places on the map (n, 2).
+
+        They are NaN where the place has no ground coordinates or the model does not see it.
+        """
         ground = self.ground(xy)
         finite = np.isfinite(ground).all(axis=1)
         image = np.full((len(ground), 2), np.nan)
@@ -149,11 +152,12 @@ class Prediction:
 
 
 def _error_ellipse(centre: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Return the ellipse (m, 2) around a place that holds nine in ten errors of `sigma` (2,)."""
-    # Errors of both axes are independent and normal: nine in ten lie within sqrt(2 ln 10) = 2.15
-    # standard deviations.
+    """Return the ellipse (m, 2) around a place that holds nine in ten errors of `sigma` (2,).
+
+    Errors of both axes are taken as independent and normal.
+    """
     radius = NINE_IN_TEN * sigma
-    circle = np.column_stack([np.sin(_TURN), np.cos(_TURN)])
+    circle = np.column_stack([np.sin(_ANGLES), np.cos(_ANGLES)])
     ring: FloatArray = centre + radius * circle
     return ring
 
@@ -170,22 +174,23 @@ def _length_if_finite(sigma: FloatArray) -> float | None:
 
 
 def prediction_of(result: Result, features: FeatureSet, places: Places) -> Prediction:
-    """Return the prediction by a result, or by a similarity of the map if the result has no errors.
+    """Return the prediction by a result, or by a similarity if the result has no deviations.
 
-    A result has no error estimate (its sigma is NaN) where its equations have no redundancy, such
-    as those of three points and an affine polynomial. Then a `helmert2d` fit of the points to map
-    coordinates stands in: its four parameters leave two equations of six, which show how far the
-    points are from a similarity. If that fit fails, it is the result again.
+    A result has no standard deviations (its sigma is NaN) if its equations have no redundancy, such
+    as those of three points and an affine polynomial. Then the similarity `helmert2d`, fitted to
+    the points in map coordinates, takes its place: its four parameters leave two of six equations,
+    which show errors. The result itself is used if it has fewer than three points, or if that fit
+    fails.
     """
     points = features.points
     if len(points) >= 3 and not np.isfinite(result.sigma(points.ground[:1])).all():
         used = points.take([role != "off" for role in points.roles])
         plane = places.to_map(used.ground)
         ground = np.column_stack([plane, np.full(len(used), np.nan)])
-        flat = termsel.Points(used.ids, used.image, ground)
-        # A mirrored image is no similarity of the map: the result's own model has to do then.
+        points_on_map = termsel.Points(used.ids, used.image, ground)
+        # The fit fails for a mirrored image, which is no similarity of the map.
         with suppress(TermselError):
-            similarity = termsel.fit(replace(features, points=flat, crs="local", rpc=None),
+            similarity = termsel.fit(replace(features, points=points_on_map, crs="local", rpc=None),
                                      "helmert2d")
             return Prediction(similarity, places, in_map=True)
     return Prediction(result, places)

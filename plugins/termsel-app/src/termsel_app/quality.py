@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 
 MIN_POINTS = 3
 """Points from which on there is a model without an RPC."""
-NEXT = 3
+N_NEXT = 3
 """Places to measure next."""
-GRID = 40
+GRID_SIDE = 40
 """Places along either side of the image where the uncertainty is computed."""
 MIN_LINES = 6
 """Lines from which on OWDIS chooses among them: two equations each, for the terms of a plane."""
-ENOUGH = 0.05
+MIN_GAIN = 0.05
 """Share of the uncertainty that a further point must gain to be worth measuring."""
 
 
@@ -38,7 +38,7 @@ class Question:
     """Control to be judged.
 
     `serial` counts the changes; `size` is lines and samples of the image; `rpc` and `dem` are
-    files; `remote` and `drivers` say what files may refer to and be.
+    files.
     """
 
     serial: int
@@ -51,8 +51,8 @@ class Question:
 Answer = dict[str, Any]
 
 
-def prepare() -> None:
-    """Import what the first answer needs, so that it does not wait for that."""
+def import_engine() -> None:
+    """Import the modules that the first answer needs, so that it does not wait for them."""
     from termsel.toolkit.files import plan
 
     # Names of the package load their modules when they are first used.
@@ -61,34 +61,32 @@ def prepare() -> None:
 
 
 def judge_control(question: Question, memory: Memory | None = None) -> Iterator[Answer]:
-    """Yield what is known of the control, the quickest first.
+    """Yield what is known of the control, as answers by stage, the quickest first.
 
-    With a memory, what earlier questions found of the same control is not computed again: a change
-    is taken back, or is one of independent check points alone.
-
-    The first answer has the figures and the result; the others the points' own prediction errors,
-    the places to measure next, and the uncertainty all over the image. Where there is no result,
-    the only answer has a reason.
+    The stage "figures" has the figures and the result; "predicted" the errors of the points where
+    they are left out; "lines", if there are enough, those that OWDIS uses; "next" the places to
+    measure next; and "uncertainty" that all over the image. If there is no result, the only answer
+    has the stage "waiting", for too few points, or "refused", with the reason. With a memory, what
+    earlier questions found of the same control is not computed again.
     """
     features = question.features
     base = {"serial": question.serial}
     # An RPC is a model already: one point corrects it.
-    in_use = [role != "off" for role in features.points.roles].count(True)
-    fewest = 1 if question.rpc is not None else MIN_POINTS
-    if in_use < fewest and not len(features.lines):
+    n_in_use = [role != "off" for role in features.points.roles].count(True)
+    n_needed = 1 if question.rpc is not None else MIN_POINTS
+    if n_in_use < n_needed and not len(features.lines):
         yield {**base, "stage": "waiting",
-               "text": f"{fewest - in_use} more "
-                       f"{'point' if fewest - in_use == 1 else 'points'}, and there is a first "
+               "text": f"{n_needed - n_in_use} more "
+                       f"{'point' if n_needed - n_in_use == 1 else 'points'}, and there is a first "
                        "model."}
         return
     try:
-        # What termsel refuses is shown like any other answer.
-        result = _run(question, memory)
+        result = _run_question(question, memory)
     except TermselError as error:
         yield {**base, "stage": "refused", "text": f"{error.what}.", "hint": error.hint or "",
                "ids": list(error.ids)}
         return
-    # Each stage is sent as soon as it is there: the first takes a second, the last several.
+    # The first stage takes a second, the last one several.
     yield {**base, "stage": "figures", **figures_for_page(result), "result": result}
     yield {**base, "stage": "predicted", "errors": prediction_errors(result)}
     if len(features.lines) >= MIN_LINES:
@@ -97,10 +95,10 @@ def judge_control(question: Question, memory: Memory | None = None) -> Iterator[
     yield {**base, "stage": "uncertainty", "uncertainty": uncertainty_grid(result)}
 
 
-def _run(question: Question, memory: Memory | None) -> Result:
+def _run_question(question: Question, memory: Memory | None) -> Result:
     """Return the result of `termsel.run` with the control of a question, and its RPC and DEM."""
     with tempfile.TemporaryDirectory(prefix="termsel-app-") as folder:
-        # Read from files like any others, so that DEM, RPC and checks work as for a command.
+        # The features are read from files, so that DEM, RPC and checks work as for a command.
         files = write_control_tables(question.features, Path(folder))
         features = termsel.read(
             files.get("points"), files.get("lines"), dem=question.dem, rpc=question.rpc)
@@ -125,17 +123,16 @@ def write_control_tables(features: FeatureSet, folder: Path) -> dict[str, Path]:
 
 
 def figures_for_page(result: Result) -> Answer:
-    """Return what the page shows of a result: accuracy, model, blunders, and each feature's error.
+    """Return what the page shows of a result, as JSON: facts, accuracy, notes, blunders, residuals.
 
-    Nothing is computed here: facts, figures and words are those of the result, so that the page
-    says what `termsel run` says.
+    All are those of the result, so that the page says what `termsel run` says.
     """
     strategy = result.strategy
     residuals = residuals_by_id(result)
     return {
         "facts": [{"label": fact.label, "text": fact.text}
                   for fact in charts.first_screen(result)],
-        "accuracy": shown_accuracy(result),
+        "accuracy": first_accuracy(result),
         "why": strategy.reason if strategy is not None else "",
         "judgement": result.judgement,
         "notes": list(result.notes),
@@ -148,11 +145,12 @@ def figures_for_page(result: Result) -> Answer:
     }
 
 
-def shown_accuracy(result: Result) -> Answer | None:
-    """Return the RMSE that a report shows first, with its interval, in px and metres.
+def first_accuracy(result: Result) -> Answer | None:
+    """Return the RMSE that a report shows first; None if there is none.
 
-    It is the predicted one or that of independent check points. `metres` is None if the size of a
-    pixel is not known; None altogether if there is neither RMSE.
+    It is the predicted one or that of independent check points, as "kind" says. "px" are the RMSE
+    and both ends of its interval, which holds it with the probability "level"; "metres" the same on
+    the ground, None if the size of a pixel is not known.
     """
     predicted = charts.expected_rmse(result)
     # The same rule as on the first screen of a report.
@@ -175,14 +173,13 @@ def shown_accuracy(result: Result) -> Answer | None:
 def metres_per_pixel(result: Result) -> float | None:
     """Return the side of a pixel on the ground [m] in the middle of the control; None if unknown.
 
-    The parallelogram of one pixel down and one to the right is located at the median height; the
-    root of its area is the side, as oblique pixels are longer one way.
+    The pixel is located at the median height of the control. Oblique pixels are longer one way, so
+    the side is the root of the area on the ground.
     """
     fit = result.exported
     ground = fit.control.ground_vertices()
     if not len(ground):
         return None
-    # In the middle of the control, where the model is best known.
     middle = fit.project(ground).mean(axis=0)
     height = np.nan_to_num(np.nanmedian(ground[:, 2])) if np.isfinite(ground[:, 2]).any() else 0.0
     # One pixel down and one to the right, on the ground.
@@ -191,49 +188,54 @@ def metres_per_pixel(result: Result) -> float | None:
         fit.control.crs, np.repeat(corners[:1], 2, axis=0), (corners[1:] - corners[0])[:, :2])
     if edges is None or not np.isfinite(edges).all():
         return None
-    # The area of the parallelogram that the two edges of a pixel span.
+    # The determinant is the area of the parallelogram that both edges span.
     return float(np.sqrt(abs(np.linalg.det(edges))))
 
 
 def residuals_by_id(result: Result) -> dict[str, Answer]:
-    """Return the residual of each feature by id [px]: `line`, `sample` and `distance`.
+    """Return the residual of each feature by id: "line", "sample", "distance" [px], and its use.
 
-    Of a line the distance is the larger of its vertices', and `line` and `sample` are None.
+    For a line, "distance" is the largest of its vertices, and "line" and "sample" are None. "used"
+    is whether the model is fitted to the feature, "blunder" whether it is a probable blunder.
     """
-    table: dict[str, Answer] = {}
+    values_by_id: dict[str, Answer] = {}
     for row in result.residuals:
-        # Rows are of vertices, and of all pieces of a line.
-        largest = max(row.distance, table.get(row.id, {}).get("distance", 0.0))
+        # A line has a row for each of its vertices.
+        largest = max(row.distance, values_by_id.get(row.id, {}).get("distance", 0.0))
         point = row.kind == "point"
-        table[row.id] = {"line": row.line if point else None,
+        values_by_id[row.id] = {"line": row.line if point else None,
                          "sample": row.sample if point else None, "distance": largest,
                          "used": row.used, "blunder": row.blunder}
-    return table
+    return values_by_id
 
 
 def prediction_errors(result: Result) -> dict[str, float]:
-    """Return how far off each feature is where the others alone predict it [px].
+    """Return how far each feature is from where the others alone predict it [px], by id.
 
-    Of what the model is fitted to, selection points included, by the chosen model without it; of
-    all others their residuals are just that.
+    Features that the model is fitted to, selection points included, are left out in turn of a fit
+    of the chosen model. Points that it is not fitted to have their residuals, which are such errors
+    already. Without a strategy, or if that fit fails, these are the only ones.
     """
-    table = {row.id: row.distance for row in result.residuals
+    values_by_id = {row.id: row.distance for row in result.residuals
              if row.kind == "point" and not row.used}
     if result.strategy is None:
-        return table
+        return values_by_id
     try:
-        held_out = termsel.fit(_features_fitted_to(result), result.strategy.chosen).leave_one_out
-    except TermselError:  # without some feature the fit is not determined
-        return table
-    for row in held_out:
-        table[row.id] = max(row.distance, table.get(row.id, 0.0))
-    return table
+        fit = termsel.fit(_features_fitted_to(result), result.strategy.chosen)
+        residuals_left_out = fit.leave_one_out
+    except TermselError:
+        # The other features do not determine the model.
+        return values_by_id
+    for row in residuals_left_out:
+        values_by_id[row.id] = max(row.distance, values_by_id.get(row.id, 0.0))
+    return values_by_id
 
 
 def _features_fitted_to(result: Result) -> FeatureSet:
-    """Return the features that a choice is fitted to, as control; without blunders."""
+    """Return the features that the chosen model is fitted to, without blunders, all as control."""
     ids = result.estimation.features
-    if ids is None:  # there are no selection points
+    # Without selection points these are the control that is used.
+    if ids is None:
         return result.fit.control.take(np.asarray(result.fit.used))
     features = result.features.take(np.isin(result.features.ids, ids))
     return features.with_(points=replace(features.points,
@@ -241,14 +243,15 @@ def _features_fitted_to(result: Result) -> FeatureSet:
 
 
 def split_lines_by_owdis(features: FeatureSet) -> Answer:
-    """Return which lines OWDIS would use, and which not; as `termsel run --problem owdis-lines`.
+    """Return which lines OWDIS would use, as `termsel run --problem owdis-lines` finds it.
 
-    Judged by leaving out each of the lines in turn, since the points of a session may be few.
+    "chosen" are their ids, and "text" says how many they are; if OWDIS fails, "chosen" is None and
+    "text" the reason. The lines are judged by leaving out each in turn, not by selection points.
     """
     heights = features.lines.ground[..., 2]
-    # Without relief terms of the height are not determined.
-    flat = not np.isfinite(heights).all() or np.ptp(heights) == 0.0
-    model: dict[str, Any] = {"model": "poly2d", "options": {"degree": 1}} if flat else {}
+    # Heights that are all equal do not determine terms of the height.
+    is_flat = not np.isfinite(heights).all() or np.ptp(heights) == 0.0
+    model: dict[str, Any] = {"model": "poly2d", "options": {"degree": 1}} if is_flat else {}
     lines = replace(features, points=features.points.take(np.zeros(0, dtype=np.intp)))
     try:
         result = termsel.run("owdis-lines", features=lines, criterion="press",
@@ -262,14 +265,14 @@ def split_lines_by_owdis(features: FeatureSet) -> Answer:
 
 
 def _next_places(result: Result) -> Answer:
-    """Return where a further point helps most (`next`), and whether one is worth while (`enough`).
+    """Return where a further point helps most ("next"), and whether one is worth while ("enough").
 
-    `next` is empty if the model cannot say, and `text` of `enough` says why.
+    If the model cannot say, "next" is empty, and the "text" of "enough" says why.
     """
     from termsel.toolkit.files import plan
 
     try:
-        next_points = plan(result.as_exported(), NEXT)
+        next_points = plan(result.as_exported(), N_NEXT)
     except TermselError as error:
         text = f"{error.what[:1].upper()}{error.what[1:]}."
         return {"next": [], "enough": {"text": text, "reached": False}}
@@ -278,32 +281,33 @@ def _next_places(result: Result) -> Answer:
             for line, sample, x, y, z, remaining in next_points.values.tolist()]
     before = next_points.sigma_before
     after = rows[0]["uncertainty"]
-    # Of the mean uncertainty; a perfect model gains nothing.
+    # The gain is a share of the mean uncertainty. If that is 0, no point can gain anything.
     gain = 1.0 - after / before if before else 0.0
     now, then, at_last = map(
         charts.rounded_size_text, (before, after, rows[-1]["uncertainty"]))
     text = (f"One more point takes the mean uncertainty of the model from {now} to {then} px, "
-            f"{NEXT} more to {at_last} px.")
-    return {"next": rows, "enough": {"text": text, "reached": gain < ENOUGH, "gain": gain,
+            f"{N_NEXT} more to {at_last} px.")
+    return {"next": rows, "enough": {"text": text, "reached": gain < MIN_GAIN, "gain": gain,
                                      "now": before, "after": after}}
 
 
 def uncertainty_grid(result: Result) -> Answer | None:
-    """Return the model's standard deviation [px] on a grid over the image, line by line.
+    """Return the standard deviation of the model [px] on a grid over the image.
 
-    None where it is not known.
+    "values" has it line by line, None where it is not known; "side" is the number of places along
+    either side, and "box" the first line and sample and the last ones. None if it is known nowhere,
+    as without redundancy.
     """
     fit = result.exported
     (first_line, first_sample), (last_line, last_sample) = fit.image_box()
-    lines = np.linspace(first_line, last_line, GRID)
-    samples = np.linspace(first_sample, last_sample, GRID)
+    lines = np.linspace(first_line, last_line, GRID_SIDE)
+    samples = np.linspace(first_sample, last_sample, GRID_SIDE)
     image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)
     ground = fit.control.ground_vertices()
     height = np.nan_to_num(np.nanmedian(ground[:, 2])) if np.isfinite(ground[:, 2]).any() else 0.0
     sigma = np.hypot(*result.sigma(fit.locate(image, height)).T)
-    # Without redundancy no deviation is known.
     if not np.isfinite(sigma).any():
         return None
     box = [float(first_line), float(first_sample), float(last_line), float(last_sample)]
-    return {"box": box, "side": GRID,
+    return {"box": box, "side": GRID_SIDE,
             "values": [None if value != value else round(value, 4) for value in sigma.tolist()]}

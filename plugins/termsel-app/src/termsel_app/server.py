@@ -27,13 +27,13 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 from termsel import TermselError
 from termsel_app.layers import (
     box_of_tile,
-    drawn_graticule,
-    drawn_vectors,
+    graticule_for_page,
     image_resolutions,
     image_tile,
+    vectors_for_page,
     warped_tile,
 )
-from termsel_app.matching import is_possible, propose_points, refined_place
+from termsel_app.matching import can_match, propose_points, refine_point
 from termsel_app.outputs import OUTPUTS, command_line, save
 from termsel_app.rasters import TILE, encode_png
 from termsel_app.session import Session, check_place_pairs
@@ -221,7 +221,7 @@ def page_setting(session: Session, pages: Pages) -> dict[str, Any]:
                 "tiles": session.maps.tiles},
         "crs": session.places.crs, "shown": session.places.shown, "folder": str(session.folder),
         "rpc": files_given.rpc, "dem": files_given.dem, "notes": session.notes,
-        "matching": is_possible(session),
+        "matching": can_match(session),
         "outputs": [{"name": name, "label": output.label} for name, output in OUTPUTS.items()
                     if name != "rpc" or session.places.crs != "local"]}
 
@@ -348,9 +348,10 @@ CALLS: dict[str, Callable[[Session, Pages, dict[str, Any]], dict[str, Any] | Non
         arguments.get("image"), arguments.get("map"))},
     "ground": lambda session, _, arguments: {"ground": session.ground_of(
         check_place_pairs([arguments.get("map")]))[0]},
-    "graticule": lambda session, _, arguments: drawn_graticule(session, _box_argument(arguments)),
-    "vectors": lambda session, _, __: drawn_vectors(session),
-    "refine": lambda session, _, arguments: refined_place(session, _text_argument(arguments, "id")),
+    "graticule": lambda session, _, arguments: graticule_for_page(
+        session, _box_argument(arguments)),
+    "vectors": lambda session, _, __: vectors_for_page(session),
+    "refine": lambda session, _, arguments: refine_point(session, _text_argument(arguments, "id")),
     "more": lambda session, _, __: {"proposals": propose_points(session)},
     "command": lambda session, _, __: {"command": command_line(session)},
     "save": lambda session, _, arguments: {"files": [

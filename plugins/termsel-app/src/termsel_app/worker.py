@@ -19,20 +19,22 @@ if TYPE_CHECKING:
 
 
 def answer_all(questions: Connection, remote: bool, drivers: Sequence[str]) -> None:
-    """Answer questions until the pipe is closed, each until the next one is there.
+    """Answer questions that come through a pipe, until None comes or the pipe is closed.
 
-    `remote` and `drivers` say which files may be read. It runs in a process of its own.
+    The answers to a question end when the next one is there. `remote` is whether servers may be
+    asked, `drivers` names further drivers of GDAL that are allowed. It runs in its own process.
     """
     from termsel import Memory
-    from termsel_app.quality import judge_control, prepare
+    from termsel_app.quality import import_engine, judge_control
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server
+    # Ctrl-C ends the server, which then ends this process.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     logging.getLogger("termsel").setLevel(logging.ERROR)
     with ExitStack() as stack:
         if remote:
             stack.enter_context(allow_remote())
         stack.enter_context(allow_driver(*drivers))
-        prepare()
+        import_engine()
         memory = Memory()
         try:
             while (question := _wait_for_newest_question(questions)) is not None:
@@ -54,12 +56,14 @@ def _wait_for_newest_question(questions: Connection) -> Question | None:
 
 
 class Worker:
-    """A process that judges; one that died is started again with the next question.
+    """A process that judges control; one that died is started again with the next question.
 
     Parameters
     ----------
-    remote, drivers
-        What files may refer to and be, as the command line says.
+    remote : bool
+        Whether servers may be asked.
+    drivers : sequence of str
+        Names of further drivers of GDAL that are allowed.
 
     Attributes
     ----------
@@ -69,13 +73,13 @@ class Worker:
 
     def __init__(self, remote: bool = False, drivers: Sequence[str] = ()) -> None:
         self.tell: Callable[[Answer], None] = lambda _: None
-        self._given = (remote, tuple(drivers))
+        self._access = (remote, tuple(drivers))
         self._process: Any = None
         self._pipe: Connection | None = None
         self._begin()
 
     def ask(self, question: Question) -> None:
-        """Have a question answered by calls of `tell`; an earlier one is given up."""
+        """Send a question, whose answers come by calls of `tell`; an earlier one is given up."""
         if self._process is None or not self._process.is_alive():
             self._begin()
         assert self._pipe is not None
@@ -91,10 +95,10 @@ class Worker:
     def _begin(self) -> None:
         """Start the process that computes, and the thread that takes its answers."""
         context = multiprocessing.get_context("spawn")
-        # A new process, since a fit in a thread would let the page wait for the interpreter.
+        # A fit in a thread would keep the interpreter from answering the page.
         own_end, their_end = context.Pipe()
         with safe_start():
-            self._process = context.Process(target=answer_all, args=(their_end, *self._given),
+            self._process = context.Process(target=answer_all, args=(their_end, *self._access),
                                             daemon=True)
             self._process.start()
         their_end.close()
@@ -102,7 +106,10 @@ class Worker:
         Thread(target=self._listen, args=(own_end,), daemon=True).start()
 
     def _listen(self, pipe: Connection) -> None:
-        """Call `tell` with what the process answers, and with a refusal (serial -1) if it dies."""
+        """Call `tell` with the answers of the process, until it ends.
+
+        If it ends while it is the process in use, `tell` gets a refusal with the serial -1.
+        """
         while True:
             try:
                 answer = pipe.recv()
