@@ -45,7 +45,7 @@ TABLE_AS_LAYER = "QGIS saves a table as such a layer (Add Delimited Text Layer, 
 
 
 def _refuse_table(name: str) -> None:
-    """Raise TermselError for the name of a table, which is no map."""
+    """Raise TermselError, with what to do, if a name is that of a table on the disk."""
     if Path(name).suffix.lower() in _TABLES and Path(name).is_file():
         raise TermselError("a table is no map: --map takes rasters and vector layers", file=name,
                            hint="If it has places on the ground alone, give them as a layer: --map "
@@ -87,19 +87,19 @@ class MapRaster:
         self.raster.close()
 
     def box(self, crs: str) -> Box:
-        """Return the extent (x min, y min, x max, y max) in the CRS that is shown."""
+        """Return the extent (x min, y min, x max, y max) in a CRS."""
         dataset = self.raster.dataset
         share = np.linspace(0, 1, 21)
         zero = np.zeros_like(share)
         unit = np.ones_like(share)
-        # Along all four edges: in another CRS they are curves.
+        # The edges are curves in another CRS, so the corners alone would not do.
         edge = np.concatenate([np.column_stack([share, zero]), np.column_stack([zero, share]),
                                np.column_stack([share, unit]), np.column_stack([unit, share])])
         x, y = dataset.transform @ (edge[:, 0] * dataset.width, edge[:, 1] * dataset.height)
         return box_of(transform_places(transformer_between(self.crs, crs), np.column_stack([x, y])))
 
     def resolution(self, crs: str) -> float:
-        """Return the width of a pixel in the raster's middle, in units of the CRS that is shown."""
+        """Return the width of a pixel in the middle of the raster, in units of a CRS."""
         dataset = self.raster.dataset
         row = dataset.height / 2
         column = dataset.width / 2
@@ -108,17 +108,17 @@ class MapRaster:
         return float(np.hypot(*(ends[1] - ends[0])))
 
     def tile(self, box: Box, crs: str) -> Pixels:
-        """Return the colours (TILE, TILE, 4) of a box in the CRS that is shown.
+        """Return the colours of a box, west, south, east and north in a CRS: (TILE, TILE, 4).
 
-        `box` is west, south, east and north. A tile of a raster with north up in the same CRS is a
-        window of it; any other is resampled at the centres of the tile's pixels.
+        They are transparent outside the raster. If the raster is in that CRS with north up, they
+        are a window of it; else they are resampled at the centres of the tile's pixels.
         """
         from affine import Affine
 
         west, south, east, north = box
         dataset = self.raster.dataset
         transform = dataset.transform
-        # North up and in the same CRS: a tile is a window of the raster.
+        # Without the turns b and d, and with lines that run south, north is up.
         upright = transform.b == transform.d == 0 and transform.a > 0 > transform.e
         if upright and transformer_between(self.crs, crs) is None:
             return self.raster.pixels(((transform.f - north) / -transform.e,
@@ -131,7 +131,7 @@ class MapRaster:
         return self._resample_tile(target @ (columns.ravel(), rows.ravel()), crs)
 
     def _resample_tile(self, xy: Any, crs: str) -> Pixels:
-        """Return the colours at places of a tile, by the nearest pixel of what is read for it."""
+        """Return the colours at x and y of a tile's pixels in a CRS, shape (TILE, TILE, 4)."""
         positions = transform_places(
             transformer_between(self.crs, crs), np.column_stack(xy), inverse=True)
         columns, rows = ~self.raster.dataset.transform @ (positions[:, 0], positions[:, 1])
@@ -139,22 +139,23 @@ class MapRaster:
 
 
 def resample_tile(raster: Raster, lines: Any, samples: Any) -> Pixels:
-    """Return the colours of a tile at lines and samples [px], line by line of it.
+    """Return the colours of a raster for the pixels of a tile, shape (TILE, TILE, 4).
 
-    What is read has about the resolution of the tile, and the nearest of its pixels counts.
+    `lines` and `samples` (TILE * TILE,) say where each pixel of the tile is in the raster [px]. It
+    gets the nearest pixel of what is read, which has about the resolution of the tile; outside the
+    raster it is transparent.
     """
     tile = np.zeros((TILE * TILE, 4), dtype=np.uint8)
     inside = np.flatnonzero((lines > -0.5) & (lines < raster.height - 0.5)
                             & (samples > -0.5) & (samples < raster.width - 0.5))
     if not len(inside):
         return tile.reshape(TILE, TILE, 4)
-    # Positions from the outer corner of the image, in whose whole numbers pixels begin. A window
-    # of whole pixels is read: of another GDAL takes the nearest ones, and all is shifted.
+    # Counted from the outer corner of the image, pixels begin at whole numbers. The window that is
+    # read has whole pixels: of another, GDAL would take the nearest ones, and shift all.
     positions = np.column_stack([lines[inside], samples[inside]]) + 0.5
     first = np.floor(positions.min(axis=0))
     size = np.floor(positions.max(axis=0)) + 1.0 - first
-    # No more pixels are read than twice those of the tile: of a finer image the rest would be for
-    # nothing.
+    # Twice the pixels of the tile are enough; the others of a finer image would not be seen.
     shape = np.minimum(size, 2 * TILE).astype(int)
     pixels = raster.pixels((float(first[0]), float(first[1]), float(size[0]), float(size[1])),
                            (int(shape[0]), int(shape[1])))
@@ -170,7 +171,7 @@ def box_of(xy: FloatArray) -> Box:
     """
     xy = xy[np.isfinite(xy).all(axis=1)]
     if not len(xy):
-        # A map without a place needs some extent all the same, for its tiles have a size.
+        # Tiles need a box of some size.
         return (0.0, 0.0, 1.0, 1.0)
     low = xy.min(axis=0)
     high = xy.max(axis=0)
@@ -210,10 +211,10 @@ class Maps:
     def resolutions(self, box: Box) -> list[float]:
         """Return the size of a pixel of a tile on each level, in units of the CRS that is shown.
 
-        The coarsest level comes first, and shows all of the box.
+        The coarsest level comes first, and shows all of the box in one tile.
         """
         width = max(box[2] - box[0], box[3] - box[1], 1e-9)
-        # Some levels finer than any raster, as points are measured within its pixels.
+        # Points are measured within pixels, so there are levels finer than any raster.
         finest = min((raster.resolution(self.shown) for raster in self.rasters),
                      default=width / 4096) / 2**FINER
         levels = max(int(np.ceil(np.log2(width / TILE / finest))), 0) + 2
@@ -221,10 +222,11 @@ class Maps:
 
 
 def open_maps(names: Sequence[str], crs: str | None, remote: bool) -> Maps:
-    """Open all maps that are named.
+    """Return all maps that are named, open, in the CRS of the first one that has one.
 
-    Raises TermselError for a file that cannot be read, is not georeferenced, or has no CRS while
-    none is stated.
+    With tiles, this is web Mercator; if no map has a CRS, it is `crs`, or "local". Names are files,
+    addresses of tiles, and, if `remote`, files on servers. Raises TermselError for a file that
+    cannot be read, is not georeferenced, or has no CRS while `crs` is None.
     """
     rasters = []
     try:
@@ -232,7 +234,7 @@ def open_maps(names: Sequence[str], crs: str | None, remote: bool) -> Maps:
             if not is_tiles(name) and not is_vector(name):
                 _refuse_table(name)
                 rasters.append(MapRaster(name, remote, crs))
-        # Tiles exist in web Mercator only, so all else follows them.
+        # Tiles are in web Mercator alone, so the other maps are shown in it too.
         tiles = [name for name in names if is_tiles(name)]
         vectors = [_layer_of(name) for name in names if not is_tiles(name) and is_vector(name)]
         stated = [raster.crs for raster in rasters]
@@ -264,9 +266,10 @@ def _layer_of(name: str) -> tuple[Any, str]:
 
 
 def _shapes_shown(name: str, shapes: Any, crs: str | None, page_crs: str) -> VectorLayer:
-    """Return shapes of a CRS as a layer in the CRS of the page; `name` is that of their file.
+    """Return shapes in `crs` as a layer in the CRS of the page; `name` is that of their file.
 
-    Raises TermselError without a CRS, or for more vertices than a page can show.
+    Shapes without a vertex, or with one that has no place in the CRS of the page, are left out.
+    Raises TermselError without a CRS, or for more than `MOST_VERTICES` vertices.
     """
     import shapely
 
@@ -279,7 +282,7 @@ def _shapes_shown(name: str, shapes: Any, crs: str | None, page_crs: str) -> Vec
         raise TermselError(f"this layer has {count:,} vertices, and the page shows at most "
                            f"{MOST_VERTICES:,}", file=name,
                            hint="Cut out the area, for example with ogr2ogr -spat.")
-    # The page draws plane coordinates: it transforms nothing.
+    # The page draws coordinates as they are, so they are transformed here.
     transformer = transformer_between(normalise(crs), page_crs)
     shapes = shapely.transform(shapes, lambda xy: transform_places(transformer, xy))
     features = [{"type": "Feature", "properties": {}, "geometry": shapely.geometry.mapping(shape)}

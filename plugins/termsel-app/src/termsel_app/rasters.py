@@ -63,7 +63,7 @@ class Raster:
             self._overview: Pixels | None = None
             self.share_read = 1.0
             self.limits = self._stretch()
-            # Else every tile from afar would read the whole raster.
+            # Without an overview, every tile of a coarse level would read the whole raster.
             if max(self.height, self.width) > LARGE and not self.dataset.overviews(1):
                 self._begin_overview()
         except BaseException:
@@ -77,26 +77,28 @@ class Raster:
             self._stack.close()
 
     def _stretch(self) -> list[tuple[float, float]] | None:
-        """Return which values become black and white, by band; None for bytes, shown as they are.
+        """Return the values that become black and white, for each band that is shown.
 
-        From all of a raster where it is small or has overviews, else from parts all over it.
+        None if the values are bytes, which are shown as they are.
         """
-        # Bytes are colours already, and mostly stretched by whoever made them.
+        # Bytes are colours already, and mostly stretched by whoever made the raster.
         if self.dataset.dtypes[self.bands[0] - 1] == "uint8":
             return None
         values = np.concatenate(self._sample_values(), axis=1)
         limits = []
         for band in values:
             finite = band[np.isfinite(band)]
-            # Percentiles, as a few bright pixels would make all others black.
+            # With the extremes in place of percentiles, a few bright pixels would make all others
+            # black.
             low, high = np.percentile(finite, _TAILS) if finite.size else (0.0, 1.0)
             limits.append((float(low), float(high if high > low else low + 1.0)))
         return limits
 
     def _sample_values(self) -> list[Any]:
-        """Return values of the bands shown, (bands, n) each, from all over the raster.
+        """Return values of the bands shown from all over the raster, in arrays (bands, n).
 
-        NaN for no data.
+        There is one array of a raster that is small or has overviews, else one of each of sixteen
+        blocks. Values without data are NaN.
         """
         from rasterio.windows import Window
 
@@ -105,7 +107,7 @@ class Raster:
             windows = [(Window(0, 0, self.width, self.height), shape)]
         else:
             length = _SAMPLES // 4
-            # Sixteen blocks all over it: single pixels would cost a read each.
+            # Blocks are read, as single pixels all over the raster would cost a read each.
             windows = [(Window(int(x), int(y), length, length), (len(self.bands), length, length))
                        for y in np.linspace(0, self.height - length, 4)
                        for x in np.linspace(0, self.width - length, 4)]
@@ -123,7 +125,7 @@ class Raster:
         Thread(target=self._read_overview, daemon=True).start()
 
     def _read_overview(self) -> None:
-        """Fill the overview by strips of whole blocks, from above."""
+        """Fill the overview from above by strips of whole blocks, until the raster is closed."""
         overview = self._overview
         assert overview is not None
         step = self._step
@@ -145,18 +147,19 @@ class Raster:
 
     def _read(self, box: tuple[float, float, float, float], shape: tuple[int, int],
               average: bool) -> Pixels:
-        """Return the pixels (*shape, 4) of a box inside the raster.
+        """Return the colours of a box inside the raster in a shape, (*shape, 4).
 
-        The box is top, left, height and width [px]. Transparent once the raster is closed.
+        The box is top, left, height and width [px]. With `average`, colours of several pixels are
+        averaged, else the nearest pixel counts. All is transparent once the raster is closed.
         """
         from rasterio.enums import Resampling
         from rasterio.windows import Window
 
         first_line, first_sample, height, width = box
         window = Window(first_sample, first_line, width, height)
-        # The mean of two indices of a table is another colour altogether.
-        averages = average and self.colours is None
-        resampling = Resampling.average if averages else Resampling.nearest
+        # The mean of two indices of a palette is the index of a third colour.
+        is_averaged = average and self.colours is None
+        resampling = Resampling.average if is_averaged else Resampling.nearest
         with self.lock:
             if self._closed.is_set():
                 return np.zeros((*shape, 4), dtype=np.uint8)
@@ -166,7 +169,8 @@ class Raster:
         return self.coloured(values, mask)
 
     def _read_opacity(self, window: Any, shape: tuple[int, int]) -> NDArray[np.uint8] | None:
-        """Return the opacity of a window, 0 to 255, of this shape; None where all is opaque."""
+        """Return the opacity of a window, 0 to 255, in a shape; None for a raster that is opaque.
+        """
         from rasterio.enums import MaskFlags
 
         flags = self.dataset.mask_flag_enums[0]
@@ -196,13 +200,16 @@ class Raster:
         for band in range(3):
             source = min(band, len(values) - 1)
             pixels[..., band] = self._as_bytes(values[source], source)
-        # NaN is no value, whatever the mask says.
+        # NaN is no value, though some masks have it as valid.
         if values.dtype.kind in "fc":
             pixels[..., 3][~np.isfinite(values).all(axis=0)] = 0
         return pixels
 
     def _as_bytes(self, values: Any, band: int) -> Any:
-        """Return values of a band from black, 0, to white, 255; bytes stay as they are."""
+        """Return values of a band as bytes, from black, 0, to white, 255; bytes stay as they are.
+
+        `band` counts the bands shown from 0. NaN becomes as dark as 0.
+        """
         if self.limits is None:
             return values
         low, high = self.limits[band]
@@ -210,7 +217,7 @@ class Raster:
         return np.clip(scaled, 0, 255).astype(np.uint8)
 
     def pixels(self, box: tuple[float, float, float, float], shape: tuple[int, int]) -> Pixels:
-        """Return what a box shows, transparent outside the raster.
+        """Return the colours of a box in a shape, (*shape, 4), transparent outside the raster.
 
         Parameters
         ----------
@@ -224,7 +231,7 @@ class Raster:
         result = np.zeros((*shape, 4), dtype=np.uint8)
         first = []
         last = []
-        # Pixels of the answer whose centres are inside the raster, along either axis.
+        # From the first to the last pixel of the answer, along either axis, centres are inside.
         for start, step, count, size in zip((first_line, first_sample), steps, shape,
                                             (self.height, self.width), strict=True):
             first.append(max(int(np.ceil(-start / step - 0.5)), 0))
@@ -233,7 +240,7 @@ class Raster:
             return result
         visible = (slice(first[0], last[0]), slice(first[1], last[1]))
         overview = self._overview
-        # An overview in memory answers at once: the nearest of its pixels to each centre.
+        # An overview in memory answers at once, by the pixel nearest to each centre.
         if overview is not None and steps.min() >= self._step:
             centres = [np.clip((start + (np.arange(low, high) + 0.5) * step) / self._step, 0,
                                count - 1).astype(np.intp)
@@ -242,7 +249,7 @@ class Raster:
                            strict=True)]
             result[visible] = overview[np.ix_(*centres)]
             return result
-        # What is read lies inside the raster; rounding may leave a hair outside.
+        # Rounding may leave the box a little outside the raster, where nothing can be read.
         inside = (np.clip(first_line + first[0] * steps[0], 0, self.height),
                   np.clip(first_sample + first[1] * steps[1], 0, self.width))
         inner = (min((last[0] - first[0]) * steps[0], self.height - inside[0]),
@@ -259,7 +266,7 @@ def _colour_table(dataset: Any) -> Pixels | None:
         table = dataset.colormap(1)
     except ValueError:
         return None
-    # A table may have gaps; nothing in them is opaque.
+    # A palette may have gaps, whose indices stay transparent.
     colours = np.zeros((max(table) + 1, 4), dtype=np.uint8)
     for index, colour in table.items():
         colours[index] = colour
@@ -267,9 +274,10 @@ def _colour_table(dataset: Any) -> Pixels | None:
 
 
 def _shown_bands(dataset: Any, indexed: bool) -> list[int]:
-    """Return which bands are shown, from 1: red, green and blue, or a single one.
+    """Return the numbers, from 1, of the three bands that are shown, or of the only one.
 
-    `indexed` says whether values are indices of a palette.
+    They are red, green and blue, or else the first three bands but for opacity; of fewer the first.
+    `indexed` says whether values are indices of a palette, which has one band.
     """
     from rasterio.enums import ColorInterp
 
@@ -279,7 +287,7 @@ def _shown_bands(dataset: Any, indexed: bool) -> list[int]:
     colours = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
     if all(colour in kinds for colour in colours):
         return [kinds.index(colour) + 1 for colour in colours]
-    # Three bands without names of colours are taken in order, as GDAL and QGIS do.
+    # GDAL and QGIS take bands without names of colours in their order too.
     visible = [i + 1 for i, kind in enumerate(kinds) if kind != ColorInterp.alpha] or [1]
     return visible[:3] if len(visible) >= 3 else visible[:1]
 

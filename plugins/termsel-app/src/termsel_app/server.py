@@ -87,9 +87,8 @@ class Pages:
 
     def tell(self, message: dict[str, Any]) -> None:
         """Send a message to all open pages; to be called in the thread of the server."""
-        # Encoded once for all pages.
         text = json.dumps(message)
-        # A copy, as a page that has gone is removed meanwhile.
+        # `send` removes a page that has gone from the set, so a copy is iterated over.
         for events in tuple(self.open):
             events.send(text)
 
@@ -132,23 +131,25 @@ class Guarded(RequestHandler):
         """Session that the pages show."""
         return self.pages.session
 
-    async def apart(self, task: Callable[..., Any], *arguments: Any) -> Any:
-        """Do something in a thread, so that the page stays usable."""
+    async def run_in_thread(self, task: Callable[..., Any], *arguments: Any) -> Any:
+        """Return what a task returns for arguments, run in a thread so that the page stays usable.
+        """
         return await IOLoop.current().run_in_executor(self.pages.threads, task, *arguments)
 
 
 def is_allowed(handler: RequestHandler, expected: str | None = None) -> bool:
-    """Return whether a request has the secret, comes to this server and from its page.
+    """Return whether a request has the secret, names this server as Host, and is from its page.
 
-    The secret is `expected`, or that of the pages.
+    The secret, the first part of the path, is `expected`, by default that of the pages. A request
+    without an origin counts as one of the page.
     """
     pages: Pages = handler.pages  # type: ignore[attr-defined]
     expected = expected or pages.secret
     # A website may send requests to this machine: only the secret in the address shows our page.
     secret = handler.path_args[0] if handler.path_args else ""
     origin = handler.request.headers.get("Origin")
-    # In constant time, so that the secret cannot be guessed letter by letter. The Host must be
-    # ours, lest another name leads here (DNS rebinding).
+    # The comparison takes constant time, so that the secret cannot be guessed letter by letter.
+    # Another Host is a name that somebody lets lead here (DNS rebinding).
     return (hmac.compare_digest(str(secret).encode(), expected.encode())
             and handler.request.host in pages.hosts
             and (origin is None or origin in {f"http://{host}" for host in pages.hosts})
@@ -165,7 +166,7 @@ class Page(Guarded):
         loads nothing but from this server and from those of images that the user named.
         """
         name = name or "index.html"
-        # A list instead of a folder: no path leads out of it.
+        # With a list of files, no path can lead out of a folder.
         if name != "index.html" and name not in PAGE:
             raise HTTPError(404)
         file = files("termsel_app").joinpath("page", *name.split("/"))
@@ -238,8 +239,8 @@ class Tile(Guarded):
 
     async def get(self, secret: str, layer: str, level: str, column: str,
                   row: str) -> None:
-        """Send a tile."""
-        pixels = await self.apart(self._tile_png, layer, int(level), int(column), int(row))
+        """Send a tile of a layer as PNG; raise HTTPError 404 if there is none."""
+        pixels = await self.run_in_thread(self._tile_png, layer, int(level), int(column), int(row))
         if pixels is None:
             raise HTTPError(404)
         self.set_header("Content-Type", "image/png")
@@ -247,7 +248,9 @@ class Tile(Guarded):
         self.finish(pixels)
 
     def _tile_png(self, layer: str, level: int, column: int, row: int) -> bytes | None:
-        """Return a tile of a layer (image, warped or mapN) as PNG; None if there is no such tile.
+        """Return a tile of a layer (image, warped or mapN) as PNG; None if there is none.
+
+        A warped tile is transparent as long as there is no model.
         """
         session = self.session
         if layer == "image":
@@ -258,7 +261,7 @@ class Tile(Guarded):
             return None
         if layer == "warped":
             if session.image is None or session.prediction is None:
-                # No prediction yet: a clear tile, which the page asks for again.
+                # The page asks again when there is a model.
                 return encode_png(np.zeros((TILE, TILE, 4), dtype=np.uint8))
             return encode_png(warped_tile(session.image, session.prediction, box))
         # The pattern of the address allows digits only.
@@ -272,7 +275,11 @@ class Call(Guarded):
     """What the page asks the session to do, or to show."""
 
     async def post(self, secret: str, name: str) -> None:
-        """Do it, and send what comes of it; what the user can correct is sent as an error."""
+        """Do what `CALLS` has under a name, and send its answer as JSON.
+
+        A TermselError is sent with the status 422, as the user can correct its cause. Raises
+        HTTPError for other types of content, unknown names, and what is no JSON object.
+        """
         # A form of another site cannot send this type without asking first.
         if self.request.headers.get("Content-Type", "").partition(";")[0] != "application/json":
             raise HTTPError(415)
@@ -287,8 +294,8 @@ class Call(Guarded):
         if not isinstance(arguments, dict):
             raise HTTPError(400)
         try:
-            # In a thread: a fit or a raster may take seconds.
-            answer = await self.apart(task, self.session, self.pages, arguments)
+            # A fit or a raster may take seconds.
+            answer = await self.run_in_thread(task, self.session, self.pages, arguments)
         except TermselError as error:
             self.set_status(422)
             self.finish({"error": f"{error.what}.", "hint": error.hint or "",
@@ -314,25 +321,29 @@ def _id_arguments(arguments: dict[str, Any]) -> list[str]:
 
 
 def _box_argument(arguments: dict[str, Any]) -> tuple[float, float, float, float]:
-    """Return the box (x min, y min, x max, y max) of a request; raises TermselError if it has none.
+    """Return the box (x min, y min, x max, y max) of a request.
+
+    Raises TermselError if it is no list of four finite numbers.
     """
     box = arguments.get("box")
     if not isinstance(box, list):
         raise TermselError("box is no list of coordinates")
-    # Its lower and its upper corner.
     low, high = check_place_pairs([box[:2], box[2:]])
     return (low[0], low[1], high[0], high[1])
 
 
 def _put(session: Session, arguments: dict[str, Any]) -> dict[str, Any]:
-    """Add or change a feature; return its name, the version and a note on its height, or ""."""
+    """Add or change a feature; return its "id", the "version" and a "note" on its height, or "".
+
+    The note is on a height that stays as the feature moves on the map.
+    """
     name = session.put(arguments)
     note = session.note_on_height(name) if arguments.get("map") is not None else ""
     return {"id": name, "version": session.version, "note": note}
 
 
 def _paste(session: Session, text: str) -> dict[str, Any]:
-    """Add the points of a table that was pasted; return how many, and a note on them or ""."""
+    """Add the points of a table that was pasted; return their "count" and a "note", "" for none."""
     count, notes = session.paste(text)
     return {"count": count, "note": " ".join(notes)}
 
@@ -456,7 +467,8 @@ class First(Guarded):
         """Raise HTTPError 403 for all but the first request, and for one from elsewhere."""
         if not is_allowed(self, self.pages.first):
             raise HTTPError(403)
-        self.pages.first = secrets.token_urlsafe(24)  # which nobody knows
+        # The next request would need a secret that nobody is told.
+        self.pages.first = secrets.token_urlsafe(24)
 
     def get(self, _: str) -> None:
         """Redirect the browser to the page, whose address has the secret."""

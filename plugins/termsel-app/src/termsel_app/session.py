@@ -46,7 +46,7 @@ _SAME_HEIGHT = 0.005
 
 LONGEST_NAME = 4096
 FILE_KEYS = ("image", "points", "lines", "rpc", "dem")
-"""What of the files of a session is a name."""
+"""Fields of `Files` that are the name of a file each."""
 
 
 def is_name(value: object) -> bool:
@@ -62,7 +62,7 @@ def from_folder(name: str, folder: Path) -> str:
     if name.startswith("/vsi") or "://" in name:
         return name
     try:
-        # A folder that is moved with its files stays a session.
+        # Relative names let a folder move together with its files.
         relative = os.path.relpath(Path(name).absolute(), folder.absolute())
     except ValueError:  # another drive of Windows
         return str(Path(name).absolute())
@@ -71,9 +71,9 @@ def from_folder(name: str, folder: Path) -> str:
 
 
 def from_here(name: str, folder: Path) -> str:
-    """Return the name of a file, relative to a folder, as one gives it in the current folder.
+    """Return the name of a file, given relative to a folder, as seen from the current folder.
 
-    Addresses stay.
+    Addresses stay as they are.
     """
     if name.startswith("/vsi") or "://" in name:
         return name
@@ -94,11 +94,10 @@ class Files:
     size: tuple[int, int] | None = None
 
     def header(self, folder: Path) -> dict[str, Any]:
-        """Return it as the first line of the journal in a folder, with names as seen from there.
+        """Return the files as the first line of a journal, with names relative to its folder.
 
-        So a folder of files and their session may move, and be opened from anywhere.
+        So the folder may move together with the files, and be opened from anywhere.
         """
-        # All names of files as seen from the folder; other values as they are.
         names = {key: None if (name := getattr(self, key)) is None else from_folder(name, folder)
                  for key in FILE_KEYS}
         return {**asdict(self), **names,
@@ -106,12 +105,13 @@ class Files:
 
     @classmethod
     def of_header(cls, header: Mapping[str, Any], folder: Path) -> Files:
-        """Return what the first line of a journal says; raises TermselError where it is no header.
+        """Return the files that the first line of a journal names, which lies in a folder.
 
-        The addresses of tiles are left out: only the command line asks a server for anything.
+        Maps on servers are left out: only the command line may ask a server for anything. Raises
+        TermselError for values that are no names, and for a size that is none.
         """
         maps = header.get("maps") or []
-        # The journal may come from anybody: nothing in it is trusted.
+        # The journal may come from anybody, so every value is checked.
         if not isinstance(maps, list) or not all(is_name(name) for name in maps):
             raise TermselError("the maps of this session are no list of files")
         texts = {key: header.get(key) for key in ("image", "points", "lines", "rpc", "dem", "crs")}
@@ -163,7 +163,8 @@ class Session:
     def box(self) -> Box:
         """Return the extent (x min, y min, x max, y max) of map and control, with a margin.
 
-        By the model's footprint if there is neither, else a square of 1000 units.
+        Without map and control it is that of the image by the model, or else a square of 1000
+        units.
         """
         boxes = []
         if self.maps.box is not None:
@@ -173,15 +174,15 @@ class Session:
             positions += _ground_places(record)
         if positions:
             boxes.append(box_of(self.places.to_map(positions)))
-        # Neither maps nor control: the RPC shows where the image is.
+        # Without maps and control, an RPC may show where the image is.
         if not boxes and self.prediction is not None and self.size is not None:
             lines, samples = self.size
             boxes.append(box_of(self.prediction.to_map(
                 [[0, 0], [0, samples], [lines, 0], [lines, samples]])))
         box = box_around(boxes) if boxes else (0.0, 0.0, 1000.0, 1000.0)
-        wide = max(box[2] - box[0], box[3] - box[1]) or 1000.0
-        # Room to measure beyond the points that there are; a map has its own edge.
-        margin = 0.0 if self.maps.box is not None and len(boxes) == 1 else wide * 0.1
+        extent = max(box[2] - box[0], box[3] - box[1]) or 1000.0
+        # A margin leaves room to measure beyond the control. A map alone needs none.
+        margin = 0.0 if self.maps.box is not None and len(boxes) == 1 else extent * 0.1
         return (box[0] - margin, box[1] - margin, box[2] + margin, box[3] + margin)
 
     # Changes
@@ -193,13 +194,13 @@ class Session:
         """
         with self.lock:
             self._require_new(patches)
-            # The journal first: what the page shows is never lost.
+            # The journal comes first, so that the page shows nothing that could be lost.
             self.journal.append(entry_of(patches))
             self.control.apply(patches)
             self._note_change()
 
     def _require_new(self, patches: list[Patch]) -> None:
-        """Raise TermselError for changes that give two features one name, or make too many of them.
+        """Raise TermselError for changes that give a feature the name of another, or add too many.
         """
         for patch in patches:
             name = None if patch.after is None else patch.after["id"]
@@ -216,19 +217,19 @@ class Session:
     def undo(self) -> None:
         """Take back the last change; raises TermselError if there is none."""
         with self.lock:
-            # Undone first, as only the control knows whether there is something to undo.
+            # The control comes first, as only it knows whether there is something to undo.
             self.control.undo()
-            self._journal_or(self.control.redo, {"undo": True})
+            self._append_or_revert(self.control.redo, {"undo": True})
             self._note_change()
 
     def redo(self) -> None:
         """Repeat the change that was undone last; raises TermselError if there is none."""
         with self.lock:
             self.control.redo()
-            self._journal_or(self.control.undo, {"redo": True})
+            self._append_or_revert(self.control.undo, {"redo": True})
             self._note_change()
 
-    def _journal_or(self, revert: Callable[[], Any], entry: dict[str, Any]) -> None:
+    def _append_or_revert(self, revert: Callable[[], Any], entry: dict[str, Any]) -> None:
         """Append an entry to the journal; if that fails, call `revert` and raise the TermselError.
         """
         try:
@@ -246,18 +247,16 @@ class Session:
     def judge(self) -> None:
         """Have the control judged, unless it is what was judged last.
 
-        A point that is measured in one pane so far changes nothing.
+        Features that are measured in one pane alone do not count.
         """
         with self.lock:
-            # A half-measured feature changes no figure.
             complete = self.control.complete("point") + self.control.complete("line")
             if self.worker is None or complete == self.judged:
                 return
             self.judged = complete
-            # Answers to this version alone are shown.
+            # `keep_answer` passes over answers to other versions.
             self.asked = self.version
             try:
-                # What termsel refuses is an answer, too: the user corrects it on the page.
                 features = self.control.features(self.places.crs)
             except TermselError as error:
                 self.keep_answer({
@@ -280,14 +279,14 @@ class Session:
             # the worker itself, which belongs to no question.
             if answer["serial"] not in (self.asked, -1):
                 return
-            # A result stays in this process; pages get its figures.
+            # The result has models and arrays, which pages cannot get.
             result = answer.pop("result", None)
             if result is not None:
                 self.prediction = prediction_of(
                     result, self.control.features(self.places.crs), self.places)
             for next_point in answer.get("next", ()):
                 next_point["map"] = self.places.to_map([next_point["ground"][:2]])[0].tolist()
-            # The first stage of an answer: what earlier ones said is out of date.
+            # Answers to an earlier question are out of date once the first stage of this one comes.
             if answer["stage"] in ("figures", "waiting", "refused"):
                 self.answers.clear()
             self.answers[answer["stage"]] = answer
@@ -314,10 +313,9 @@ class Session:
     def ground_of(self, xy: Any) -> list[list[float | None]]:
         """Return ground coordinates x, y, z of places on the map (n, 2); z is None if not known.
 
-        Raises TermselError outside the area of the CRS.
+        Raises TermselError if one has no coordinates, as outside the area of a projection.
         """
         ground = self.places.to_ground(xy)
-        # Outside the area of a projection places have no coordinates.
         if not np.isfinite(ground[:, :2]).all():
             raise TermselError(f"{self.places.crs} has no coordinates for this position",
                                hint="Choose a position within the area of this CRS, or start "
@@ -325,14 +323,16 @@ class Session:
         return [[x, y, None if z != z else z] for x, y, z in ground.tolist()]
 
     def put(self, values: Mapping[str, Any]) -> str:
-        """Add or change a feature; return its name.
+        """Add or change a feature; return its id.
 
-        `values` has the id of a feature that is there, or a kind for a new one, and what to set:
-        `image`, `map` or `ground`, `role`, `name`.
+        `values` has the "id" of a feature, or the "kind" of a new one, which gets an id, and what
+        to set: "image", "map" or "ground", "role", and "name" for another id. A place on the map
+        keeps a height that was given, and else gets that of the DEM. Raises TermselError if there
+        is no such feature, a value is not valid, or the place is outside the image.
         """
         with self.lock:
             name = values.get("id")
-            # Two pages may show one session: what one has deleted the other cannot change.
+            # Another page that shows this session may have deleted the feature.
             before = self.control.records.get(name) if isinstance(name, str) else None
             if before is None and name is not None:
                 raise TermselError(f"there is no feature {name!r} any more", ids=[str(name)])
@@ -358,7 +358,7 @@ class Session:
             if (after.get("ground") and kind == "point" and after["ground"][2] is None
                     and values.get("ground") is not None):
                 after["ground"] = self._with_height(after["ground"])
-            # A click that changes nothing is no step to undo.
+            # A click that changes nothing must not become a step to undo.
             if after != before:
                 self.change([Patch(before, after)])
             return str(after["id"])
@@ -377,22 +377,26 @@ class Session:
                                hint="Measure within the image.") from error
 
     def _with_given_heights(self, before: list[Place], after: list[Place]) -> list[Place]:
-        """Return ground places with the heights that they had before they were moved on the map.
+        """Return ground places `after` a move on the map, with heights that were given before it.
 
-        A height that was given stays; one that is the DEM's follows the DEM.
+        A height that was that of the DEM becomes the one of the DEM at the new place. Places beyond
+        those of `before` are unchanged.
         """
         return [[*place[:2], old[2]] if old is not None and self._has_given_height(old) else place
                 for old, place in zip_longest(before[:len(after)], after)]
 
     def _has_given_height(self, place: Place) -> bool:
-        """Return whether a ground place has a height that is not the DEM's."""
+        """Return whether a ground place has a height, and that is not the one of the DEM."""
         if place[2] is None:
             return False
         height = self._with_height(place)[2]
         return height is None or abs(height - place[2]) > _SAME_HEIGHT
 
     def note_on_height(self, name: str) -> str:
-        """Return what the DEM has where a feature has another height; "" if none differs."""
+        """Return a sentence if the DEM has another height at a feature; "" if none differs.
+
+        "" too for an id that no feature has, and without a height of the DEM.
+        """
         with self.lock:
             record = self.control.records.get(name)
             for place in () if record is None else _places_of(record):
@@ -416,9 +420,10 @@ class Session:
                 self.change([Patch(record, None) for record in records])
 
     def add(self, points_given: Any) -> int:
-        """Add points of objects with `image` and `map` as one change; return how many.
+        """Add points as one change; return how many.
 
-        Raises TermselError if they are no list of such objects.
+        `points_given` is a list of objects with "image" and "map". Raises TermselError if it is
+        not, or a place is not valid.
         """
         if not isinstance(points_given, list) or not all(
                 isinstance(point, dict) for point in points_given):
@@ -439,14 +444,15 @@ class Session:
     def paste(self, text: str) -> tuple[int, list[str]]:
         """Add points from a table that was pasted; return how many, and what to know of them.
 
-        See `read_pasted`. A point with the id of one that is there completes it.
+        See `read_pasted`. A pasted point with the id of another point completes or replaces that.
+        Raises TermselError for a text that is too long or cannot be read.
         """
         if len(text) > MOST_PASTED:
             raise TermselError(f"at most {MOST_PASTED:,} characters can be pasted")
         records, notes = read_pasted(text, self.places.crs, self.size)
         with self.lock:
             notes += self._note_on_distance(records)
-            # New ids are none that other rows have.
+            # Points without an id get one that no other row and no feature has.
             pasted = {record["id"] for record in records}
             first = int(self.control.new_id("point")[1:])
             new_ids = (name for number in count(first) if (name := f"P{number:02d}") not in pasted)
@@ -454,14 +460,18 @@ class Session:
             for record in records:
                 name = record["id"] or next(new_ids)
                 before = self.control.records.get(name)
-                after = self._completed({**record, "id": name}, before)
+                after = self._complete_record({**record, "id": name}, before)
                 patches.append(Patch(before, checked_record(after)))
             if patches:
                 self.change(patches)
         return len(patches), notes
 
-    def _completed(self, pasted: Record, before: Record | None) -> Record:
-        """Return what a point becomes by one that was pasted; `before` is None for a new one."""
+    def _complete_record(self, pasted: Record, before: Record | None) -> Record:
+        """Return a point with the role and places of a pasted one, as far as that has them.
+
+        `before` is the point so far, None for a new one. Without a height, the new ground gets that
+        of the DEM, or keeps one that was given before.
+        """
         after = dict(before or pasted)
         for key in ("role", "image", "ground"):
             after[key] = pasted[key] or after[key]
@@ -472,7 +482,11 @@ class Session:
         return after
 
     def _note_on_distance(self, records: list[Record]) -> list[str]:
-        """Return a note if all points are far from the map and the other points; else []."""
+        """Return [a note] if all points are far from the map and the other points; else [].
+
+        [] too if there are no ground places, or nothing to compare them with. The note proposes to
+        exchange x and y if that brings a point near.
+        """
         ground = [record["ground"] for record in records if record["ground"]]
         if not ground or (self.maps.box is None and not self.control.complete("point")):
             return []
@@ -485,11 +499,14 @@ class Session:
                 "wrong: Ctrl+Z takes it back."]
 
     def _are_near(self, ground: list[Place], box: Box) -> bool:
-        """Return whether a ground place is in a box on the map, or not far outside."""
+        """Return whether any of the ground places is in a box on the map, or not far outside.
+
+        Near is within two extents of the box from its middle.
+        """
         on_map = self.places.to_map(ground)
         middle = np.array([box[0] + box[2], box[1] + box[3]]) / 2.0
         extent = max(box[2] - box[0], box[3] - box[1])
-        # Infinite where the map has no such place.
+        # Places that the CRS of the map does not have are infinite, and so not near.
         return bool((np.abs(on_map - middle) <= 2.0 * extent).all(axis=1).any())
 
     def predict(self, image: Any = None, xy: Any = None) -> dict[str, Any] | None:
@@ -506,7 +523,9 @@ class Session:
 
 
 def check_place_pairs(positions: Any) -> list[list[float]]:
-    """Return one or two pairs of finite numbers that came from a page; raises TermselError if not.
+    """Return a list of one or two pairs of finite numbers that came from a page, as it is.
+
+    Raises TermselError for anything else.
     """
     if not isinstance(positions, list) or not 1 <= len(positions) <= 2:
         raise TermselError("these are no positions")
@@ -549,20 +568,23 @@ def _read_features(files: Files) -> FeatureSet:
 @contextmanager
 def open_session(files: Files, folder: Path, *, remote: bool = False,
                  drivers: tuple[str, ...] = ()) -> Iterator[Session]:
-    """Open a session in a folder, or go on with the one that is there.
+    """Yield a session that is begun in a folder, or that goes on there; close it at the end.
 
-    Raises TermselError for files that cannot be used, and a folder that holds another session.
+    `remote` is whether servers may be asked; `drivers` are the further drivers of GDAL that are
+    allowed. Raises TermselError for files that cannot be used, if the CRS of the ground is not
+    known, and for a folder that has the session of another image or is in use.
     """
     with ExitStack() as stack:
-        _make(folder, stack)
-        worker = Worker(remote, drivers)  # it loads termsel while files are opened
+        _make_folder(folder, stack)
+        # The worker loads termsel while the files are opened here.
+        worker = Worker(remote, drivers)
         stack.callback(worker.close)
         journal, header, control = stack.enter_context(open_journal(folder))
         before = None if header is None else Files.of_header(header, folder)
         _require_same(files, before, folder)
         served = None
         image = None
-        # The browser itself loads an image of a IIIF server; nothing is read here.
+        # The browser itself loads the image of a IIIF server.
         if files.image is not None and is_iiif(files.image):
             served = fetch_image(files.image, remote)
             files = replace(files, size=served.size)
@@ -570,7 +592,7 @@ def open_session(files: Files, folder: Path, *, remote: bool = False,
             image = Raster(files.image, remote)
         if image is not None:
             stack.callback(image.close)
-        # Files of features begin a session; the journal has them afterwards.
+        # A session begins with features of files, and has them in its journal afterwards.
         features = None
         if before is None and (files.points or files.lines):
             features = _read_features(files)
@@ -583,22 +605,22 @@ def open_session(files: Files, folder: Path, *, remote: bool = False,
             maps.shown = shown_crs(horizontal_crs(crs) or LOCAL)
         session_places = Places(crs, maps.shown, None if files.dem is None else Path(files.dem))
         stack.callback(session_places.close)
-        # Once all files have been opened: a session that cannot begin leaves no journal.
+        # All files are open now: a session that cannot begin leaves no journal.
         if before is None:
             journal.begin(replace(files, crs=crs).header(folder))
         session = Session(replace(files, crs=crs), folder, journal, control, image, maps,
                           places=session_places, notes=list(maps.notes), served=served)
         if features is not None:
-            # Through the journal, so that reading them can be undone.
+            # As a change, the features are in the journal and can be undone.
             session.change([Patch(None, record) for record in records_of(features)])
         worker.tell = session.keep_answer
-        # Only now: changes above would be judged while the session is half made.
+        # Changes above were not judged, as the session was not complete.
         session.worker = worker
         session.judge()
         yield session
 
 
-def _make(folder: Path, stack: ExitStack) -> None:
+def _make_folder(folder: Path, stack: ExitStack) -> None:
     """Make a folder, which the stack removes again if it is still empty at the end."""
     if not folder.is_dir():
         make_folder(folder)
@@ -607,7 +629,7 @@ def _make(folder: Path, stack: ExitStack) -> None:
 
 def _remove_empty(folder: Path) -> None:
     """Remove a folder if it is empty."""
-    with suppress(OSError):  # it is not empty
+    with suppress(OSError):
         folder.rmdir()
 
 
@@ -623,26 +645,27 @@ def _require_same(files: Files, before: Files | None, folder: Path) -> None:
 
 
 def records_of(features: FeatureSet) -> list[Record]:
-    """Return features as records; of lines with one id, the second gets the id ID.2, and so on.
+    """Return features as records, points first.
 
-    Numbers that make the id of another feature are passed over.
+    Of several lines with one id, the second gets the id ID.2, the third ID.3 and so on; numbers
+    that make the id of another feature are passed over.
     """
     points = features.points
     records = [{"id": name, "kind": "point", "role": role, "image": image,
                 "ground": _with_none(ground)}
                for name, role, image, ground in zip(points.ids, points.roles, points.image.tolist(),
                                                     points.ground.tolist(), strict=True)]
-    # Lines of one feature get names of their own: on the page each is measured alone.
+    # On the page each line is measured by itself, so each has an id of its own.
     taken = {*points.ids, *features.lines.ids}
-    met = set[str]()
+    used_names = set[str]()
     for name, image, ground in zip(features.lines.ids, features.lines.image.tolist(),
                                    features.lines.ground.tolist(), strict=True):
         label = name
-        if name in met:
+        if name in used_names:
             label = next(one for one in (f"{name}.{number}" for number in count(2))
                          if one not in taken)
             taken.add(label)
-        met.add(name)
+        used_names.add(name)
         records.append({"id": label, "kind": "line", "role": "", "image": image,
                         "ground": [_with_none(vertex) for vertex in ground]})
     return [checked_record(record) for record in records]
@@ -658,7 +681,7 @@ def _ground_crs(files: Files, features: FeatureSet | None, kept: Files | None) -
 
     Raises TermselError if an option contradicts the session that is there, `kept`.
     """
-    # Coordinates in the journal are in the CRS that it began with.
+    # The coordinates in the journal are in the CRS of its first line.
     if kept is not None and kept.crs is not None:
         before = normalise(kept.crs)
         if files.crs is not None and normalise(files.crs) != before:
@@ -669,14 +692,14 @@ def _ground_crs(files: Files, features: FeatureSet | None, kept: Files | None) -
         return normalise(files.crs)
     if features is not None and features.crs:
         return features.crs
-    # The CRS of all RPC: longitude, latitude and ellipsoidal height.
+    # RPCs are in longitude, latitude and ellipsoidal height.
     return "EPSG:4979" if files.rpc is not None else None
 
 
 def _crs_of_maps(maps: Maps) -> str:
-    """Return the CRS of the first map for the ground coordinates.
+    """Return the CRS for ground coordinates that the maps give: that of the first raster.
 
-    Raises TermselError without a map.
+    Without a raster it is the CRS in which the maps are shown. Raises TermselError without a map.
     """
     if maps.rasters:
         return maps.rasters[0].crs
