@@ -29,7 +29,7 @@ class _Properties(msgspec.Struct):
 
 
 class _Geometry(msgspec.Struct):
-    """Longitude and latitude."""
+    """Where a point is on the ground: longitude and latitude [degrees]."""
 
     coordinates: Pair
     type: Literal["Point"] = "Point"
@@ -103,9 +103,11 @@ class MapAnnotation(msgspec.Struct):
 
 
 class Map(msgspec.Struct):
-    """What of an annotation is used: image, control points, mask and transformation.
+    """What is used of an annotation: image, control points, mask and transformation.
 
-    `features` are column, row, longitude and latitude of each point.
+    `resource` has id, type, width and height of the image; `mask` is the SVG of the selector;
+    `transformation` is as the annotation states it, or None; `features` are column, row, longitude
+    and latitude of each point.
     """
 
     id: str | None
@@ -121,9 +123,8 @@ def maps_of(text: bytes) -> list[Map]:
     Raises
     ------
     ValueError
-        Saying what is wrong, and where as a path in the JSON.
+        If it is neither; the message says what is wrong, and where as a path in the JSON.
     """
-    # A page of several maps, or one map by itself.
     content = msgspec.json.decode(text)
     if not isinstance(content, dict):
         raise ValueError("Expected an object - at `$`")  # noqa: TRY004
@@ -136,12 +137,14 @@ def maps_of(text: bytes) -> list[Map]:
 
 
 def _parse_map(item: Any, path: str) -> Map:
-    """Return one map of an annotation; raises ValueError with its place in the file if it is none.
+    """Return the map of an annotation, a JSON value; `path` is its place in the file.
+
+    Raises ValueError, with the place of what is wrong, if it is none.
     """
     try:
         annotation = msgspec.convert(item, MapAnnotation)
     except msgspec.ValidationError as error:
-        # msgspec names the place within the item: the path of the item comes before it.
+        # msgspec names a place within the item as `$.…`.
         raise ValueError(str(error).replace("`$", f"`{path}")) from error
     points = []
     for i, feature in enumerate(annotation.body.features):
@@ -151,7 +154,7 @@ def _parse_map(item: Any, path: str) -> Map:
             raise ValueError(f"{error} - at `{path}.body.features[{i}].properties`") from error
         lon, lat = feature.geometry.coordinates[:2]
         points.append((column, row, lon, lat))
-    size = _checked_selector_size(annotation.target.selector.value, path)
+    size = _parse_selector_size(annotation.target.selector.value, path)
     transformation = annotation.body.transformation
     return Map(annotation.id, _parse_resource(annotation.target, size, path),
                annotation.target.selector.value,
@@ -159,9 +162,10 @@ def _parse_map(item: Any, path: str) -> Map:
 
 
 def _parse_resource(target: _Target, size: tuple[int, int] | None, path: str) -> dict[str, Any]:
-    """Return id, type, width and height of the image; the size may be None.
+    """Return "id", "type", "width" and "height" of the image of a map.
 
-    `size` is that of the selector. Raises ValueError without an address.
+    `size` is width and height that the selector states, taken where the image states none. Without
+    either, width and height are None. Raises ValueError without an address of the image.
     """
     source = target.source
     if isinstance(source, _Source):
@@ -171,7 +175,6 @@ def _parse_resource(target: _Target, size: tuple[int, int] | None, path: str) ->
         _require_url(name, f"{path}.target.source.id")
         width = source.width
         height = source.height
-        # Sizes that the source does not state may be those of the selector.
         if width is None or height is None:
             width, height = size or (None, None)
         return {"id": name, "type": source.type, "width": width, "height": height}
@@ -180,7 +183,7 @@ def _parse_resource(target: _Target, size: tuple[int, int] | None, path: str) ->
         raise ValueError(f"Object missing required field `service` - at `{path}.target`")
     service = target.service[0]
     _require_url(service.id, f"{path}.target.service[0].@id")
-    # Version 0 has no size of the image but that of the selector.
+    # In version 0 the selector alone states a size of the image.
     width, height = size or (None, None)
     return {"id": service.id, "type": service.type, "width": width, "height": height}
 
@@ -192,13 +195,14 @@ def _require_url(text: str, path: str) -> None:
         raise ValueError(f"Invalid url {text!r} - at `{path}`")
 
 
-def _checked_selector_size(value: str, path: str) -> tuple[int, int] | None:
-    """Return width and height that an SVG selector states; None if it states none.
+def _parse_selector_size(value: str, path: str) -> tuple[int, int] | None:
+    """Return width and height that a selector, an SVG, states; None if it does not state both.
 
-    Raises ValueError unless it has a polygon of three corners or more.
+    `path` is the place of its map in the file. Raises ValueError if it is no SVG, has declarations,
+    or has no polygon of three corners or more.
     """
     location = f" - at `{path}.target.selector.value`"
-    # Declarations can make a text of any length.
+    # Declarations of entities can make a short text very long.
     if "<!" in value:
         raise ValueError(f"SVG with declarations{location}")
     try:
@@ -213,7 +217,7 @@ def _checked_selector_size(value: str, path: str) -> tuple[int, int] | None:
 
 
 def _stated_size(svg: ElementTree.Element) -> tuple[int, int] | None:
-    """Return width and height that an SVG states; None if it states none."""
+    """Return width and height that an SVG states as numbers; None if it does not state both."""
     try:
         return int(float(svg.get("width", ""))), int(float(svg.get("height", "")))
     except ValueError:
@@ -221,10 +225,9 @@ def _stated_size(svg: ElementTree.Element) -> tuple[int, int] | None:
 
 
 def selector_of_other_size(map_: Map) -> tuple[int, int] | None:
-    """Return width and height of the image in the selector of a map that was read, if the source of
-    the image states others.
+    """Return width and height that the selector of a map states, if the image states others.
 
-    Sizes that differ by rounding are the same.
+    None if they are the same to a hundredth, which is rounding, or if either is not stated.
 
     Examples
     --------
@@ -244,19 +247,22 @@ def selector_of_other_size(map_: Map) -> tuple[int, int] | None:
 def polygon_corners(points: str) -> list[tuple[float, float]]:
     """Return the corners (x, y) of the attribute `points` of a polygon; [] if it is not one."""
     pairs = []
-    at = 0
-    # One pair of numbers after the other, as SVG separates them by commas or blanks.
-    while at < len(points.rstrip()):
-        match = _CORNER.match(points, at)
+    start = 0
+    # SVG separates numbers by commas or blanks, so the pairs are read one after the other.
+    while start < len(points.rstrip()):
+        match = _CORNER.match(points, start)
         if match is None:
             return []
         pairs.append((float(match[1]), float(match[2])))
-        at = match.end()
+        start = match.end()
     return pairs
 
 
-def kept_as_attributes(georeferenced: Map) -> dict[str, str]:
-    """Return source, mask and transformation of a map as texts of attributes of its points."""
+def attributes_of_map(georeferenced: Map) -> dict[str, str]:
+    """Return source, mask and transformation of a map as texts, by the names of attributes.
+
+    The transformation is "" if the map states none.
+    """
     return {SOURCE: json.dumps({"annotation": georeferenced.id, **georeferenced.resource}),
             MASK: georeferenced.mask,
             TRANSFORMATION: json.dumps(georeferenced.transformation) if georeferenced.transformation

@@ -13,7 +13,7 @@ from termsel.toolkit import read_text
 from termsel_iiif.annotation import (
     FORMAT_NAME,
     Map,
-    kept_as_attributes,
+    attributes_of_map,
     maps_of,
     selector_of_other_size,
 )
@@ -22,7 +22,8 @@ from termsel_iiif.viewer import kind_of
 log = logging.getLogger("termsel.iiif")
 
 CENTRE = 0.5
-"""Columns and rows of the IIIF count from the corner of a pixel, termsel's from its centre."""
+"""Column and row by the IIIF of the place that is sample and line 0 of termsel: the IIIF counts
+from the corner of the first pixel, termsel from its centre."""
 
 ALL_POINTS = "--solver all-terms --criterion press --set fractions=1:0:0 --fit-crs EPSG:3857"
 """Options by which a model has all its terms and all points, in the coordinates of viewers."""
@@ -46,7 +47,7 @@ class AnnotationReader(Reader):
         text = head.lstrip()
         if not text.startswith(b"{"):
             return False
-        # A page of annotations, or an annotation with target and body: other JSON has neither.
+        # Annotations that are no maps have no target or no body.
         return b'"AnnotationPage"' in head or (
             b'"Annotation"' in head and b'"target"' in head and b'"body"' in head)
 
@@ -54,9 +55,10 @@ class AnnotationReader(Reader):
         """Return the points of a map.
 
         What else the annotation says, such as its mask, transformation and id, is kept as
-        attributes of the first point, so that it can be written again. The log says which model of
-        termsel is the kind of transformation that viewers draw. Raises TermselError for a map
-        without points, and asks which where there are several.
+        attributes of the first point, so that it can be written again. If the annotation states a
+        known transformation, the log says which model of termsel is of that kind. Raises
+        TermselError for a map without points, and for a page of several maps without the option
+        `map`.
         """
         map_ = self._choose_map(self._read_maps(path), path)
         if not map_.features:
@@ -68,7 +70,7 @@ class AnnotationReader(Reader):
         image = table[:, 1::-1] - CENTRE
         ground = np.column_stack([table[:, 2:], np.full(n, np.nan)])
         attributes = {name: np.array([text] + [""] * (n - 1), dtype=object)
-                      for name, text in kept_as_attributes(map_).items()}
+                      for name, text in attributes_of_map(map_).items()}
         points = Points(tuple(f"P{i}" for i in range(1, n + 1)), image, ground,
                         attributes=attributes)
         kind = kind_of(map_.transformation)
@@ -89,7 +91,10 @@ class AnnotationReader(Reader):
         return FeatureSet(points, crs="EPSG:4326", image_size=size)
 
     def parts(self, path: Path) -> dict[str, dict[str, str]]:
-        """Return the options for each map of a page by its number; {} for a single or a chosen one.
+        """Return the options that choose each map of a page, by its number.
+
+        {} if there is one map alone, or the option `map` chooses one. Raises TermselError if the
+        file is no annotation.
         """
         if self.options["map"]:
             return {}
@@ -120,7 +125,6 @@ class AnnotationReader(Reader):
                 raise TermselError(f"this page has {len(maps)} maps", file=path,
                                    hint=f"Choose one with --set map=N: {listed}.")
             return maps[0]
-        # A number, or the id that a map has in its file.
         if wanted_map.isdigit() and 1 <= int(wanted_map) <= len(maps):
             return maps[int(wanted_map) - 1]
         for map_ in maps:

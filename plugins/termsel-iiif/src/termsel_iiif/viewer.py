@@ -23,8 +23,8 @@ from termsel.toolkit import FloatArray
 EARTH = 6378137.0
 """Radius of the sphere of Web Mercator [m]."""
 
-# Places along either side of the image at which a viewer is compared with the model.
-_ACROSS = 15
+# How many places along either side of the image a viewer is compared with the model at.
+_N_ACROSS = 15
 
 Forward = Callable[[FloatArray], FloatArray]
 """From line and sample (n, 2) to Web Mercator (n, 2) [m]."""
@@ -43,7 +43,7 @@ class Kind:
     model : str
         The model of termsel that is the same from the ground to the image, or next to it.
     options : dict
-        Of the model.
+        Options of that model.
     """
 
     label: str
@@ -52,7 +52,7 @@ class Kind:
     options: Mapping[str, Any]
 
 
-def _fit_polynomial(order: int) -> Kind:
+def _polynomial_kind(order: int) -> Kind:
     """Return the transformation of viewers that is a polynomial of an order."""
     return Kind(f"polynomial of order {order}",
                 {"type": "polynomial", "options": {"order": order}}, "poly2d", {"degree": order})
@@ -60,22 +60,21 @@ def _fit_polynomial(order: int) -> Kind:
 
 TRANSFORMATIONS: dict[str, Kind] = {
     "similarity": Kind("helmert", {"type": "helmert"}, "helmert2d", {"mirrored": False}),
-    "order 1": _fit_polynomial(1),
+    "order 1": _polynomial_kind(1),
     "projective": Kind("projective", {"type": "projective"}, "projective2d", {}),
-    "order 2": _fit_polynomial(2), "order 3": _fit_polynomial(3),
+    "order 2": _polynomial_kind(2), "order 3": _polynomial_kind(3),
     "spline": Kind("thinPlateSpline", {"type": "thinPlateSpline"}, "tps", {})}
 """The transformations of the extension, the simplest first."""
 
 
 def kind_of(stated: Any) -> Kind | None:
-    """Return the transformation that an annotation states, None for none that is known.
+    """Return the transformation that an annotation states; None if it is not one that is known.
 
-    A polynomial without an order is of order 1.
+    A polynomial without an order is of order 1. `stated` may be any value of JSON.
     """
     if not isinstance(stated, dict):
         return None
     options = stated.get("options")
-    # Nothing of a file is trusted to be of the type that the extension says.
     order = options.get("order", 1) if isinstance(options, dict) else 1
     for kind in TRANSFORMATIONS.values():
         if stated.get("type") == kind.statement["type"] and (
@@ -85,13 +84,12 @@ def kind_of(stated: Any) -> Kind | None:
 
 
 def kind_of_fit(fitted: Fit) -> str | None:
-    """Return which transformation a fitted model is by its name; None where it is none.
+    """Return the key in `TRANSFORMATIONS` of what a fitted model is; None if it is none of them.
 
     A polynomial of which terms were left out is none, nor is a mirrored similarity.
     """
     model = fitted.model
     for key, kind in TRANSFORMATIONS.items():
-        # All terms in use, and the options that the transformation stands for.
         if model.name == kind.model and fitted.terms.all() and all(
                 model.options.get(name) == value for name, value in kind.options.items()):
             return key
@@ -99,8 +97,8 @@ def kind_of_fit(fitted: Fit) -> str | None:
 
 
 def to_mercator(degrees: FloatArray) -> FloatArray:
-    """Return longitude and latitude (n, 2) [degrees] in Web Mercator [m]."""
-    # Northing R artanh(sin lat), which is R ln tan(45 deg + lat / 2).
+    """Return longitude and latitude (n, 2) [degrees] in Web Mercator [m], shape (n, 2)."""
+    # The northing is R artanh(sin lat), which is R ln tan(45 deg + lat / 2).
     lon, lat = np.radians(degrees).T
     return EARTH * np.column_stack([lon, np.arctanh(np.sin(lat))])
 
@@ -112,42 +110,46 @@ def from_mercator(metres: FloatArray) -> FloatArray:
 
 
 def forward(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
-    """Return a transformation fitted to control points, None where they do not determine it.
+    """Return a function from line and sample to Web Mercator, fitted to control points.
+
+    None if the points do not determine it, or are too many for a spline.
+
 
     Parameters
     ----------
     key : str
-        Of `TRANSFORMATIONS`.
+        Key in `TRANSFORMATIONS`.
     image : ndarray, shape (n, 2)
         Line and sample.
     plane : ndarray, shape (n, 2)
         Web Mercator [m].
     """
-    # About the mean and in units of the extent, so that least squares are well conditioned.
+    # Coordinates about the mean, in units of the extent, condition least squares well.
     middle = plane.mean(axis=0)
-    far = float(np.abs(plane - plane.mean(axis=0)).max()) or 1.0
+    plane_extent = float(np.abs(plane - middle).max()) or 1.0
     centre = image.mean(axis=0)
-    unit = float(np.abs(image - image.mean(axis=0)).max()) or 1.0
-    scaled_image = (image - centre) / unit
-    scaled_plane = (plane - middle) / far
-    scaled = _fit_scaling(key, scaled_image, scaled_plane)
+    image_extent = float(np.abs(image - centre).max()) or 1.0
+    scaled_image = (image - centre) / image_extent
+    scaled_plane = (plane - middle) / plane_extent
+    scaled = _fit_scaled(key, scaled_image, scaled_plane)
     return None if scaled is None else lambda at: np.asarray(
-        middle + far * scaled((at - centre) / unit))
+        middle + plane_extent * scaled((at - centre) / image_extent))
 
 
-SPLINED = 5000
-"""Points through which a spline is tried at most."""
+MAX_SPLINED = 5000
+"""Most points through which a spline is fitted."""
 
 
-def _fit_scaling(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
-    """Return a transformation from image (n, 2) to plane (n, 2), both scaled to about 1.
+def _fit_scaled(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
+    """Return a function from image (n, 2) to plane (n, 2), both scaled to about 1.
 
-    `key` is its kind; None if the points do not determine it.
+    `key` is its kind in `TRANSFORMATIONS`. None if the points do not determine it: too few, on a
+    line, or for a spline at one place or more than `MAX_SPLINED`.
     """
     n = len(image)
     if key == "spline":
-        # A spline through thousands of points fills the memory, that of viewers, too.
-        if (not 3 <= n <= SPLINED or np.linalg.matrix_rank(image - image.mean(axis=0)) < 2
+        # A spline through thousands of points would fill the memory, here and in a viewer.
+        if (not 3 <= n <= MAX_SPLINED or np.linalg.matrix_rank(image - image.mean(axis=0)) < 2
                 or len(np.unique(image, axis=0)) < n):
             return None
         from scipy.interpolate import RBFInterpolator
@@ -172,7 +174,9 @@ def _fit_scaling(key: str, image: FloatArray, plane: FloatArray) -> Forward | No
 
 
 def _similarity_columns(image: FloatArray, axis: int) -> FloatArray:
-    """Return the columns (n, 4) of the similarity for x (axis 0) or y: two shifts, cosine and sine.
+    """Return the design (n, 4) of a similarity for x (axis 0) or y (axis 1).
+
+    The unknowns are two shifts, and scale times cosine and sine of the turn.
     """
     (line, sample) = image.T
     unit = np.ones(len(image))
@@ -182,7 +186,7 @@ def _similarity_columns(image: FloatArray, axis: int) -> FloatArray:
 
 
 def _monomial_columns(image: FloatArray, order: int) -> FloatArray:
-    """Return the monomials of line and sample up to an order, (n, terms)."""
+    """Return the monomials of line and sample (n, 2) up to a total order, shape (n, terms)."""
     line, sample = image.T
     columns = []
     for i in range(order + 1):
@@ -191,9 +195,9 @@ def _monomial_columns(image: FloatArray, order: int) -> FloatArray:
 
 
 def _fit_projective(image: FloatArray, plane: FloatArray) -> Forward | None:
-    """Return the projective transformation by the direct linear transformation.
+    """Return the projective transformation from image (n, 2) to plane (n, 2).
 
-    None if the points do not determine it.
+    It is fitted by the direct linear transformation. None if the points do not determine it.
     """
     if len(image) < 4:
         return None
@@ -202,24 +206,24 @@ def _fit_projective(image: FloatArray, plane: FloatArray) -> Forward | None:
     rows = np.concatenate([
         np.hstack([source, 0 * source, -plane[:, :1] * source]),
         np.hstack([0 * source, source, -plane[:, 1:] * source])])
-    # U would be (2 n, 2 n).
+    # R has the same singular values and right vectors as the rows, and at most nine rows.
     sizes, directions = np.linalg.svd(np.linalg.qr(rows, mode="r"))[1:]
-    # A second direction without change: the points do not determine the transformation.
+    # If a second direction leaves all equations at 0, the points do not determine H.
     if sizes[7] < 1e-10 * sizes[0]:
         return None
     matrix = directions[-1].reshape(3, 3)
 
     def project(at: FloatArray) -> FloatArray:
-        # Homogeneous coordinates, divided by the third.
-        above = np.column_stack([at, np.ones(len(at))]) @ matrix.T
-        return np.asarray(above[:, :2] / above[:, 2:])
+        """Return places (n, 2) of the plane for places (n, 2) of the image."""
+        homogeneous = np.column_stack([at, np.ones(len(at))]) @ matrix.T
+        return np.asarray(homogeneous[:, :2] / homogeneous[:, 2:])
 
     return project
 
 
 def spread_places(fitted: Fit) -> FloatArray:
-    """Return line and sample (m, 2) of places spread evenly over the image."""
+    """Return line and sample (m, 2) of a regular grid of places over the image of a fit."""
     (first_line, first_sample), (last_line, last_sample) = fitted.image_box()
-    return np.stack(np.meshgrid(np.linspace(first_line, last_line, _ACROSS),
-                                np.linspace(first_sample, last_sample, _ACROSS)
+    return np.stack(np.meshgrid(np.linspace(first_line, last_line, _N_ACROSS),
+                                np.linspace(first_sample, last_sample, _N_ACROSS)
                                 ), axis=-1).reshape(-1, 2)

@@ -24,7 +24,7 @@ from termsel_iiif.viewer import (
     to_mercator,
 )
 
-# In px.
+# Kinds of transformation whose largest differences from the model [px] are within this are alike.
 _ALIKE_PX = 0.01
 
 _IMAGE = Option("image_id", "", "Address of the IIIF image, such as https://example.org/iiif/map1; "
@@ -51,16 +51,16 @@ class AnnotationWriter(Writer):
 
     def accepts(self, result: Result) -> bool:
         """Return True if there are points in a CRS of the Earth, and the image has an address."""
-        named = self.options["image_id"] or _attribute(result, SOURCE)
-        return bool(named and len(result.features.points)) and result.features.crs != LOCAL
+        address = self.options["image_id"] or _attribute(result, SOURCE)
+        return bool(address and len(result.features.points)) and result.features.crs != LOCAL
 
     def write(self, result: Result, path: Path) -> None:
         """Write the points that are in use as a Georeference Annotation of the IIIF.
 
         Outliers that were rejected are left out, as they would bend the map in a viewer. The
-        transformation is the kind that the model is of, where viewers know it. What an annotation
-        that was read said of its mask, source and id is written again. Raises TermselError without
-        the address of the image.
+        transformation is that of `_choose_transformation`. If the points came from an annotation,
+        its mask, source and id are written again, unless the options state another image. Raises
+        TermselError without points, a CRS of the Earth, or the address of the image.
         """
         if not self.accepts(result):
             raise TermselError(
@@ -68,13 +68,13 @@ class AnnotationWriter(Writer):
                 hint="Give it with --set image_id=https://example.org/iiif/map1.")
         points = result.features.points
         excluded = {outlier.id for outlier in result.outliers if outlier.excluded}
-        use = [role != "off" and name not in excluded
-               # What was left out as a blunder would bend the transformation of a viewer.
-               for name, role in zip(points.ids, points.roles, strict=True)]
-        used = points.take(use)
+        is_used = [role != "off" and name not in excluded
+                   for name, role in zip(points.ids, points.roles, strict=True)]
+        used = points.take(is_used)
         source = self._choose_source(result)
         ground = used.ground.copy()
-        # Heights do not matter for longitude and latitude, but none must be unknown.
+        # Unknown heights would make longitudes and latitudes unknown, though they hardly depend on
+        # heights.
         ground[:, 2] = np.nan_to_num(ground[:, 2])
         places_on_earth = to_wgs84(result.features.crs)(ground)
         features = [{
@@ -101,8 +101,10 @@ class AnnotationWriter(Writer):
         write_text(path, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
 
     def _choose_source(self, result: Result) -> dict[str, Any]:
-        """Return the image: of the options, or else of the annotation that was read."""
-        # What was read comes back as it was, but for what the options say.
+        """Return the image as JSON has it: that of the options, or else the one that was read.
+
+        A height and width that it does not state are those of the features, if they are known.
+        """
         source = _json_of_attribute(result, SOURCE) or {}
         if self.options["image_id"]:
             source = {"id": self.options["image_id"], "type": self.options["service"]}
@@ -116,7 +118,10 @@ class AnnotationWriter(Writer):
 
     @staticmethod
     def _choose_mask(result: Result) -> str:
-        """Return the selector (SVG) that was read, or one of the whole image, or of the points."""
+        """Return the selector, an SVG: that which was read, or a rectangle.
+
+        The rectangle is the image, or, if its size is not known, goes around the points.
+        """
         text = _attribute(result, MASK)
         if text:
             return text
@@ -138,8 +143,9 @@ def _choose_transformation(fitted: Fit, image: FloatArray, lonlat: FloatArray,
                            stated_before: Any) -> dict[str, Any] | None:
     """Return the transformation to state, and log what a viewer makes of it.
 
-    `kept` is what an annotation that was read stated: it comes back as it was where it is the same
-    transformation. None where the points determine none; a viewer then takes its own.
+    It is the kind that the model is of, or else the simplest of those that come nearest to it.
+    `stated_before` is what an annotation that was read stated: it is returned unchanged if it is of
+    the same kind, or if the points determine none. None if there is neither.
     """
     plane = to_mercator(lonlat)
     by_kind = {}
@@ -147,9 +153,9 @@ def _choose_transformation(fitted: Fit, image: FloatArray, lonlat: FloatArray,
         by_points = forward(key, image, plane)
         if by_points is not None:
             by_kind[key] = by_points
-    named = kind_of_fit(fitted)
+    kind_of_model = kind_of_fit(fitted)
     viewed = {key: _places_in_viewer(fitted, by_points) for key, by_points in by_kind.items()
-              if named in (None, key)}
+              if kind_of_model in (None, key)}
     if not viewed:
         return stated_before if isinstance(stated_before, dict) else None
     worst = {key: float(np.nan_to_num(np.hypot(*(fitted.project(ground) - at).T), nan=np.inf
@@ -163,9 +169,10 @@ def _choose_transformation(fitted: Fit, image: FloatArray, lonlat: FloatArray,
 
 
 def _places_in_viewer(fitted: Fit, by_points: Forward) -> tuple[FloatArray, FloatArray]:
-    """Return where a viewer puts places of the image, ground (m, 3), and these places (m, 2).
+    """Return ground (m, 3) where a viewer puts places all over the image, and these places (m, 2).
 
-    Places that it puts nowhere are left out.
+    Places that it puts nowhere are left out, and so are those in the sky of an oblique photo, for
+    which the model has no ground. All are kept if the model has ground for none.
     """
     height = float(fitted.ground_box()[0][2]) if fitted.model.uses_height else 0.0
     # All over the image, as a viewer shows all of it, and not at the points alone; but not in the
@@ -186,23 +193,23 @@ def _places_in_viewer(fitted: Fit, by_points: Forward) -> tuple[FloatArray, Floa
 
 
 def _attribute(result: Result, name: str) -> str:
-    """Return what an attribute of the points says at the first that has it; "" if none has."""
-    # The reader puts it at the first point, which a selection may have left out since.
+    """Return an attribute of the first point that has it, as text; "" if no point has it."""
+    # The reader gives it to the first point, which may have been left out since.
     cells = result.features.points.attributes.get(name, ())
     return next((str(cell) for cell in cells if cell), "")
 
 
 def _json_of_attribute(result: Result, name: str) -> Any:
-    """Return the value that an attribute of the points has as JSON; None where it is empty."""
+    """Return the value of an attribute of the points, read as JSON; None if no point has it."""
     text = _attribute(result, name)
     return json.loads(text) if text else None
 
 
 def _shorten_px(value: float) -> float | int:
-    """Return px without the digits that adding half a pixel costs."""
+    """Return a position [px] to nine decimals, without those that rounding leaves in a sum."""
     return _plain_number(round(value, 9))
 
 
 def _plain_number(value: float) -> float | int:
-    """Return a whole number without its decimals, as others write it; others as they are."""
+    """Return a whole number as an integer, which JSON writes without decimals; others unchanged."""
     return int(value) if value == int(value) else value
