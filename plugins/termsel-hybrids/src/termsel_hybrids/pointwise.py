@@ -67,8 +67,8 @@ class Pointwise(Polynomial2D):
         near = self._neighbours_of(offset, distance)
         reach = np.where(near, distance, 0.0).max(axis=1, keepdims=True)
         reach[reach == 0.0] = 1.0
-        weight_of = WEIGHTS[self.options["weight"]]
-        root_of_weight = np.sqrt(np.where(near, weight_of(distance / reach), 0.0))
+        weight = WEIGHTS[self.options["weight"]](distance / reach)
+        root_of_weight = np.sqrt(np.where(near, weight, 0.0))
         columns = self._columns_around(offset / reach[..., None], near.sum(axis=1))
         # The first row of the pseudoinverse gives the constant of the local polynomial.
         return np.asarray(

@@ -292,7 +292,7 @@ class _Nodes:
                                   for square in squares])
             nodes = cls((x, y, levels), table, order, error=0.0, control=control,
                         to_ground=to_ground, surface=heights, flat=flat)
-            interpolated = nodes.looked_up(tested, tested_ground)
+            interpolated = nodes.interpolate_sigma(tested, tested_ground)
             with np.errstate(invalid="ignore", divide="ignore"):
                 error = np.abs(interpolated / truth - 1.0)
             largest = float(np.nanmax(error, initial=0.0))
@@ -335,7 +335,7 @@ class _Nodes:
         ground = self.to_ground(xy)
         ground[:, 2] = self.surface(ground[:, :2])
         bands = np.empty((len(BANDS), len(xy)), dtype=np.float32)
-        bands[:4] = self.looked_up(xy, ground).T
+        bands[:4] = self.interpolate_sigma(xy, ground).T
         if self.flat:
             # A plane model has no range of heights to be outside of.
             ground[:, 2] = np.nan
