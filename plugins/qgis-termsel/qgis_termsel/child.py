@@ -20,10 +20,11 @@ MISSING = ("termsel was not found: run the algorithm 'Set up termsel', or state 
 
 _REMOVED = ("PYTHONHOME", "PYTHONPATH", "PYTHONEXECUTABLE", "PYTHONSTARTUP", "QT_PLUGIN_PATH",
             "QGIS_PREFIX_PATH", "LD_PRELOAD", "PIP_QUIET")
-"""What QGIS sets for its own Python and would break another, and what would silence pip's log."""
+"""Variables that QGIS sets for its own Python and that would break another, and one that would
+silence the messages of pip."""
 
-# Seconds between the request to end and the end.
-_GRACE = 1.0
+# Seconds that a process has to end by itself, before it is killed.
+_GRACE_SECONDS = 1.0
 _WINDOWS = sys.platform == "win32"
 
 
@@ -34,18 +35,20 @@ def own_environment():
 
 
 def find_termsel_command():
-    """Return the command termsel: of the settings, of the own environment, or on PATH.
+    """Return the path of the command termsel.
+
+    It is that of the setting, else that of the variable TERMSEL_EXECUTABLE, else that in the
+    environment of 'Set up termsel', else that on PATH.
 
     Raises
     ------
     QgsProcessingException
-        If there is none.
+        If there is none, or the setting or the variable names no file.
     """
-    # The setting comes before the variable of the environment.
     stated = QgsSettings().value(SETTING, "", type=str) or os.environ.get("TERMSEL_EXECUTABLE", "")
     if stated:
         path = Path(stated)
-        # A virtual environment.
+        # A folder is taken for a virtual environment.
         if path.is_dir():
             path = command_in(path)
         if not path.is_file():
@@ -66,10 +69,13 @@ def command_in(environment, name="termsel"):
 
 
 def clean_environment():
-    """Return the environment variables, as a new dict, without those of QGIS's own Python."""
+    """Return the environment variables for a process of termsel, as a new dict.
+
+    Those of QGIS's own Python are left out; others make output plain, 100 columns wide and UTF-8.
+    """
     variables = {name: value for name, value in os.environ.items() if name not in _REMOVED}
     variables["PYTHONIOENCODING"] = "utf-8"
-    # Modules of the folder of a project are not Python's own.
+    # With this, Python does not take modules from the folder that it is started in.
     variables["PYTHONSAFEPATH"] = "1"
     variables["NO_COLOR"] = "1"
     variables["COLUMNS"] = "100"
@@ -79,22 +85,21 @@ def clean_environment():
 def run(arguments, feedback, program=None, show=False):
     """Run a command to its end, show its messages and progress, and return its stdout.
 
-    With ``show`` the log has its stdout, too.
-
-    Cancelling ends the process, and those it began, within two seconds.
+    `arguments` are those of `program`, by default of termsel. With `show`, stdout is shown in the
+    log, and "" is returned. Cancelling ends the process, and those it began, within two seconds.
 
     Raises
     ------
     QgsProcessingException
-        With the message of the command, if it fails or is cancelled.
+        If the command cannot be run, fails, or is cancelled; for one that fails with its message.
     """
     command = [program or find_termsel_command(), *map(str, arguments)]
     feedback.pushCommandInfo(" ".join(command))
-    # A group of its own, so that cancelling ends the processes that the command began, too.
+    # Cancelling ends the group of the process, with the processes that the command began.
     options = ({"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
                if _WINDOWS else {"start_new_session": True})
     try:
-        # A list and no shell; the program is that of the user's own settings.
+        # No shell takes the list apart, and the program is that of the user's own settings.
         process = subprocess.Popen(  # nosec B603
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL,
             env=clean_environment(), encoding="utf-8", errors="replace", **options)
@@ -103,9 +108,10 @@ def run(arguments, feedback, program=None, show=False):
     printed = []
     messages = queue.Queue()
     stdout = messages.put if show else printed.append
-    # Two threads read both streams: a full pipe would stop the command.
-    readers = [threading.Thread(target=_read, args=(process.stdout, stdout), daemon=True),
-               threading.Thread(target=_read, args=(process.stderr, messages.put), daemon=True)]
+    # A thread reads each stream, as a full pipe would stop the command.
+    readers = [threading.Thread(target=_read_lines, args=arguments_of_reader, daemon=True)
+               for arguments_of_reader in ((process.stdout, stdout),
+                                           (process.stderr, messages.put))]
     for reader in readers:
         reader.start()
     lines = []
@@ -117,19 +123,19 @@ def run(arguments, feedback, program=None, show=False):
             raise QgsProcessingException("Cancelled; nothing was written.")
         _forward_messages(messages, feedback, lines)
         if QThread.currentThread() == QCoreApplication.instance().thread():
-            # A batch runs here: its button Cancel must work.
+            # A batch runs in the thread of the window, whose button Cancel must work.
             QCoreApplication.processEvents()
         time.sleep(0.05)
     _forward_messages(messages, feedback, lines)
     if process.returncode:
-        # From the first line with "Error:" on, else the last three lines.
+        # The message begins at the first line with "Error:"; without one it is the last three.
         first = next((at for at, line in enumerate(lines) if line.startswith("Error:")), -3)
         raise QgsProcessingException(" ".join(lines[first:]) or f"{command[0]} ended with code "
                                      f"{process.returncode}.")
     return "".join(printed)
 
 
-def _read(stream, take):
+def _read_lines(stream, take):
     """Call `take` with each line of a stream as it comes, and close the stream at its end."""
     with stream:
         for line in stream:
@@ -137,13 +143,14 @@ def _read(stream, take):
 
 
 def _forward_messages(messages, feedback, lines):
-    """Take the waiting messages: progress to the bar, all others to the log.
+    """Take the waiting messages from a queue: show progress in the bar, and others in the log.
 
-    The others are appended to `lines`, too; errors only there, as the exception shows them.
+    The others are appended to `lines` too. An error is not shown in the log, as the exception that
+    follows has it.
     """
     while not messages.empty():
         line = messages.get().rstrip()
-        # Lines of --progress json are for the progress bar, all others for the log.
+        # --progress json writes such lines.
         if line.startswith('{"progress"'):
             step = json.loads(line)
             if step["progress"] is not None:
@@ -152,7 +159,6 @@ def _forward_messages(messages, feedback, lines):
         elif line:
             lines.append(line)
             if line.startswith("Error:"):
-                # The exception shows it.
                 continue
             if line.startswith(("Warning", "Note")):
                 feedback.pushWarning(line)
@@ -161,27 +167,30 @@ def _forward_messages(messages, feedback, lines):
 
 
 def _remove_leftovers(number, command):
-    """Remove the folders in which a process that was killed had begun to write.
+    """Remove the hidden folders in which a process that was killed had begun to write.
 
-    `number` is that of the process, `command` its arguments, whose folders are searched.
+    `number` is that of the process. The hidden folders are beside the files that it writes, so
+    those of all arguments of `command` are searched.
     """
-    # Folders in which a command writes are those of its files; the number is that of its process.
     for folder in {Path(argument).absolute().parent for argument in command[1:]}:
         for leftover in folder.glob(f".termsel-*-{number}-*"):
             shutil.rmtree(leftover, ignore_errors=True)
 
 
 def _end_process_tree(process):
-    """End a process and those that it began: by Ctrl-C, and by force if that takes too long."""
+    """End a process and those that it began.
+
+    On Windows they are killed. Elsewhere they get the signal of Ctrl-C, so that termsel can remove
+    what it has begun, and are killed if they do not end within `_GRACE_SECONDS`.
+    """
     if _WINDOWS:
         taskkill = Path(os.environ["SYSTEMROOT"]) / "System32" / "taskkill.exe"
         subprocess.run(  # nosec B603: of Windows itself
             [str(taskkill), "/F", "/T", "/PID", str(process.pid)], check=False, capture_output=True)
         return
-    # As Ctrl-C: termsel then removes what it has begun.
     os.killpg(process.pid, signal.SIGINT)
     try:
-        process.wait(_GRACE)
+        process.wait(_GRACE_SECONDS)
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()

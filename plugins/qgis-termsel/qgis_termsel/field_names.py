@@ -36,16 +36,17 @@ _UNIT = re.compile(r"\s*[\[({<【].*$|[\s_.-]+(px|pix|pixels?|m|km|ft|feet|us[_-
 
 
 def fold_name(name):
-    """Return a name in small letters, without accents, spaces and signs."""
+    """Return a name in small letters, without accents, spaces and signs such as hyphens."""
     letters = unicodedata.normalize("NFKD", name.casefold().replace("ł", "l").replace("ı", "i"))
     without_accents = "".join(sign for sign in letters if not unicodedata.combining(sign))
     return re.sub(r"[\W_]", "", without_accents)
 
 
 def field_of(meaning, fields):
-    """Return the field that has a meaning, of names as the layer has them; None without one.
+    """Return the name among `fields` that has a meaning; None if there is none.
 
-    Of several the one whose name is the more usual. Units count for nothing: "Line (px)" is line.
+    Of several it is the one that comes first in `KNOWN`. Accents, signs and units do not count:
+    "Line (px)" is a line.
     """
     forms = {}
     for name in fields:
@@ -57,9 +58,10 @@ def field_of(meaning, fields):
 
 
 def heading(meaning, field):
-    """Return the heading of the column of a field: its meaning, with the unit that its name states.
+    """Return the heading of a column: its meaning, with the unit that the name of its field states.
 
-    A height of "H [km]" or "z_ft" keeps its unit so, which the command line converts.
+    The command line converts by this unit, as for a height of "H [km]" or "z_ft". `field` is None
+    for a column without a field.
     """
     unit = _UNIT.search(field.strip()) if field else None
     return meaning + unit.group() if unit else meaning

@@ -31,14 +31,15 @@ from .field_names import KNOWN, field_of, heading
 
 
 def points_csv(source, fields):
-    """Write the features of a source as a table of points; return its path and the CRS's text.
+    """Write the features of a source as a table of points; return its path and the CRS as text.
 
-    Selected features, edited and unsaved ones are those that Processing gives.
+    `fields` are the fields that the user stated, by meaning. Which features there are, such as the
+    selected ones alone, is up to Processing.
 
     Raises
     ------
     QgsProcessingException
-        If there are no fields of line and sample, or no CRS.
+        If there are no fields of line and sample, no CRS, or a feature that is no point.
     """
     names = {meaning: _find_field(source, meaning, fields.get(meaning)) for meaning in KNOWN}
     for meaning in ("line", "sample"):
@@ -62,7 +63,7 @@ _FORMULA = re.compile(r"'*\s*[=+\-@\uff1d\uff0b\uff0d\uff20\ufe62\ufe63\ufe66\uf
 def write_table(path, rows):
     """Write rows as CSV, with an apostrophe before texts that a spreadsheet would run.
 
-    `unguard_formula`, and termsel, take it off again.
+    `unguard_formula` and termsel take the apostrophe off again.
     """
     with open(path, "w", newline="", encoding="utf-8") as opened:
         csv.writer(opened, lineterminator="\n").writerows(
@@ -70,9 +71,9 @@ def write_table(path, rows):
 
 
 def _guard_formula(cell):
-    """Return a cell with an apostrophe before what a spreadsheet would run as a formula.
+    """Return a cell with an apostrophe before a text that a spreadsheet would run as a formula.
 
-    Numbers, and what is no text, stay.
+    Numbers, also as text, and other texts are returned unchanged.
     """
     if not isinstance(cell, str) or not _FORMULA.match(cell):
         return cell
@@ -89,9 +90,9 @@ def unguard_formula(text):
 
 
 def _find_field(source, meaning, stated):
-    """Return the field that the user stated, or else the one with a usual name.
+    """Return the name of the field with a meaning: the one stated, or else one with a usual name.
 
-    None if none has it.
+    None if nothing is stated and no field has such a name.
     """
     if stated:
         return stated
@@ -99,7 +100,10 @@ def _find_field(source, meaning, stated):
 
 
 def _point_cells(feature, names, number):
-    """Return the cells of a point.
+    """Return the cells of a feature: id, role, line, sample, x, y, z.
+
+    `names` are the names of fields by meaning. Without an id it is P and `number`; x and y are
+    those of the first vertex. Cells without a value are "".
 
     Raises
     ------
@@ -122,12 +126,12 @@ def _point_cells(feature, names, number):
         try:
             float(str(cell(meaning)).replace(",", "."))
         except ValueError:
-            # Termsel would name a line of a file that the user does not know.
+            # The message of termsel would name a line of the table, which the user does not see.
             raise QgsProcessingException(
                 f"Feature {feature.id()} of the layer of points has {cell(meaning)!r:.40} in its "
                 f"field {names[meaning]}, which is no number. Correct it, or leave the feature "
                 "out.") from None
-    # Heights of a field come before those of the geometry.
+    # The height in a field comes before that of the geometry.
     height = cell("z")
     if height == "" and QgsWkbTypes.hasZ(geometry.wkbType()):
         height = repr(vertex.z())
@@ -136,30 +140,29 @@ def _point_cells(feature, names, number):
 
 
 def crs_text(crs):
-    """Return a CRS as termsel takes it.
+    """Return a CRS as text that termsel takes: an EPSG code, or else WKT.
 
     Raises
     ------
     QgsProcessingException
-        If there is none.
+        If the CRS is not valid, as of a layer without one.
     """
     if not crs.isValid():
         raise QgsProcessingException("The layer of points has no CRS: give it one in its "
                                      "properties.")
-    # Other systems than EPSG's are described in full.
     return crs.authid() if crs.authid().startswith("EPSG:") else crs.toWkt()
 
 
 _CODE = re.compile(r"\w{2,20}:\w{1,20}")
 _GRID = re.compile(r"(grids|file|model|init)\s*=\s*\S*[/\\]|PARAMETERFILE|PROJ4_GRIDS",
                    re.IGNORECASE)
-"""What in WKT may name a file that PROJ would open."""
+"""Parts of WKT that may name a file, which PROJ would open."""
 
 
 def stated_crs(text):
-    """Return the CRS that a result states, which may be a stranger's; none for other texts.
+    """Return the CRS that a result states as a code or as WKT; an invalid one for other texts.
 
-    From any text GDAL would also open files and ask servers.
+    The result may be a stranger's, and for other texts GDAL would open files and ask servers.
     """
     if _CODE.fullmatch(text):
         return QgsCoordinateReferenceSystem(text)
@@ -178,7 +181,9 @@ def read_inside(folder, name):
     Raises
     ------
     OSError
-        If it is a link, a pipe, too large, or cannot be read.
+        If it is no regular file, is larger than `MAX_FILE_BYTES`, or cannot be read.
+    UnicodeDecodeError
+        If it is not UTF-8.
     """
     path = Path(folder) / name
     state = path.lstat()
@@ -187,16 +192,16 @@ def read_inside(folder, name):
     return path.read_text(encoding="utf-8")
 
 
-# Post-processors, which QGIS does not keep.
-_kept = []
+# QGIS keeps no references to post-processors, so they would be deleted before they are called.
+_post_processors = []
 
 
 class AsInFile(QgsProcessingLayerPostProcessorInterface):
-    """Gives a layer the look that its file states: Processing takes none by itself."""
+    """Gives a layer the look that its file states, which Processing does not do by itself."""
 
     def __init__(self):
         super().__init__()
-        _kept.append(self)
+        _post_processors.append(self)
 
     def postProcessLayer(self, layer, context, feedback):
         """Give a loaded layer the look that its file states; QGIS calls it."""
@@ -223,11 +228,10 @@ class InShades(AsInFile):
 
 
 def shade(layer):
-    """Show the uncertainty to the north, band 4, from white to red."""
+    """Show the uncertainty to the north, band 4 of a layer, in five shades from white to red."""
     statistics = layer.dataProvider().bandStatistics(4)
     ramp = QgsColorRampShader(statistics.minimumValue, statistics.maximumValue,
                               QgsGradientColorRamp(QColor("#fff5f0"), QColor("#a50f15")))
-    # Five classes between the least and the largest value, in equal steps.
     ramp.classifyColorRamp(5, 4, layer.extent(), layer.dataProvider())
     shader = QgsRasterShader(statistics.minimumValue, statistics.maximumValue)
     shader.setRasterShaderFunction(ramp)
@@ -247,16 +251,17 @@ def blunder_style(layer):
 def add_blunders(folder, record, target):
     """Add the blunders among the points of a result as the layer "blunders" to a GeoPackage.
 
-    `record` is the content of result.json; the layer is empty if no point is a blunder.
+    `folder` is that of the result, `record` the content of its result.json, and `target` the
+    GeoPackage, whose layer of this name is replaced. It is empty if no point is a blunder.
     """
     errors = {outlier["id"]: outlier["error"] for outlier in record.get("outliers", [])}
     layer = QgsVectorLayer("Point?field=id:string&field=error:double", "blunders", "memory")
     layer.setCrs(stated_crs(record["data"].get("crs", "")))
-    # Without points, such as of lines alone, there is no such table.
+    # A result of lines alone has no table of points.
     text = read_inside(folder, "points.csv") if (Path(folder) / "points.csv").exists() else ""
     features = []
     for row in csv.DictReader(line for line in io.StringIO(text) if not line.startswith("#")):
-        # Only points: a blunder among lines has no place of its own.
+        # Blunders among lines are not in this table.
         name = unguard_formula(row["id"])
         if name in errors:
             feature = QgsFeature(layer.fields())

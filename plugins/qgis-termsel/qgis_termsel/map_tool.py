@@ -19,12 +19,14 @@ CLOSER = 4
 
 
 def places_of(folder, record):
-    """Return the CRS of a result, and the place of each of its points in it by id.
+    """Return the CRS of a result, and the places of its points in that CRS by id.
+
+    `folder` is that of the result, and `record` the content of its result.json.
 
     Raises
     ------
     OSError, ValueError, KeyError
-        If the folder has no such table.
+        If the folder has no table of points, or one with other columns or no numbers.
     """
     text = read_inside(folder, "points.csv")
     rows = csv.DictReader(line for line in io.StringIO(text) if not line.startswith("#"))
@@ -53,16 +55,16 @@ class ChoosePoint(QgsMapToolEmitPoint):
     def on_map(self):
         """Return the places of the points by id in the CRS of the map.
 
-        They stay as they are if the result or the map has no CRS.
+        If the result or the map has no CRS, they are not transformed.
         """
         crs = self.canvas().mapSettings().destinationCrs()
         if self.crs is None or not self.crs.isValid() or not crs.isValid():
             return dict(self.places)
-        turn = QgsCoordinateTransform(self.crs, crs, QgsProject.instance())
-        return {name: turn.transform(place) for name, place in self.places.items()}
+        transformation = QgsCoordinateTransform(self.crs, crs, QgsProject.instance())
+        return {name: transformation.transform(place) for name, place in self.places.items()}
 
     def choose(self, click, _button=None):
-        """Choose the point nearest to a place on the map, if one is near."""
+        """Choose the point nearest to a place on the map, if it is within `CLICK_PX`."""
         near = CLICK_PX * self.canvas().mapUnitsPerPixel()
         distances = {name: place.distance(click) for name, place in self.on_map().items()}
         name = min(distances, key=distances.get, default=None)
@@ -70,7 +72,10 @@ class ChoosePoint(QgsMapToolEmitPoint):
             self.chosen(name)
 
     def go_to(self, name):
-        """Show the surroundings of a point in the middle of the map."""
+        """Show a point in the middle of the map, enlarged unless it is larger already.
+
+        Nothing happens for an id without a place.
+        """
         places = self.on_map()
         if name not in places:
             return
