@@ -18,6 +18,7 @@ _VERTICES = 33
 
 def round_step(width: float) -> float:
     """Return the least of 1, 2 or 5 times a power of ten that fits a width at most LINES times."""
+    # A box without a width has no logarithm.
     rough = max(width, 1e-12) / LINES
     power = 10.0 ** math.floor(math.log10(rough))
     return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= rough)

@@ -44,6 +44,7 @@ PAGE = {"app.js": "text/javascript", "panes.js": "text/javascript", "panel.js": 
         "server.js": "text/javascript", "style.css": "text/css", "vendor/ol.js": "text/javascript",
         "vendor/ol.css": "text/css"}
 """Files of the page, and what they are."""
+# Threads that compute: a slow tile must not hold up the others.
 _THREADS = 4
 log = logging.getLogger(__name__)
 

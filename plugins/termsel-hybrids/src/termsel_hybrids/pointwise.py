@@ -66,6 +66,7 @@ class Pointwise(Polynomial2D):
         distance = np.linalg.norm(offset, axis=2)
         near = self._neighbours_of(offset, distance)
         reach = np.where(near, distance, 0.0).max(axis=1, keepdims=True)
+        # Neighbours that are all at the place itself have no distance to divide by.
         reach[reach == 0.0] = 1.0
         weight = WEIGHTS[self.options["weight"]](distance / reach)
         root_of_weight = np.sqrt(np.where(near, weight, 0.0))

@@ -126,6 +126,7 @@ def forward(key: str, image: FloatArray, plane: FloatArray) -> Forward | None:
     """
     # Coordinates about the mean, in units of the extent, condition least squares well.
     middle = plane.mean(axis=0)
+    # Points at one place have an extent of 0, by which nothing can be divided.
     plane_extent = float(np.abs(plane - middle).max()) or 1.0
     centre = image.mean(axis=0)
     image_extent = float(np.abs(image - centre).max()) or 1.0

@@ -55,6 +55,7 @@ def _strip_numbers(values: FloatArray, count: int) -> IntArray:
     """
     strips = np.zeros(len(values), dtype=np.intp)
     # Strips of one width would be empty between clusters of points.
+    # The divisor is 1 for no values, which have no strips.
     strips[np.argsort(values, kind="stable")] = np.arange(len(values)) * count // max(
         len(values), 1)
     return strips

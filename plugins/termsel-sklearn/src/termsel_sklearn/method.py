@@ -32,6 +32,7 @@ class _Fitting:
         ground_size = np.ptp(points.ground[:, :columns], axis=0)
         # Regularisation and kernels assume coordinates and positions of about 1.
         ground_half_size = np.where(ground_size > 0.0, ground_size / 2, 1.0)
+        # Points at one place have no extent to divide by.
         image_middle, image_size = points.image.mean(axis=0), float(np.ptp(points.image)) or 1.0
         regressor = clone(self.regressor)
         try:

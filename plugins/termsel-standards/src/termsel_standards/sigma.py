@@ -441,6 +441,7 @@ def _sigma_at(result: Result, ground: FloatArray) -> FloatArray:
     with np.errstate(all="ignore"):
         sigma_of_image = result.sigma(ground)
         scale = result.fit.ground_box()[1][:2]
+        # Control along one axis has no extent along the other.
         step = _STEP * np.where(scale > 0, scale, scale.max())
         # Central differences of line and sample by east and north.
         (lx, sx), (ly, sy) = (

@@ -72,6 +72,7 @@ def _arrow_path(x: float, y: float, row: dict[str, Any], enlargement: float) -> 
     It is `enlargement` times as long as the residual, but at most twice the size of the drawing:
     viewers draw paths of huge numbers wrongly.
     """
+    # The least distance keeps a residual of 0 from a division by 0.
     enlargement = min(enlargement, 2.0 * SIZE / max(row["distance"], 1e-300))
     dx = row["ds"] * enlargement
     dy = row["dl"] * enlargement
