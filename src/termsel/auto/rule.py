@@ -485,9 +485,10 @@ def is_simpler_and_smaller(fitted: Fit, base: Fit) -> bool:
     not decide between, the affine image being the simplest. A similarity has fewer unknowns than
     any of these: if it is better, it is not for following the points more closely. So it is taken
     where its errors are smaller in logarithms, and its RMSE is below SIMPLER_RMSE_RATIO of the
-    base's.
+    base's. A base whose geometry is known beforehand, as that of a camera, is no such average.
     """
     return (method_of(fitted).is_plain and fitted.effective < UNKNOWNS_OF_AFFINE
+            and not method_of(base).from_one
             and len(base.held_out().squares) < SPLINE_MAX_POINTS
             and gain(fitted, base) > 0.0
             and beyond_rounding(fitted) < SIMPLER_RMSE_RATIO * beyond_rounding(base))
