@@ -22,7 +22,7 @@ from termsel.formats.readers.csv_tables import (
     write_points_csv,
 )
 from termsel.results.result import Result
-from termsel.testing import Check, check, checks
+from termsel.testing import Check, check, checks, example_results
 
 with TemporaryDirectory() as folder:
     _path, _rng = Path(folder) / "example.csv", np.random.default_rng(3)
@@ -282,6 +282,9 @@ def test_broken_reader(broken: type[Reader], name: str, message: str) -> None:
 @pytest.mark.parametrize(("broken", "name", "message"), BROKEN_WRITERS)
 def test_broken_writer(broken: type[Writer], name: str, message: str) -> None:
     assert_found(checks(broken(), filename="model.json"), name, message)
+    if broken is Meddles:
+        # It has changed the results that all tests of writers share.
+        example_results.cache_clear()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit on the size of files")
