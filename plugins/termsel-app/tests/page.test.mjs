@@ -6,9 +6,9 @@ const page = new URL(process.env.TERMSEL_PAGE);
 const { coordinate, measurement, pixel, sized } = await import(new URL("panel.js", page).href);
 const { Refusal, call, newest } = await import(new URL("server.js", page).href);
 
-test("sizes have three digits", () => {
-  assert.deepEqual([0.123456, 12.3456, 999.6, 12345.6, NaN, Infinity].map(sized),
-    ["0.123", "12.3", "1,000", "12,346", "-", "-"]);
+test("sizes are rounded as on the screens of termsel", () => {
+  assert.deepEqual([0.00123456, 0.123456, 12.3456, 999.6, 12345.6, NaN, Infinity].map(sized),
+    ["0.0012", "0.12", "12.3", "1,000", "12,346", "-", "-"]);
 });
 
 test("degrees have six digits, metres two, and what is not known is blank", () => {

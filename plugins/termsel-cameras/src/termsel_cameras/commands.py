@@ -17,6 +17,7 @@ from termsel.toolkit import (
     print_table,
     require_inside,
     say_written,
+    show_messages,
     write_text,
 )
 from termsel.toolkit.commands import say_once
@@ -69,6 +70,7 @@ def map_series(sheets: tuple[Path, ...], crs: str | None, prime_meridian: str | 
     if prime_meridian is not None:
         meridian_of(prime_meridian)  # refused before any sheet is
         meridian["prime_meridian"] = prime_meridian
+    show_messages()
     with say_once("sheet"):
         read_sheets = [_read_sheet(sheet, crs, meridian) for sheet in sheets]
     if all(sheet.crs in ("", LOCAL) for sheet in read_sheets):
@@ -216,6 +218,7 @@ def flight_camera(photos: tuple[Path, ...], crs: str | None, size: tuple[int, in
     from termsel_cameras.known.sharing import shared_camera, unlike_photos
 
     require_replaceable([output], reads=photos, overwrite=overwrite, written_as="JSON")
+    show_messages()
     with say_once("photo"):
         read_photos = [_read_photo(photo, crs, size) for photo in photos]
     camera = shared_camera(read_photos, size, focal)
