@@ -257,9 +257,28 @@ def test_the_method_of_an_rpc_asks_for_one(example_files: Path) -> None:
     (["accuracy", "nowhere"], "nowhere: there is no result here: this folder does not exist."),
     # What is known elsewhere is not guessed.
     (["run", "--res", "5"], "there is no option --res. It belongs to termsel rectify"),
-    (["describe", "EPSG:4326"], "Give it to a command: --crs EPSG:4326.")])
+    (["describe", "EPSG:4326"], "Give it to a command: --crs EPSG:4326."),
+    (["list", "plugins"], "termsel plugins lists them."),
+    (["block", "a.csv", "b.csv"], "It takes one TOML file, which names all others: termsel block "
+                                  "--help shows an example.")])
 def test_what_strangers_type(words: list[str], message: str) -> None:
     assert message in refused(*words)
+
+
+@pytest.mark.parametrize("words", [["describe", "image"], ["describe", "result"],
+                                   ["describe", "my"], ["list", "images"]])
+def test_no_name_is_suggested_that_is_like_another_by_chance(words: list[str]) -> None:
+    assert "Did you mean" not in refused(*words)
+
+
+def test_a_name_with_blanks_that_was_not_quoted_is_found(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("my points.csv").write_text("id,line,sample,x,y\n")
+    message = refused("run", "my", "points.csv")
+    assert "'my points.csv' does. A name with blanks needs quotation marks: 'my points.csv'." \
+        in message
+    assert "--off" not in message
 
 
 def test_a_table_of_places_says_that_the_image_is_missing(tmp_path: Path) -> None:

@@ -262,6 +262,12 @@ def test_bad_files_of_results_are_refused(
         read_submitted(tmp_path)
 
 
+def test_the_folder_of_a_run_is_no_submission(tmp_path: Path) -> None:
+    (tmp_path / "result.json").write_text('{"schema": "termsel-result-1"}')
+    text = run("--check", tmp_path, code=2)
+    assert "is the record of a run, not of a benchmark. Give what `termsel bench --out" in text
+
+
 def test_what_is_not_installed_is_not_refuted(
         tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said = {"schema": "termsel-bench-1",

@@ -44,7 +44,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (('crs = "EPSG:4979"', f"crs = {'9' * 20000}"), "keys or numbers have no end"),
     (('name = "B"', f'name = "B"\noptions = {{degree = {"9" * 300}}}'), "more than 64 bits"),
     (('name = "B"', 'name = "B"\nimage = "b\\u0000.tif"'), "has a NUL character"),
-    (('crs = "EPSG:4979"', ""), "the file lacks 'crs'"),
+    (('crs = "EPSG:4979"', ""), "the block has no CRS. Add that of its points as the first "
+     'line, such as crs = "EPSG:4979".'),
     (('crs = "EPSG:4979"', "crs = 4979"), "crs is a whole number, expected text in quotes"),
     (('name = "B"', "name = 2"), "name of image number 2 is a whole number, expected text"),
     (('rpc = "B.RPB"', 'options = "x"'), "options of image number 2 is text in quotes, expected"),

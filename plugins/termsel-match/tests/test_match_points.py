@@ -20,7 +20,7 @@ from rasterio.transform import from_origin
 import termsel
 from termsel import TermselError
 from termsel.testing import checks
-from termsel_match.commands import match_example, match_points
+from termsel_match.commands import free_name, match_example, match_points, next_map_command
 from termsel_match.images import overview
 from termsel_match.points.candidates import Candidates
 from termsel_match.points.candidates import match_points as match
@@ -171,6 +171,17 @@ def test_a_coarser_reference_is_matched_at_its_resolution(place: Any,
     errors = place.errors(other.points, other.crs)
     assert (errors < 2).mean() > 0.8
     assert np.median(errors) < 0.7
+
+
+def test_the_next_command_names_a_map_and_a_folder_that_are_new(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert (free_name("map.tif"), free_name("result")) == ("map.tif", "result")
+    Path("map.tif").touch()
+    for name in ("result", "result-2"):
+        Path(name).mkdir()
+    words = (Path("a.tif"), Path("b.tif"), Path("c.csv"), Path("d.tif"), None)
+    assert next_map_command(*words).endswith(" --dem d.tif -o map-2.tif --out result-3")
 
 
 def test_the_command_writes_candidates_for_a_run(place: Any, says: Any, tmp_path: Path) -> None:

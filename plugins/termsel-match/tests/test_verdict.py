@@ -24,6 +24,7 @@ from benchmarks.verdicts import BAD, PASSED, REFUSED, Repeated, verdict
 from termsel import FeatureSet, Points, TermselError, read, read_result, write_points_csv
 from termsel_match import chain
 from termsel_match.chain import georeference_image, judge
+from termsel_match.commands import free_name
 from termsel_match.images.rasters import GreyRaster, open_picture
 from termsel_match.judgement.along import Along, drift_along
 from termsel_match.judgement.evidence import (
@@ -279,7 +280,7 @@ def test_the_recommended_run_is_the_run_of_the_chain(place: Any, says: Any,
     assert code == 0
     words = text.split("Next: termsel ")[1].split()
     assert words[:4] == ["auto-georeference", str(place / "image.tif"), "--points", str(table)]
-    assert words[-4:] == ["-o", "map.tif", "--out", "result"]
+    assert words[-4:] == ["-o", free_name("map.tif"), "--out", free_name("result")]
     reports = []
     for name, extra in (("one", ("--points", table)), ("two", ("--count", 80))):
         code, text = says("auto-georeference", place / "image.tif", *common, *extra, "-o",

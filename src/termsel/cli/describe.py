@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterable, Mapping
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -13,7 +12,7 @@ import click
 from termsel.cli.completion import complete
 from termsel.cli.messages import echo
 from termsel.cli.tables import print_table
-from termsel.core.errors import TermselError, unknown_name_error
+from termsel.core.errors import TermselError, likely_names, unknown_name_error
 from termsel.plugins.commands import COMMANDS
 
 if TYPE_CHECKING:
@@ -91,7 +90,7 @@ def _unknown_name_error(name: str, summaries: Mapping[str, str], hint: str) -> T
     error = unknown_name_error("name", name, summaries, hint, summaries)
     if "Did you mean" not in str(error):
         words = {word: kind for kind in KINDS for word in (kind, KINDS[kind].word)}
-        near = get_close_matches(name, words, n=1)
+        near = likely_names(name, list(words))
         kind = words[near[0]] if near else "models"
         if near:
             example = f"termsel list {kind} shows those of the {kind}"

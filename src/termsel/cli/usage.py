@@ -13,7 +13,7 @@ from pathlib import Path
 
 import click
 
-from termsel.core.errors import first_names_in_words
+from termsel.core.errors import first_names_in_words, likely_names
 
 _NUMBER = re.compile(r"[+-]?\d+(\.\d*)?")
 _WITH_UNIT = re.compile(r"([+-]?\d+(?:\.\d*)?)\s*([A-Za-z]+)")
@@ -286,10 +286,12 @@ def _bad_value(error: click.BadParameter, param: click.Parameter) -> str:
     if isinstance(param.type, click.Choice):
         typed_word = re.match(r"'([^']+)' is not", message)
         choices = list(map(str, param.type.choices))
-        near = get_close_matches(typed_word[1], choices, n=1) if typed_word else []
+        near = likely_names(typed_word[1], choices) if typed_word else []
         question = f" Did you mean {near[0]!r}?" if near else ""
         word = repr(typed_word[1]) if typed_word else "another word"
         listed = ", ".join(choices[:-1])
+        if name == "KIND" and typed_word and typed_word[1].rstrip("s") == "plugin":
+            return "Plugins are no kind of thing that they provide. termsel plugins lists them."
         return f"{name} is {word}, expected {listed} or {choices[-1]}.{question}"
     lost = _LOST.match(message)
     if lost:
@@ -326,4 +328,9 @@ def _extra_words(error: click.ClickException) -> str:
         remedy = f"A file of points is given so: --points {shlex.quote(extra[1])}."
         if Path(extra[1]).is_dir():
             remedy = "It is a folder, and this command takes a file of points: --points FILE."
+    # A command of a single TOML file, such as that of a block, does not take the tables of images.
+    elif any(param.metavar.endswith(".toml") for param in ctx.command.params
+             if isinstance(param, click.Argument) and param.metavar):
+        remedy = (f"It takes one TOML file, which names all others: {ctx.command_path} --help "
+                  "shows an example.")
     return f"{extra[1]!r} is more than this command takes: {ctx.command_path} {usage}. {remedy}"

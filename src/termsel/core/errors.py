@@ -6,7 +6,7 @@ import re
 import unicodedata
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from difflib import get_close_matches
+from difflib import SequenceMatcher, get_close_matches
 from traceback import TracebackException
 from types import MappingProxyType
 
@@ -136,6 +136,12 @@ def cut(text: str, longest: int) -> str:
 MOST_NAMED = 40
 """Names a message lists before it stops."""
 
+_MOST_MEANT = 3
+"""Names that a message asks about at most."""
+
+_OTHER_FIRST_LETTER = 0.75
+"""Share of matching characters from which on a name is meant that begins with another letter."""
+
 _ALIKE = 3
 """Letters at the beginning that show a name where no other begins with them."""
 
@@ -189,29 +195,39 @@ def unknown_name_error(
 def likely_names(name: str, names: Sequence[str]) -> list[str]:
     """Return up to three names that may be meant: the nearest, and those that differ by words.
 
-    Without any, the only name with the same first letters, such as popsize for "population".
+    Without any, the only name of one word with the same first letters, such as popsize for
+    "population".
     """
     by_small_letters = {known.lower(): known for known in names}
     small = name.lower()
-    # Above 0.6 of matching characters the nearest name is a misspelling; below, any guess misleads.
-    near = get_close_matches(small, by_small_letters, n=1, cutoff=0.6)
+    # Above 0.6 of matching characters a name with the same first letter is a misspelling, and one
+    # with another above 0.75, as those of image are half of ridge's; below, any guess misleads.
+    near = [known for known in get_close_matches(small, by_small_letters, n=3, cutoff=0.6)
+            if known[:1] == small[:1]
+            or SequenceMatcher(None, known, small).ratio() > _OTHER_FIRST_LETTER][:1]
     near += [known for known in by_small_letters if known not in near
              and (known.startswith(f"{small}-") or small.startswith(f"{known}-")
                   or known.endswith(f"-{small}"))]
-    alike = [known for known in by_small_letters if known[:_ALIKE] == small[:_ALIKE]]
+    alike = [known for known in by_small_letters if known[:_ALIKE] == small[:_ALIKE]
+             and "-" not in known]
     if not near and len(alike) == 1 and len(small) > _ALIKE:
         near = alike
-    return [by_small_letters[known] for known in near[:3]]
+    return [by_small_letters[known] for known in near[:_MOST_MEANT]]
 
 
 def _names_by_word(word: str, summaries: Mapping[str, str]) -> list[str]:
-    """Return up to three names whose summaries have a word, those that begin like it first."""
+    """Return up to three names whose summaries have a word, those that begin like it first.
+
+    A word of more than three summaries, such as image, means none that does not begin like it.
+    """
     if len(word) <= _ALIKE:
         return []
     as_word = re.compile(rf"\b{re.escape(word.replace('-', ' ').replace('_', ' '))}", re.IGNORECASE)
     names = [name for name, summary in summaries.items() if as_word.search(summary)]
     start = word[:_ALIKE].lower()
-    return sorted(names, key=lambda name: not name.lower().startswith(start))[:3]
+    alike = [name for name in names if name.lower().startswith(start)]
+    others = [name for name in names if name not in alike]
+    return [*alike, *(others if len(names) <= _MOST_MEANT else [])][:_MOST_MEANT]
 
 
 def exception_in_words(error: BaseException) -> str:

@@ -111,6 +111,8 @@ def _read(path: Path, packages: Sequence[str]) -> Submitted:
 
     try:
         content: Any = json.loads(read_text(path))
+        if str(content["schema"]).startswith("termsel-result-"):
+            raise refused("is the record of a run, not of a benchmark")
         if content["schema"] != SUBMISSION_SCHEMA:
             raise refused(f"is no file of a benchmark: its schema is {content['schema']!r}, not "
                           f"{SUBMISSION_SCHEMA!r}")

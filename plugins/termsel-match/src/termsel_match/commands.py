@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from itertools import chain, count
 from pathlib import Path
 from shlex import quote
 from time import monotonic
@@ -367,7 +368,14 @@ def next_map_command(image: Path, reference: Path, points: Path, dem: Path | Non
     words += [] if start is None else ["--start", quote(start)]
     for mask in masks:
         words += ["--mask", quote(mask)]
-    return " ".join([*words, "-o map.tif --out result"])
+    return " ".join([*words, "-o", free_name("map.tif"), "--out", free_name("result")])
+
+
+def free_name(wanted: str) -> str:
+    """Return a name that nothing in this folder has: the wanted one, or one with a number."""
+    path = Path(wanted)
+    numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
+    return str(next(name for name in chain([path], numbered) if not name.exists()))
 
 
 def next_run_command(start: str | None, image: Path, features: FeatureSet, lines: Path) -> str:
@@ -388,7 +396,7 @@ def next_run_command(start: str | None, image: Path, features: FeatureSet, lines
         model = by_relief.model
         settings = "".join(f" --set {name}={value}" for name, value in by_relief.options.items())
     return (f"termsel run --problem matched-lines --model {model}{settings} "
-            f"--lines {quote(str(lines))} --out result")
+            f"--lines {quote(str(lines))} --out {free_name('result')}")
 
 
 def refuse_output(output: Path, overwrite: bool, *reads: object,

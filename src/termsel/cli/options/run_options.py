@@ -429,6 +429,11 @@ def _two_of_one_kind_error(kind: str, first: Path, second: Path) -> TermselError
                                      "of its own: --out DIR.")
     if first == second:
         return TermselError(f"{first} is given twice", hint="Give it once.")
+    unquoted = f"{first} {second}"
+    if Path(unquoted).exists():
+        return TermselError(f"{first} and {second} do not exist, but {unquoted!r} does",
+                            hint="A name with blanks needs quotation marks: "
+                                 f"{shlex.quote(unquoted)}.")
     for path in (first, second):
         # A second id after --off, such as --off P1 P2, looks like a file.
         if not path.exists() and not path.suffix and "/" not in str(path):

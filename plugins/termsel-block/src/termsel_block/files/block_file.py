@@ -115,6 +115,11 @@ def read_block(path: Path | str) -> Block:
         stated = msgspec.convert(table, type=_File)
     except msgspec.ValidationError as error:
         _refuse_unknown_key(str(error), text, path)
+        if "crs" not in table:
+            raise TermselError("the block has no CRS", file=path,
+                               hint="Add that of its points as the first line, such as "
+                                    'crs = "EPSG:4979".'
+                               ) from error
         mismatch = mismatch_in_words(str(error), _KINDS, _key_in_words)
         raise TermselError(f"this is not the file of a block: {mismatch}", file=path,
                            hint=_EXAMPLE) from error
