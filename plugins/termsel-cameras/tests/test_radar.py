@@ -172,6 +172,19 @@ def test_what_is_left_of_the_track_or_before_the_orbit_is_not_seen(tmp_path: Pat
         assert np.isnan(model.unshifted(seen + np.array(offset))).all()
 
 
+def test_a_position_without_ground_leaves_the_others_theirs(tmp_path: Path) -> None:
+    model = Radar(metadata=str(written(tmp_path / "a.xml", ground=True)))
+    known = places_seen(60)
+    image = model.unshifted(known[:20]) + np.array([300.0, 0.0])
+    located = model.on_ground(image, known)
+    np.testing.assert_allclose(model.unshifted(located), image, atol=1e-6)
+    # One and a half swaths beyond the last sample the polynomials of ground range say nothing.
+    lost = np.array([[4000.0, 2.5 * SAMPLES]])
+    with_lost = model.on_ground(np.concatenate([image, lost]), known)
+    assert np.isnan(with_lost[-1]).all()
+    np.testing.assert_allclose(with_lost[:-1], located, atol=1e-9)
+
+
 def test_lines_of_a_burst_are_counted_from_its_own(tmp_path: Path) -> None:
     file = str(written(tmp_path / "a.xml", ground=False, bursts=4))
     places = places_seen(5)

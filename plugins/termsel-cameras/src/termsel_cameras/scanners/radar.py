@@ -214,8 +214,8 @@ class Radar(Physical):
         # Newton's method moves longitude and latitude at the interpolated heights.
         for _ in range(NEWTON_STEPS):
             residuals = image - self.unshifted(ground)
-            is_off = np.abs(residuals).max(initial=0.0) > 1e-9
-            if not is_off:
+            # Rows that are lost on the way are NaN; the other rows go on without them.
+            if not (np.abs(residuals) > 1e-9).any():
                 break
             slopes = np.stack([(self.unshifted(ground + step) - self.unshifted(ground - step))
                                / (2.0 * DEGREES) for step in DEGREES * np.eye(3)[:2]], axis=-1)
