@@ -445,10 +445,11 @@ class PinholeCamera(Estimator):
         equations = 2 * len(in_use)
         sigma0 = camera.sigma if equations > count else np.nan
         unknown = np.full(len(coefficients), np.nan)
-        return Fit(model, scaling, control, np.ones(len(coefficients), dtype=bool), used,
-                   Adjustment(coefficients, unknown, count, equations, count, np.nan, sigma0),
-                   self, camera.effective,
-                   HeldOut.of(camera.errors * scaling.image_scale, in_use))
+        adjustment = Adjustment(coefficients, unknown, n_terms=count, n_equations=equations,
+                                rank=count, condition=np.nan, sigma0=sigma0)
+        return Fit(model, scaling, control, terms=np.ones(len(coefficients), dtype=bool), used=used,
+                   adjustment=adjustment, estimator=self, trace=camera.effective,
+                   stored_held_out=HeldOut.of(camera.errors * scaling.image_scale, in_use))
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
         """Return the mean square errors of a fit at scaled places (see `Estimator.spread`)."""

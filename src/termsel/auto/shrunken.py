@@ -112,11 +112,12 @@ def fit_of(estimator: Estimator, model: Polynomial, control: FeatureSet, scaling
     count = round(average_of_all.effective)
     # Half a degree of freedom or less is none, as counts are whole numbers.
     sigma0 = float(np.sqrt(v @ v / freedom)) if freedom > 0.5 else np.nan
-    adjustment = Adjustment(coefficients, np.full(len(coefficients), np.nan), count, len(v),
-                            count, np.nan, sigma0)
-    return Fit(model, scaling, control, np.ones(len(coefficients), dtype=bool), used, adjustment,
-               estimator, average_of_all.effective,
-               HeldOut.of(average_of_all.errors * scaling.image_scale, control.take(used)))
+    adjustment = Adjustment(coefficients, np.full(len(coefficients), np.nan), n_terms=count,
+                            n_equations=len(v), rank=count, condition=np.nan, sigma0=sigma0)
+    held_out = HeldOut.of(average_of_all.errors * scaling.image_scale, control.take(used))
+    return Fit(model, scaling, control, terms=np.ones(len(coefficients), dtype=bool), used=used,
+               adjustment=adjustment, estimator=estimator, trace=average_of_all.effective,
+               stored_held_out=held_out)
 
 
 def fit_average(ground: FloatArray, image: FloatArray, exponents: Exponents,

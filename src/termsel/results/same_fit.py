@@ -137,8 +137,8 @@ def fit_of_record(model: SensorModel, control: FeatureSet, scaling: Scaling, use
         condition=np.inf if figures.condition is None else figures.condition,
         sigma0=number(figures.sigma0) / scaling.image_scale, correlations=term_correlations,
         steps=figures.steps, converged=figures.converged is not False)
-    return Fit(model, scaling, control, terms, used, adjustment, estimator=estimator, trace=trace,
-               stored_held_out=held_out)
+    return Fit(model, scaling, control, terms=terms, used=used, adjustment=adjustment,
+               estimator=estimator, trace=trace, stored_held_out=held_out)
 
 
 def _array_of_terms(model: SensorModel, values: Mapping[str, float | None],

@@ -138,8 +138,9 @@ def fit_of(model: Any, scaling: Scaling, control: FeatureSet, used: BoolArray,
         solution.coefficients, np.full(n_coefficients, np.nan), n_terms=n_terms,
         n_equations=solution.n_equations, rank=n_terms, condition=float("nan"),
         sigma0=solution.sigma0)
-    return Fit(model, scaling, control, np.ones(n_coefficients, dtype=bool), used, adjustment,
-               estimator, trace=solution.effective, stored_held_out=solution.held_out)
+    return Fit(model, scaling, control, terms=np.ones(n_coefficients, dtype=bool), used=used,
+               adjustment=adjustment, estimator=estimator, trace=solution.effective,
+               stored_held_out=solution.held_out)
 
 
 def to_terms(model: RpcAffine, scaling: Scaling) -> FloatArray:

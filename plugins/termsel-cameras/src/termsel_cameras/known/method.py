@@ -106,11 +106,11 @@ class ByKnownCamera(Estimator):
         errors = _errors_of(model, camera, scaling.features(in_use).points.image)
         # Coefficients have no variances of their own: the spread of positions is that of the
         # cameras under the prior, see `spread`.
-        adjustment = Adjustment(values, np.full(len(values), np.nan), n_terms, n_equations,
-                                rank=n_terms, condition=np.nan, sigma0=camera.sigma,
-                                converged=True)
-        return Fit(model, scaling, control, np.ones(len(values), dtype=bool), used, adjustment,
-                   estimator=self, trace=camera.effective,
+        adjustment = Adjustment(values, np.full(len(values), np.nan), n_terms=n_terms,
+                                n_equations=n_equations, rank=n_terms, condition=np.nan,
+                                sigma0=camera.sigma, converged=True)
+        return Fit(model, scaling, control, terms=np.ones(len(values), dtype=bool), used=used,
+                   adjustment=adjustment, estimator=self, trace=camera.effective,
                    stored_held_out=HeldOut.of(errors * scaling.image_scale, in_use))
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:

@@ -281,12 +281,13 @@ class RobustFit(Estimator):
         unknown = np.full(len(values), np.nan)
         freedom = max(len(residuals) - effective, 1.0)
         weight = _point_weights(scaled)
-        return Fit(ready, scaling, control, np.ones(len(values), dtype=bool), used,
-                   Adjustment(values, unknown, n_terms, len(residuals), n_terms, np.nan,
-                              float(np.sqrt(residuals @ residuals / freedom)), steps=solution.steps,
-                              converged=True),
-                   self, effective,
-                   HeldOut.of(errors / weight * scaling.image_scale, used_features))
+        adjustment = Adjustment(
+            values, unknown, n_terms=n_terms, n_equations=len(residuals), rank=n_terms,
+            condition=np.nan, sigma0=float(np.sqrt(residuals @ residuals / freedom)),
+            steps=solution.steps, converged=True)
+        return Fit(ready, scaling, control, terms=np.ones(len(values), dtype=bool), used=used,
+                   adjustment=adjustment, estimator=self, trace=effective,
+                   stored_held_out=HeldOut.of(errors / weight * scaling.image_scale, used_features))
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
         """Return the mean square errors at scaled ground positions (see `Estimator.spread`)."""
@@ -340,10 +341,12 @@ class ShiftFit(RobustFit):
             return super().fit(model, control, scaling, terms, used)
         values = np.zeros(len(ready.terms))
         scaled = errors / scaling.image_scale
-        return Fit(ready, scaling, control, np.ones(len(values), dtype=bool), used,
-                   Adjustment(values, np.full(len(values), np.nan), 0, errors.size, 0, np.nan,
-                              float(np.sqrt((scaled**2).mean())), converged=True),
-                   self, 0.0, HeldOut.of(errors, used_features))
+        adjustment = Adjustment(
+            values, np.full(len(values), np.nan), n_terms=0, n_equations=errors.size, rank=0,
+            condition=np.nan, sigma0=float(np.sqrt((scaled**2).mean())), converged=True)
+        return Fit(ready, scaling, control, terms=np.ones(len(values), dtype=bool), used=used,
+                   adjustment=adjustment, estimator=self, trace=0.0,
+                   stored_held_out=HeldOut.of(errors, used_features))
 
     def spread(self, fitted: Fit, ground: FloatArray) -> Spread:
         """Return the mean square errors at scaled ground positions (see `Estimator.spread`).

@@ -145,11 +145,11 @@ class BySeries(Estimator):
         coefficients = _affine_coefficients(posterior.values, middle, scaling)
         # An adjustment counts terms in whole numbers; the fit's trace is the effective number.
         n_terms = round(posterior.effective)
-        adjustment = Adjustment(coefficients, np.full(UNKNOWNS, np.nan), n_terms, 2 * len(in_use),
-                                rank=n_terms, condition=np.nan,
+        adjustment = Adjustment(coefficients, np.full(UNKNOWNS, np.nan), n_terms=n_terms,
+                                n_equations=2 * len(in_use), rank=n_terms, condition=np.nan,
                                 sigma0=posterior.sigma / scaling.image_scale, converged=True)
-        return Fit(model, scaling, control, np.ones(UNKNOWNS, dtype=bool), used, adjustment,
-                   estimator=self, trace=posterior.effective,
+        return Fit(model, scaling, control, terms=np.ones(UNKNOWNS, dtype=bool), used=used,
+                   adjustment=adjustment, estimator=self, trace=posterior.effective,
                    stored_held_out=HeldOut.of(errors, in_use))
 
     def _sheet_posterior(self, model: SeriesSheet, in_use: FeatureSet,
