@@ -18,7 +18,7 @@ import termsel
 from termsel import FeatureSet, Points, TermselError, write_result
 from termsel.testing import Check, checks, invoke
 from termsel_formats import compare_programs
-from termsel_formats.check.command import _warn
+from termsel_formats.check.command import _warn_of_deviation
 from termsel_formats.check.comparison import Apart, Deviation
 
 rasterio = pytest.importorskip("rasterio")
@@ -205,7 +205,7 @@ def test_the_note_counts_places_of_points_and_of_the_image(
     near = Apart(0.1, 0.2, None, 1.0, 2.0, 3)
     far = Apart(0.3, 0.4, None, 1.0, 2.0, 4)
     for at_points, over_image, lacking in ((near, far, 7), (far, near, 7), (None, near, 3)):
-        _warn(Deviation("GDAL", "affine", "", True, at_points, over_image))
+        _warn_of_deviation(Deviation("GDAL", "affine", "", True, at_points, over_image))
         assert f"GDAL has no place for {lacking} of the places" in capsys.readouterr().out
 
 

@@ -509,10 +509,18 @@ class Fit(Glance):
         return sigma
 
     def mean_squares(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean square errors of places (m, 3), and of a measurement, scaled: (m, 2), (2,).
+        """Return the mean square errors of places (m, 3) and of a measurement, scaled.
 
-        They are those of the courses between control points, where there are any, and else of the
-        estimator's spread and the misfit; a mean of both where camera courses count in part.
+        Where `local_courses` follow the error between control points, the mean squares are theirs.
+        Else they are the estimator's variance plus what the model misses. With camera courses they
+        are a mean of both, weighted by `share_of_courses`.
+
+        Returns
+        -------
+        squares : ndarray, shape (m, 2)
+            Of the positions of the places, by line and sample.
+        noise : ndarray, shape (2,)
+            Of a measurement.
         """
         scaled_ground = self.scaling.ground(ground)
         courses = self.local_courses

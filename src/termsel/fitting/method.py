@@ -169,16 +169,21 @@ class Method(ABC):
         """
 
     def held_out(self, fitted: Fit) -> HeldOut:
-        """Return the errors of features of a fit of this method, each held out.
+        """Return the errors of the features in use of a fit of this method, each held out.
 
         By default they are those that the estimator finds: of least squares in closed form, else by
         repeating the fit without each feature. A method that chooses repeats the choice; with
         `termsel.held_out_by_refits` that is one line.
 
+        Returns
+        -------
+        HeldOut
+            Of each feature, by the fit to the features that are left without it.
+
         Raises
         ------
         Undetermined
-            If the others do not determine the fit.
+            If the features that are left do not determine the fit.
         """
         return fitted.estimator.held_out(fitted)
 

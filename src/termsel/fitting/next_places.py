@@ -52,8 +52,9 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
     """Return the best places to measure next, at most `count` of the candidates.
 
     Candidates (c, 3) and the scene where the model is to be good (m, 3) are on the ground. Two
-    places are `min_distance` apart in the image, as a share of its longer side; where no candidate
-    is as far from all places before it, any may follow.
+    places are at least `min_distance` apart in the image, as a share of its longer side, or of that
+    of the box around the features and the RPC where the size of the image is not known. Where no
+    candidate is as far from all places before it, any may follow.
 
     Raises
     ------

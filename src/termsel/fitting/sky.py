@@ -56,6 +56,13 @@ def sky_of(fitted: Fit, image: FloatArray) -> BoolArray:
 def refuse_sky(fitted: Fit, product: str) -> None:
     """Refuse to write a product that gives all of the image a place on the ground.
 
+    Parameters
+    ----------
+    fitted : Fit
+        What would be written.
+    product : str
+        What it would be written as, with its article, such as "an RPC".
+
     Raises
     ------
     TermselError

@@ -134,8 +134,9 @@ def _merge_listed_points(features: FeatureSet, points: set[str],
 def _final_fit(record: Record, model: SensorModel, observations: Observations) -> Fit | None:
     """Return the final fit that a record has; None for a record without one.
 
-    Its control are all points that had a role, but for independent ones that are outliers.
-    Coefficients and figures are taken from the record: nothing is fitted again.
+    Its control are the lines and all points that were control, check or independent points, but for
+    independent ones that are outliers. Coefficients and figures are taken from the record: nothing
+    is fitted again.
     """
     final = record.final_fit
     if final is None:
@@ -147,9 +148,8 @@ def _final_fit(record: Record, model: SensorModel, observations: Observations) -
     # In the final fit every point in use is control.
     roles = tuple("control" if name in in_use else role
                   for name, role in zip(points.ids, points.roles, strict=True))
-    control = _merge_listed_points(observations.features.with_(points=replace(points, roles=roles)),
-                                   in_use,
-                                   final.features)
+    features = observations.features.with_(points=replace(points, roles=roles))
+    control = _merge_listed_points(features, in_use, final.features)
     scaling = Scaling.from_numbers(final.scaling)
     used = np.ones(len(control), dtype=bool)
     return fit_of_record(

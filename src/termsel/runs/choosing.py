@@ -136,11 +136,28 @@ def choose_for(request: Request, observations: Observations, auto: Auto, seed: i
                observers: Iterable[Observer] = (), note_on_projection: str = "") -> Finding:
     """Return the choice among methods, and the fits that it is compared with.
 
-    The model and the solver of the request take no part. The seed is that of the search by OWDIS,
-    where there are points and lines. Observers are called with `Progress` after each method.
-    When interrupted with Ctrl-C there is a result if any method was tried. Refuses control and
-    check points that together determine no method. The note says in which projection, if any, the
-    methods are fitted.
+    The model and the solver of the request take no part in the choice. When methods are
+    interrupted with Ctrl-C, the choice is the best of those that were fitted to all points by then.
+
+    Parameters
+    ----------
+    request : Request
+        What was asked for.
+    observations : Observations
+        The features in the roles that they play.
+    auto : Auto
+        The methods to choose among, or the one that is asked for.
+    seed : int
+        That of the search by OWDIS, where there are points and lines.
+    observers : iterable of Observer
+        Called with `Progress` after each method.
+    note_on_projection : str
+        A sentence on the projection in which the methods are fitted; "" for none.
+
+    Raises
+    ------
+    TermselError
+        If control and check points together determine no method.
     """
     start = time.perf_counter()
     watch = _Watch(observers, len(auto.offered(observations.pool)),

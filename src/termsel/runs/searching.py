@@ -114,7 +114,7 @@ class Search(TaskMethod):
     def find(self, task: Task, memory: Memory) -> tuple[Request, Finding]:
         """Return what a search finds of a prepared task, or of a problem of one's own."""
         if self.problem is not None or self.settings:
-            task = self._own_task(task)
+            task = self._with_own_problem(task)
         # The outlier test comes before the search, which may leave blunders out.
         auto = Auto(memory=memory)
         verdict = judge_features(task.observations, auto, task.options["data"]["tested"])
@@ -126,11 +126,10 @@ class Search(TaskMethod):
         finding = finding_of(searched, search, auto, verdict)
         return searched.request, replace(finding, stated={**finding.stated, "budget": budget})
 
-    def _own_task(self, task: Task) -> Task:
-        """Return the task of one's own problem and settings with the features of a task.
+    def _with_own_problem(self, task: Task) -> Task:
+        """Return a task of this search's problem and settings, with the features of another task.
 
-        They keep the roles that they play in the task, so that independent points stay
-        independent.
+        Points keep the roles that they play in the other task, so that independent ones stay so.
         """
         features = task.features.with_(points=task.observations.features.points)
         return prepare(self.problem or task.recipe, features=features, source=task.source,

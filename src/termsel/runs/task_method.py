@@ -21,12 +21,15 @@ class TaskMethod(Method):
         Parameters
         ----------
         task : Task
+            What is to be solved, with its features and their roles.
         memory : Memory
             What was found of the same features before.
 
         Returns
         -------
         Request
-            That of the task, or of the one that the method prepared of its features.
+            What was asked for: that of `task`, or of the task that the method prepared from the
+            features of `task`.
         Finding
+            What the method found.
         """

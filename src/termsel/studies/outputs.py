@@ -92,7 +92,7 @@ def study_summary(study: Study) -> str:
     if study.noun == "image":
         further = "" if any(output.page for output in outputs) else (
             f"A page of all images comes with the package {package}, which {state}. {remedy}\n")
-        return f"{_image_text(study)}{further}"
+        return f"{_text_on_images(study)}{further}"
     texts = [output.summary(study) for output in outputs if output.summary]
     return "".join(texts) or (
         f"{count_in_words(len(study.records), study.noun)} finished. Statistics and tables come "
@@ -173,8 +173,12 @@ SWAPPED_IN_SHORT = ("Swapped: exchange the names of the two columns in that file
 """What to do about images whose axes look swapped, in one line."""
 
 
-def _image_text(study: Study) -> str:
-    """Return remarks, the table of images, and the reasons of verdicts, as text."""
+def _text_on_images(study: Study) -> str:
+    """Return the title, remarks, usual notes and table of the images of a study, as text.
+
+    What "plausible" means, the reasons of verdicts and what to do about swapped axes follow, where
+    they apply.
+    """
     title = [study.spec.title] if study.spec.title else []
     has_plausible = any(row["verdict"] == PLAUSIBLE for row in study.rows)
     meaning = (MEANING_OF_PLAUSIBLE,) if has_plausible else ()

@@ -692,9 +692,9 @@ def with_stated_heights(crs: str, stated: str) -> str:
     return normalise(crs)
 
 
-@lru_cache  # an error is not kept with what raised it
+@lru_cache  # transformers are cached, and failures are not: each would list the grids anew
 def _missing_grids(source: CRS, target: CRS) -> tuple[str, ...]:
-    """Return the file names of missing grids, each of which would let PROJ transform."""
+    """Return the file names of the grids that PROJ lacks for its operations between two CRSs."""
     from pyproj.transformer import TransformerGroup
 
     # Operations that need a grid are listed as unavailable until it is there.

@@ -65,7 +65,7 @@ class PointsCsv(TableReader):
                              "image_name=NAME")
             table = table.take([row for row, name in enumerate(images) if name == image])
         features = replace(points_of(table, table.crs), image_size=table.image_size)
-        _check_pixels(table, features)
+        _note_x_and_y_as_pixels(table, features)
         return features
 
     def parts(self, path: Path) -> dict[str, dict[str, Any]]:
@@ -101,8 +101,8 @@ def _images_of(columns: Mapping[str, Sequence[str]]) -> list[str]:
     return []
 
 
-def _check_pixels(table: Table, features: FeatureSet) -> None:
-    """Note that columns called x and y are read as sample and line, next to lon and lat.
+def _note_x_and_y_as_pixels(table: Table, features: FeatureSet) -> None:
+    """Log a note that columns called x and y are read as sample and line, next to lon and lat.
 
     Tables of GIS have x and y on the ground, tables of viewers in the image; next to lon and lat
     they can only be in the image. Raises TermselError if they are too large for pixels.

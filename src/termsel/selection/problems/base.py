@@ -127,7 +127,11 @@ class EnumerablePart:
 
 def evaluation_fault(problem: Problem, value: Any, genes: Genes, *_near: Any,
                      **_named: Any) -> str | None:
-    """Return how the evaluation of a population is at fault; None if it is not."""
+    """Return what is wrong with the evaluation of a population; None if nothing is.
+
+    It is a clause to follow the name of a method, such as "returned as objectives ...". Further
+    arguments are those of `Problem.evaluate_near`, whose evaluation is checked in the same way.
+    """
     n = len(genes)
     names = problem.objectives
     return (difference_from_type(value, Evaluation)

@@ -108,7 +108,10 @@ class CustomSegment(Named, Guarded):
         return self.unlocked(rng.random((n, self.keys)))
 
     def fault(self, genes: Genes) -> str:
-        """Return how genes of any dtype are at fault; "" if `repaired` leaves them as they are."""
+        """Return how genes of any dtype are at fault, as a clause to follow "genes".
+
+        It is "" if `repaired` leaves them as they are.
+        """
         return "" if np.array_equal(self.repaired(genes), genes) else "are not valid as they are"
 
     def crossed(self, parents_1: Genes, parents_2: Genes,

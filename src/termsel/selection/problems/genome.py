@@ -171,8 +171,8 @@ class Genome:
         if self.dtype == np.bool_:
             fixed = (Bits("", self.labels).repaired(genes) | self.on) & ~self.off
             # Forced genes stay as they are: only free ones are switched to keep the counts.
-            for switched, columns in self._segments_switched():
-                _keep_count(fixed[:, columns], switched, self.free[columns], rng)
+            for bits, columns in self._segments_switched():
+                _keep_count(fixed[:, columns], bits, self.free[columns], rng)
             return fixed
         fixed = np.empty((len(genes), self.size), dtype=self.dtype)
         for segment, columns in zip(self.segments, self._slices.values(), strict=True):

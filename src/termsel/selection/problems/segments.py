@@ -45,7 +45,7 @@ class _Bounded(Named):
         return self.low, self.high
 
     def fault(self, genes: Genes) -> str:
-        """Return how genes of any dtype are at fault; "" if they are not."""
+        """Return how genes of any dtype are at fault, as a clause to follow "genes"; "" if not."""
         outside = ~((genes >= np.array(self.low)) & (genes <= np.array(self.high)))
         if not outside.any():
             return ""
@@ -108,7 +108,7 @@ class Bits(Named):
         return genes if genes.dtype == np.bool_ else np.asarray(genes > 0.5)
 
     def fault(self, genes: Genes) -> str:
-        """Return how genes of any dtype are at fault; "" if they are not."""
+        """Return how genes of any dtype are at fault, as a clause to follow "genes"; "" if not."""
         return "" if ((genes == 0) | (genes == 1)).all() else "are not all 0 or 1"
 
     def value(self, genes: Genes) -> tuple[str, ...]:
@@ -153,7 +153,7 @@ class Integers(_Bounded):
         return rng.integers(self.low, self.high, (n, self.size), endpoint=True)
 
     def fault(self, genes: Genes) -> str:
-        """Return how genes of any dtype are at fault; "" if they are not."""
+        """Return how genes of any dtype are at fault, as a clause to follow "genes"; "" if not."""
         return super().fault(genes) or _fault_of_fractions(genes)
 
 
@@ -232,7 +232,7 @@ class Categories(Named):
         return 0, len(self.choices) - 1
 
     def fault(self, genes: Genes) -> str:
-        """Return how genes of any dtype are at fault; "" if they are not."""
+        """Return how genes of any dtype are at fault, as a clause to follow "genes"; "" if not."""
         inside = (genes >= 0) & (genes < len(self.choices))
         return _fault_of_fractions(genes) if inside.all() else (
             f"are not all from 0 to {len(self.choices) - 1}, numbers of choices")
@@ -269,7 +269,7 @@ class Permutation(Named):
         return genes.argsort(axis=1, kind="stable").argsort(axis=1)
 
     def fault(self, genes: Genes) -> str:
-        """Return how genes of any dtype are at fault; "" if they are not."""
+        """Return how genes of any dtype are at fault, as a clause to follow "genes"; "" if not."""
         valid = (np.sort(genes, axis=1) == np.arange(self.size)).all()
         return "" if valid else f"are no permutation of 0 to {self.size - 1}"
 
@@ -328,7 +328,7 @@ class Subset(Named):
         return random_subsets(n, len(self.labels), self.m, rng)
 
     def fault(self, genes: Genes) -> str:
-        """Return how genes of any dtype are at fault; "" if they are not."""
+        """Return how genes of any dtype are at fault, as a clause to follow "genes"; "" if not."""
         in_range = (genes >= 0) & (genes < len(self.labels))
         if not in_range.all() or _fault_of_fractions(genes) or (np.diff(genes, axis=1) <= 0).any():
             return (f"are not {self.m} different whole numbers from 0 to {len(self.labels) - 1}, "

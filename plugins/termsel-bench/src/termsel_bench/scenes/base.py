@@ -22,6 +22,9 @@ PIXELS, METRES, DEGREES = 3, 3, 9
 COEFFICIENTS = 9
 """Decimals of coefficients of RPCs: what least squares leave differs by less between machines."""
 
+_ROUNDED_OF_RPC = ("image_offset", "image_scale", "ground_offset", "ground_scale", "line_numerator",
+                   "line_denominator", "sample_numerator", "sample_denominator")
+
 
 @dataclass(frozen=True, eq=False)
 class BenchSet:
@@ -112,12 +115,11 @@ def round_to_files(bench_set: BenchSet) -> BenchSet:
 
 
 def _rounded_rpc(rpc: Rpc) -> Rpc:
-    """Return an RPC with all its numbers rounded to the decimals of its file."""
+    """Return an RPC with its offsets, scales and coefficients rounded to the decimals of a file."""
     def rounded(numbers: tuple[float, ...]) -> tuple[float, ...]:
         return tuple(float(round(number, COEFFICIENTS)) for number in numbers)
 
-    fields: dict[str, Any] = {name: rounded(value) for name, value in vars(rpc).items()
-                              if isinstance(value, tuple)}
+    fields: dict[str, Any] = {name: rounded(getattr(rpc, name)) for name in _ROUNDED_OF_RPC}
     return replace(rpc, **fields)
 
 

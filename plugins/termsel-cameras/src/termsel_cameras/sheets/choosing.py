@@ -70,10 +70,11 @@ class Tried:
 def rank_projections(sheets: Sequence[FeatureSet], candidates: Sequence[Projection]) -> list[Tried]:
     """Return how well each projection predicts the points of all sheets, the best first.
 
-    The figure is the mean of the logarithm of the sheets' RMSE, weighted by their numbers of
-    points, since all sheets of a series were drawn in one projection. Independent points and
-    blunders take no part, nor do sheets of fewer than `MIN_POINTS_OF_SHEET` points. Raises
-    TermselError if no sheet has enough.
+    All sheets of a series were drawn in one projection, so that each projection has one figure: the
+    geometric mean of the sheets' RMSEs [px], weighted by their numbers of points. Independent
+    points and blunders (see `_without_blunders`) take no part, nor do sheets that have fewer than
+    `MIN_POINTS_OF_SHEET` points before blunders are left out. Raises TermselError if no sheet has
+    enough.
     """
     used_sheets = [without_independent(sheet) for sheet in sheets]
     used_sheets = [_without_blunders(sheet, candidates) for sheet in used_sheets
@@ -197,9 +198,10 @@ def _rmse_by_series(sheets: Sequence[FeatureSet], series: Series) -> float:
 
 
 def _without_blunders(sheet: FeatureSet, candidates: Sequence[Projection]) -> FeatureSet:
-    """Return a sheet without the points that are blunders in most of the projections.
+    """Return a sheet without the points that are or may be blunders in most of the projections.
 
-    It is returned as it is if it has too few points for a test in any projection.
+    A projection has no vote where the sheet has too few points for a test, or where a point has no
+    coordinates in it. The sheet is returned as it is if no projection has a vote.
     """
     # All projections must be compared by the same points. A right point may look like a blunder in
     # a projection that is not the map's, but hardly in most of them.

@@ -79,7 +79,7 @@ def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) ->
         print_table(("program", "takes", "points [px]", "image [px]", "image [m]"),
                     [_program_row(deviation) for deviation in deviations])
         for deviation in deviations:
-            _warn(deviation)
+            _warn_of_deviation(deviation)
     for name in answers.absent:
         echo(f"Not tested: {name}, which is not installed.")
     for message in answers.failed:
@@ -103,12 +103,12 @@ def _largest_distance_text(distances: Apart | None) -> str:
     return "" if distances is None else f"{distances.largest:,.3g}"
 
 
-def _warn(deviation: Deviation) -> None:
+def _warn_of_deviation(deviation: Deviation) -> None:
     """Print warnings about what a program takes by default; nothing about what an option asks for.
 
     A warning is printed if it deviates from the model by more than WARNING_PX at the points or over
-    the image, or if no distance is known at all; a note, if the program has no ground position for
-    some of the image positions that were compared.
+    the image, or if no distance is known at all. Where some positions were compared, a note says
+    for how many others the program has no ground position, or one that the model cannot project.
     """
     if not deviation.by_default:
         return

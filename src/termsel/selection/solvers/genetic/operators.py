@@ -289,7 +289,7 @@ def neighbours_of_segment(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
     category becomes each other one; a permutation has two of its members exchanged; a subset has
     one member replaced. All neighbours are valid and differ from the genes.
 
-    Raises TypeError for bits, of which `swap.neighbours` knows.
+    Raises TypeError for bits, whose neighbours are those of `swap.neighbour_batches`.
     """
     n = segment.size
     match segment:
@@ -321,7 +321,7 @@ def neighbours_of_segment(segment: AnySegment, genes: Genes) -> Iterator[Genes]:
                 yield np.sort(_with_values_at(genes, i, outsiders), axis=1)
         case CustomSegment():
             yield from segment.steps(genes)
-        case Bits():  # see `swap.neighbours`
+        case Bits():  # see `swap.neighbour_batches`
             raise TypeError("the neighbours of bits depend on their cardinality")
 
 

@@ -29,8 +29,8 @@ def neighbour_batches(genes: Genes, genome: Genome) -> Iterator[Genes]:
     """Yield all valid individuals one step away, in batches (n, size) of up to BATCH.
 
     In a genome of bits, selections with one gene more or less come first, then those in which a
-    gene that is on is replaced by another of its segment. Forced genes stay, and each segment keeps
-    its cardinality. The steps of other genes are those of
+    gene that is on is replaced by another of its segment. Forced genes stay, and the number of
+    genes that are on stays within what each segment allows. The steps of other genes are those of
     `termsel.selection.solvers.genetic.operators.neighbours_of_segment`.
     """
     if genome.dtype == np.bool_:
