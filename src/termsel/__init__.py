@@ -24,4 +24,5 @@ def __getattr__(name: str) -> object:
         return _imported(name)
     from termsel.core.arguments import missing_name_message
 
-    raise AttributeError(missing_name_message(__name__, name, __all__))
+    # With a name of its own, Python adds no guess to that of the message.
+    raise AttributeError(missing_name_message(__name__, name, __all__), name=name)

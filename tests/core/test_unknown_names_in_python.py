@@ -1,7 +1,9 @@
-"""Names that Python does not find: arguments and names of termsel say which one was meant."""
+"""Calls from Python that cannot be: arguments and names of termsel say which one was meant."""
 
 import re
+import traceback
 
+import numpy as np
 import pytest
 
 import termsel
@@ -49,6 +51,79 @@ def test_an_unknown_name_of_the_module_says_which_is_meant(name: str, meant: str
     with pytest.raises(AttributeError, match=re.escape(
             f"termsel has no '{name}'. Did you mean {meant}?")):
         getattr(termsel, name)
+
+
+def test_python_adds_no_guess_of_its_own() -> None:
+    with pytest.raises(AttributeError) as caught:
+        _ = termsel.Run
+    shown = "".join(traceback.format_exception(caught.value))
+    assert shown.count("Did you mean") == 1
+
+
+@pytest.mark.parametrize(("values", "words"), [
+    (("gcps.csv", "vendor.RPB"), "features='gcps.csv', an RPC is rpc='vendor.RPB'"),
+    (("poly-terms", "gcps.csv"), "Points and lines are features='gcps.csv'.")])
+def test_run_says_the_names_of_files_given_by_position(values: tuple, words: str) -> None:
+    with pytest.raises(TypeError, match="takes 1 argument by position, not 2") as caught:
+        termsel.run(*values)
+    assert words in str(caught.value)
+
+
+def test_other_functions_say_which_arguments_have_a_place() -> None:
+    with pytest.raises(TypeError, match=re.escape(
+            "rectify() takes 3 arguments by position, not 4. By position: result, image, output. "
+            "Give others by name: dem=, ")):
+        termsel.rectify("result", "scene.tif", "map.tif", "dem.tif")
+
+
+def test_the_beginning_of_a_name_comes_before_a_name_that_looks_alike() -> None:
+    # The result has been given.
+    with pytest.raises(TypeError, match=re.escape("Did you mean resolution or resampling?")):
+        termsel.rectify("result", "scene.tif", "map.tif", res=10)
+
+
+@pytest.mark.parametrize("verb", ["export", "rectify", "write_result"])
+def test_the_name_of_a_folder_in_place_of_a_result_is_to_be_read(verb: str) -> None:
+    further = {"export": ("rpb", "x.RPB"), "rectify": ("scene.tif", "map.tif"),
+               "write_result": ("other",)}[verb]
+    with pytest.raises(termsel.TermselError, match=re.escape(
+            f"termsel.{verb}(termsel.read_result('result'), ...)")):
+        getattr(termsel, verb)("result", *further)
+    with pytest.raises(termsel.TermselError, match="takes a result, not an object of the type int"):
+        getattr(termsel, verb)(5, *further)
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    ({"seed": "one"}, "seed is 'one', expected a whole number from 0"),
+    ({"seed": -1}, "seed is -1, expected"), ({"seed": 1.0}, "seed is 1.0, expected"),
+    ({"seed": True}, "seed is True, expected"), ({"seed": 2**63}, "expected a whole number from 0"),
+    ({"out": 5}, "out is 5, expected the name of a folder"),
+    ({"checkpoint": 5}, "checkpoint is 5, expected the name of a file"),
+    ({"overwrite": "no"}, "overwrite is 'no', expected True or False"),
+    ({"options": [("degree", 2)]}, "options is of the type list, expected a dict"),
+    ({"observers": 5}, "observers is 5, expected a list of functions"),
+    ({"columns": 5}, "columns is 5, expected a text or a dict"),
+    ({"rpc": 5}, "rpc is 5, expected the name of a file"),
+    ({"source": 5}, "source is 5, expected a text"),
+    ({"memory": "result"}, "memory is 'result', expected a termsel.Memory"),
+    ({"generations": "5"}, "the budget of generations is '5', not a number"),
+    ({"seconds": "3s"}, "the budget of seconds is '3s', not a number")])
+def test_run_refuses_a_value_of_the_wrong_kind_before_it_reads(
+        arguments: dict, words: str) -> None:
+    # The file is not there: what is wrong with the argument is said first.
+    with pytest.raises(termsel.TermselError, match=re.escape(words)):
+        termsel.run(features="nowhere.csv", **arguments)
+
+
+def test_a_seed_of_numpy_is_a_seed() -> None:
+    result = termsel.run("poly-terms", seed=np.int64(3), generations=np.int64(1))
+    assert result.seed == 3
+
+
+@pytest.mark.parametrize("errors", [[1.0, 2.0, 3.0], [[1.0, 2.0, 3.0]], 5.0, np.empty((0, 2))])
+def test_ce90_says_the_shape_it_takes(errors: object) -> None:
+    with pytest.raises(termsel.TermselError, match=re.escape("expected (n, 2)")):
+        termsel.ce90(errors)
 
 
 def test_a_name_that_is_like_no_other_is_only_refused() -> None:

@@ -1,16 +1,16 @@
-"""Names that do not exist in Python: arguments of functions, and names of modules.
+"""Calls from Python that cannot be: arguments of another name, place or kind, names of modules.
 
 Python's own message says only that there is none of that name. These say which one was meant.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import wraps
-from inspect import signature
+from inspect import Parameter, signature
 from typing import ParamSpec, TypeVar
 
-from termsel.core.errors import likely_names
+from termsel.core.errors import count_in_words, likely_names
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -19,25 +19,44 @@ Meant = Callable[[str, object], str]
 """Returns a sentence on what an argument of a name and value should be; "" if that is unknown."""
 
 
-def explains_arguments(meant: Meant = lambda _name, _value: "") -> Callable[
-        [Callable[P, R]], Callable[P, R]]:
-    """Return a decorator of a function: an argument of an unknown name is refused with a remedy.
+Places = Callable[[tuple[object, ...]], str]
+"""Returns a sentence on how values are given that were given by position; "" if unknown."""
+
+
+def explains_arguments(
+        meant: Meant = lambda _name, _value: "", places: Places = lambda _values: "",
+        ) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Return a decorator of a function: arguments that it does not take are refused with a remedy.
 
     Parameters
     ----------
     meant : callable, optional
         What the argument should be, where its name is one of the command line or of another
         function. By default the nearest name is proposed.
+    places : callable, optional
+        How the arguments should be given, where there are more of them by position than there are
+        places. By default the arguments that have a place are named, and the others.
     """
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
-        names = list(signature(function).parameters)
+        parameters = signature(function).parameters
+        names = [name for name, parameter in parameters.items()
+                 if parameter.kind is not Parameter.VAR_KEYWORD]
+        takes_any = len(names) < len(parameters)
+        placed = [name for name in names
+                  if parameters[name].kind is Parameter.POSITIONAL_OR_KEYWORD]
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
-            for name, value in kwargs.items():
+            if len(args) > len(placed):
+                count = count_in_words(len(placed), "argument")
+                message = f"{function.__name__}() takes {count} by position, not {len(args)}."
+                remedy = places(args) or _places_in_words(placed, names)
+                raise TypeError(f"{message} {remedy}")
+            for name, value in {} if takes_any else kwargs.items():
                 if name not in names:
                     message = f"{function.__name__}() has no argument {name!r}."
-                    remedy = meant(name, value) or _near_names_in_words(name, names)
+                    given = {*placed[:len(args)], *kwargs}
+                    remedy = meant(name, value) or _near_names_in_words(name, names, given)
                     raise TypeError(f"{message} {remedy}")
             return function(*args, **kwargs)
 
@@ -46,13 +65,26 @@ def explains_arguments(meant: Meant = lambda _name, _value: "") -> Callable[
     return decorate
 
 
-def _near_names_in_words(name: str, names: Iterable[str]) -> str:
-    """Return the question whether a similar name is meant, or else all names."""
-    known = list(names)
-    similar = likely_names(name, known)
+def _places_in_words(placed: Sequence[str], names: Sequence[str]) -> str:
+    """Return which arguments are given by position, and which by name."""
+    others = [f"{name}=" for name in names if name not in placed]
+    by_name = f" Give others by name: {', '.join(others)}." if others else ""
+    return f"By position: {', '.join(placed)}.{by_name}"
+
+
+def _near_names_in_words(name: str, names: Sequence[str], given: Collection[object]) -> str:
+    """Return the question whether a similar name is meant, of those not given, or all names."""
+    free = [full for full in names if full not in given]
+    # Names that begin so are meant by res rather than those which look alike.
+    begun = [full for full in free if full.startswith(name)] if len(name) > 1 else []
+    similar = begun[:_MOST_BEGUN] or likely_names(name, free)
     if similar:
         return f"Did you mean {' or '.join(similar)}?"
-    return f"Its arguments are {', '.join(known)}."
+    return f"Its arguments are {', '.join(names)}."
+
+
+_MOST_BEGUN = 3
+"""Names with the same beginning that are proposed."""
 
 
 _ALSO_CALLED = {

@@ -7,6 +7,7 @@ import unicodedata
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import SequenceMatcher, get_close_matches
+from pathlib import PurePath
 from traceback import TracebackException
 from types import MappingProxyType
 
@@ -228,6 +229,13 @@ def _names_by_word(word: str, summaries: Mapping[str, str]) -> list[str]:
     alike = [name for name in names if name.lower().startswith(start)]
     others = [name for name in names if name not in alike]
     return [*alike, *(others if len(names) <= _MOST_MEANT else [])][:_MOST_MEANT]
+
+
+def shown_value(value: object) -> str:
+    """Return a value for a message: itself if it is short, else its type."""
+    if isinstance(value, str | PurePath | int | float):
+        return repr(value)
+    return f"of the type {type(value).__name__}"
 
 
 def exception_in_words(error: BaseException) -> str:

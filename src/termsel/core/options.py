@@ -10,7 +10,7 @@ from operator import index
 from typing import Any, ClassVar
 
 from termsel.core.display import Glance
-from termsel.core.errors import TermselError, unknown_name_error
+from termsel.core.errors import TermselError, shown_value, unknown_name_error
 from termsel.core.isolation.calls import Check, Guarded
 from termsel.core.isolation.parts import package_of_option
 
@@ -22,6 +22,19 @@ MOST_RUNS = 100_000
 
 SEED = 2**63 - 1
 """Greatest seed."""
+
+
+def whole_seed(seed: Any) -> int:
+    """Return a seed as an int of Python; raise TermselError for what is no seed."""
+    try:
+        whole = -1 if isinstance(seed, bool) else index(seed)
+    except TypeError:
+        whole = -1
+    if not 0 <= whole <= SEED:
+        raise TermselError(f"seed is {shown_value(seed)}, expected a whole number from 0 to "
+                           f"{SEED:,}", hint="Give one, such as seed=1.", name="seed")
+    return whole
+
 
 _file: ContextVar[str] = ContextVar("file", default="")  # whose options are being resolved
 

@@ -32,6 +32,6 @@ def lazily(file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], li
         if name in public or name.startswith("_"):
             return imported(name)
         module = ".".join(Path(file).with_suffix("").parts[-3:]).removesuffix(".__init__")
-        raise AttributeError(missing_name_message(module, name, public))
+        raise AttributeError(missing_name_message(module, name, public), name=name)
 
     return attribute, listed, public

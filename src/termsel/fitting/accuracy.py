@@ -126,12 +126,22 @@ def ce90(errors: FloatArray) -> FloatArray:
     ndarray, shape (...)
         In the unit of the errors.
 
+    Raises
+    ------
+    TermselError
+        If there are no points, or not two numbers of each.
+
     Examples
     --------
     >>> import termsel
     >>> round(float(termsel.ce90([[0.0, 0.1 * i] for i in range(11)])), 3)
     0.9
     """
+    shape = np.shape(errors)
+    if len(shape) < 2 or shape[-1] != 2 or shape[-2] == 0:
+        raise TermselError(f"the errors have the shape {shape}, expected (n, 2)",
+                           hint="Give a row for each point, with two numbers, such as those of "
+                                "line and sample.")
     return quantile_of(np.linalg.norm(errors, axis=-1), 0.9)
 
 

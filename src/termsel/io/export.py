@@ -7,6 +7,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from termsel.core.arguments import explains_arguments
 from termsel.core.display.quiet import quiet_logger
 from termsel.core.errors import ON_SUCCESS, PENDING, TermselError, rounded_size_text
 from termsel.core.files.atomic import private_folder
@@ -15,11 +16,11 @@ from termsel.data.coordinates.earth import note_on_turned
 from termsel.formats.vrt import IMAGE, picture_for
 from termsel.io.replacing import require_replaceable
 from termsel.plugins.registry import registry
+from termsel.results.result import Result, require_result
 from termsel.results.verdict import does_nothing_fit, size_of_errors
 
 if TYPE_CHECKING:
     from termsel.formats.base import Writer
-    from termsel.results.result import Result
 
 log = logging.getLogger(__name__)
 
@@ -77,6 +78,7 @@ def _files_left_alone(writer: Writer, result: Result, path: Path) -> list[Path]:
                 and file.read_bytes() == (folder / file.name).read_bytes()]
 
 
+@explains_arguments()
 def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False,
            final: bool | None = None, **options: Any) -> tuple[Path, ...]:
     """Write a result in a format known by name.
@@ -115,6 +117,7 @@ def export(result: Result, to: str, path: Path | str, *, overwrite: bool = False
     ...     [path.name for path in termsel.export(result, "points-csv", f"{folder}/points.csv")]
     ['points.csv']
     """
+    require_result(result, "export")
     path = Path(path)
     result = as_exported(result, final)
     writer = writer_of(to, **options)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -56,9 +56,7 @@ from termsel.io.map_grid import (
 from termsel.io.map_pixels import map_pixels, warp
 from termsel.io.map_positions import MapPositions
 from termsel.io.replacing import require_replaceable
-
-if TYPE_CHECKING:
-    from termsel.results.result import Result
+from termsel.results.result import Result, require_result
 
 log = logging.getLogger(__name__)
 
@@ -152,6 +150,7 @@ def rectify(
     ...     (files / "map.tif").exists()
     True
     """
+    require_result(result, "rectify")
     require_rasterio()
     image = raster_in(Path(image))
     output = Path(output)

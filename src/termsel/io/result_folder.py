@@ -36,6 +36,7 @@ from termsel.results.result import (
     checksum_of_attributes,
     checksum_of_features,
     checksum_of_record,
+    require_result,
 )
 
 RECORD, POINTS, LINES = "result.json", "points.csv", "lines.csv"
@@ -125,6 +126,7 @@ def write_result(result: Result, folder: Path | str) -> None:
     ...     termsel.read_result(folder).selection == result.selection
     True
     """
+    require_result(result, "write_result")
     folder = Path(folder)
     files = {name: utf8_bytes(text) for name, text in _contents_by_file(result).items()}
     _put_in_place(folder)  # an earlier result, if that was interrupted

@@ -399,3 +399,15 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
             "blunders left out": ", ".join(left_out_ids) or "none",
             "accuracy": accuracy_of(self),
             "see": "summary(), plot.residuals(), report('report.html')"}
+
+
+def require_result(value: object, verb: str) -> None:
+    """Raise TermselError for what is no result in a call of ``termsel.verb(result, ...)``."""
+    if isinstance(value, Result):
+        return
+    if isinstance(value, str | Path):
+        raise TermselError(
+            f"{str(value)!r} is the name of a folder or file, and {verb} takes a result",
+            hint=f"termsel.{verb}(termsel.read_result({str(value)!r}), ...) reads it.")
+    raise TermselError(f"{verb} takes a result, not an object of the type {type(value).__name__}",
+                       hint="termsel.run and termsel.read_result return a result.")

@@ -15,6 +15,7 @@ from termsel.auto.memory import Memory
 from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError
 from termsel.core.files.names import CERTIFICATE
+from termsel.core.options import whole_seed
 from termsel.core.threads import one_blas_thread
 from termsel.data.coordinates.crs import CrsLike
 from termsel.data.datasets import DatasetSpec
@@ -27,7 +28,7 @@ from termsel.io.spent import with_spent
 from termsel.models.base import SensorModel
 from termsel.plugins.registry import registry
 from termsel.results.result import Result
-from termsel.runs.arguments import argument_meant
+from termsel.runs.arguments import argument_meant, files_by_name, require_kinds
 from termsel.runs.choosing import choose_for, uses_auto
 from termsel.runs.finding import result_of
 from termsel.runs.notebook import notebook_observer
@@ -51,6 +52,7 @@ from termsel.runs.task_method import TaskMethod
 from termsel.selection.criteria import Criterion
 from termsel.selection.problems.recipes import Recipe
 from termsel.selection.solvers.base import Solver
+from termsel.selection.solvers.budget import require_limits
 from termsel.selection.solvers.checkpoint import Checkpoint, digest_of_data, require_resumable
 from termsel.selection.solvers.observers import Observer
 
@@ -61,7 +63,7 @@ SEARCH_COMPILES, AUTO_COMPILES = 4, 5
 
 
 @one_blas_thread
-@explains_arguments(argument_meant)
+@explains_arguments(argument_meant, files_by_name)
 def run(
     problem: str | Recipe | Task | None = None,
     *,
@@ -153,12 +155,17 @@ def run(
     True
     """
     _refuse_features_as_problem(problem)
+    # What is wrong with an argument is said before the data are read, and before hours of work.
+    require_kinds(columns=columns, rpc=rpc, source=source, options=options, observers=observers,
+                  out=out, overwrite=overwrite, memory=memory, checkpoint=checkpoint)
+    seed = whole_seed(seed)
+    limits = {"generations": generations, "evaluations": evaluations, "seconds": seconds,
+              "patience": patience}
+    require_limits(**limits)
     features, source = find_features(features, source, crs, columns, rpc)
     arguments: dict[str, Any] = {
         "dataset": dataset, "source": source, "model": model, "solver": solver,
         "criterion": criterion, "options": options}
-    limits = {"generations": generations, "evaluations": evaluations, "seconds": seconds,
-              "patience": patience}
     # A limit asks for a search, as a solver does: the choice among methods has none.
     is_limited = any(limit is not None for limit in limits.values())
     notebook = notebook_observer(
@@ -349,6 +356,7 @@ def assess(method: Method, task: Task, *, seed: int = 1, observers: Iterable[Obs
     >>> result.solver
     'given'
     """
+    seed = whole_seed(seed)
     memory = memory or Memory()
     if isinstance(method, TaskMethod):
         return result_of(*method.find(task, memory))

@@ -91,7 +91,7 @@ class Criterion(Configurable, ABC):
 
 
 class CheckRmse(Criterion):
-    """RMSE over the selection points [px]: the fitness of all five papers.
+    """RMSE over the selection points [px]: what a search minimises by default.
 
     sqrt(mean(dl^2 + ds^2)) over points. A search minimises it below what the model achieves
     elsewhere, so it is not an estimate of the accuracy.

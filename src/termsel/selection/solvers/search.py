@@ -15,6 +15,7 @@ from msgspec import structs
 from termsel.core.arguments import explains_arguments
 from termsel.core.errors import TermselError
 from termsel.core.interrupts import take_pending_interrupt
+from termsel.core.options import whole_seed
 from termsel.core.threads import one_blas_thread
 from termsel.data.features import FloatArray
 from termsel.data.record.search import HistoryRow, Polish
@@ -206,6 +207,7 @@ def search(
     >>> found.ended_by_observer
     True
     """
+    seed = whole_seed(seed)
     require_limits(generations=generations, evaluations=evaluations, seconds=seconds,
                    patience=patience)
     evaluations = None if evaluations is None else int(evaluations)
