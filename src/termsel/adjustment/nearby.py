@@ -99,8 +99,8 @@ def _reference_solution(
     """Return x (k,), V and V R^-T (m + 1, k), and r (m + 1,) of a selection of features (n,).
 
     R is the factor of the rows in use, V = A R^-1 and r = b - A x are those of all m rows, followed
-    by a row of zeros. None comes back where the selection does not clearly determine x, or kernels
-    are as fast.
+    by a row of zeros. Returns None where the selection does not clearly determine x, or kernels are
+    as fast.
     """
     A, b = equations.with_prior()
     used = np.ones(len(b), dtype=bool)

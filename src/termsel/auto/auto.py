@@ -140,7 +140,7 @@ class Auto(Method):
         Raises
         ------
         Undetermined
-            If the others are too few to choose by in some fold.
+            If the features outside some fold are too few to choose by.
         """
         # The choice is repeated as a whole: errors under the chosen method alone are too small.
         data = FitData.of(fitted.control, fitted.model.uses_height)
@@ -162,7 +162,7 @@ class Auto(Method):
     def ask(self, method: Method, hook: str, *args: Any) -> Any:
         """Return what a hook of a method returns for these arguments.
 
-        None comes back where the features do not determine the method, and where the hook fails. A
+        Returns None where the features do not determine the method, and where the hook fails. A
         method of a plugin that fails is left out from then on; a failure of termsel's own methods
         is raised.
         """
@@ -201,9 +201,9 @@ class Auto(Method):
     def offered(self, data: FitData, *, for_few: bool = False) -> list[Method]:
         """Return the methods to choose from for some features, the smallest first.
 
-        Those `for_few` features are a choice of their own. Left out are methods that are only
-        shown, that have failed, that decline the features, or that take fewer features than there
-        are.
+        With `for_few` only the methods for few features are offered, else only the other ones. Left
+        out are methods that are only shown, that have failed, that decline the features, or that
+        take fewer features than there are.
         """
         # Parts of the features have the methods of all of them. Without lines in use, the points
         # are counted alone.
@@ -248,8 +248,8 @@ class Auto(Method):
     def validated(self, method: Method, data: FitData) -> Fit | None:
         """Return a method fitted to features, whose error at each held-out feature is known.
 
-        None comes back where the method is not tried on them, fails, has a pole, or is not
-        determined by them with redundancy.
+        Returns None where the method is not tried on them, fails, has a pole, or is not determined
+        by them with redundancy.
         """
         if method.name in self.hopeless or not self.ask(method, "tried", data):
             return None
@@ -282,10 +282,10 @@ class Auto(Method):
 
         A regularised polynomial is averaged over all that lies between the plain ones, by a measure
         that needs no points to be left out. The rule is that of `termsel.auto.rule.best_of`: where
-        the points support a random field, the regularised polynomial with it takes the place of
-        those without. Where features are too few for any method with a prior, similarities and a
-        plane affine polynomial are tried, too. `with_contained` has methods that others contain
-        fitted all the same, and the reason stated, to be shown.
+        the points support a random field, the regularised polynomial with it takes the place of the
+        polynomials without one. Where features are too few for any method with a prior,
+        similarities and a plane affine polynomial are tried, too. `with_contained` has methods that
+        others contain fitted all the same, and the reason stated, to be shown.
         """
         candidates = self.offered(data)
         settled = self._settled_choice(candidates, data)
@@ -385,7 +385,7 @@ class Auto(Method):
         Lines that add more error than redundancy are left out as a whole: where the points alone
         predict the points, each by the others, better by more than PRIOR_MARGIN standard errors.
         The control of the chosen fit then has no lines. `watch` is told only of the choice from all
-        features. None comes back where `choose` returns none for all features.
+        features. Returns None where `choose` returns none for all features.
         """
         count = len(data.features.points)
         choice = self.choose(data, watch, with_contained=with_contained)
@@ -416,7 +416,7 @@ class Auto(Method):
         All features count for `Method.max_features`. Where the `choice` from all of them is given,
         methods that came nowhere near it are not fitted to parts. These are methods without a prior
         that predict no better than the fit to beat, and methods that all features do not determine
-        or do not support, unless they say that parts may.
+        or do not support, unless the methods say that parts of the features may.
         """
         choice_for_parts = replace(self, all_features=data.features, hopeless=frozenset())
         priors = [] if choice is None else [
@@ -449,8 +449,8 @@ class Auto(Method):
         of a point its line and sample, then of each vertex of a line its distances, weighted by how
         well the image line is known there, so that they compare with the coordinates of points.
 
-        None comes back if some fold leaves too little to choose by, or lines alone that are too few
-        to shrink. `choice` is the choice from all features, if it is known.
+        Returns None if some fold leaves too little to choose by, or lines alone that are too few to
+        shrink. `choice` is the choice from all features, if it is known.
         """
         fits_told = 0
         folds = folds_of(data.features)
@@ -481,8 +481,8 @@ class Auto(Method):
                          choice: Choice | None) -> FloatArray | None:
         """Return errors [px] of points, then line vertices, (m, 2), by choices without their fold.
 
-        None comes back if the choice cannot be made without some fold. Errors of lines are
-        multiplied by their weights in the adjustment.
+        Returns None if the choice cannot be made without some fold. Errors of lines are multiplied
+        by their weights in the adjustment.
         """
         features = data.features
         fold_of_feature = fold_of_each(features, folds)
@@ -558,10 +558,10 @@ class Auto(Method):
 
         The choice is made again without some lines, whose neighbours stay. The m points are those
         of lines that are held out. The outermost lines always stay, as nothing is asked for beyond
-        them, and so do those next to them where there are enough others: one line on a side is too
-        little to go on from. The same is done with the columns of the lattice, and the direction
-        with the larger errors comes back. None comes back if some part of the lattice leaves too
-        little to choose by.
+        them, and so do the lines next to them where enough lines remain to be held out: one line on
+        a side is too little to go on from. The same is done with the columns of the lattice, and
+        the errors are those in the direction in which they are larger. Returns None if some part of
+        the lattice leaves too little to choose by.
         """
         fit_without = self._fitting_without(data, watch, choice)
         directions = []
@@ -618,7 +618,7 @@ def minimal_fit(data: FitData) -> Choice:
 def unjudged_fit(data: FitData, method: Method) -> Choice | None:
     """Return the fit of the only method where features determine it, and none can be left out.
 
-    None where they do not determine it, or it has a pole at them.
+    Returns None where the features do not determine the method, or its fit has a pole at them.
     """
     if method.declines(data) is not None:
         return None
@@ -643,10 +643,10 @@ def _reason_of_only(fitted: Fit) -> str:
 def minimal_view(data: FitData, choice: Choice, auto: Auto) -> Choice:
     """Return the choice for four points, which is a projection where they show an oblique view.
 
-    They do where an affine transformation of them leaves more than a map or a vertical photo may,
-    and no point would be behind the camera. The projection is that of a camera without distortion
-    if the points support one, and else a projective transformation of the plane. In all other cases
-    the `choice` given comes back.
+    Four points show an oblique view where an affine transformation of them leaves more than a map
+    or a vertical photo may, and no point would be behind the camera. The projection is that of a
+    camera without distortion if the points support one, and else a projective transformation of the
+    plane. In all other cases the `choice` is returned as it was given.
     """
     if len(data) != EXACT_PROJECTIVE_POINTS or len(
             data.features.points) != EXACT_PROJECTIVE_POINTS or choice.method.from_one:

@@ -100,9 +100,9 @@ def find_blunders(control: FitData, auto: Auto | None = None) -> Suspects | None
     control : FitData
         Points, or points and lines.
     auto : Auto, optional
-        The choice among methods, by default the built-in ones. What it chooses without the
-        suspected features, and predicts as well as all others, is no blunder: the error was that
-        of the polynomial that the test rests on.
+        The choice among methods, by default the built-in ones. A suspected feature is no blunder
+        where the method that is chosen without the suspected ones predicts it as well as the
+        features that it was fitted to: the error was that of the polynomial that the test rests on.
     """
     choice = auto or Auto()
     suspects: Suspects | None = choice.recall("blunders", control,
@@ -137,9 +137,10 @@ class _Verdict:
 def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
     """Return blunders, probable ones and open cases among features; None if they are too few.
 
-    Points that an image cannot show where they lie are blunders whatever the others say of them.
-    The others are judged without them, or where they are too few for that, with them. Points that
-    an oblique view might show there are judged like others; those in use are named as undecided.
+    Points that an image cannot show where they lie are blunders whatever the other features say of
+    them. The other features are judged without these points, or where they are too few for that,
+    with them. Points that an oblique view might show where they lie are judged like all features;
+    if they are in use in the end, they are named as undecided.
     """
     misplaced, doubtful = _points_out_of_place(control, auto)
     verdict = _verdict_without(misplaced, control, auto) or _verdict_on(control, auto)
@@ -176,8 +177,9 @@ def _verdict_without(misplaced: BoolArray, control: FitData, auto: Auto) -> _Ver
 def _points_out_of_place(control: FitData, auto: Auto) -> tuple[BoolArray, BoolArray]:
     """Return which points lie where the image cannot show them, and where it hardly can, (n,).
 
-    They are far from the others on the ground and among them in the image, and the model of the
-    others puts them outside the image: an oblique view may show far ground over near summits.
+    Such points are far from the other points on the ground and among them in the image, and the
+    model of the other points puts them outside the image: an oblique view may show far ground over
+    near summits.
     """
     points = control.features.points
     misplaced, doubtful = np.zeros((2, len(control)), dtype=bool)
@@ -269,8 +271,8 @@ def _with_predicted_by_models(control: FitData, auto: Auto, used: BoolArray,
 def _without_likely_blunders(control: FitData, used: BoolArray, max_share: float) -> BoolArray:
     """Return the features in use, (n,), without points that are likelier blunders than right.
 
-    The likeliest goes first, and the others are judged again: without the worst, the next may look
-    innocent. At most `max_share` of all features are out of use.
+    The likeliest blunder goes first, and the remaining points are judged again: without the worst
+    error the next may look innocent. At most `max_share` of all features are out of use.
     """
     # With few points a probable blunder may be half of what there is.
     if len(control) < MIN_PROBABLE_POINTS or len(control.features.lines):
@@ -297,7 +299,8 @@ def _majority_of_polynomials(control: FitData,
                              halves: Halves | None) -> tuple[BoolArray, Test] | None:
     """Return the points that agree with a polynomial, with all that they predict, and their test.
 
-    None where they are no clear majority: too few, or the others are no gross blunders.
+    Returns None where the points that agree are no clear majority: they are too few, or the points
+    that disagree are no gross blunders.
     """
     agreeing = find_majority(control, halves)
     if agreeing is None:
@@ -423,7 +426,8 @@ def _is_parametric(fitted: Fit) -> bool:
 def _features_predicted_by(chosen: Fit, features: FeatureSet) -> BoolArray:
     """Return which features, (n,), a fit predicts as well as those that it was made with.
 
-    None of them with lines under an average of polynomials, as the test was by the same one.
+    With lines, an average of polynomials predicts no feature so: the test of the features was by
+    the same average.
     """
     averaged = isinstance(chosen.estimator, Averaging)
     if len(features.lines) and averaged:  # the test was by the same polynomial

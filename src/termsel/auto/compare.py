@@ -36,11 +36,11 @@ class Comparison:
         Name of the method that auto chooses for control and check, without a look at the
         independent points; empty if none is determined.
     choice : Choice or None
-        That choice.
+        The choice of auto for control and check.
     blunders : int
-        Features that it does without.
+        How many features the choice leaves out as blunders.
     refused : mapping of str to str
-        Why, of fits that are determined.
+        Why fits that are determined are not judged, by the name of the method.
     """
 
     rows: tuple[Row, ...]

@@ -164,7 +164,7 @@ class Division:
     def local_test(self) -> Test | None:
         """Return the test of all points by a random field of those in use.
 
-        None comes back where the points do not support a field, and where there are lines.
+        Returns None where the points do not support a field, and where there are lines.
         """
         if len(self.all_features.features.lines):
             return None
@@ -196,7 +196,7 @@ class Division:
     def shrunken_test(self) -> Test | None:
         """Return the test by the regularised quadratic polynomial, or the cubic if clearly better.
 
-        None comes back where the features in use are too few.
+        Returns None where the features in use are too few.
         """
         if len(self.all_features.features.lines):
             return _clearly_better_of(*(_test_of_lines(self, degree) for degree in (2, 3)))
@@ -207,9 +207,9 @@ class Division:
         """Return the test of all points by a central projection of those in use.
 
         With the leverage h of a point in use and its residual r, the others predict it with the
-        error r / (1 - h) and the variance s^2 / (1 - h), s^2 being the noise that they leave. None
-        comes back where the points in use do not determine the projection with redundancy, or some
-        point has no finite error.
+        error r / (1 - h) and the variance s^2 / (1 - h), s^2 being the noise that they leave.
+        Returns None where the points in use do not determine the projection with redundancy, or
+        some point has no finite error.
         """
         try:
             # A central projection may be undetermined where a polynomial is not.
@@ -323,8 +323,8 @@ _Squares = TypeVar("_Squares", Test, "_PointPrediction")
 def _clearly_better_of(quadratic: _Squares | None, cubic: _Squares | None) -> _Squares | None:
     """Return the cubic polynomial's test if its errors are clearly smaller, else the quadratic's.
 
-    Where the points are too few for one polynomial, the test by the other comes back; None where
-    they are too few for both.
+    Where the points are too few for one polynomial, the test is that by the other one. Returns None
+    where they are too few for both.
     """
     if quadratic is None or cubic is None:
         return cubic or quadratic
@@ -401,8 +401,8 @@ def _prediction_by(division: Division, exponents: Exponents,
                    falls: tuple[float, ...]) -> _PointPrediction | None:
     """Return what a regularised polynomial of these terms, fitted to the points in use, predicts.
 
-    None comes back if the points in use are too few. The other points take part with a tiny weight:
-    so the same factorisation predicts them, too.
+    Returns None if the points in use are too few. The other points take part with a tiny weight: so
+    the same factorisation predicts them, too.
     """
     points = division.all_features.features.points
     used = division.used

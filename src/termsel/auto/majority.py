@@ -127,8 +127,8 @@ class Halves:
 def find_majority(control: FitData, halves: Halves | None = None) -> BoolArray | None:
     """Return which points (n,) agree with one polynomial; None where no majority is clear.
 
-    A majority is clear if more than a third of the points disagree with it, and grossly. None comes
-    back for fewer than MIN_SEEN_POINTS points, and with lines. `halves` are the halves of these
+    A majority is clear if more than a third of the points disagree with it, and grossly. Returns
+    None for fewer than MIN_SEEN_POINTS points, and with lines. `halves` are the halves of these
     points, if they are known.
     """
     halves = halves or Halves.of(control)
@@ -372,8 +372,8 @@ def may_be_bend(ground: FloatArray, agreeing: BoolArray, errors: FloatArray,
 def _are_interleaved(ground: FloatArray, agreeing: BoolArray) -> bool:
     """Return whether points that disagree lie among those that agree, and not beside them.
 
-    Most of them must have agreeing points in at least three of the four quadrants about them. False
-    comes back where no point disagrees.
+    Most of them must have agreeing points in at least three of the four quadrants about them.
+    Returns False where no point disagrees.
     """
     contradicting = _rows_spread_over_table(ground[~agreeing, None, :2])
     if not len(contradicting):

@@ -50,8 +50,8 @@ def misplaced_points(points: Points) -> tuple[BoolArray, BoolArray]:
     """Return which points are far from the others on the ground, but not in the image.
 
     The first mask, (n,), is of those that no view shows there, the second, (n,), of those that a
-    view with such foreshortening as the others show might. No point is where fewer than `MIN_CORE`
-    points, or fewer than two thirds of all, lie together.
+    view with such foreshortening as the others show might. No point is named where fewer than
+    `MIN_CORE` points, or fewer than two thirds of all, lie together.
 
     Examples
     --------

@@ -66,7 +66,7 @@ def as_far_as_determined(auto: Auto, data: FitData) -> tuple[Auto, str]:
 
     That is the highest at which each feature is predicted by the others, else the highest that the
     features determine at all, else the lowest. The note says that it was lowered; it is ""
-    otherwise. A model that a built-in method has goes by the name of that.
+    otherwise. A model that a built-in method fits goes by the name of that method.
     """
     named = auto.methods[0]
     if not (auto.is_one_method and isinstance(named, NamedModel)):

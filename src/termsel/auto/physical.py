@@ -181,8 +181,8 @@ def _cached_evidence(measurements: Measurements, scaling: Scaling, crs: str,
     """Return what `prior_evidence` does, and keep it for the last data.
 
     `camera_average` asks for the same again. The evidence of the polynomials of degree 2 and 3 is
-    made comparable to that of cameras by the prior on what a height does. None comes back where any
-    of the steps says that there is no prior.
+    made comparable to that of cameras by the prior on what a height does. Returns None where any of
+    the steps says that there is no prior.
     """
     points = measurements.points
     variables = 3 if any(power[2] for power in exponents) else 2
@@ -268,8 +268,8 @@ def _mean_without_each(logs: FloatArray, errors: FloatArray) -> FloatArray:
 def _slopes_on_ground(points: Points, scaling: Scaling, crs: str) -> FloatArray | None:
     """Return the slopes of line and of sample by metres to the east and to the north, (2, 2).
 
-    They are in scaled units of the image. None comes back where the ground is not known, points lie
-    on a line, or there are too few or too many points for a physical prior.
+    They are in scaled units of the image. Returns None where the ground is not known, points lie on
+    a line, or there are too few or too many points for a physical prior.
     """
     # Metres, as kinds of cameras are distinguished by the size of a pixel.
     positions = east_north_up(scaling, crs, points.ground)
@@ -285,7 +285,7 @@ def _solutions_by_kind(points: Points, scaling: Scaling, crs: str, exponents: Ex
                        slopes: FloatArray) -> CameraSolutions | None:
     """Return the solutions with priors of the kinds of cameras that may have made the image.
 
-    Solutions whose evidence is negligible are left out. None comes back where none of the kinds can
+    Solutions whose evidence is negligible are left out. Returns None where none of the kinds can
     have made the image.
     """
     variables = 3 if any(power[2] for power in exponents) else 2
@@ -468,7 +468,7 @@ class PinholeCamera(Estimator):
 def may_be_photo(features: FeatureSet, scaling: Scaling) -> bool:
     """Return whether scaled points may be of a photo, by a test that fits no camera.
 
-    False comes back for lines, and for fewer or more points than a camera is tried for.
+    Returns False for lines, and for fewer or more points than a camera is tried for.
     """
     points = features.points
     if len(features.lines) or not PINHOLE_MIN_POINTS <= len(points) <= PHOTO_MAX_POINTS:
@@ -512,8 +512,7 @@ def _may_be_from_the_air(features: FeatureSet, scaling: Scaling) -> bool:
     """Return whether a camera of the usual focal length sees scaled points from where aircraft fly.
 
     Its height above the points is the focal length [px] times the size of a pixel [m]. Only relief
-    shows how high a camera is: False comes back for points of a plane, and where metres are not
-    known.
+    shows how high a camera is: it is False for points of a plane, and where metres are not known.
     """
     metres = metres_of(features, scaling)
     if metres is None or not is_off_plane(features.points):

@@ -36,7 +36,7 @@ POLE_BOX_FACTOR = 1.5
 def validated(method: Method, data: FitData) -> Fit | None:
     """Return a method fitted to features, whose error at each held-out feature is known.
 
-    None comes back where auto does not try the method, the features do not determine it with
+    Returns None where auto does not try the method, the features do not determine it with
     redundancy, or it has a pole.
     """
     if not method.tried(data):
@@ -193,9 +193,9 @@ def clusters_of(features: FeatureSet) -> IntArray | None:
     """Return the number of each point's cluster, (n,), where clusters are held out as a whole.
 
     Else neighbours in the fit would predict a point that is held out, and its error would say
-    nothing of other places. None comes back where points do not come in clusters, and for fewer
-    than MIN_CLUSTERS: the others hardly predict a whole cluster then. Points are held out one by
-    one in that case, and the uncertainty of the model shows what lies between.
+    nothing of other places. Returns None where points do not come in clusters, and for fewer than
+    MIN_CLUSTERS: the others hardly predict a whole cluster then. Points are held out one by one in
+    that case, and the uncertainty of the model shows what lies between.
     """
     if len(features.lines) or len(features) < 2 * MIN_CLUSTERS:
         return None

@@ -171,7 +171,7 @@ def fit_average_with_lines(features: FeatureSet, model: Polynomial) -> Average |
     """Fit an averaged polynomial to points and lines, or to lines alone, scaled to [-1, 1].
 
     The errors of the average are those of the points, then of both vertices of each line, along its
-    normal. None comes back if leaving out some single feature leaves the affine terms undetermined.
+    normal. Returns None if leaving out some single feature leaves the affine terms undetermined.
     """
     equations = model.equations(features)
     mean_solution = mean_line_solution(equations, model.exponents)

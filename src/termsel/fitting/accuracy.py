@@ -410,8 +410,8 @@ def accuracy_of(fitted: Fit, independent: Points) -> Accuracy | None:
 
     Errors in the image are measured minus computed [px]. On the ground the measured position is
     located at the point's own height and compared with its coordinates, in metres where the CRS
-    tells these. NSSDA and ASPRS figures follow where there are enough points. None comes back
-    without points, and where the model has no image of some point.
+    tells these. NSSDA and ASPRS figures follow where there are enough points. Returns None without
+    points, and where the model has no image of some point.
     """
     if not len(independent):
         return None
@@ -453,7 +453,7 @@ def asprs_rmse(points: int, ground: OnGround | None) -> StandardFigure:
 
 
 def _why_missing(points: int, ground: OnGround | None, fewest: int, remedy: str = "") -> str | None:
-    """Return why a figure of a standard is missing; None if it is not."""
+    """Return why a figure of a standard is missing, as a clause; None if it is not missing."""
     if points < fewest:
         return (f"{count_in_words(points, 'independent check point')}, at least {fewest} "
                 f"needed{remedy}")

@@ -140,7 +140,7 @@ class Shrinkages:
 
     @classmethod
     def of_all(cls) -> Shrinkages:
-        """Return all of them."""
+        """Return all rules, each with all sizes."""
         exponents = np.array(EXPONENTS[AFFINE_COLUMNS:])
         order = exponents.sum(axis=1)
         rules = np.array([fall**(order - 2.0) * relief**exponents[:, 2]
@@ -189,7 +189,7 @@ class Control:
 
     @classmethod
     def of(cls, points: Points, pixel: float, prior: NoisePrior) -> Control | None:
-        """Return that of points; None where they determine no affine map."""
+        """Return the control that points are; None where the points determine no affine map."""
         monomials = evaluate_monomials(points.ground, EXPONENTS)
         affine = monomials[:, :AFFINE_COLUMNS]
         if np.linalg.matrix_rank(affine) < AFFINE_COLUMNS:

@@ -37,9 +37,10 @@ def distance_outside_control(control: FloatArray, ground: FloatArray) -> FloatAr
 def variance_by_heights(used: FeatureSet, scaling: Scaling,
                         project: Callable[[FloatArray], FloatArray],
                         ground: FloatArray) -> FloatArray:
-    """Return the variance of unknown effects of heights at places (m, 3), (m, 1) [px].
+    """Return the variance of unknown effects of heights at places (m, 3), (m, 1) [px^2].
 
-    0 where the control in use shows it, and where the model, which projects places, knows it.
+    It is 0 where the control in use shows the effect of heights, and where the model knows it:
+    `project` then puts places of unlike heights at unlike image positions.
     """
     effect = distance_off_plane(FitData(used, scaling, False), ground)[1]
     if effect.any() and sees_heights(project, ground):

@@ -131,8 +131,9 @@ def residuals_of(fitted: Fit, observations: Observations, outliers: Iterable[Out
                  independent_used: Collection[str] = ()) -> Residuals:
     """Return the residuals of all features that have a role, of a fit to the control.
 
-    Outliers are told, and those that lost their role are among them. Whether check points, and the
-    ids of which independent points, took part in the adjustment too.
+    `outliers` are marked; outliers that lost their role are among the features. `check_used` says
+    whether check points took part in the adjustment, too, and `independent_used` has the ids of the
+    independent points that did.
     """
     check = observations.check
     independent = observations.independent

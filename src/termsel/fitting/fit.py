@@ -304,7 +304,7 @@ class Fit(Glance):
 
     @property
     def interpolation(self) -> Interpolation | None:
-        """The prediction by control points, of a model that predicts by them alone; None of others.
+        """The prediction by control points, of a model that predicts by them alone, or None.
         """
         used = self._scaled_used
         # Points alone interpolate; a line has no single place to be met at.
@@ -767,7 +767,7 @@ class Fit(Glance):
         Raises
         ------
         Undetermined
-            If the features without some one of them do not determine the fit.
+            If the features do not determine the fit once some one of them is left out.
         """
         return self._held_out
 
@@ -803,8 +803,8 @@ class Fit(Glance):
     def leave_one_out_rmse(self) -> Rmse | None:
         """Return the RMSE of the control features in use, each under the fit without it.
 
-        Where the others do not determine the terms, their least-norm solution counts. None without
-        features in use.
+        Where the features without one of them do not determine the terms, the least-norm solution
+        counts. None without features in use.
         """
         errors_each, _ = self.errors_without_each
         return rmse_of(np.concatenate(errors_each), len(errors_each))

@@ -224,7 +224,7 @@ def solutions_without_each(parts: tuple[IndependentPart, ...], terms: BoolArray,
     """Return the least-squares solutions without each of n features, in closed form, (n, k).
 
     The parts are those of the equations of all features; `terms` (k,) and `used` (n,) are in use.
-    None comes back where the terms are not determined, or some feature is indispensable.
+    Returns None where the terms are not determined, or some feature is indispensable.
     """
     solutions = np.zeros((len(used), len(terms)))
     for part in parts:

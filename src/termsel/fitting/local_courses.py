@@ -346,7 +346,7 @@ def _kept_cell(courses: LocalCourses, number: int) -> CourseCell:
 def local_courses(points: Points, pixel: float) -> LocalCourses | None:
     """Return the courses of the error between scaled points in a plane, as the points show them.
 
-    `pixel` is the size of a pixel in scaled coordinates. None comes back for few points, for points
+    `pixel` is the size of a pixel in scaled coordinates. Returns None for few points, for points
     that do not determine a quadratic trend, as in a row, and for points without any deviation.
     """
     spread_rows = rows_of_field(len(points))

@@ -17,7 +17,7 @@ from termsel.models.base import SensorModel
 
 @dataclass(frozen=True, eq=False)
 class Suspects:
-    """Features against the predictions of the others, points before lines.
+    """Features against what the other features predict of them, points before lines.
 
     Parameters
     ----------
@@ -25,7 +25,8 @@ class Suspects:
     probable : ndarray of bool, shape (n,)
         Those blunders that the features in use do not show for certain.
     undecided : ndarray of bool, shape (n,)
-        Those with such an error that the others do not determine the model at their place.
+        Features with as large an error, at whose place the other features do not determine the
+        model.
     errors : ndarray, shape (n,)
         Largest error in line or sample, or of a vertex off its line, as the features in use predict
         it [px].
@@ -188,14 +189,14 @@ class Method(ABC):
         return fitted.estimator.held_out(fitted)
 
     def declines(self, data: FitData) -> str | None:
-        """Return in a sentence why it is not for such features, or None if it is.
+        """Return why the method is not for such features, as a sentence; None if it is.
 
         It is asked before every fit, so it should be quick.
         """
         return None
 
     def tried(self, data: FitData) -> bool:
-        """Return whether auto tries it on such features, which it does not decline."""
+        """Return whether auto tries the method on features that the method does not decline."""
         return True
 
     def refit(self, fitted: Fit, data: FitData) -> Fit:
@@ -217,7 +218,7 @@ class Method(ABC):
         return ""
 
     def nearly(self, data: FitData) -> bool:
-        """Return whether parts of many features may support it where all of them do not.
+        """Return whether parts of many features may support the method where all of them do not.
 
         It is asked where it could not be fitted to all of them. Then it is fitted in the folds in
         which the choice is repeated, unless it says no; that saves time.
@@ -225,7 +226,7 @@ class Method(ABC):
         return True
 
     def settles(self, data: FitData) -> str | None:
-        """Return in a sentence why features support this method alone; None if they do not.
+        """Return why features support this method alone, as a sentence; None if they do not.
 
         Such as points that were computed by the very geometry that it knows. No other method is
         then tried.
@@ -233,7 +234,8 @@ class Method(ABC):
         Raises
         ------
         TermselError
-            If they support it alone, and it lacks something that the user must say: the run ends.
+            If the features support this method alone, and it lacks something that the user must
+            say: the run ends.
         """
         return None
 

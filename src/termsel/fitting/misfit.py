@@ -389,8 +389,8 @@ def misfit_of(image: FloatArray, residuals: FloatArray, noise: NoisePrior,
     """Return the model's own error, as the residuals of its control (n, 2) show it.
 
     The image (n, 2) is where the model sees the control, all scaled; `effective` are the parameters
-    of both axes together, None where the residuals are not smaller for them. None comes back for
-    too few points, for points on a line of the image, and where all residuals are zero.
+    of both axes together, None where the residuals are not smaller for them. Returns None for too
+    few points, for points on a line of the image, and where all residuals are zero.
     """
     if len(image) > MISFIT_MAX_POINTS:
         rows = rows_of_field(len(image))
@@ -494,7 +494,7 @@ def determined_trend(positions: FloatArray, rows: IntArray,
                      most: int = TREND_COLUMNS[-1]) -> FloatArray | None:
     """Return the trend of the highest degree that some rows of positions (n, 2) determine, (n, f).
 
-    It has at most `most` columns. None comes back where not even an affine trend is determined.
+    It has at most `most` columns. Returns None where not even an affine trend is determined.
     """
     for columns in reversed(TREND_COLUMNS):
         trend = trend_of(positions, columns)

@@ -412,8 +412,8 @@ def pinhole_near(camera: Pinhole, scaled: FeatureSet, scaling: Scaling) -> Pinho
     """Return the camera of other control points that is nearest to a given camera.
 
     Few points may allow several cameras, far from each other. The points are in the scaled
-    coordinates of the camera. None comes back where a camera cannot be fitted to such points, or
-    has some of them behind it.
+    coordinates of the camera. Returns None where a camera cannot be fitted to such points, or has
+    some of them behind it.
     """
     measured = _camera_points(scaled, scaling)
     return None if measured is None else camera_next_to(measured, camera.camera)
@@ -449,7 +449,7 @@ def cameras_of(measured: Measured) -> Cameras:
 def camera_next_to(measured: Measured, camera: Cameras) -> Pinhole | None:
     """Return the camera of control points to which steps from a given camera lead.
 
-    None comes back where it has a point behind it.
+    Returns None where it has a point behind it.
     """
     everything = np.ones((1, len(measured.image)))
     sigma = measured.noise

@@ -167,7 +167,7 @@ def freedom_of(errors: FloatArray) -> float | None:
     The chi-squared distribution with so many degrees has the same relative variance as the sum
     (Satterthwaite 1946). That is the variance which normal errors have with the mean squares of
     line and of sample; or, if larger, the one which the squared distances show, as under heavy
-    tails. None comes back if all errors are zero.
+    tails. Returns None if all errors are zero.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         squares = (errors**2).reshape(-1, 2)

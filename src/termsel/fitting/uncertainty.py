@@ -140,8 +140,8 @@ def _belief_of_points(model: SensorModel, control: FeatureSet, *, heights: bool)
 
     The noise of lines cannot be propagated to coefficients that are not by least squares. The
     points alone show less than both do, so that errors are not understated. By few points they
-    would be overstated many times: None comes back for less than three times as many as an affine
-    model has terms.
+    would be overstated many times: it is None for fewer than three times as many as an affine model
+    has terms.
     """
     n_affine_terms = 4 if heights else 3
     points = control.take(np.arange(len(control)) < len(control.points))

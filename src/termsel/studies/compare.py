@@ -212,7 +212,7 @@ class Estimate(NamedTuple):
 
 def estimate(study: Path | str | Mapping[str, Any] | None = None,
              **keys: Any) -> Iterator[Estimate]:
-    """Yield each kind of cell: its labels, its number, seconds of one, and why that failed.
+    """Yield how long the cells of each kind take, and why some of them failed, if any did.
 
     Arguments as for `compare`. Cells with the fewest, middling and most features are run, and the
     time of the others is interpolated. The first is run twice, unless it takes

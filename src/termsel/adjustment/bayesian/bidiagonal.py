@@ -184,10 +184,10 @@ def _make_reflection(head: FloatArray, squares: FloatArray, factor: FloatArray,
                      image: FloatArray) -> None:
     """Make the reflections I - factor v v' that bring g vectors into their first direction.
 
-    `head` (g,), the first entries of the vectors, become those of v; the others are the same.
-    `squares` (g,) are the sums of squares of the vectors. Filled in are `factor` (g,), and `image`
-    (g,), the only entry of each reflected vector that is not 0, of such a sign that nothing
-    cancels.
+    `head` (g,), the first entries of the vectors, become those of v; all further entries are those
+    of v already. `squares` (g,) are the sums of squares of the vectors. Filled in are `factor`
+    (g,), and `image` (g,), the only entry of each reflected vector that is not 0, of such a sign
+    that nothing cancels.
     """
     for lane in range(len(head)):
         length = np.sqrt(squares[lane])

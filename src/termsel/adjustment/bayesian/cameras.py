@@ -254,9 +254,9 @@ def _views_at_sight(fill_views: Callable[[FloatArray, FloatArray], None], positi
                     azimuth: float, cameras: int) -> tuple[FloatArray, BoolArray]:
     """Return times at which the first of two numbers of a view is 0, with the second, (2, c, m).
 
-    And which cameras see all places, (c,). `fill_views` fills in both numbers, (2, c, m), at times
-    (c, m) [s]. Places `positions` (m, 3) [m] are passed in the direction `azimuth` [rad]; `cameras`
-    is their number c.
+    The second array says which cameras see all places, (c,). `fill_views` fills in both numbers,
+    (2, c, m), at times (c, m) [s]. Places `positions` (m, 3) [m] are passed in the direction
+    `azimuth` [rad]; `cameras` is their number c.
     """
     # A satellite passes the ground at 7 km/s: the first guess of the time.
     guess = positions @ np.array([np.sin(azimuth), np.cos(azimuth), 0.0]) / GROUND_SPEED

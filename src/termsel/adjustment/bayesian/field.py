@@ -231,7 +231,7 @@ class GaussianProcess:
 
     @cached_property
     def errors(self) -> FloatArray:
-        """Measured minus predicted of each point by the others, shape (n, 2).
+        """Measured minus predicted of each point, by the other points, shape (n, 2).
 
         Without a point the solutions change, and so do their probabilities; both have closed forms.
         """
@@ -362,8 +362,8 @@ class GaussianProcess:
 def fit_gaussian_process(points: Points, variables: int) -> GaussianProcess | None:
     """Return the prediction by a polynomial with a random field, from scaled control points.
 
-    The polynomial is in 2 variables, X and Y, or 3, with Z. None comes back if the points without
-    some one of them do not determine an affine model with redundancy.
+    The polynomial is in 2 variables, X and Y, or 3, with Z. Returns None if the points without some
+    one of them do not determine an affine model with redundancy.
     """
     # Three more than the affine coefficients of an axis: with fewer a field explains anything.
     if len(points) < variables + 3:

@@ -38,7 +38,7 @@ _inlined = partial(_compiled, forceinline=True)
 
 @dataclass(frozen=True, eq=False)
 class HeldOutPredictions:
-    """Each of m points as others predict it, averaged over the solutions that matter."""
+    """Each of m points as the other points predict it, averaged over the solutions that matter."""
 
     errors: FloatArray  # (m, 2): measured minus predicted, of line and sample
     probability: FloatArray  # (m,): of errors as large

@@ -194,7 +194,7 @@ def squared_distances(a: FloatArray, b: FloatArray) -> FloatArray:
 class SplineField:
     """The random field whose best prediction a spline is, of mean variance 1 at the knots.
 
-    Without what the affine function through the knots has in common with it.
+    What an affine function explains of the field at the knots is taken out.
     """
 
     knots: FloatArray  # (k, 2)

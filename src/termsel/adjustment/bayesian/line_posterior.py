@@ -37,7 +37,7 @@ AXIS_RATIOS = 10.0 ** np.array([-1.0, 0.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class FeaturePredictions:
-    """Each of n features as the others predict it, averaged over the solutions."""
+    """Each of n features as the other features predict it, averaged over the solutions."""
 
     errors: FloatArray  # (m,): measured minus predicted of all rows
     probability: FloatArray  # (n,): of errors as large
@@ -109,7 +109,7 @@ class LinePosterior:
         return held_out, share, other_squares, quadratic
 
     def predictions(self, weights: FloatArray) -> FeaturePredictions:
-        """Return each of n features as the others predict it.
+        """Return each of n features as the other features predict it.
 
         `weights` (n,) are what the rows of each feature were multiplied by. Features with another
         weight than 1, which is too small to matter, are predicted by those with the weight 1.
@@ -187,7 +187,7 @@ def mean_line_solution(equations: Equations, exponents: Exponents,
     """Return averaged shrunken coefficients, effective parameters and held-out errors (m,).
 
     They are those of `LinePosterior.mean` and `held_out_errors`, over all solutions for m rows that
-    are all in use. None comes back where `line_posterior` returns none.
+    are all in use. Returns None where `line_posterior` returns none.
     """
     return _cached_mean(equations.A.tobytes(), equations.b.tobytes(), equations.feature.tobytes(),
                         exponents)
@@ -217,7 +217,7 @@ def line_posterior(equations: Equations, exponents: Exponents, draws: int,
     the same k exponents; affine terms are not shrunk. Factors of single terms are drawn `draws`
     times (see `scales_of`). `in_use` is how many rows have a weight that matters.
 
-    None comes back if the features without some one of them do not determine the affine terms, or
+    Returns None if the features without some one of them do not determine the affine terms, or
     leave fewer than two degrees of freedom.
     """
     A = equations.A

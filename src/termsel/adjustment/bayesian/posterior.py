@@ -455,8 +455,8 @@ def solve_posteriors(free_columns: FloatArray, shrunken: FloatArray, image: Floa
     """Return all solutions as `solve_posterior` does, for d systems with equal free columns (n, f).
 
     The shrunken columns are (d, n, k). The first `n_own` of them, which may be all, have scales of
-    their own; the others share one scale in each group. None comes back for fewer than four degrees
-    of freedom, and for dependent columns.
+    their own; the others share one scale in each group. Returns None for fewer than four degrees of
+    freedom, and for dependent columns.
     """
     in_use = len(free_columns) if in_use is None else in_use
     freedom = 2 * (in_use - free_columns.shape[1])

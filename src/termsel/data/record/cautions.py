@@ -61,7 +61,7 @@ def limits_of_accuracy(notes: Iterable[str]) -> list[str]:
 def size_in_caution(note: str) -> float | None:
     """Return how large errors may be where the stated accuracy does not hold [px], as a note says.
 
-    None comes back for a note that says no size.
+    Returns None for a note that says no size.
 
     Examples
     --------

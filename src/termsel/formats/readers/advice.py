@@ -409,7 +409,7 @@ def _missing_pair_error(path: Path, header: Sequence[str], numeric: Sequence[int
                         expected: str) -> TermselError | None:
     """Return the error for a table that has image coordinates or ground coordinates alone.
 
-    `numeric` are the columns that hold numbers. None comes back for other tables, and where two
+    `numeric` are the columns that hold numbers. Returns None for other tables, and where two
     further columns hold numbers: these may be the other pair under names that are not known.
     """
     by_name = columns_by_meaning(header, POINTS)

@@ -344,8 +344,8 @@ class ScoreSystems:
     def _vectors_of_node(self, node: SubtreeNode) -> tuple[Vectors, Limits, FloatArray] | None:
         """Return a node's vectors, its limits, and the guard's denominators; None if dependent.
 
-        None comes back if the columns in use depend on each other. What they explain is taken out
-        of the later ones, candidates and targets, by LAPACK. With the factor R of [used, later] in
+        Returns None if the columns in use depend on each other. What they explain is taken out of
+        the later ones, candidates and targets, by LAPACK. With the factor R of [used, later] in
         blocks [[R_uu, R_ul], [0, R_ll]], the later columns without it have the inner products of
         R_ll, which has fewer rows.
         """

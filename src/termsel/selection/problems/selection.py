@@ -361,8 +361,8 @@ class SelectionProblem(Problem):
     def row_systems(self) -> tuple[RowSystem, ...] | None:
         """Return the parts of a selection of features alone (see `Problem.row_systems`).
 
-        None comes back where terms are selected; () where no rows say what a selection scores, as
-        a plugin evaluates it, or each selection has equations of its own.
+        Returns None where terms are selected; () where no rows say what a selection scores, as a
+        plugin evaluates it, or each selection has equations of its own.
         """
         if self._gene_of_term is not None or not self._selects_features:
             return None

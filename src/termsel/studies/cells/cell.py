@@ -109,7 +109,7 @@ def _require_sound(spec: Spec, kinds: _Kinds, cells: list[Cell]) -> None:
 
 
 def _require_few(spec: Spec, data: int) -> None:
-    """Refuse a study that would take longer to plan than to think over; `data` are how many."""
+    """Refuse a study with too many cells to be planned, which has `data` data sets."""
     problems = len(spec.problems) or 1
     methods = len(spec.models or (None,)) * len(spec.criteria or (None,)) * len(
         spec.solvers or (None,))
@@ -194,7 +194,8 @@ def _draws_roles(options: Mapping[str, Any], data: Data) -> bool:
 class _Kind:
     """What cells of one kind have in common: options, names by default, and chance.
 
-    Where none of the data allow it: the error with the place in the study file, and without.
+    Where none of the data allow the kind, `unfit` is the error with the place in the study file,
+    and `reason` the same without the place.
     """
 
     options: Mapping[str, Any]
@@ -399,7 +400,8 @@ def _checksums_of_parts(strategy: str, request: Request, specs: Mapping[str, Par
                         measures: Sequence[Measure]) -> dict[str, str]:
     """Return checksums of the code that cells run, by role.
 
-    They are part of what identifies a cell: a plugin that has changed makes its cells run again.
+    The checksums are part of what identifies a cell: a plugin that has changed makes its cells run
+    again.
     """
     checksums = {role: checksum_of_code(getattr(request, role))
                  for role in ("recipe", "model", "criterion", "solver", "then")}

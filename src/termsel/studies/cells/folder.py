@@ -78,7 +78,7 @@ def read_study(folder: Path | str) -> Study:
     Parameters
     ----------
     folder : path
-        The one of `out`, or of ``--out``.
+        The folder that was given as `out`, or with ``--out``.
 
     Returns
     -------

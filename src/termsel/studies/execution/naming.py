@@ -18,7 +18,7 @@ _MARKS = ("Warning: ", "Note: ")
 def name_image_in_log(image: str) -> Iterator[list[str]]:
     """Put the name of an image into messages of the log; yield a list of its warnings.
 
-    There they are as logged, without mark and name.
+    In the list the warnings stand as they were logged, without a mark and the name.
     """
     _name_images()
     warnings: list[str] = []
