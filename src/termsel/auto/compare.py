@@ -36,7 +36,7 @@ class Comparison:
         Name of the method that auto chooses for control and check, without a look at the
         independent points; empty if none is determined.
     choice : Choice or None
-        The choice of auto for control and check.
+        The automatic choice for control and check.
     blunders : int
         How many features the choice leaves out as blunders.
     refused : mapping of str to str
