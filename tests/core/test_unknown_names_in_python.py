@@ -2,6 +2,7 @@
 
 import re
 import traceback
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -113,6 +114,20 @@ def test_run_refuses_a_value_of_the_wrong_kind_before_it_reads(
     # The file is not there: what is wrong with the argument is said first.
     with pytest.raises(termsel.TermselError, match=re.escape(words)):
         termsel.run(features="nowhere.csv", **arguments)
+
+
+def test_messages_that_name_an_option_name_the_argument_too(tmp_path: Path) -> None:
+    table = tmp_path / "points.csv"
+    table.write_text("id,x,y,line,sample\n" + "".join(
+        f"P{i},{500000 + 7 * i * i},{4000000 + 90 * i},{i * 3},{i * i}\n" for i in range(9)))
+    with pytest.raises(termsel.TermselError, match=re.escape("in Python crs=")):
+        termsel.run(features=table)
+    out = tmp_path / "result"
+    result = termsel.run("poly-terms", generations=1, out=out)
+    with pytest.raises(termsel.TermselError, match=re.escape("in Python overwrite=True")):
+        termsel.run("poly-terms", generations=1, out=out)
+    with pytest.raises(termsel.TermselError, match=re.escape("in Python overwrite=True")):
+        termsel.export(result, "points-csv", table)
 
 
 def test_a_seed_of_numpy_is_a_seed() -> None:

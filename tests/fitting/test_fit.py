@@ -290,7 +290,12 @@ def without_heights() -> FeatureSet:
     (points_of(), "rfm-2", {"order": 2}, "method 'rfm-2' takes no option 'order'"),
     (points_of(), RationalFunctions(), {"order": 2}, "has its options already, takes no option"),
     (points_of(), "rfn", {}, "unknown model 'rfn'. Did you mean 'rfm'"),
-    (points_of(), "rfm", {"ordr": 2}, "unknown option 'ordr'"),
+    (points_of(), "rfm", {"ordr": 2},
+     "unknown option 'ordr' of the model 'rfm'. Did you mean 'order'?"),
+    (points_of(), "rfm", {"colums": "x=east"},
+     "unknown option 'colums' of the model 'rfm'. Did you mean 'columns'?"),
+    (points_of(), "affine", {"degree": 2},
+     "unknown option 'degree' of the model 'affine'.*poly2d, poly3d.* have it: model='poly2d'"),
     (FeatureSet(empty_points(), empty_lines()), "affine", {}, "there are no control features"),
     (points_of(6).with_(points=replace(points_of(6).points, roles=("check",) * 6)), "affine", {},
      "all 6 points have other roles than control: check")])

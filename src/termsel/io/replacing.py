@@ -79,7 +79,8 @@ def require_replaceable(files: Iterable[Path], *, reads: Iterable[object] = (),
             _refuse_other_ending(file, written_as)
     if existing and not overwrite:
         raise TermselError("this file already exists", file=existing[0],
-                           hint="Choose another name, or add --overwrite.")
+                           hint="Choose another name, or add --overwrite, in Python "
+                                "overwrite=True.")
 
 
 def _refuse_read(files: Iterable[Path], reads: Iterable[Path]) -> None:

@@ -92,7 +92,8 @@ def _refuse_taken(folder: Path, overwrite: bool) -> None:
                                file=folder / name, hint="Choose another --out.")
     if not overwrite and _path_of_file(folder, RECORD).exists():
         raise TermselError("there is a result in this folder already", file=folder,
-                           hint="Choose another --out, or add --overwrite.")
+                           hint="Choose another --out, or add --overwrite, in Python "
+                                "overwrite=True.")
 
 
 @explains_arguments()

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from termsel.core.errors import TermselError, unknown_name_error
+from termsel.core.errors import TermselError, first_names_in_words, unknown_name_error
 from termsel.core.isolation.faults import attribute_errors_to
 from termsel.core.threads import one_blas_thread
 from termsel.data.features import FeatureSet
@@ -19,7 +19,7 @@ from termsel.fitting.method import Method
 from termsel.io.read import features_of
 from termsel.models.base import SensorModel, require_heights
 from termsel.plugins.registry import registry
-from termsel.runs.request import note_on_blank, to_leave_out
+from termsel.runs.request import note_on_blank, owners_of_options, to_leave_out
 
 log = logging.getLogger(__name__)
 
@@ -83,6 +83,7 @@ def fit(features: Any, model: str | type[SensorModel] | SensorModel | Method = "
     if isinstance(resolved, SensorModel):
         _refuse(options, f"model {resolved.name!r}, which has its options already,")
     else:
+        _refuse_unknown(options, resolved)
         resolved = resolved(**options)
     control = control_of(_with_heights(features) if resolved.uses_height else features)
     require_heights(resolved, control)
@@ -112,6 +113,21 @@ def _with_heights(features: FeatureSet) -> FeatureSet:
         return features
     log.warning("Note: %s", note_on_blank(blank, features))
     return with_roles(features, dict.fromkeys(blank, "off"))
+
+
+def _refuse_unknown(options: Mapping[str, Any], model: type[SensorModel]) -> None:
+    """Raise TermselError for an option that the model has not; it names the model that has it."""
+    names = [option.name for option in model.declared_options]
+    for key in options:
+        if key not in names:
+            # Where no model is named, another one may be meant.
+            kind, *owners = owners_of_options().get(key, ("",))
+            hint = ""
+            if kind == "model":
+                hint = f"{first_names_in_words(owners, 3)} have it: model={owners[0]!r}."
+            error = unknown_name_error("option", key, [*names, "crs", "columns"], hint)
+            error.what = f"{error.what} of the model {model.name!r}"
+            raise error
 
 
 def _refuse(options: dict[str, Any], subject: str) -> None:

@@ -135,7 +135,7 @@ def unknown_crs_error(features: FeatureSet, may_turn: bool) -> TermselError:
     say it. If axes look swapped and `may_turn`, they say which option exchanges them, too.
     """
     error = TermselError("the CRS of the ground coordinates is unknown", code="crs-unknown",
-                         hint=f"State it with --crs: {EXAMPLES}.")
+                         hint=f"State it with --crs, in Python crs=: {EXAMPLES}.")
     ground = features.ground_vertices()
     plane = ground[:, :2]
     column, said = crs_of_columns(features)
