@@ -252,7 +252,7 @@ BAD_WORDS = {
     "unknown solver": (["--problem", "rfm-terms", "--solver", "gaa"],
                        "unknown solver 'gaa'. Did you mean 'ga'? Known: "),
     "unknown data set": (["--problem", "rfm-terms", "--dataset", "hamedan"],
-                         "unknown data set 'hamedan'. Did you mean 'ikonos-hamedan'"),
+                         "'ikonos-hamedan'? Known: "),
     "negative seed": (["--problem", "rfm-terms", "--seed", "-1"],
                       "--seed is -1, expected a whole number of at least 0."),
     "no generations": (["--problem", "rfm-terms", "--generations", "0"],
