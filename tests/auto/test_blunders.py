@@ -21,7 +21,7 @@ from termsel.auto.blunders import find_blunders, judge_others
 from termsel.auto.contradictions import Test as Contradictions
 from termsel.auto.memory import Memory
 from termsel.auto.misplaced import misplaced_points
-from termsel.auto.shrunken import average
+from termsel.auto.shrunken import fit_average
 from termsel.data.features import empty_lines, empty_points
 from termsel.data.fit_data import FitData
 from termsel.data.monomials import evaluate_monomials, graded_exponents
@@ -300,7 +300,7 @@ def test_a_prediction_without_a_point_is_that_of_the_others() -> None:
     assert others is not None
     closed, direct = whole.held_out, others.predict_unused(1e-3)
     keep = np.arange(20) != 19
-    alone = average(ground[keep], image[keep], exponents)
+    alone = fit_average(ground[keep], image[keep], exponents)
     assert alone is not None
     there = image[19] - columns[19] @ alone.coefficients
     np.testing.assert_allclose(closed.errors[19], there, rtol=1e-6)

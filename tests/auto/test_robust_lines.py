@@ -13,7 +13,7 @@ from click.testing import CliRunner
 import termsel
 from termsel.auto.auto import Auto
 from termsel.auto.blunders import find_blunders
-from termsel.auto.shrunken import average, average_with_lines
+from termsel.auto.shrunken import fit_average, fit_average_with_lines
 from termsel.cli.main import cli
 from termsel.data.features import FeatureSet, Lines, empty_lines
 from termsel.data.fit_data import FitData
@@ -45,11 +45,11 @@ def test_errors_without_a_line_are_those_of_the_others(degree: int) -> None:
     control = polylines()
     scaling, model = make_scaling(control), Polynomial3D(degree=degree)
     scaled = scaling.features(control)
-    found = average_with_lines(scaled, model)
+    found = fit_average_with_lines(scaled, model)
     assert found is not None
     for out in (0, len(control.points), len(control.points) + 5):
         others = scaled.take(np.arange(len(scaled)) != out)
-        alone = average_with_lines(others, model)
+        alone = fit_average_with_lines(others, model)
         assert alone is not None
         # The weights of rows, by where approximate vertices lie, depend a little on all features.
         assert len(found.errors) - len(alone.errors) == (scaled.vertex_feature == out).sum()
@@ -77,8 +77,8 @@ def test_points_alone_get_the_same_from_coupled_equations() -> None:
     control = control.with_(lines=empty_lines())
     scaling, model = make_scaling(control), Polynomial3D(degree=3)
     scaled = scaling.features(control)
-    coupled = average_with_lines(scaled, model)
-    apart = average(scaled.points.ground, scaled.points.image, model.exponents)
+    coupled = fit_average_with_lines(scaled, model)
+    apart = fit_average(scaled.points.ground, scaled.points.image, model.exponents)
     assert coupled is not None
     assert apart is not None
     difference = (coupled.errors - apart.errors) * scaling.image_scale

@@ -13,7 +13,7 @@ from termsel.auto.auto import Auto
 from termsel.auto.methods import METHODS
 from termsel.auto.rule import advantage_in_words, requirement_in_words
 from termsel.auto.selected import select_forward
-from termsel.auto.shrunken import average
+from termsel.auto.shrunken import fit_average
 from termsel.data.features import FeatureSet, Points
 from termsel.data.fit_data import FitData
 from termsel.data.monomials import evaluate_monomials, graded_exponents
@@ -219,11 +219,11 @@ def test_what_a_search_does_never_depends_on_independent_points() -> None:
 
 def test_leave_one_out_is_that_of_the_whole_procedure() -> None:
     ground, image = drawn(15)
-    found = average(ground, image, CUBIC)
+    found = fit_average(ground, image, CUBIC)
     assert found is not None
     for i in range(15):
         others = np.arange(15) != i
-        without = average(ground[others], image[others], CUBIC)
+        without = fit_average(ground[others], image[others], CUBIC)
         assert without is not None
         error = image[i] - evaluate_monomials(ground[i:i + 1], CUBIC)[0] @ without.coefficients
         np.testing.assert_allclose(found.errors[i], error, rtol=1e-3, atol=1e-3)
@@ -231,7 +231,7 @@ def test_leave_one_out_is_that_of_the_whole_procedure() -> None:
 
 def test_with_many_points_the_average_is_as_good_as_least_squares() -> None:
     ground, image = drawn(400)
-    found = average(ground, image, CUBIC)
+    found = fit_average(ground, image, CUBIC)
     assert found is not None
     free = np.linalg.lstsq(evaluate_monomials(ground, CUBIC), image)[0]
     places = np.random.default_rng(5).uniform(-1, 1, (100, 3))
@@ -242,7 +242,7 @@ def test_with_many_points_the_average_is_as_good_as_least_squares() -> None:
 
 def test_units_do_not_matter_to_the_average() -> None:
     ground, image = drawn(20)
-    one, other = average(ground, image, CUBIC), average(ground, 1e-4 * image + 3.0, CUBIC)
+    one, other = fit_average(ground, image, CUBIC), fit_average(ground, 1e-4 * image + 3.0, CUBIC)
     assert one is not None
     assert other is not None
     np.testing.assert_allclose(other.errors, 1e-4 * one.errors, rtol=1e-4, atol=1e-9)
@@ -254,7 +254,7 @@ def test_a_measurement_without_weight_does_not_matter() -> None:
     wrong[3] += 50.0
     weights = np.ones((20, 2))
     weights[3] = 1e-4
-    one, other = (average(ground, values, CUBIC, weights) for values in (image, wrong))
+    one, other = (fit_average(ground, values, CUBIC, weights) for values in (image, wrong))
     assert one is not None
     assert other is not None
     difference = evaluate_monomials(ground, CUBIC) @ (one.coefficients - other.coefficients)
@@ -264,14 +264,14 @@ def test_a_measurement_without_weight_does_not_matter() -> None:
 def test_exact_data_are_fitted_exactly() -> None:
     ground, _ = drawn(60)
     truth = np.random.default_rng(2).normal(size=(20, 2))
-    found = average(ground, evaluate_monomials(ground, CUBIC) @ truth, CUBIC)
+    found = fit_average(ground, evaluate_monomials(ground, CUBIC) @ truth, CUBIC)
     assert found is not None
     np.testing.assert_allclose(found.coefficients, truth, atol=1e-5)
 
 
 def test_too_few_points_give_no_average() -> None:
     ground, image = drawn(5)
-    assert average(ground, image, CUBIC) is None
+    assert fit_average(ground, image, CUBIC) is None
 
 
 @pytest.mark.parametrize("n", [40, 120])  # of more than 100, folds of two are left out
@@ -379,7 +379,7 @@ def test_the_result_is_whole_in_its_folder(result: termsel.Result, folder: Path)
     assert used == {"control", "check"} == {r.role for r in again.residuals if r.used}
     text = (folder / "summary.txt").read_text()
     assert "strategy auto" in text
-    assert "predicted RMSE" in text
+    assert "predicted by cross-validation" in text
 
 
 def test_every_result_has_the_baselines(result: termsel.Result) -> None:

@@ -124,7 +124,7 @@ def test_what_occurs_twice(n: int, seed: int, data: st.DataObject) -> None:
     ground = points.ground.copy()
     ground[second] = ground[first]
     with pytest.raises(TermselError, match=f"'p{first}' and 'p{second}' have the same ground"):
-        make_points(n, rng, ground=ground)
+        make_points(n, rng, ground=ground, roles=[""] * n)
     vertices = lines.ground.copy()
     vertices[second] = vertices[first][::data.draw(st.sampled_from([1, -1]))]
     with pytest.raises(TermselError, match=f"'l{first}' and 'l{second}' have the same ground"):

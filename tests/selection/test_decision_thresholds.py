@@ -14,7 +14,7 @@ from termsel.auto.compare import compare
 from termsel.auto.methods import Structure, named
 from termsel.auto.rule import validated
 from termsel.auto.selected import select_forward
-from termsel.auto.shrunken import average
+from termsel.auto.shrunken import fit_average
 from termsel.data.coordinates.places import spatial_order
 from termsel.data.features import BoolArray, FeatureSet, FloatArray, Points, empty_points
 from termsel.data.fit_data import FitData
@@ -116,7 +116,7 @@ def test_what_must_be_better_by_how_much(noise: float, cubic: float, dlt: float,
     found = Auto().choose(FitData.of(control, True))
     assert found is not None
     assert found.method.name == chosen
-    assert ("by 1 standard error;" in found.reason) == (1.02 in (cubic, dlt))
+    assert ("by 1.02 times the uncertainty" in found.reason) == (1.02 in (cubic, dlt))
 
 
 @pytest.mark.slow
@@ -154,11 +154,11 @@ def test_errors_of_weighted_points_are_those_of_the_others() -> None:
     image = evaluate_monomials(ground, CUBIC)[:, 1:3] * 100 + rng.normal(0, 1, (24, 2))
     weights = np.ones((24, 2))
     weights[[9, 15]] = 0.25
-    found = average(ground, image, CUBIC, weights)
+    found = fit_average(ground, image, CUBIC, weights)
     assert found is not None
     for out in (9, 10, 15):
         others = np.arange(24) != out
-        rest = average(ground[others], image[others], CUBIC, weights[others])
+        rest = fit_average(ground[others], image[others], CUBIC, weights[others])
         assert rest is not None
         error = image[out] - evaluate_monomials(ground[[out]], CUBIC)[0] @ rest.coefficients
         np.testing.assert_allclose(found.errors[out], error, rtol=1e-3, atol=1e-3)

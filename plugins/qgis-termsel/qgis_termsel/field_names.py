@@ -16,12 +16,12 @@ KNOWN = {
           "номерточки назва σημειο 点番号 점 점번호 fid",
     "role": "role use",
     "line": "line row ypx lin lines rows ypix ypixel pixely py imgy imagey yimg yimage lineno "
-          "imy imrow imgrow imagerow "
+          "yimagen yimagem imy imrow imgrow imagerow fil renglon yпикс "
           "zeile bildzeile bildy ligne rangee fila linea riga linha wiersz rij regel 行 行号 行数 "
           "行坐标 pxy riadok radek sor satir rivi rad rekke række rand redak vrstica "
           "строка ряд рядок γραμμη 행 sourcey",
     "sample": "sample col column xpx pixel samples samp cols columns xpix xpixel pixelx pix px "
-          "imx imcol imgcol imagecol "
+          "ximagen ximagem imx imcol imgcol imagecol xпикс "
           "imgx imagex ximg ximage spalte bildspalte bildx colonne columna muestra colonna "
           "campione coluna kolumna kolom 列 列号 列数 列坐标 pxx sloupec stlpec oszlop sutun "
           "sarake kolumn kolonne coloana stupac stolpec столбец колонка стовпець στηλη 열 sourcex",

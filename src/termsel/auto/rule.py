@@ -539,6 +539,9 @@ def _reason_for_choice(chosen: Fit, base: Fit, reasons: Sequence[str], alternati
 _UNCERTAINTY = "the uncertainty of the difference"
 """What the difference of two models is measured by."""
 
+_NO_ADVANTAGE = 0.005
+"""Difference of two models, by its uncertainty, up to which a sentence calls them equal."""
+
 
 def _sentence_on_rival(rival: Fit, base: Fit, *, is_chosen: bool) -> str:
     """Return how a method compares with the fit to beat, and why it is chosen or not."""
@@ -575,7 +578,7 @@ def _difference_in_words(rival: Fit, base: Fit) -> str:
 
 def advantage_in_words(advantage: float, other: str) -> str:
     """Return how much better than `other` a prediction is, from the gain of `gain_of`."""
-    if not advantage > 0.0:
+    if not advantage > _NO_ADVANTAGE:
         return f"no better than {other}"
     times = rounded_size_text(advantage)
     return f"better than {other}, by {times} times {_UNCERTAINTY}"
@@ -583,7 +586,7 @@ def advantage_in_words(advantage: float, other: str) -> str:
 
 def requirement_in_words(advantage: float, margin: float) -> str:
     """Return whether an advantage is more than chance, and how large it must be; "" for none."""
-    if not advantage > 0.0:
+    if not advantage > _NO_ADVANTAGE:
         return ""
     if margin == np.inf:
         return ", which so few points cannot tell from chance"

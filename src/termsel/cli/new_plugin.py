@@ -19,6 +19,9 @@ from termsel.core.version import plugin_bound
 NEW_KINDS = ("model", "solver", "problem", "criterion", "objective", "method", "dataset", "split",
          "section", "measure", "reader", "writer", "command")
 
+_TESTS = "tests"
+"""Folder of the tests of a new package."""
+
 _DISTRIBUTION_NAME = re.compile(r"[A-Za-z](?:[A-Za-z0-9]|[-_.](?=[A-Za-z0-9]))*")
 
 _USE = {
@@ -124,7 +127,7 @@ def package_files(name: str, *kinds: str) -> dict[str, str]:
             **words, "MODULE": modules[kind], "NAME": names[kind], "TITLE": f"The {titles[kind]}",
             "CLASS": "".join(syllable.capitalize() for syllable in names[kind].split("-"))}
         texts[f"{modules[kind]}.py"] = _fill_words(f"{kind}.py", words_of_kind)
-        texts[f"tests/test_{modules[kind]}.py"] = _fill_words(f"{kind}_test.py", words_of_kind)
+        texts[f"{_TESTS}/test_{modules[kind]}.py"] = _fill_words(f"{kind}_test.py", words_of_kind)
     return texts
 
 

@@ -8,6 +8,7 @@ from termsel.cli.options.shared import remote_option as remote_option
 from termsel.cli.tables import json_text as json_text
 from termsel.cli.tables import print_json as print_json
 from termsel.cli.tables import print_table as print_table
+from termsel.core.errors import ONCE as ONCE
 from termsel.core.errors import count_in_words as count_in_words
 from termsel.core.errors import make_printable as make_printable
 from termsel.core.errors import require_import as require_import

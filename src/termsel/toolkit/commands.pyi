@@ -5,4 +5,3 @@ from termsel.cli.options.run_options import RunOptions as RunOptions
 from termsel.cli.options.run_options import parse_settings as parse_settings
 from termsel.cli.options.run_options import run_options as run_options
 from termsel.cli.options.shared import progress_option as progress_option
-from termsel.core.errors import ONCE as ONCE

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from termsel import FeatureSet, TermselError, open_raster
-from termsel.toolkit import with_dataset
-from termsel.toolkit.commands import ONCE
+from termsel.toolkit import ONCE, with_dataset
 from termsel.toolkit.coordinates import LOCAL, transformation_between
 from termsel_cameras.known.cameras import CAMERAS
 from termsel_cameras.known.interior import (

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from termsel import FeatureSet, Option, TermselError
-from termsel.toolkit import FloatArray
-from termsel.toolkit.commands import ONCE
+from termsel.toolkit import ONCE, FloatArray
 from termsel.toolkit.coordinates import is_geographic, normalise, to_wgs84
 from termsel_cameras.roles import without_independent
 from termsel_cameras.sheets.candidates import (

@@ -21,8 +21,7 @@ from typing import Any, ClassVar
 from warnings import catch_warnings, simplefilter
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
-from termsel.toolkit import read_text, require_import, write_text
-from termsel.toolkit.commands import ONCE
+from termsel.toolkit import ONCE, read_text, require_import, write_text
 from termsel.toolkit.coordinates import begins_as_crs, horizontal_crs, normalise
 from termsel.toolkit.files import (
     IMAGE_NAME,
