@@ -85,7 +85,7 @@ def _sum(blocks: FloatArray, features: BoolArray, total: FloatArray) -> None:
     """Add up the blocks of each individual, for the normal equations of a population.
 
     `blocks` (n + 1, w) are those of `blocks_of`; the last one counts for every individual.
-    `features` (p, n) says which others are in use. The sums are written to `total` (p, w).
+    `features` (p, n) says which of the other blocks count. The sums are written to `total` (p, w).
 
     Features are taken in pieces that stay in the cache for all individuals. Each sum runs over the
     same pieces in the same order whatever other individuals select, so that an individual has the
@@ -190,8 +190,8 @@ def reduced_rows(blocks: FloatArray, triangle: FloatArray, features: BoolArray, 
     """Yield k rows for each individual, with the same solutions as all of its rows.
 
     Blocks (n + 1, w) are as `blocks_of` gives them, the triangle is (k, k), features are (p, n) or
-    (p, n + 1), and those (p,) are the individuals for which blocks pay. With one individual come
-    its triangle, right-hand side and a column of zeros, (k, k + 2), or None where that is not safe.
+    (p, n + 1), and `pays` (p,) says for which individuals blocks pay. With one individual come its
+    triangle, right-hand side and a column of zeros, (k, k + 2), or None where that is not safe.
     With several comes None: blocks do not pay for them.
     """
     k = len(triangle)

@@ -13,7 +13,7 @@ class Interpolation(Protocol):
 
     @property
     def errors(self) -> FloatArray:
-        """Measured minus predicted of each control point by the others, shape (n, 2)."""
+        """Measured minus predicted of each control point, by the other points, shape (n, 2)."""
 
     @property
     def effective(self) -> float:

@@ -291,7 +291,8 @@ def required_probability(process: GaussianProcess) -> float:
 def interpolated(model: SensorModel, control: FeatureSet, scaling: Scaling) -> Interpolation | None:
     """Return the interpolation of control points by a model.
 
-    None where the points are too few, or lie so that they determine none, such as in a row.
+    None where the points are too few, or lie so that they determine no interpolation, such as in a
+    row.
     """
     return model.prepared(scaling, control.crs).interpolation(scaling.features(control))
 
@@ -336,7 +337,8 @@ class Interpolated(Estimator):
 def points_alone(control: FeatureSet, used: BoolArray, taker: str) -> Points:
     """Return the points in use (n,).
 
-    Raises Undetermined if there are lines, which `taker`, named in the message, does not take.
+    Raises Undetermined if there are lines, which `taker` does not take: a phrase with its article
+    for the message, such as "an interpolation".
     """
     if len(control.lines):
         raise Undetermined(f"{taker} takes control points alone, and there are control lines",

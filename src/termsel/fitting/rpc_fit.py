@@ -119,7 +119,7 @@ def rpc_of(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
 def closest_rpc(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcFit:
     """Return the RPC of a fitted model as `rpc_of`, but without warnings of what it loses.
 
-    A map needs one on the way, which nobody asked for.
+    A map needs an RPC on the way, for which nobody asked.
 
     Heights are the lowest and the highest [m] at which it has to hold. Raises TermselError where no
     RPC comes near the model, and where the model has no ground position for over a fifth of the
@@ -172,7 +172,7 @@ def closest_rpc(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcF
 def with_coefficients(fitted: Fit) -> Rpc | None:
     """Return the RPC with the coefficients of a fit in longitude, latitude and height.
 
-    None if its terms are not those of an RPC.
+    None if the model's terms are not those of an RPC.
     """
     above = np.zeros((2, N_COEFFICIENTS))
     below = np.zeros((2, N_COEFFICIENTS))

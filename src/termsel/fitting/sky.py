@@ -38,8 +38,8 @@ def ground_where_held(fitted: Fit, image: FloatArray, heights: FloatArray | floa
                       ) -> FloatArray:
     """Return the ground seen at image places (n, 2), shape (n, 3); NaN where the model has none.
 
-    It has none, either, where it does not hold (see `Fit.holds`): close to the horizon a pixel is
-    kilometres long, and shows nothing of them.
+    The model has no ground, either, where it does not hold (see `Fit.holds`): close to the horizon
+    a pixel is kilometres long, and shows nothing of them.
     """
     ground = fitted.locate(image, heights)
     ground[~fitted.holds(ground)] = np.nan
@@ -84,13 +84,13 @@ def why_not_shown(fitted: Fit) -> str:
 
 
 def sky_said(fitted: Fit) -> str:
-    """Return how much of the image is above the horizon; "" if nothing is."""
+    """Return a clause on how much of the image is above the horizon; "" if nothing is."""
     share = float(sky_of(fitted, image_places(fitted)).mean())
     return f"{_percent_text(share)} of the image is {SKY}" if share else ""
 
 
 def part_said(fitted: Fit) -> str:
-    """Return how much of the image has no ground as the model does not hold; "" if all has."""
+    """Return a clause on how much of the image the model does not hold for; "" if for all."""
     if fitted.view is None:
         return ""
     ground = ground_where_held(fitted, image_places(fitted), middle_height(fitted))

@@ -50,7 +50,8 @@ class Spread:
     Attributes
     ----------
     variance, noise : ndarray, shapes (m, 2) and (2,)
-        Of line and sample without, and of, the noise of a measurement of unit weight at the place.
+        Of line and sample: without the noise of a measurement, and of a measurement of unit weight
+        at the place.
     factors : ndarray, shape (m, 2, d), or None
         Their products, where known, are the covariances of what is not known, at all places and of
         both axes: a measurement lessens it elsewhere too.
@@ -81,7 +82,7 @@ class Experience:
     freedom : float
         Degrees of freedom that it counts as next to residuals.
     unknowns : int
-        That residuals are less for.
+        Number of unknowns for which residuals are smaller.
     tails : float
         Degrees of freedom of Student's distribution of measurements, infinite of normal ones.
 
@@ -345,7 +346,7 @@ class _Belief:
         return float(sum(self.posterior.mean(axis)[1] for axis in (0, 1)))
 
     def squares(self) -> FloatArray:
-        """Return the squared errors of the points (n,), each by the others."""
+        """Return the squared errors of the points (n,), each predicted by the other points."""
         return np.asarray((self.posterior.held_out.errors**2).sum(axis=1))
 
 

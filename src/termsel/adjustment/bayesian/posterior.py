@@ -93,8 +93,9 @@ def scales_of(exponents: IntArray, draws: int | None = None,
               falls: tuple[float, ...] = FALLS) -> FloatArray:
     """Return standard deviations of the shrunken coefficients for size 1, shape (g, k).
 
-    Of the coefficient of X^a Y^b Z^c it is fall^(a + b + c - 2) relief^c: for each fall and relief
-    of the grid as it is, then each with factors of single terms, `draws` in all.
+    The standard deviation of the coefficient of X^a Y^b Z^c is fall^(a + b + c - 2) relief^c: for
+    each fall and relief of the grid as it is, then each with factors of single terms, `draws` in
+    all.
     """
     return _scales_of(tuple(map(tuple, exponents.tolist())), N_DRAWS if draws is None else draws,
                       falls)
@@ -455,8 +456,8 @@ def solve_posteriors(free_columns: FloatArray, shrunken: FloatArray, image: Floa
     """Return all solutions as `solve_posterior` does, for d systems with equal free columns (n, f).
 
     The shrunken columns are (d, n, k). The first `n_own` of them, which may be all, have scales of
-    their own; the others share one scale in each group. Returns None for fewer than four degrees of
-    freedom, and for dependent columns.
+    their own; all further ones share one scale in each group. Returns None for fewer than four
+    degrees of freedom, and for dependent columns.
     """
     in_use = len(free_columns) if in_use is None else in_use
     freedom = 2 * (in_use - free_columns.shape[1])
@@ -498,8 +499,8 @@ def polynomial_posterior(ground: FloatArray, image: FloatArray, exponents: Expon
     """Return all solutions of a polynomial for points that are all in use (see `solve_posterior`).
 
     The ground (n, 3) is scaled to [-1, 1], the image is (n, 2), of the k exponents affine ones come
-    first; the equations are multiplied by the weights (n, 2), if any. None as for
-    `solve_posterior`.
+    first; the equations are multiplied by the weights (n, 2), if any. Returns None as
+    `solve_posterior` does.
     """
     return _cached_polynomial_posterior(ground.tobytes(), image.tobytes(), exponents,
                                         None if weights is None else weights.tobytes())
@@ -548,7 +549,7 @@ def predict_positions(posterior: Posterior, free: FloatArray, shrunken: FloatArr
                       unspanned: FloatArray | None = None) -> PredictedPositions:
     """Return the positions that a posterior predicts at m places.
 
-    `free` (m, f) are the columns there that are not shrunken, `shrunken` (m, k) the others.
+    `free` (m, f) are the columns there that are not shrunken, `shrunken` (m, k) the shrunken ones.
     `unspanned` (g, m) is the variance of what no column spans, for the size 1 in each group of
     scales.
     """

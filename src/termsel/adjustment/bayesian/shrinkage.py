@@ -124,11 +124,11 @@ class Design:
 
 def designs_of(free_columns: FloatArray, shrunken: FloatArray, scales: FloatArray,
                n_own: int) -> list[Design] | None:
-    """Return designs; None if all rows but any one do not determine the free columns.
+    """Return designs; None if the rows without some one of them do not determine the free columns.
 
-    They have the same free columns (n, f), which are not shrunken, and others each, (d, n, k); the
-    scales are (g, k). After the first few shrunken columns all have one scale in each group; few is
-    k if there are none such.
+    The designs have the same free columns (n, f), which are not shrunken, and each has its own
+    shrunken columns, (d, n, k); the scales are (g, k). After the first `n_own` shrunken columns all
+    have one scale in each group; `n_own` is k if no columns share a scale.
     """
     n, f = free_columns.shape
     k = shrunken.shape[2]
@@ -213,7 +213,7 @@ class Shrinkage:
 
 
 class SharedShrinkage:
-    """The same by one decomposition for all groups, that of the columns of one scale.
+    """What `Shrinkage` is, by one decomposition for all groups: that of the columns of one scale.
 
     With W what a size leaves along it, and the few other columns C by their scales, a solution
     leaves W - W C (I + C'W C)^-1 C'W of what is measured.

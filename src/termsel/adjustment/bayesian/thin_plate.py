@@ -51,7 +51,7 @@ one of so many hardly moves the choice."""
 
 @dataclass(frozen=True, eq=False)
 class AxisSpline:
-    """The spline of one axis, and the errors of those without each point."""
+    """The spline of one axis, and the errors of the splines without each point."""
 
     best: int  # which smoothing is chosen
     weights: FloatArray  # (n,): the kernels' weights
@@ -77,7 +77,7 @@ class ThinPlates:
 
     @property
     def errors(self) -> FloatArray:
-        """Measured minus predicted of each point by the others, shape (n, 2)."""
+        """Measured minus predicted of each point, by the other points, shape (n, 2)."""
         return np.stack([axis.errors for axis in self.splines], axis=1) / weights_of(self.points)
 
     @property
@@ -150,7 +150,8 @@ def thin_plates(points: Points, units: tuple[float, float], smoothing: float | N
 
     X and Y are multiplied by the units before distances are taken; of points with the same X and Y
     the spline takes a mean. Without a smoothing it is chosen for each axis by the criterion, "reml"
-    or "gcv". None if all points but any one do not determine an affine model with redundancy.
+    or "gcv". Returns None if the points without some one of them do not determine an affine model
+    with redundancy.
     """
     return _cached_splines(Measurements.of(points), units, smoothing, criterion)
 

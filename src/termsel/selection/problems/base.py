@@ -146,7 +146,10 @@ def _is_number(value: Any) -> bool:
 
 
 def _selection_fault(_problem: Problem, value: Any, *_args: Any) -> str | None:
-    """Return how a decoded selection is at fault; None if it is not."""
+    """Return how a decoded selection is at fault; None if it is not.
+
+    It is a clause that follows the name of the method.
+    """
     # A record of the run takes names, and values that JSON has.
     fault = difference_from_type(value, Selection)
     if fault is None:
@@ -162,14 +165,20 @@ def _selection_fault(_problem: Problem, value: Any, *_args: Any) -> str | None:
 
 
 def _parts_fault(_problem: Problem, value: Any) -> str | None:
-    """Return how a value is at fault that should be a tuple of enumerable parts."""
+    """Return how a value is at fault that should be a tuple of enumerable parts; or None.
+
+    It is a clause that follows the name of the method.
+    """
     if isinstance(value, tuple) and all(isinstance(part, EnumerablePart) for part in value):
         return None
     return f"returned {value!r:.200}; expected a tuple of EnumerablePart"
 
 
 def _moves_fault(problem: Problem, value: Any, *_args: Any) -> str | None:
-    """Return how the genes of moves are at fault; None if they are not."""
+    """Return how the genes of moves are at fault; None if they are not.
+
+    It is a clause that follows the name of the method.
+    """
     if fault := problem.genome.fault(value):
         return f"yields {fault}"
     return None if problem.genome.keeps(value).all() else (
@@ -177,7 +186,10 @@ def _moves_fault(problem: Problem, value: Any, *_args: Any) -> str | None:
 
 
 def _design_fault(problem: Problem, value: Any) -> str | None:
-    """Return how a design matrix is at fault: one column for each gene."""
+    """Return how a value is at fault that should have one column for each gene; or None.
+
+    It is a clause that follows the name of the method.
+    """
     return difference_from_shape(value, (-1, problem.genome.size))
 
 

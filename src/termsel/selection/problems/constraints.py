@@ -46,9 +46,9 @@ def split_names(value: str | None) -> list[str]:
 def without_heights(names: tuple[str, ...], options: Mapping[str, Any]) -> dict[str, str]:
     """Return the options by which a problem uses no term with Z, except those that are asked for.
 
-    They are for control that does not show what a height does. `names` are the model's terms,
-    `options` the values that the problem's options have; Returns {} where the problem has none for
-    this.
+    The options are for control that does not show what a height does. `names` are the model's
+    terms, `options` the values that the problem's options have; Returns {} where the problem has
+    none for this.
     """
     height_terms = {name: term for name in names if (term := Term.parse(name)).has_height
                     and not isinstance(term.exponents, str)}

@@ -46,7 +46,10 @@ class Named:
 
 
 def _genes_fault(segment: CustomSegment, value: Any, *_args: Any) -> str | None:
-    """Return how genes that a method of a segment returned are at fault; None if they are not."""
+    """Return how genes that a method of a segment returned are at fault; None if they are not.
+
+    It is a clause that follows the name of the method.
+    """
     fault = difference_from_shape(value, (-1, segment.size))
     if fault is None and (genes_fault := segment.fault(value)):
         return f"returned genes that {genes_fault}"
@@ -54,7 +57,10 @@ def _genes_fault(segment: CustomSegment, value: Any, *_args: Any) -> str | None:
 
 
 def _pair_fault(segment: CustomSegment, value: Any, *_args: Any) -> str | None:
-    """Return how a pair of arrays of genes is at fault; None if it is not."""
+    """Return how a pair of arrays of genes is at fault; None if it is not.
+
+    It is a clause that follows the name of the method.
+    """
     if not isinstance(value, tuple) or len(value) != 2:
         return f"returned an object of type {type(value).__name__}; expected two arrays of genes"
     return _genes_fault(segment, value[0]) or _genes_fault(segment, value[1])

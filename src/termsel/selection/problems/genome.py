@@ -107,14 +107,14 @@ class Genome:
     def label_slices(self) -> dict[str, slice]:
         """Return where each segment lies among the labels, to which `on`, `off` and `free` belong.
 
-        A `Subset` has fewer genes than labels; others have as many.
+        A `Subset` has fewer genes than labels; other segments have as many.
         """
         return dict(self._of_labels)
 
     def chosen(self, genes: Genes) -> BoolArray:
         """Return which labels are on, shape (p, number of labels), from genes (p, size).
 
-        Those of `Bits` and a `Subset` may be; others are not.
+        Labels of `Bits` and a `Subset` may be on; labels of other segments are not.
         """
         # Of bits alone the genes are what is chosen.
         if self.dtype == np.bool_:
@@ -143,7 +143,7 @@ class Genome:
         """Return the values of one chromosome, shape (size,), by the name of the segment.
 
         Of `Bits` and a `Subset` the labels that are on; of a `Permutation` the labels in their
-        order; of others the value of each gene by its label.
+        order; of other segments the value of each gene by its label.
         """
         return {s.name: s.value(genes[self._slices[s.name]]) for s in self.segments}
 
@@ -164,7 +164,7 @@ class Genome:
         Parameters
         ----------
         genes : ndarray, shape (p, size)
-            Finite numbers or bool. Those that are valid stay as they are.
+            Finite numbers or bool. Genes that are valid stay as they are.
         rng : numpy.random.Generator
             Draws which genes are switched where too many or too few are on.
         """
@@ -192,7 +192,8 @@ class Genome:
     def fault(self, genes: object) -> str | None:
         """Return how genes are at fault, and what was expected; None if they are not.
 
-        Dtype, shape and bounds are looked at; of `Bits` neither what is forced nor how many are on.
+        It is a phrase that begins with "genes". Dtype, shape and bounds are looked at; of `Bits`
+        neither what is forced nor how many are on.
 
         Parameters
         ----------

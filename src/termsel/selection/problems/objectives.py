@@ -169,7 +169,7 @@ class Objective:
 def figures_of_objective(objective: Objective, selected: PopulationSelection) -> FloatArray:
     """Return the figures of an objective, (p,), one finite number for each individual.
 
-    Raises PluginFault, naming the plugin, for others.
+    Raises PluginFault, naming the plugin, for figures of another shape or that are not finite.
     """
     score = objective.score
     called = "" if is_own(score) else function_in_words(f"objective {objective.name!r}", score)

@@ -39,10 +39,10 @@ class Recipe:
     solver_options : mapping
         Options of solvers, by the solver's name, that differ from their defaults.
     generations, patience : int, optional
-        Budget of its search if none is given: generations, and generations without a gain; by
-        default that of every search.
+        Budget of the problem's search if none is given: generations, and generations without a
+        gain; by default that of every search.
     refined : bool
-        Whether its own solver is followed by a local refinement.
+        Whether the problem's own solver is followed by a local refinement.
     search_first : bool
         Whether the problem's own solver runs all the same, unless the strategy "auto" is asked for.
     source : str
@@ -236,8 +236,8 @@ _ALSO = (*TERM_OPTIONS, MIXED, OBJECTIVES, RECOMMEND_TERMS, TERMS, *COUNT_OPTION
 def undeclared_options(recipe: Recipe) -> tuple[Option, ...]:
     """Return the options that a recipe's problem may take beside its declared ones.
 
-    A recipe that declares none of those of `SelectionProblem` has them all the same; whether its
-    problem is one is known when it has been built, from `options_of`.
+    A recipe that declares no option of `SelectionProblem` takes these options all the same. Whether
+    its problem is a `SelectionProblem` is known once it has been built, from `options_of`.
     """
     # A recipe with objectives declares all that it takes.
     declared = {option.name for option in recipe.options}

@@ -363,5 +363,5 @@ def random_subsets(count: int, n: int, m: int, rng: np.random.Generator) -> Gene
 
 
 def _fault_of_fractions(genes: Genes) -> str:
-    """Return what is wrong with genes that should be whole numbers; "" if nothing."""
+    """Return why genes are no whole numbers, as a clause to follow "genes"; "" if they are."""
     return "" if (genes == np.rint(genes)).all() else "are not all whole numbers"

@@ -130,9 +130,9 @@ class SelectionProblem(Problem):
     def frozen(self, labels_on: BoolArray, frozen_labels: BoolArray) -> SelectionProblem:
         """Return the problem with some labels of the genome frozen, so that no search changes them.
 
-        `frozen_labels` (labels,) are these, `labels_on` (labels,) says which of them stay on. A
-        segment that is frozen as a whole need no longer keep its minimum and maximum. If all terms
-        are frozen and are more than max_share allows, that limit no longer holds.
+        `frozen_labels` (labels,) says which labels are frozen, `labels_on` (labels,) which of these
+        stay on. A segment that is frozen as a whole need no longer keep its minimum and maximum. If
+        all terms are frozen and are more than max_share allows, that limit no longer holds.
         """
         genome = self.genome
         segments: list[AnySegment] = []
@@ -295,8 +295,8 @@ class SelectionProblem(Problem):
     def lacks_figure(self, genes: Genes) -> bool:
         """Return whether nothing but a figure of the criterion is missing from an individual.
 
-        A criterion of one's own may be at fault then, where more evaluations or control cannot
-        help.
+        A criterion that the user wrote may be at fault then, where more evaluations or control
+        cannot help.
         """
         terms, features = self.masks(genes[None])
         _, violation = self._solve(terms, features, None)

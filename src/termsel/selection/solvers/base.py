@@ -51,7 +51,10 @@ class Generation:
 
 
 def _generation_fault(_solver: Solver, value: Any, problem: Problem, *_args: Any) -> str | None:
-    """Return how a generation is at fault, such as an index below 0; None if it is not."""
+    """Return how a generation is at fault, such as an index below 0; None if it is not.
+
+    It is a clause that follows the name of the method.
+    """
     fault = difference_from_type(value, Generation)
     if fault is not None:
         return fault.replace("returned", "yielded")

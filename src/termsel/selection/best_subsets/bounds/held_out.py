@@ -54,7 +54,7 @@ def held_out_score(kind: int, vectors: Vectors, depth: int, c: int, limits: Limi
     `vectors` hold the orthogonal columns of each fold at a `depth` of the tree. For PRESS, the
     error of row i without it is e_i / (1 - h_i), with the leverage h_i, to which column c adds
     v_i^2 / |v|^2. For folds it is the remainder of the vectors of the held-out rows. A row that the
-    others do not determine has no error, which makes the score infinite.
+    other rows do not determine has no error, which makes the score infinite.
     """
     n = vectors.square.shape[2] - 1
     r = vectors.share.shape[3]
@@ -106,8 +106,8 @@ def first_prunable_column(top: FloatArray, leverage: FloatArray, first: int, n: 
 
     Their bound is above `limit`, by more than its rounding. It is `first` if that is so of all of
     first, ..., n - 1, and n if of none. `top` (n + r, rows) are the columns and the r targets
-    without the columns in use, `leverage` (rows,) that of the latter; `work` is scratch of the
-    shape of `top`.
+    without the columns in use, `leverage` (rows,) that of the columns in use; `work` is scratch of
+    the shape of `top`.
 
     Weighted columns are removed from the weighted targets, from the last to the first: the squares
     that remain of the targets after column i are the least that columns i, ..., n - 1 allow. Normal

@@ -27,8 +27,9 @@ def fewer_rows(rows: FloatArray) -> FloatArray:
 def order_by_gain(control: FloatArray, forced: IntArray, free: IntArray, k: int) -> IntArray:
     """Return the free columns, (f,), by how much each explains in addition to those before it.
 
-    Forced ones are before all of them. The first k columns of `control` are the design, the others
-    are targets. Subsets that lack the first of the free columns then have a high bound.
+    Forced columns come before all free ones. The first k columns of `control` are the design, the
+    further ones are targets. Subsets that lack the first of the free columns then have a high
+    bound.
     """
     remainders = control
     # A column that depends on those before it explains nothing, whatever rounding leaves of it.
@@ -51,8 +52,8 @@ def order_by_gain(control: FloatArray, forced: IntArray, free: IntArray, k: int)
 def order_by_halves(free: IntArray, below: BoolArray) -> IntArray:
     """Return columns of a quotient: half of each side, then the rest, the denominator's last.
 
-    Models list terms of low degree first. Those of high degree in the denominator change little,
-    so that a bound soon closes them, whatever is in use. `below` (k,) shows columns of the
+    Models list terms of low degree first. Terms of high degree in the denominator change little, so
+    that a bound soon closes them, whatever is in use. `below` (k,) shows columns of the
     denominator.
     """
     above = free[~below[free]]
