@@ -443,7 +443,8 @@ def test_places_in_one_of_several_layers(folder: Path, tmp_path: Path) -> None:
     ("# crs: EPSG:32640\nid,mapX,mapY\na,270000,3854000\n", [],
      "but the control is in EPSG:4979; and there is no column for z, and the model requires "
      "heights. Transform the points to the CRS of the control: gdaltransform -s_srs EPSG:32640 "
-     "-t_srs EPSG:4979 does it, a point in each line. Give heights by --dem FILE or --height H"),
+     "-t_srs EPSG:4979 takes and prints lines of x y z, without a header. "
+     "Give heights by --dem FILE or --height H"),
     ("id,lo,la\na,59,36\n", [], "there are no columns for x and y. The columns here are: id, lo, "
      "la. Accepted names: x, lon, longitude, easting; y, lat, latitude, northing, and others. Name "
      "them: --columns x=NAME,y=NAME,z=NAME. Without z: --dem FILE or --height H."),

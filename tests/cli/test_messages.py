@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from zipfile import ZipFile
 
 import click
 import numpy as np
@@ -279,6 +280,34 @@ def test_a_name_with_blanks_that_was_not_quoted_is_found(
     assert "'my points.csv' does. A name with blanks needs quotation marks: 'my points.csv'." \
         in message
     assert "--off" not in message
+
+
+def test_an_archive_is_said_to_be_one(tmp_path: Path) -> None:
+    with ZipFile(tmp_path / "z.zip", "w") as archive:
+        archive.writestr("gcps.csv", "id,line,sample,x,y\n")
+    assert "z.zip: this is a ZIP archive. Unpack it, and give the file of points or lines that " \
+        "it has: unzip " in refused("run", str(tmp_path / "z.zip"))
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_where_too_few_points_plan_nothing_one_more_is_asked_for(
+        example_files: Path, tmp_path: Path, count: int) -> None:
+    rows = (example_files / "gcps.csv").read_text().splitlines()[:count + 2]
+    table, result = tmp_path / "few.csv", tmp_path / "r"
+    table.write_text("\n".join(rows))
+    done = CliRunner().invoke(cli, ["run", str(table), "--out", str(result)])
+    assert "Next: measure at least one more point, then run again with it" in done.output
+    assert f"{count} control points leave too little to judge it by. Measure one more" \
+        in refused("plan", str(result))
+
+
+def test_what_is_said_of_a_fit_to_lines_is_of_lines(example_files: Path, tmp_path: Path) -> None:
+    words = ["run", "--lines", str(example_files / "lines.csv"), "--quiet"]
+    assert CliRunner().invoke(cli, [*words, "--out", str(tmp_path / "r")]).exit_code == 0
+    assert "--model poly3d and a new --out DIR" in refused("plan", str(tmp_path / "r"))
+    assert CliRunner().invoke(cli, [*words, "--model", "poly3d", "--out",
+                                    str(tmp_path / "by-one")]).exit_code == 0
+    assert CliRunner().invoke(cli, ["plan", str(tmp_path / "by-one")]).exit_code == 0
 
 
 def test_a_table_of_places_says_that_the_image_is_missing(tmp_path: Path) -> None:

@@ -110,8 +110,10 @@ def test_what_cannot_be_joined(tmp_path: Path, rows: str, options: dict[str, Any
 
 def test_ground_lines_need_image_lines(tmp_path: Path) -> None:
     path = roads(tmp_path, ("a", "LineString", SQUARE))
-    with pytest.raises(TermselError, match="--image-lines FILE, or the property ji"):
+    with pytest.raises(TermselError, match=r"lines on the ground alone.*--image-lines FILE\. Or"):
         read(path)
+    with pytest.raises(TermselError, match=r"--image-lines FILE --set join=name\. Or give each "):
+        read(path, join="id")
     with pytest.raises(TermselError, match=r"missing\.csv: this file does not exist"):
         read(path, tmp_path / "missing.csv")
     dot = roads(tmp_path, ("a", "LineString", [[5, 44], [5, 44]]))

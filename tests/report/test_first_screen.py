@@ -169,6 +169,16 @@ def test_the_first_caution_is_never_cut_within_a_sentence(name: str, words: int)
     assert "..." not in caution
 
 
+def test_where_nothing_fits_no_check_point_is_blamed() -> None:
+    """One of many check points is far off by chance where the errors of all are large."""
+    scattered = {"accuracy": accuracy(160.0, 24), "blunder_test": outlier_test(900.0),
+                 "outliers": [outlier("C96", 519.0, False, role="independent")]}
+    lines = first_screen(**scattered)
+    assert "not detectable: no model fits these points; check the columns" in " ".join(lines)
+    assert "C96" not in " ".join(lines)
+    assert next_step("r", **scattered) == "Next: termsel report r"
+
+
 def test_notes_that_do_not_fit_are_counted() -> None:
     notes = [f"Note {i} is long enough to be a line of its own. More of it." for i in range(9)]
     lines = first_screen(**CASES["outliers"], notes=notes)
@@ -190,6 +200,8 @@ def test_the_next_command_leaves_out_what_this_one_left_out_too() -> None:
     ({}, "my results", "Next: termsel report 'my results'"),
     ({"data": counts(independent=0)}, "r",
      "Next: termsel plan r   (best positions for further points)"),
+    ({"data": counts(independent=0), "adjustment": {**record()["adjustment"], "redundancy": 0}},
+     "r", "Next: measure at least one more point, then run again with it"),
     ({"outliers": [outlier("P 2", 9.0, False)]}, "r", "Next: run again with --off 'P 2'"),
     ({"outliers": [outlier("P1", 9.0, True), outlier("P2", 8.0, False)]}, "r",
      "Next: run again with --off P1,P2"),

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 from pathlib import Path
+from shlex import split
 
 import numpy as np
 import pytest
@@ -107,6 +108,13 @@ def test_a_raster_without_place_has_no_transformation(result: termsel.Result, tm
     found, _ = compare_programs(raster(tmp_path / "plain.tif"), result)
     assert all(one.over_image is None for one in found)
     assert found[0].transformation == "none: no georeferencing"
+    (tmp_path / "r").mkdir()
+    write_result(result, tmp_path / "r")
+    said = invoke("check", tmp_path / "plain.tif", "--result", tmp_path / "r").output
+    assert said.count("Warning") == 1
+    assert "is georeferenced for none of these programs" in said
+    export = said.partition("written by: termsel ")[2].splitlines()[0]
+    assert invoke(*split(export)).exit_code == 0
 
 
 @pytest.mark.slow

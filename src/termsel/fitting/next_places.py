@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from termsel.core.errors import TermselError
+from termsel.core.errors import TermselError, count_in_words
 from termsel.data.features import BoolArray, FloatArray, IntArray
 from termsel.fitting.fit import Fit
 from termsel.fitting.uncertainty import Spread, believed_spread
@@ -66,9 +66,7 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
     everywhere = scene if candidates is scene else np.concatenate([candidates, scene])
     spread = error_covariances(original, everywhere)
     if spread is None or spread.factors is None:
-        raise TermselError("the uncertainty of this model is not known",
-                           hint="Plan with 4 or more control points alone; with lines, by a model "
-                                "of least squares, such as --model poly3d.")
+        raise _not_known_error(original)
     # Doubt has d directions: the covariance of what is predicted at two places is F1 R F2', F the
     # factors of a place (2, d), and R (d, d) what measurements leave of the directions, at first I.
     candidate_factors = spread.factors[:len(candidates)]
@@ -101,6 +99,19 @@ def rank_places(fitted: Fit, candidates: FloatArray, scene: FloatArray, count: i
     scale = original.scaling.image_scale
     return Ranking(np.array(order, dtype=np.intp), np.sqrt(mean_variances) * scale,
                    float(np.sqrt(np.trace(scene_products))) * scale)
+
+
+def _not_known_error(original: Fit) -> TermselError:
+    """Return the error for a fit whose uncertainty is not known, with what makes it known."""
+    control = original.control
+    if len(control.lines):
+        return TermselError("the uncertainty of this model is not known: it was fitted to lines",
+                            hint="Run again with the same files, --model poly3d and a new --out "
+                                 "DIR, then termsel plan DIR.")
+    points = count_in_words(len(control.points), "control point")
+    return TermselError(f"the uncertainty of this model is not known: {points} leave too little "
+                        "to judge it by",
+                        hint="Measure one more, far from the others, and run again with it.")
 
 
 def error_covariances(original: Fit, ground: FloatArray) -> Spread | None:

@@ -70,7 +70,11 @@ def prediction_of(result: Result) -> Prediction | None:
     expected = expected_rmse(result)
     if expected is None or are_computed(result) or lattice_of(result) is not None:
         return None
-    points = len(result.fit.control.points)
+    control = result.fit.control
+    points = len(control.points)
+    lines = len(control.lines)
+    noun = "control feature" if points and lines else "control line" if lines else "control point"
+    features = count_in_words(points + lines, noun)
     # An image of a block shares its control with others, which its own cross-validation would not
     # take into account.
     if result.shared_sigma is not None:
@@ -79,9 +83,9 @@ def prediction_of(result: Result) -> Prediction | None:
     elif result.strategy is not None:
         method = (f"by cross-validation: the whole choice of the model was repeated "
                   f"{count_in_words(result.strategy.folds, 'time')} without some of the "
-                  f"{count_in_words(points, 'control point')}, and predicted those")
+                  f"{features}, and predicted those")
     else:
-        method = f"by cross-validation of {count_in_words(points, 'control point')}"
+        method = f"by cross-validation of {features}"
     return Prediction(expected.rmse, expected.low, expected.high, expected.level,
                       pixel=pixel_on_ground(result.fit), method=method, points=points)
 

@@ -355,7 +355,8 @@ def _require_crs_and_heights(table: Table, crs: str, path: Path, uses_height: bo
         names = short_crs_name(table.crs), short_crs_name(crs)
         problems.append(f"the file declares the CRS {names[0]}, but the control is in {names[1]}")
         remedies.append("Transform the points to the CRS of the control" + (
-            f": gdaltransform -s_srs {names[0]} -t_srs {names[1]} does it, a point in each line."
+            f": gdaltransform -s_srs {names[0]} -t_srs {names[1]} takes and prints lines of x y z, "
+            "without a header."
             if all(name.startswith("EPSG:") for name in names) else "."))
     lacks_heights = uses_height and not fills_heights and "z" not in table.columns
     if lacks_heights:

@@ -11,7 +11,9 @@ from difflib import get_close_matches
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
+from shlex import quote
 from typing import Any
+from zipfile import is_zipfile
 
 import numpy as np
 
@@ -481,6 +483,11 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
     error = unknown_table_error(path, EXPECTED, str((options or {}).get("columns", "")))
     if error is not None:
         raise error
+    # No spreadsheet, which is an archive as well.
+    if head.startswith(b"PK") and is_zipfile(path):
+        raise TermselError("this is a ZIP archive", file=path, code="format-unknown",
+                           hint="Unpack it, and give the file of points or lines that it has: "
+                                f"unzip {quote(str(path))}.")
     binary = b"\0" in head
     rasters = registry().missing("gdal-gcps") if binary or b"<VRTDataset" in head else ""
     raise TermselError(f"this {'binary file' if binary else 'file'} is in no format that termsel "

@@ -217,7 +217,7 @@ def _doubt_clauses(record: Record, accuracy: Accuracy) -> list[str]:
         lines.append(f"{rounded_size_text(without.image.total)} px without "
                      f"{outliers_in_words(record)}")
     if reused := reused_points_in_words(accuracy):
-        lines.append(f"{reused} already assessed another fit: perhaps optimistic")
+        lines.append(f"{reused} already assessed another fit; new ones would tell more surely")
     return lines
 
 

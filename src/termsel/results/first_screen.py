@@ -357,6 +357,9 @@ def outlier_lines(record: Record) -> list[str]:
         lines.append(f"{_count_in_words(rejected)} {outcome}: {_list_worst(rejected)}")
     if used:
         lines.append(f"{_count_in_words(used)} still in use: {_list_worst(used)}")
+    # Where nothing fits, one check point is no worse than the others.
+    if independent and not lines and does_nothing_fit(record):
+        return [_no_outlier_clause(record)]
     if independent:
         lines.append(f"{count_in_words(len(independent), 'independent check point')} "
                      f"{'contradicts' if len(independent) == 1 else 'contradict'} the model: "
@@ -765,7 +768,8 @@ def next_step_for_user(record: Record, folder: str = "") -> str:
         return f"Next: run again with --set swapped={pair}"
     if may_be_shifted(record):
         return "Next: compare some of these points with the map before leaving any out"
-    off = off_option(record)
+    rejected, used, _ = _group_outliers(record)
+    off = off_option(record) if rejected or used or not does_nothing_fit(record) else ""
     # A command that is complete is better than advice.
     if off and len(off) <= _LONGEST_OPTION:
         return f"Next: run again with {off}"
@@ -779,5 +783,8 @@ def next_step_for_user(record: Record, folder: str = "") -> str:
         return "Not saved: add --out DIR, then termsel report DIR"
     if (not record.data.counts.independent and record.data.counts.word == "points"
             and lattice_of(record) is None):
+        # Without redundancy nothing is known of the errors, so that no place is the best.
+        if record.adjustment.redundancy == 0:
+            return "Next: measure at least one more point, then run again with it"
         return f"Next: termsel plan {quote(folder)}   (best positions for further points)"
     return f"Next: termsel report {quote(folder)}"

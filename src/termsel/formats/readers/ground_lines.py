@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from itertools import chain
 from math import isfinite
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 
@@ -78,22 +79,33 @@ class VectorLines(Reader):
         return _join_image_lines(path, features, crs, **options)
 
 
-def _no_join_error(path: Path, join: str, names: list[str], has_image_lines: bool) -> TermselError:
+def _no_join_error(path: Path, join: str, names: list[str]) -> TermselError:
     """Return the error for ground lines without the property that shows which is which."""
     if names:
-        example = names[0] if len(names) == 1 else "PROPERTY"
         hint = (f"Their properties are {', '.join(names)}. Say which one does: "
-                f"--set join={example}.")
+                f"--set join={_example_of(names)}.")
     else:
         hint = f"They have no properties. Give each line a property {join!r}."
-    if not has_image_lines:
-        hint += (f" The lines in the image are a table of their own: --lines {path} "
-                 "--image-lines FILE.")
     error = TermselError(f"the ground lines have no property {join!r} that names each line",
                          file=path, hint=hint)
-    if len(names) == 1 and has_image_lines:
+    if len(names) == 1:
         error.options["--set"] = f"join={names[0]}"
     return error
+
+
+def _no_image_lines_error(path: Path, join: str, names: list[str]) -> TermselError:
+    """Return the error for lines on the ground alone, with all options that join them."""
+    joined_by = f" --set join={_example_of(names)}" if names and join not in names else ""
+    return TermselError(
+        "the file has lines on the ground alone", file=path,
+        hint="Give their image lines as a table id,line1,sample1,line2,sample2: --lines "
+             f"{quote(str(path))} --image-lines FILE{joined_by}. Or give each line the property "
+             "ji, a list of [column, row].")
+
+
+def _example_of(names: list[str]) -> str:
+    """Return the only name, or the word that stands for one of several."""
+    return quote(names[0]) if len(names) == 1 else "PROPERTY"
 
 
 def _join_image_lines(path: Path, features: list[Feature], crs: str, image_lines: str | None,
@@ -111,10 +123,11 @@ def _join_image_lines(path: Path, features: list[Feature], crs: str, image_lines
     the property is missing, or an image line has no ground; ground lines that were not measured are
     counted in the log.
     """
-    if not any(join in feature.properties for feature in features):
-        names = list(dict.fromkeys(chain.from_iterable(
-            feature.properties for feature in features)))
-        raise _no_join_error(path, join, names, image_lines is not None)
+    names = list(dict.fromkeys(chain.from_iterable(feature.properties for feature in features)))
+    if image_lines is None and "ji" not in names:
+        raise _no_image_lines_error(path, join, names)
+    if join not in names:
+        raise _no_join_error(path, join, names)
     ground: dict[str, list[FloatArray]] = {}
     described: dict[str, list[dict[str, str]]] = {}
     image = {} if image_lines is None else _read_image_lines(Path(image_lines))

@@ -19,6 +19,10 @@ Places = Callable[[FloatArray, FloatArray], FloatArray]
 _MAX_SECONDS = 120.0  # that a program has for an answer
 
 
+NONE = "none: no georeferencing"
+"""What a program takes from a file without any."""
+
+
 @dataclass(frozen=True, eq=False)
 class Taken:
     """The transformation that a program takes from a file.

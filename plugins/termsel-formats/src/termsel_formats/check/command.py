@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import asdict
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 import click
@@ -50,6 +51,7 @@ def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) ->
     """
     from termsel import read_result
     from termsel.check import is_certificate, main
+    from termsel_formats.check.base import NONE
     from termsel_formats.check.comparison import compare_programs
 
     show_messages()
@@ -78,12 +80,27 @@ def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) ->
     else:
         print_table(("program", "takes", "points [px]", "image [px]", "image [m]"),
                     [_program_row(deviation) for deviation in deviations])
+        if {deviation.said or deviation.transformation for deviation in deviations} == {NONE}:
+            echo(_ungeoreferenced_warning(file, str(folder), by_rpc=result.fit.model.uses_height))
+            deviations = ()
         for deviation in deviations:
             _warn_of_deviation(deviation)
     for name in answers.absent:
         echo(f"Not tested: {name}, which is not installed.")
     for message in answers.failed:
         echo(f"No answer: {message}.")
+
+
+def _ungeoreferenced_warning(file: Path, folder: str, *, by_rpc: bool) -> str:
+    """Return the warning that no program takes a place from a file, with what would write it one.
+
+    An RPC follows the heights, and GCPs do not.
+    """
+    to, ending = ("rpc-vrt", ".vrt") if by_rpc else ("gcp-tiff", "-gcps.tif")
+    output = file.with_name(f"{file.stem}{ending}")
+    return (f"Warning: {file} is georeferenced for none of these programs. What they read is "
+            f"written by: termsel export {quote(folder)} --to {to} --image {quote(str(file))} "
+            f"-o {quote(str(output))}")
 
 
 def _program_row(deviation: Deviation) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from termsel.toolkit import FloatArray
-from termsel_formats.check.base import NoAnswer, Places, Taken, answer, find_program
+from termsel_formats.check.base import NONE, NoAnswer, Places, Taken, answer, find_program
 
 WGS84 = "EPSG:4326"
 _SAME_SHARE = 1e-9  # of the size of the coordinates
@@ -143,7 +143,7 @@ def taken_by_gdal(path: Path, raster_header: Header) -> Iterator[Taken]:
     program = raster_header.version
     transform = transformation_of_gdal(path)
     if not raster_header.kind:
-        yield Taken(program, "none: no georeferencing")
+        yield Taken(program, NONE)
     elif raster_header.kind == "geotransform":
         yield Taken(program, "affine transformation", raster_header.crs, transform)
     elif raster_header.kind == "geolocation":

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel.toolkit import private_folder
-from termsel_formats.check.base import NoAnswer, Taken, answer, find_program
+from termsel_formats.check.base import NONE, NoAnswer, Taken, answer, find_program
 from termsel_formats.check.gdal import (
     Header,
     border_places,
@@ -70,7 +70,7 @@ def taken_by_qgis(path: Path, raster_header: Header) -> Taken | None:
     except (ValueError, KeyError):
         raise NoAnswer("qgis_process gave an answer of another form") from None
     if not raster_header.kind:
-        return Taken(name, "none: no georeferencing")
+        return Taken(name, NONE)
     by_gdal = transformation_of_gdal(path)
     border = border_places(raster_header.size)
     words = {"geotransform": "affine transformation", "gcps": "as GDAL, through GCPs",

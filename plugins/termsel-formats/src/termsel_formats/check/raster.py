@@ -9,7 +9,7 @@ import numpy as np
 
 from termsel import open_raster
 from termsel.toolkit import FloatArray, require_rasterio
-from termsel_formats.check.base import Places, Taken
+from termsel_formats.check.base import NONE, Places, Taken
 from termsel_formats.check.gdal import WGS84
 
 
@@ -36,7 +36,7 @@ def taken_by_rasterio(path: Path) -> Iterator[Taken]:
             yield Taken(program, "RPC at the height 0 (RPCTransformer)", WGS84,
                         _transform_by_rasterio(RPCTransformer, rpcs))
         else:
-            yield Taken(program, "none: no georeferencing")
+            yield Taken(program, NONE)
 
 
 def size_of(path: Path) -> tuple[int, int]:
