@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import termsel
 from termsel.cli.main import cli
 
 pytest.importorskip("rasterio")
@@ -179,3 +180,10 @@ def test_what_cannot_be_rectified_is_refused(folder: Path, result: Path, tmp_pat
         assert not (tmp_path / "map.tif").exists()
     assert (tmp_path / "there.tif").read_text() == "a map made before"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["text.tif", "there.tif"]
+
+
+def test_python_refuses_a_map_without_the_heights_it_depends_on_as_the_command_does(
+        folder: Path, result: Path, tmp_path: Path) -> None:
+    with pytest.raises(termsel.TermselError, match=r"height of the ground\. .* in Python dem= or"):
+        termsel.rectify(termsel.read_result(result), folder / "scene.tif", tmp_path / "map.tif")
+    assert not (tmp_path / "map.tif").exists()

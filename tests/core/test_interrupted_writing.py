@@ -147,7 +147,7 @@ def _first_map(folder: Path) -> None:
 
 def _map(resolution: float, folder: Path) -> None:
     termsel.rectify(_image()[0], folder.with_suffix(".tif"), folder / "map.tif",
-                    resolution=resolution, overwrite=True)
+                    height=0.0, resolution=resolution, overwrite=True)
 
 
 def _map_in(folder: Path) -> str:

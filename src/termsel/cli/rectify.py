@@ -108,10 +108,6 @@ def rectify(context: click.Context, folder: Path, image: Path, output: Path, dem
     require_replaceable([output] if sigma is None else [output, sigma],
                         reads=[folder, image, dem], overwrite=overwrite)
     result = read_result(folder)
-    if dem is None and height is None and result.fit.model.uses_height:
-        raise TermselError("the position of the image on the map depends on the height of the "
-                           "ground",
-                           hint="Give --dem FILE or --height H.")
     with share_bar("rectify", quiet) as progress:
         warp(result, image, output, dem=dem, height=height, crs=crs, resolution=resolution,
              resampling=resampling, nodata=nodata, overwrite=overwrite, final=final,

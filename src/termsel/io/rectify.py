@@ -100,8 +100,8 @@ def rectify(
         Raster of heights. Its vertical datum is that of the control where it declares none, else
         it is converted to that.
     height : float, optional
-        Height of the ground, where no raster is given; by default that of the middle of the
-        control.
+        Height of the ground, where no raster is given. A model that uses heights needs one of
+        the two.
     crs : str, int or CRS, optional
         CRS of the map, as for `termsel.read`; by default that of the control where it is in metres,
         else the zone of UTM, or on another body than the Earth a transverse Mercator projection.
@@ -132,10 +132,10 @@ def rectify(
     Raises
     ------
     TermselError
-        If rasterio is not installed; if image or raster of heights cannot be read or do not
-        fit the result; if no part of the image is on the map; if the map would have fewer than 16
-        or more than 30,000 px along a side and the image does not; if the file exists and may
-        not be replaced, or cannot be written.
+        If rasterio is not installed; if the model uses heights and none are given; if image or
+        raster of heights cannot be read or do not fit the result; if no part of the image is on the
+        map; if the map would have fewer than 16 or more than 30,000 px along a side and the image
+        does not; if the file exists and may not be replaced, or cannot be written.
 
     Examples
     --------
@@ -159,6 +159,10 @@ def rectify(
     for name, value in (("height", height), ("resolution", resolution)):
         if value is not None and not np.isfinite(value):
             raise TermselError(f"the {name} of a map cannot be {value}", hint="Give a number.")
+    if dem is None and height is None and result.fit.model.uses_height:
+        raise TermselError("the position of the image on the map depends on the height of the "
+                           "ground",
+                           hint="Give --dem FILE or --height H, in Python dem= or height=.")
     target = map_crs(result, None if crs is None else crs_text(crs))
     # Names and numbers were checked first; now come files, and then long work.
     result = as_exported(result, final)
