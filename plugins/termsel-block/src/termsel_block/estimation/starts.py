@@ -25,6 +25,7 @@ LEAST_TIES = 6
 _MIN_ROWS = 8
 _ENOUGH_TIES = 3
 """Ties that two images share from which on these alone show whether an RPC is of another place."""
+_REWEIGHTINGS = 12  # of robust estimates, all of which are made
 _MAX_STEPS = 12
 # Fits of a first model; each takes its perspective from the fit before.
 _PERSPECTIVE_FITS = 3
@@ -261,7 +262,7 @@ def _robust_ridge(rows: FloatArray, aim: FloatArray, variances: FloatArray) -> F
     """
     weight = np.ones(len(aim))
     estimates: FloatArray = np.zeros(rows.shape[1])
-    for _ in range(_MAX_STEPS):
+    for _ in range(_REWEIGHTINGS):
         # Normal equations of weighted least squares under priors: (A^T P A + V^-1) x = A^T P b.
         normal = (rows * weight[:, None]).T @ rows + np.diag(1 / variances)
         estimates = np.asarray(np.linalg.solve(normal, (rows * weight[:, None]).T @ aim))

@@ -97,7 +97,7 @@ def transformation_of_gdal(path: Path, *options: str) -> Places:
     """
     program = find_program("gdaltransform") or "gdaltransform"
 
-    def places(image: FloatArray, heights: FloatArray) -> FloatArray:
+    def transform(image: FloatArray, heights: FloatArray) -> FloatArray:
         """Return x and y (n, 2) of image positions (n, 2) at heights (n,); NaN where it fails."""
         # GDAL counts pixels from the corner of the first one.
         rows = (f"{sample + 0.5!r} {line + 0.5!r} {height!r}"
@@ -108,7 +108,7 @@ def transformation_of_gdal(path: Path, *options: str) -> Places:
             raise NoAnswer(f"gdaltransform answered {len(pairs)} of {len(image)} places")
         return np.array(pairs)
 
-    return places
+    return transform
 
 
 def _parse_pair(row: str) -> tuple[float, float]:

@@ -122,9 +122,9 @@ def clearest_bands(picture: GreyRaster, ends: FloatArray, search: float, limit: 
         if len(clearest) == limit or best[i] < _MIN_RESPONSE * spread:
             break
         if all(abs(offset[i] - taken_band.offset) >= _BAND_DISTANCE for taken_band in clearest):
-            width = _WIDTHS[int(np.nanargmax(np.abs(responses[:, i])))]
-            sign = float(np.sign(responses[_WIDTHS.index(width), i]))
-            band = _place_of_band(strip, offset, float(offset[i]), width, sign)
+            clearest_width = int(np.nanargmax(np.abs(responses[:, i])))
+            sign = float(np.sign(responses[clearest_width, i]))
+            band = _place_of_band(strip, offset, float(offset[i]), _WIDTHS[clearest_width], sign)
             if band is not None:
                 (first, last), sigma = band
                 clearest.append(Band(np.stack([ends[0] + first * across, ends[1] + last * across]),
