@@ -390,6 +390,7 @@ def test_a_view_that_is_hardly_oblique_gets_a_camera_if_it_fits_far_better() -> 
     assert error < 1.0
 
 
+@pytest.mark.slow_cases(*map(str, range(12, 40)))
 @pytest.mark.parametrize("seed", range(40))
 def test_no_view_is_missed_where_no_search_is_made(seed: int,
                                                    monkeypatch: pytest.MonkeyPatch) -> None:

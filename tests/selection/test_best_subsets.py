@@ -241,7 +241,7 @@ def test_ill_conditioned_columns(score: str) -> None:
     assert_proven(system, score, folds_of(20) if score == "kfold" else ())
 
 
-@pytest.mark.slow_cases("kfold", "press")
+@pytest.mark.slow_cases("kfold", "press", "rss")
 @pytest.mark.parametrize("score", SCORES)
 def test_workers_and_pieces_do_not_matter(score: str, monkeypatch: pytest.MonkeyPatch) -> None:
     system = polynomial(np.random.default_rng(8), k=11, m=16)

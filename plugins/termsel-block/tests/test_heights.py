@@ -92,6 +92,7 @@ def test_a_dem_holds_a_pair_even_if_it_refers_to_another_surface(tmp_path: Path)
                for note in record_of(result).notes)
 
 
+@pytest.mark.slow_cases("0.02--1700.0")
 @pytest.mark.parametrize(("relief", "off"), [(0.02, -1700.0), (1.0, -300.0)])
 def test_a_wrong_height_of_control_does_not_move_the_block(relief: float, off: float) -> None:
     # The second is no more than hills may be: its row tells, which does not fit.

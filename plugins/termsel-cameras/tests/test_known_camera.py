@@ -467,6 +467,7 @@ def test_a_fixed_interior_stays_as_it_is_stated() -> None:
     assert "taken to be known to 1 % (35 px" in said
 
 
+@pytest.mark.slow
 def test_standard_deviations_of_the_pose_hold() -> None:
     errors = []
     for seed in range(12):

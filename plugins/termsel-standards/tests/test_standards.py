@@ -400,7 +400,7 @@ def test_without_independent_points_the_prediction_is_stated_and_called_one(
     assert result.predicted is not None
     text = invoke("accuracy", tmp_path / "out").stdout
     assert "Predicted, not tested by independent check points: RMSE" in " ".join(text.split())
-    assert "14 control points" in " ".join(text.split())
+    assert "134 control features" in " ".join(text.split())
     assert "ASPRS: not stated, as no independent check points were measured" in text
     stated = json.loads(invoke("accuracy", tmp_path / "out", "--json").stdout)
     assert stated["rmse"] == result.predicted.rmse
