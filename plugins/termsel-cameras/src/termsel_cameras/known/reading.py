@@ -175,7 +175,8 @@ def _with_pixel(stated: Mapping[str, str], image: Path) -> dict[str, str]:
     """
     size, tags = _size_and_tags(image)
     pixel = _pixel_of(tags, size)
-    if pixel <= 0.0:
+    # Numbers too long for a float make it NaN, which is refused too.
+    if not pixel > 0.0:
         raise TermselError(
             f"camera_focal={stated['camera_focal']} is in mm, and the image has no EXIF that says "
             "how large its pixels are", file=image, name="camera_focal",

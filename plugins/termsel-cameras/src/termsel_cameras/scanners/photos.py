@@ -118,8 +118,8 @@ class Photo(Physical):
         """
         points = features.points
         pinhole = pinhole_of(FeatureSet(points, crs=self.crs), require_scaling(self.scaling))
-        # The entry of the matrix is the depth of the middle of the points.
-        if pinhole is None or pinhole.matrix[2, 0] <= 0.0:
+        # The entry of the matrix is the depth of the middle of the points; NaN is no depth either.
+        if pinhole is None or not pinhole.matrix[2, 0] > 0.0:
             return np.zeros((0, len(self.terms)))
         # Without the principal point the rows are f q1, f q2 and q3, of 1, X, Y and Z.
         principal = np.append(pinhole.camera.middle[0], 0.0)
