@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -26,7 +27,7 @@ from termsel_bench.scenes import catalogue
 from termsel_bench.scenes.base import INDEPENDENT, BenchSet
 from termsel_bench.scenes.catalogue import QUICK, SETS, simulated_set
 from termsel_bench.scenes.real import real_set
-from termsel_bench.submitted import read_submitted
+from termsel_bench.submitted import check, read_submitted
 from termsel_bench.tables import least_error_by_set, losses, ratio_to_best
 
 MINE = """
@@ -266,6 +267,17 @@ def test_the_folder_of_a_run_is_no_submission(tmp_path: Path) -> None:
     (tmp_path / "result.json").write_text('{"schema": "termsel-result-1"}')
     text = run("--check", tmp_path, code=2)
     assert "is the record of a run, not of a benchmark. Give what `termsel bench --out" in text
+
+
+@pytest.mark.parametrize("rmse", [math.nan, math.inf, 0.0, -1.0])
+def test_an_rmse_that_no_method_has_is_refuted(tmp_path: Path, rmse: float) -> None:
+    said = {"schema": "termsel-bench-1",
+            "method": {"kind": "model", "name": "affine", "options": {}, "problem": ""},
+            "sets": {"frame-1": {"sha256": catalogue.frozen_checksums()["frame-1.csv"],
+                                 "rmse": rmse}}}
+    (tmp_path / "mine.json").write_text(json.dumps(said))
+    (submitted,) = read_submitted(tmp_path)
+    assert check(submitted).refuted == ("frame-1",)
 
 
 def test_what_is_not_installed_is_not_refuted(
