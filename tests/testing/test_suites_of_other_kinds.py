@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
 from collections.abc import Callable
@@ -324,3 +325,12 @@ def test_sound_plugin_and_one_that_is_not_there(package: Callable[[str], None]) 
     check("checked")
     _require_found(checks("no-such"), "installed", "no-such is not installed")
     _require_found(checks("numpy"), "installed", "no entry point in the group 'termsel'")
+
+
+def test_the_first_of_two_copies_of_a_plugin_counts(
+        package: Callable[[str], None], tmp_path: Path) -> None:
+    package(SOUND)
+    # As a virtual environment has it that sees the packages of the system.
+    shutil.copytree(tmp_path / "checked-1.0.dist-info", tmp_path / "checked-0.9.dist-info")
+    (loads,) = [check for check in checks("checked") if check.name == "loads"]
+    loads.run()

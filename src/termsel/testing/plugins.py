@@ -46,6 +46,8 @@ class Installed:
         for distribution in distributions():
             if canonical_name(distribution.name) == canonical_name(self.name):
                 points += distribution.entry_points.select(group=PROJECT)
+                # Of a distribution that is found twice, Python imports the first.
+                break
         return Registry(points)
 
     def modules(self) -> list[str]:
