@@ -100,7 +100,8 @@ def test_blunders_do_not_spoil_the_accuracy_and_are_told() -> None:
     said = " ".join(spoilt.summary().split())
     assert f"Outliers 2 points rejected: {ids[control]} " in said
     assert f"1 independent check point contradicts the model: {ids[independent]} " in said
-    assert spoilt.next_step("r") == f"Next: run again with --off {ids[independent]}"
+    assert spoilt.next_step("r") == (
+        f"Next: run again with options={{'off': '{ids[independent]}'}}")
     independent_rmse, bare_rmse = spoilt.rmse["independent"], before.rmse["independent"]
     assert independent_rmse is not None
     assert bare_rmse is not None

@@ -47,7 +47,7 @@ def test_every_problem_names_the_blunder_and_no_other(problem: str, role: str) -
     assert found.excluded == (role != "independent" and searched)
     said = result.summary().partition("Outliers ")[2]
     assert name in said
-    assert (f"--off {name}" in result.next_step("r")) != found.excluded
+    assert (f"options={{'off': '{name}'}}" in result.next_step("r")) != found.excluded
     assert (result.accuracy_without is not None) == (role == "independent")
     assert {r.id for r in result.residuals if r.blunder == "certain"} == {name}
     assert not any("fitted to the selection points" in note for note in result.notes) \

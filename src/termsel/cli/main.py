@@ -11,12 +11,11 @@ import os
 import shlex
 import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
 from importlib import import_module
 from importlib.util import find_spec
-from itertools import chain
 from typing import Any, NoReturn
 
 import click
@@ -28,8 +27,9 @@ from termsel.cli.messages import (
     stream_of_results,
     take_stdout,
 )
+from termsel.cli.typed import command_with, keep_words
 from termsel.cli.usage import hint_for, usage_message
-from termsel.core.errors import TermselError, cut, is_printable, unknown_name_error
+from termsel.core.errors import TermselError, cut, unknown_name_error
 from termsel.core.interrupts import INTERRUPTED, take_pending_interrupt
 from termsel.core.version import __version__
 from termsel.plugins.commands import COMMANDS, GROUPS, PACKAGES
@@ -136,8 +136,12 @@ class Commands(click.Group):
         **extra: Any,
     ) -> click.Context:
         """Return the context of a call; prints help and version."""
+        # click takes words out of the list as it reads them.
+        words = [*args]
         with _stdout_may_end():
-            return super().make_context(info_name, args, parent, **extra)
+            context = super().make_context(info_name, args, parent, **extra)
+        keep_words(context, words)
+        return context
 
     def invoke(self, ctx: click.Context) -> Any:
         """Call the command."""
@@ -266,11 +270,8 @@ def _suggested_commands(words: Sequence[str], error: TermselError) -> Iterator[s
     guesses = error.guesses or [error.options.get("--columns", "")]
     for number, columns in enumerate(guesses, 1):
         options = {**error.options, "--columns": columns} if columns else error.options
-        # --set may stand several times, each with an option of its own.
-        replaced = {name: value for name, value in options.items() if name != "--set"}
-        typed = shlex.join([*_words_without_options(words, replaced),
-                            *chain.from_iterable(options.items())])
-        if not options or not is_printable(typed):
+        typed = command_with(options, words=words)
+        if not options or not typed:
             continue
         # A question mark is for the user to fill in: such a command cannot run as it is.
         is_incomplete = "?" in "".join(options.values())
@@ -282,17 +283,7 @@ def _suggested_commands(words: Sequence[str], error: TermselError) -> Iterator[s
             verb = f"Guess {number} of {len(guesses)}, to check"
         else:
             verb = "A guess, to check"
-        yield f"{verb}: termsel {typed}"
-
-
-def _words_without_options(words: Sequence[str], options: Mapping[str, str]) -> Iterator[str]:
-    """Yield the words of a command without some options, written as "--crs X" or "--crs=X"."""
-    remaining = iter(words)
-    for word in remaining:
-        if word in options:
-            next(remaining, None)
-        elif word.partition("=")[0] not in options:
-            yield word
+        yield f"{verb}: {typed}"
 
 
 def _refuse_repeated(command: click.Command, words: list[str]) -> None:

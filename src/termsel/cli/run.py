@@ -13,6 +13,7 @@ from termsel.cli.bars import search_bar
 from termsel.cli.messages import echo, say_written, show_messages, take_pending
 from termsel.cli.options.run_options import RunOptions, run_options, with_files
 from termsel.cli.topics import ByTopic
+from termsel.cli.typed import command_with
 from termsel.core.interrupts import INTERRUPTED
 
 
@@ -44,6 +45,7 @@ def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **argum
 
     from termsel.io.replacing import require_replaceable
     from termsel.io.result_folder import RECORD, files_of_result, names_of
+    from termsel.results.first_screen import next_step_for_user, options_of_next_run
     from termsel.runs import run as running
 
     folder = settings.out
@@ -73,7 +75,9 @@ def run(verbose: bool, checkpoint: Path | None, files: tuple[Path, ...], **argum
         settings.write(result, export_files, page)
     if not settings.as_json:
         saved = f"Saved     {folder}{os.sep}    " if folder is not None else ""
-        echo(f"{saved}{result.next_step(folder or '')}")
+        options = options_of_next_run(result)
+        again = command_with(options, ["--overwrite"] if folder else []) if options else ""
+        echo(f"{saved}{next_step_for_user(result, str(folder or ''), again)}")
     elif folder is not None:
         say_written([f"{folder}/{RECORD}", *names_of(result.features)[1:]])
     if result.interrupted:

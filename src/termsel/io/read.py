@@ -947,11 +947,15 @@ def _agreed_crs(sets: dict[Path, FeatureSet], stated: str | None) -> str:
                 remedy = "Leave --crs out, or correct the file"
             else:
                 remedy = "Transform one of the files, or correct what they declare"
-            raise TermselError(
+            contradiction = TermselError(
                 f"the file declares the CRS {short_crs_name(declared)}, but {source} says "
                 f"{short_crs_name(agreed)}",
                 file=path,
                 hint=f"{difference}{remedy}; termsel does not transform coordinates.")
+            # WKT is too long to type.
+            if stated and declared == short_crs_name(declared):
+                contradiction.options["--crs"] = declared
+            raise contradiction
     return agreed or ""
 
 

@@ -51,6 +51,7 @@ from termsel.results.verdict import (
     does_nothing_fit,
     label_of,
     may_be_shifted,
+    names_to_leave_out,
     off_option,
     outlier_share_in_words,
     size_of_errors,
@@ -754,31 +755,49 @@ def _caution_on_known_camera(record: Record) -> str:
             f"{rounded_size_text(figures[KNOWN_CAMERA])} px: {remedy}")
 
 
-def next_step_for_user(record: Record, folder: str = "") -> str:
-    """Return the next step for the user, as a command if one can be typed.
+def options_of_next_run(record: Record) -> dict[str, str]:
+    """Return the options, with their values, that would correct what is wrong with this run.
 
-    `folder` is where the result was written, "" if it was not.
+    Empty where nothing is wrong, or no option would correct it: the next step is another then.
     """
     read = record.data.read
     # Wrong coordinates come first: points may look like blunders for no other reason.
     if read and read.mixed:
-        return "Next: correct the coordinates, then run again"
+        return {}
     if read and read.doubt:
         pair = "line-sample" if read.doubt.startswith(SWAPPED_IMAGE) else "xy"
-        return f"Next: run again with --set swapped={pair}"
+        return {"--set": f"swapped={pair}"}
     if may_be_shifted(record):
-        return "Next: compare some of these points with the map before leaving any out"
+        return {}
     rejected, used, _ = _group_outliers(record)
-    off = off_option(record) if rejected or used or not does_nothing_fit(record) else ""
+    names = names_to_leave_out(record) if rejected or used or not does_nothing_fit(record) else ""
     # A command that is complete is better than advice.
-    if off and len(off) <= _LONGEST_OPTION:
-        return f"Next: run again with {off}"
+    if names and len(off_option(record)) <= _LONGEST_OPTION:
+        return {"--off": names}
     # Points alone without heights look like those of a map; a fit in another CRS than that of the
     # data is in a projection that was found already.
     is_like_a_map = (read is not None and not read.lines and read.without_height == read.points
                      and record.data.fit_crs == record.data.crs)
     if is_like_a_map and is_geographic(record.data.crs) and does_nothing_fit(record):
-        return "Next: if this is a map, --crs auto finds its projection"
+        return {"--crs": "auto"}
+    return {}
+
+
+def next_step_for_user(record: Record, folder: str = "", command: str = "") -> str:
+    """Return the next step for the user, as a command if one can be typed.
+
+    `folder` is where the result was written, "" if it was not. `command` is the command of this run
+    with `options_of_next_run`; without it the step names the options.
+    """
+    read = record.data.read
+    if read and read.mixed:
+        return "Next: correct the coordinates, then run again"
+    if options := options_of_next_run(record):
+        pairs = " ".join(f"{name} {quote(value)}" for name, value in options.items())
+        purpose = "   (finds the projection, if this is a map)" if "--crs" in options else ""
+        return f"Next: {command or f'run again with {pairs}'}{purpose}"
+    if may_be_shifted(record):
+        return "Next: compare some of these points with the map before leaving any out"
     if not folder:
         return "Not saved: add --out DIR, then termsel report DIR"
     if (not record.data.counts.independent and record.data.counts.word == "points"

@@ -33,7 +33,12 @@ from termsel.fitting.residuals import Residuals
 from termsel.results.accuracy import accuracy_of
 from termsel.results.answers import result_document
 from termsel.results.extras import further_sections
-from termsel.results.first_screen import first_screen, model_title, next_step_for_user
+from termsel.results.first_screen import (
+    first_screen,
+    model_title,
+    next_step_for_user,
+    options_of_next_run,
+)
 from termsel.results.page import render_page
 from termsel.results.plots import Plots
 from termsel.results.same_fit import fit_of_selection, numbers_of
@@ -373,14 +378,22 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         return text_of(result_document(self.record, further=further_sections(self)), titled=False)
 
     def next_step(self, folder: Path | str = "") -> str:
-        """Return the command that comes next, for the last line of the first screen.
+        """Return what comes next: a command, or what the next call of `termsel.run` should have.
 
         Parameters
         ----------
         folder : path-like
             Where the result was written; by default nowhere.
         """
-        return next_step_for_user(self, str(folder))
+        options = options_of_next_run(self)
+        arguments = [f"{name.removeprefix('--')}={value!r}" for name, value in options.items()
+                     if name == "--crs"]
+        if others := dict(value.partition("=")[::2] if name == "--set"
+                          else (name.removeprefix("--"), value)
+                          for name, value in options.items() if name != "--crs"):
+            arguments.append(f"options={others!r}")
+        again = f"run again with {', '.join(arguments)}" if arguments else ""
+        return next_step_for_user(self, str(folder), again)
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
         counts = self.data.counts

@@ -120,8 +120,8 @@ TESTABLE_RATIO = 10.0
 """Least error that a test of enough features finds, by the size of their errors, at most."""
 
 
-def off_option(record: Record) -> str:
-    """Return the option --off that leaves blunders out of the next run.
+def names_to_leave_out(record: Record) -> str:
+    """Return the ids of the blunders that the next run should leave out, with commas.
 
     "" where all of them, but those that are merely possible, were rejected in this run. Otherwise
     it names the rejected ones as well: the next run gives roles anew, and would have them as
@@ -133,7 +133,13 @@ def off_option(record: Record) -> str:
         return ""
     asked = [name.strip() for name in str(record.options.data.get("off") or "").split(",")]
     names = dict.fromkeys([*filter(None, asked), *(outlier.id for outlier in wrong)])
-    return f"--off {shlex.quote(','.join(names))}"
+    return ",".join(names)
+
+
+def off_option(record: Record) -> str:
+    """Return the option --off that leaves blunders out of the next run; "" if none is needed."""
+    names = names_to_leave_out(record)
+    return f"--off {shlex.quote(names)}" if names else ""
 
 
 _MANY_OUTLIERS = (5, 0.15)

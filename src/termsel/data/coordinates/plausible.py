@@ -267,9 +267,8 @@ def _check_metres(xy: FloatArray, features: FeatureSet, crs: str) -> None:
         hint = "Transform them to the CRS of the others, or remove them."
     else:
         problem = "the ground coordinates look like degrees"
-        hint = (f"Where {short_crs_name(crs)} is stated, in the file or by --crs, state EPSG:4979 "
-                "for longitude, latitude and ellipsoidal height, or local for plane coordinates "
-                "without a CRS.")
+        hint = (f"In place of {short_crs_name(crs)} state EPSG:4979 (longitude, latitude, "
+                "ellipsoidal height), or local for plane coordinates without a CRS.")
     first = int(np.argmax(could_be_degrees))
     name, column = _name_vertex(features, first, 0)
     raise TermselError(
