@@ -67,7 +67,11 @@ def blocks_of(source: FloatArray, feature: IntArray, triangle: FloatArray) -> Fl
 
 @compile_lazily
 def _fill(Q: FloatArray, b: FloatArray, feature: IntArray, blocks: FloatArray) -> None:
-    """Add up the rows of each feature, as the blocks of Q_i'Q_i and Q_i'b_i (see `blocks_of`)."""
+    """Add the rows of each feature i to its block in `blocks`: Q_i'Q_i with Q_i'b_i.
+
+    Row r of `Q` (m, k) and `b` (m,) is of the feature number `feature[r]`. For the layout of
+    `blocks` see `blocks_of`.
+    """
     # Row x of the lower triangle of Q'Q, then its entry of Q'b: as `_reduce` reads them.
     for row in range(len(Q)):
         block = blocks[feature[row]]

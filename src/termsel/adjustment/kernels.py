@@ -154,8 +154,12 @@ def _gather(
     panels: FloatArray, source: FloatArray, rows: UintArray, columns: UintArray,
     heights: IntArray, n: int,
 ) -> None:
-    """Copy n columns and the right-hand side after them into the panels, to their heights."""
+    """Copy n columns and the right-hand side after them into the panels, to their heights.
+
+    Row i of the panels is row rows[i] of `source`, and their column s is its column columns[s].
+    """
     for c in range(n // LANES + 1):
+        # Heights do not decrease: the last column of a panel is the highest.
         panel_columns = columns[LANES * c:LANES * c + LANES]
         reach = min(len(rows), heights[min(LANES * c + LANES, n) - 1])
         for i in range(reach):
@@ -211,7 +215,11 @@ def _factor(panels: FloatArray, reflections: Reflections, source: FloatArray, tr
 def _substitute(
     panels: FloatArray, right: FloatArray, columns: UintArray, n: int, coefficients: FloatArray,
 ) -> None:
-    """Solve the triangle of n columns into the coefficients of those columns."""
+    """Solve the triangle of n columns for x, and write x[s] to coefficients[columns[s]].
+
+    The triangle and, after its columns, the right-hand side lie in the panels; `right` (n,) is
+    space.
+    """
     for i in range(n):
         right[i] = panels[n // LANES, i, n % LANES]
     # R x = Q'b from the last row up, by columns as they lie in the panels.
@@ -259,9 +267,14 @@ def _solve(panels: FloatArray, reflections: Reflections, source: FloatArray, tri
 
 
 def _allocate_workspace(k: int, m: int) -> tuple[FloatArray, Reflections, IntArray, UintArray]:
-    """Return panels, reflections, heights and columns for up to k columns of m rows."""
+    """Return panels, reflections, heights and columns for up to k columns of m rows.
+
+    The panels have the shape (width, rows, LANES): each holds LANES columns side by side, and k + 1
+    columns are needed in all, one for the right-hand side. `columns` is at first in order.
+    """
     width = k // LANES + 1
     rows = min(m, k + BLOCK)
+    # Lanes after the last column copy the right-hand side: any column that there is will do.
     columns = np.full(width * LANES, k + 1, dtype=np.uintp)
     columns[:k + 1] = np.arange(k + 1)
     reflections = np.zeros((k, rows)), np.zeros(k), np.zeros(k), np.zeros(k, dtype=np.intp)

@@ -45,7 +45,8 @@ def _factor(panels: FloatArray, q: FloatArray, n: int, m: int, reflections: Refl
             tolerance: float) -> bool:
     """Triangularise n columns of A, and b after them, in place; False if they are dependent.
 
-    Columns lie in panels, m rows each. `q` becomes the same panels of [Q, b - A x].
+    Columns lie in panels, m rows each. `q` becomes the same panels of [Q, b - A x]. A column is
+    dependent if at most `tolerance` of its length is orthogonal to the columns before it.
     """
     vectors, beta, _ = reflections
     last = n // LANES

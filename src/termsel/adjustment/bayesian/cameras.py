@@ -128,10 +128,16 @@ class _Flights(NamedTuple):
 
 def _simulate_flights(rng: np.random.Generator, heading: FloatArray, latitude: float,
                       tilt: FloatArray, toward: FloatArray, altitude: FloatArray) -> _Flights:
-    """Return flights seen from the middle under angles from the vertical, in a direction [rad]."""
-    lat = np.radians(
-        # Latitudes that are not known are drawn as all else is.
-        np.where(np.isnan(latitude), rng.uniform(-MAX_LATITUDE, MAX_LATITUDE, len(tilt)), latitude))
+    """Return the stations of n satellites, seen from the middle of the image, and how they move.
+
+    `heading` (n,) is the direction of flight and `toward` (n,) that to the satellite, clockwise
+    from north; `tilt` (n,) is the angle of the ray from the vertical [rad]. The `latitude` of the
+    middle is in degrees, NaN if it is not known; the `altitude` (n,) is in metres.
+    """
+    # Latitudes that are not known are drawn as all else is.
+    drawn_latitude = rng.uniform(-MAX_LATITUDE, MAX_LATITUDE, len(tilt))
+    lat = np.radians(np.where(np.isnan(latitude), drawn_latitude, latitude))
+    # Axes are east, north and up at the middle of the image; the origin is the Earth's centre.
     ray = np.stack([np.sin(tilt) * np.sin(toward), np.sin(tilt) * np.cos(toward), np.cos(tilt)], 1)
     radius = EARTH_RADIUS + altitude
     # The law of cosines in the triangle of the Earth's centre, the place and the satellite.

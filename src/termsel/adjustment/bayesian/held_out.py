@@ -144,8 +144,9 @@ def mean_probability(strain: tuple[FloatArray, FloatArray],
 
 @_compiled
 def _multiply_by_power(power: FloatArray, exponent: int, count: int, share: FloatArray) -> None:
-    """Multiply the first `count` of `share` by those of `power` to an exponent, in place.
+    """Multiply the first `count` numbers of `share` by the power of those of `power`, in place.
 
+    Each is multiplied by the number of the same index in `power`, to the whole `exponent` >= 0.
     `power` is overwritten.
     """
     # Two binary digits of the exponent at a time: x^e = x^(e mod 4) (x^4)^(e div 4).

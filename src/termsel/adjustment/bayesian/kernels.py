@@ -261,7 +261,11 @@ class _InverseTriangle:
 
 
 def _inverse_triangle(knots: FloatArray) -> _InverseTriangle | None:
-    """Return the root by Cholesky's factors; None where rounding would show, as of close knots."""
+    """Return a root of the inverse of what affine functions leave of the kernels around knots.
+
+    It comes from Cholesky's factor (see `_InverseTriangle`). None where rounding would show, as
+    where some of the knots (k, 2) are close together.
+    """
     kernels = spline_kernel(knots, knots)
     reflections = Reflections.of(_affine_columns(knots))
     free = reflections.from_right(reflections.transposed(kernels))[N_AFFINE:, N_AFFINE:]

@@ -213,7 +213,11 @@ class ScoreSystems:
         return NodeResult(best, masks, pruned)
 
     def _walk_residuals(self, node: SubtreeNode, best: FloatArray, masks: Masks) -> NodeResult:
-        """Decide the subsets of a node by branch and bound of residuals."""
+        """Decide the subsets of a node by branch and bound of residuals.
+
+        `best` (k + 1,) are the least scores found so far of each size, and `masks` their subsets;
+        both are overwritten by what is better. The result counts the subsets that bounds ruled out.
+        """
         columns = np.concatenate([node.used, node.candidates])
         k = len(columns)
         used = len(node.used)
@@ -342,12 +346,12 @@ class ScoreSystems:
         return np.append(np.ones(c), 1.0 / (self.margin * c))
 
     def _vectors_of_node(self, node: SubtreeNode) -> tuple[Vectors, Limits, FloatArray] | None:
-        """Return a node's vectors, its limits, and the guard's denominators; None if dependent.
+        """Return a node's vectors, its limits, and the denominators (n + r, g) at guard points.
 
         Returns None if the columns in use depend on each other. What they explain is taken out of
-        the later ones, candidates and targets, by LAPACK. With the factor R of [used, later] in
-        blocks [[R_uu, R_ul], [0, R_ll]], the later columns without it have the inner products of
-        R_ll, which has fewer rows.
+        the later ones, the n candidates and r targets, by LAPACK. With the factor R of
+        [used, later] in blocks [[R_uu, R_ul], [0, R_ll]], the later columns without it have the
+        inner products of R_ll, which has fewer rows.
         """
         used = node.used
         n = len(node.candidates)
@@ -414,9 +418,10 @@ def score_systems(system: SubsetSystem, score: str, folds: Sequence[IntArray],
                   max_terms: int | None) -> ScoreSystems:
     """Return the systems of rows by which a walk scores the subsets of a system's columns.
 
-    `score` is one of SCORES, such as "press", `folds` are the rows held out together for "kfold".
-    Raises TermselError for an unknown score, and where forced terms are forbidden as well or more
-    than `max_terms`.
+    `score` is one of SCORES, such as "press". `folds` are the indices of the rows that "kfold"
+    holds out together. `max_terms` is the most columns in use, None for all. Raises TermselError
+    for an unknown score, where terms are both forced and forbidden, and where more are forced than
+    `max_terms`.
     """
     if score not in SCORES:
         raise unknown_name_error("score", score, SCORES)
@@ -461,7 +466,9 @@ def _rows_of_systems(system: SubsetSystem, score: str, kind: int,
                      folds: Sequence[IntArray]) -> tuple[list[ScoreRows], int]:
     """Return the rows of all systems of a score, and how often each row is held out at least.
 
-    The first system has all rows of control. Of folds there is one more each, without its rows.
+    The first system has all rows of control. For "kfold" each fold has a further system, of the
+    rows that are not in the fold. `kind` is how errors follow from coefficients (RSS, PRESS, LINEAR
+    or RATIONAL). The number is 1 for scores other than "kfold".
 
     Raises ValueError for the score check without rows of selection points, and for kfold without
     folds.
@@ -508,9 +515,11 @@ def _rows_of_systems(system: SubsetSystem, score: str, kind: int,
 
 
 def _denominator_rows(linear: FloatArray | None, rows: FloatArray, k: int) -> FloatArray:
-    """Return rows [denominator, -1 of each target]; the denominator is 1 if none is given.
+    """Return rows [denominator, -1 of each target] (m, k + r) for the k columns and r targets.
 
-    With the coefficients x and -1 for the target such a row gives -(1 + denominator x).
+    The target's entry less those of the columns times their coefficients x is -(1 + `linear` x),
+    minus the denominator. Without `linear` (m, k) there are as many rows as `rows` (m, k + r) has,
+    of the constant denominator 1.
     """
     if linear is None:
         denominators = np.zeros((len(rows), rows.shape[1]))

@@ -256,12 +256,14 @@ def estimate_seconds(
     max_terms: int | None = None,
     workers: int = 1,
 ) -> float:
-    """Return the estimated time of `search` [s], whose arguments these are, from that of one node.
+    """Return the time [s] that `search` would take with the same arguments.
 
-    Where bounds rule subsets out (`is_bounded`), this is the time without them.
+    It is estimated from the time of one node, as if no bound ruled subsets out: where bounds do
+    (`is_bounded`), the search is faster.
     """
     systems = score_systems(system, score, folds, max_terms)
     node = systems.everything
+    # Without one of its candidates a node has down to half as many subsets.
     while node.count > _NODE_SUBSETS:
         node = replace(node, candidates=node.candidates[1:])
     seconds = []

@@ -126,9 +126,10 @@ class KFold(_LeftOut):
         return self.combined(fits, squares / self.options["repeats"])
 
     def folds(self, points: Points, lines: Lines) -> tuple[IntArray, ...]:
-        """Return the features of each fold, points before lines, for all repeats.
+        """Return the indices of the features of each fold, those of all repeats one after another.
 
-        Twins are in one fold. The position of a line is the middle of its ground vertices.
+        Features are counted points first, then lines. Twins, which are at one place, are in one
+        fold. The position of a line is the mean of its ground vertices.
         """
         xy = np.concatenate([points.ground[:, :2],
                              lines.by_feature(lines.ground[:, :, :2].mean(axis=1))])

@@ -122,7 +122,12 @@ def _not_enumerable_error(why: str) -> TermselError:
 
 def _axis_system(model: RationalModel, inputs: ProblemData, equations: Equations, image_axis: int,
                  guard: FloatArray, margin: float, parents: BoolArray | None) -> SubsetSystem:
-    """Return the system of one axis with the errors at the selection points."""
+    """Return the equations of line or of sample, `image_axis`, as a system to enumerate.
+
+    They are those of the control points; where the criterion needs selection points, the system has
+    their errors, too. Denominators are at least `margin` at the places `guard` (g, 3). `parents`
+    (k, k) says which of all k terms require which others, None if none do.
+    """
     points = inputs.control.points
     term_axes = model.axis
     control = equations.take(row_axes(equations.A, term_axes) == image_axis,
@@ -186,9 +191,10 @@ def _denominator_columns(model: RationalModel, ground: FloatArray,
 
 
 def _merge(axis_systems: list[SubsetSystem], genes: list[IntArray]) -> SubsetSystem:
-    """Return line and sample as two right-hand sides of one system.
+    """Return the systems of line and sample as one system with two right-hand sides.
 
-    Raises TermselError where they have other columns, or denominators.
+    `genes` are the numbers of the genes of the columns of each. Raises TermselError where the two
+    do not have the same columns, and where they have denominators.
     """
     line, sample = axis_systems
     same_columns = (np.array_equal(genes[0], genes[1]) and line.denominator is None

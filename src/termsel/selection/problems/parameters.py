@@ -77,7 +77,11 @@ class ParameterProblem(Problem):
         self._known: dict[bytes, SelectionProblem] = {}
 
     def evaluate(self, genes: Genes) -> Evaluation:
-        """Return the criterion and the violation (see `SelectionProblem.evaluate`)."""
+        """Return the criterion and the violation of genes (p, size).
+
+        Each individual is evaluated as `SelectionProblem.evaluate` does with the model that its
+        parameters give; without selection of terms, it has all terms of that model.
+        """
         objectives = np.empty((len(genes), len(self.objectives)))
         violation = np.empty(len(genes))
         # A model, and its problem, for each set of parameters in the population.
@@ -106,7 +110,10 @@ class ParameterProblem(Problem):
         return {name: values[name][name] for name in self.parameters}
 
     def _selection_at(self, genes: Genes) -> SelectionProblem:
-        """Return the selection of terms with the parameters that genes stand for."""
+        """Return the problem of selecting terms of the model that some parameters give.
+
+        `genes` (n,) are those of one individual that stand for its n parameters.
+        """
         key = genes.tobytes()
         if key not in self._known:
             # Each holds the equations of its model: they are made again rather than kept for ever.

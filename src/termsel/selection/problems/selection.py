@@ -313,7 +313,11 @@ class SelectionProblem(Problem):
 
     def _all_objectives(self, score: FloatArray, terms: BoolArray,
                         features: BoolArray | None) -> FloatArray:
-        """Return the criterion and the further objectives, in their order, shape (p, m)."""
+        """Return the criterion and the further objectives, in their order, shape (p, m).
+
+        `score` (p,) are the values of the criterion. `terms` (p, k) and `features` (p, n) are the
+        terms and control features that each of p individuals selects; None selects all features.
+        """
         if len(self.objectives) == 1:
             return score[:, None]
         control = self.inputs.control
@@ -374,9 +378,11 @@ class SelectionProblem(Problem):
                            self._least_freedom)
 
     def design(self) -> FloatArray:
-        """Return the columns of the adjustment by gene (see `Problem.design`).
+        """Return the columns of the adjustment by gene, shape (m, size).
 
-        A gene that switches a line term and a sample term has the columns of both stacked.
+        The m rows are the equations. A gene that switches a line term and a sample term has the
+        columns of both, one on top of the other. Raises TermselError unless terms alone are
+        selected.
         """
         gene = self._gene_of_term
         A = self.equations.A

@@ -36,7 +36,10 @@ SEARCH_OPTIONS = (
 
 def require_limits(*, generations: float | None = None, evaluations: float | None = None,
                    seconds: float | None = None, patience: float | None = None) -> None:
-    """Refuse limits of a search, as given to it, that are no positive, or no whole, numbers."""
+    """Raise TermselError for a limit of a search that is not a positive number.
+
+    All but `seconds` must be whole numbers. None is no limit.
+    """
     for name, value in (("generations", generations), ("evaluations", evaluations),
                         ("seconds", seconds), ("generations of patience", patience)):
         if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):

@@ -139,7 +139,10 @@ class Ledger(ProblemAround):
                           tuple(map(int, generation.details.get("empires", ()))))
 
     def front(self) -> list[Genes]:
-        """Return the feasible non-dominated individuals, by first objective."""
+        """Return the genes (size,) of each feasible individual that no other one dominates.
+
+        They are sorted by the first objective. Of individuals with equal objectives one is given.
+        """
         values = self._values[:len(self._row_of)]
         objectives = values[:, :-1]
         rows = np.flatnonzero(values[:, -1] == 0)

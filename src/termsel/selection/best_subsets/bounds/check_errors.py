@@ -51,10 +51,13 @@ def first_closed_column(kind: int, vectors: Vectors, limits: Limits, depth: int,
                         worst: float, upper: FloatArray, space: BoundSpace) -> int:
     """Return the first column from which on no subset can improve any size that is still possible.
 
-    `worst` is the largest of the best scores of these sizes.
+    Columns before `first` are not looked at; n, the number of columns, means that none is closed.
+    `worst` is the largest of the best scores of these sizes. `upper` are upper limits of the
+    denominators, as of `first_closed_by_parts`, which lowers them in place.
     """
     n = vectors.top.shape[2] - 1
     limit = _allowed_residuals(worst, limits)
+    # Without a best score yet, as without a number (NaN), nothing can be ruled out.
     if not limit < np.inf:
         return int(n)
     if limit < 0.0:  # what no column can change is already more

@@ -85,13 +85,18 @@ def held_out_score(kind: int, vectors: Vectors, depth: int, c: int, limits: Limi
 
 @_inlined
 def descend(kind: int, vectors: Vectors, depth: int, i: int) -> None:
-    """Remove column i from those to its right and the targets, from one depth to the next."""
+    """Remove column i from those to its right and the targets, from one depth to the next.
+
+    What is removed is the part along column i. The vectors at `depth` stay, those at `depth` + 1
+    are overwritten; for PRESS the leverages of the rows grow by those of the column.
+    """
     n = vectors.square.shape[2] - 1
     r = vectors.share.shape[3]
     for f in range(vectors.square.shape[1]):
         for c in range(n + r - 1, i, -1):  # targets first: columns need their products with them
             remove(vectors, depth, f, i=i, c=c, n=n, r=r)
     if kind == PRESS:
+        # An orthogonal column v adds v_i^2 / v'v to the leverage of row i.
         v = vectors.top[depth, 0, i]
         square = vectors.square[depth, 0, i]
         for row in range(len(v)):

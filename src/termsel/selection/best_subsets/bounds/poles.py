@@ -133,7 +133,12 @@ def node_bound(tree: Tree, d: int, limit: float) -> float:
 
 @_compiled
 def _solve_guard(tree: Tree, d: int, a: int, n: int) -> None:
-    """Write a column of W = R^-T G', and its square."""
+    """Write row a of `tree.W`, which is column a of W = R^-T G', and its squared length.
+
+    R is the triangle (n, n) of the columns at depth `d`, and row a of G their values at a guard
+    point.
+    """
+    # Forward substitution in R' w = g.
     total = 0.0
     for i in range(n):
         value = tree.guard[tree.column[d, i], tree.point[d, a]]

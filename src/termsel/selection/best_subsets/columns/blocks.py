@@ -138,7 +138,12 @@ def eliminate(i: int, level: int, count: int, b: SubsetBlock) -> None:
 @_compiled
 def is_single_column_pruned(i: int, level: int, root_limit: float, error_accuracy: float,
                             sum_accuracy: float, b: SubsetBlock) -> bool:
-    """Return whether with one more column the root of the score is certainly above `root_limit`."""
+    """Return whether with column i added the root of the score is certainly above `root_limit`.
+
+    Column i is numbered within the block, whose columns in use so far are those eliminated at
+    `level`. `error_accuracy` and `sum_accuracy` are how far rounding may have changed the root of
+    the sum of squared errors, and the sum of denominators.
+    """
     products = b.errors
     share = b.control.f[level, i] / b.control.diagonal[level, i]
     # |e - s v|^2 = e'e - s (2 e'v - s v'v)

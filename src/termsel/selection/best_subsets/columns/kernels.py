@@ -157,10 +157,10 @@ def score_of(kind: int, level: Depth, c: int, systems: int, r: int, limits: Limi
 @_compiled
 def _keeps_guard(vectors: Vectors, depth: int, cursor: IntArray, records: Records,
                  margin: float) -> bool:
-    """Solve for the coefficients of the subset and test the guard points' denominators.
+    """Return whether all denominators at the guard points are at least `margin`.
 
-    Column cursor[q] joined at depth q; it is still there as it was then, so that the
-    triangular system is found row by row.
+    The coefficients of the subset are solved for and left in `records.x`. Column cursor[q] joined
+    at depth q; it is still there as it was then, so that the triangular system is found row by row.
     """
     guard = records.guard
     x = records.x
@@ -200,7 +200,12 @@ def _has_parents(mask: Any, parents: Any) -> bool:
 @_compiled
 def record(score: float, size: int, mask: Any, vectors: Vectors, depth: int, cursor: IntArray,
            records: Records, margin: float) -> None:
-    """Keep a subset that is the best of its size; in a tie the smaller mask."""
+    """Write a subset to the records if it is the best of its size; in a tie the smaller mask is.
+
+    A subset counts only if it has one of the columns `some_of`, if there are any, the parents of
+    each of its columns, and denominators of at least `margin` at the guard points. `mask` is its
+    columns in bits, and `cursor` (depths,) the column that joined at each depth.
+    """
     best = records.best
     masks = records.masks
     some_of = records.some_of[0]

@@ -217,11 +217,11 @@ class Selections:
                            bits=_feature_masks(len(self.free)))
 
     def _walk_state(self, branch: Branch) -> tuple[WalkState, EntrySpace]:
-        """Return the arrays of a walk, with the normal equations of its first selection.
+        """Return the state of a walk at its first selection, and the space that its kernel needs.
 
-        All levels of the walk are allocated here, as the kernel allocates nothing. `branch` has the
-        features that are in use at the beginning; rows of systems with fewer terms are padded, so
-        that arrays hold several systems.
+        The first selection has the features that `branch` has in use; depth 0 of the state holds
+        its normal equations. All deeper levels are allocated here, as the kernel allocates nothing.
+        Rows of systems with fewer terms are padded, so that one array holds several systems.
         """
         rows = self._padded_rows
         n_systems, height, width = rows.design.shape

@@ -203,7 +203,11 @@ class _Tournament:
 
 def _begin_algorithm(algorithm: Algorithm, posed: _Posed, rng: np.random.Generator,
                      horizon: int) -> None:
-    """Set an algorithm up: its repair, its seeds, and a survival of its own."""
+    """Set an algorithm of pymoo up in place, so that its run depends on `rng` alone.
+
+    Its operators repair genes as the genome does, unless they have a repair of their own. `horizon`
+    is the number of generations that pymoo is told to plan for.
+    """
     # By default pymoo gives all algorithms of a class one survival, with what an earlier run left.
     if survival := getattr(algorithm, "survival", None):
         algorithm.survival = deepcopy(survival)

@@ -86,7 +86,11 @@ def mutate_genes(genes: Genes, genome: Genome, probability: float,
 
 def _cross_pairs(segment: AnySegment, parents_1: Genes, parents_2: Genes,
                  rng: np.random.Generator, points: int) -> tuple[Genes, Genes]:
-    """Return two children of each pair of parents."""
+    """Return two children of each pair of parents, each of the shape (p, size) of the parents.
+
+    How they are crossed depends on the type of the segment. Where genes are swapped, they are those
+    between two places if `points` is not 0, and else each gene with probability 1/2.
+    """
     match segment:
         case Integers() | Reals():
             return _cross_numbers(segment, parents_1, parents_2, rng)
@@ -108,7 +112,10 @@ def _cross_pairs(segment: AnySegment, parents_1: Genes, parents_2: Genes,
 
 def _cross_numbers(segment: Integers | Reals, parents_1: Genes, parents_2: Genes,
                    rng: np.random.Generator) -> tuple[Genes, Genes]:
-    """Cross numbers by simulated binary crossover (Deb, Agrawal 1995)."""
+    """Return two children of each pair of parents by simulated binary crossover.
+
+    Both are of the shape (p, size) of the parents, within the segment's bounds (Deb, Agrawal 1995).
+    """
     from pymoo.operators.crossover.sbx import cross_sbx
 
     # The spread of each pair, the chance that a number is crossed, and that children change places.
@@ -124,7 +131,10 @@ def _cross_numbers(segment: Integers | Reals, parents_1: Genes, parents_2: Genes
 
 def _cross_permutations(parents_1: Genes, parents_2: Genes,
                         rng: np.random.Generator) -> tuple[Genes, Genes]:
-    """Cross permutations by order crossover (Davis 1985)."""
+    """Return two children (p, size) of each pair of permutations by order crossover (Davis 1985).
+
+    A child keeps a part of one parent, and has the other members in the order of the other parent.
+    """
     from pymoo.operators.crossover.ox import ox, random_sequence
 
     children = parents_1.copy(), parents_2.copy()
@@ -138,7 +148,11 @@ def _cross_permutations(parents_1: Genes, parents_2: Genes,
 
 def _mutate_segment(segment: AnySegment, genes: Genes, probability: float,
                     rng: np.random.Generator) -> Genes:
-    """Return mutated genes of one segment, by its type."""
+    """Return genes (p, size) of one segment, mutated in the way of its type.
+
+    Each gene changes with this probability. A permutation or a subset changes as a whole, with the
+    probability times its size, at most 1.
+    """
     match segment:
         case Bits():
             return flip_bits(genes.astype(bool), probability, rng)
@@ -160,7 +174,10 @@ def _mutate_segment(segment: AnySegment, genes: Genes, probability: float,
 
 def _mutate_polynomially(segment: Integers | Reals, genes: Genes, probability: float,
                          rng: np.random.Generator) -> Genes:
-    """Change numbers by polynomial mutation (Deb, Goyal 1996)."""
+    """Return numbers (p, size), each changed with a probability by polynomial mutation.
+
+    They stay within the segment's bounds (Deb, Goyal 1996).
+    """
     from pymoo.operators.mutation.pm import mut_pm
 
     p = len(genes)
@@ -368,7 +385,11 @@ def _keys_of(segment: AnySegment) -> int:
 
 
 def _genes_of_keys(segment: AnySegment, keys: FloatArray) -> Genes:
-    """Return the genes of one segment that random keys stand for, by its type."""
+    """Return the genes (p, size) of one segment that random keys (p, n), from 0 to 1, stand for.
+
+    A gene has one key, a category one for each of its choices, of which the largest wins. The
+    order of the keys gives a permutation; a subset has the members with the largest keys.
+    """
     match segment:
         case Bits():
             return keys > 0.5

@@ -166,7 +166,8 @@ class Empires:
         """Return the empires after those that have met were united.
 
         Two empires have met if their imperialists differ in at most a share of their genes, the
-        `distance`. The better imperialist rules both; the other becomes its colony.
+        `distance`. The better imperialist rules both; the other becomes its colony. `genes`
+        (p, size) and `cost` (p,) are those of all countries.
         """
         rulers = genes[self.imperialists]
         ruler_of = np.arange(len(rulers))  # who rules each empire now
@@ -289,7 +290,10 @@ class ImperialistCompetition(Solver):
 
     def _move(self, problem: Problem, genes: BoolArray, evaluation: Evaluation, world: Empires,
               rng: np.random.Generator) -> tuple[BoolArray, Evaluation]:
-        """Return genes and evaluation of all countries after the colonies have moved and revolted.
+        """Return genes (p, size) and evaluation of all countries after their colonies have changed.
+
+        Colonies move towards their imperialist, some of them revolt, and all are repaired and
+        evaluated again. Imperialists stay as they are.
         """
         o = self.options
         colonies = np.delete(np.arange(len(genes)), world.imperialists)
@@ -317,7 +321,8 @@ class ImperialistCompetition(Solver):
                                cost: FloatArray, world: Empires, first_empires: int) -> Generation:
         """Return a generation with the figures of the empires that its charts show.
 
-        There were `first_empires`; those that have vanished have no country.
+        `genes` (p, size), `evaluation` and `cost` (p,) are those of all countries. At first there
+        were `first_empires` empires; those that have vanished since have no country.
         """
         power = total_power(cost, world.empire, world.imperialists, self.options["alpha"])
         empire = world.names[world.empire]  # numbered as at first, whatever has vanished

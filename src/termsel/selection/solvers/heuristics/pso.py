@@ -148,7 +148,12 @@ _FOR_KEYS = {"inertia": 0.7298, "inertia_last": 0.7298, "cognition": 1.4962, "so
 def _next_velocities(parameters: Mapping[str, Any], index: int, velocity: FloatArray,
                      position: FloatArray, best_position: Genes, best_evaluation: Evaluation,
                      rng: np.random.Generator) -> FloatArray:
-    """Return the velocities of the next step, (p, size)."""
+    """Return the velocities of the next step, (p, size).
+
+    `index` is the number of the step; `parameters` are the options of the solver. `velocity` and
+    `position` are those of the particles now, `best_position` and `best_evaluation` the best that
+    each has been at, all (p, size) but the evaluation.
+    """
     share = min(index / parameters["iterations"], 1.0)
     # v <- w v + c1 r1 (own best - x) + c2 r2 (leader - x), with w from first to last.
     inertia = parameters["inertia"] + share * (parameters["inertia_last"] - parameters["inertia"])

@@ -70,9 +70,9 @@ def gap_to_optimum(problem: Problem, reached: float) -> dict[str, Any] | None:
 
 
 def _quick_optimum(problem: Problem) -> tuple[float, int, str] | None:
-    """Return the proven optimum, the number of subsets and their space in words.
+    """Return the least first objective, proven, the number of subsets, and their space in words.
 
-    None if a proof is not quick, or finds nothing feasible.
+    None if there are too many subsets or equations for a quick proof, or if none is feasible.
     """
     systems = problem.row_systems()
     if systems is not None:

@@ -157,10 +157,10 @@ def proof_generations(problem: Problem, systems: tuple[RowSystem, ...], workers:
 
 def quick_optimum(problem: Problem,
                   systems: tuple[RowSystem, ...]) -> tuple[float, int, str] | None:
-    """Return the proven optimum, the number of selections and their space in words.
+    """Return the least objective, proven, the number of selections, and their space in words.
 
-    None if a proof is not quick, or finds nothing feasible. Raises TermselError for too many
-    features.
+    None if there are too many selections for a quick proof, or if none is feasible. Raises
+    TermselError for too many features.
     """
     selections = selections_of(problem, systems)
     total = selections.count(selections.root)
@@ -230,7 +230,10 @@ class _Records:
                 of_size = of_size[:max(start, within_limit)]
 
     def take(self, genes: Genes, evaluation: Evaluation) -> None:
-        """Keep the feasible individuals that are better than the best of their size so far."""
+        """Record the feasible individuals that are better than the best of their size so far.
+
+        `genes` (p, size) are those that `evaluation` is of.
+        """
         sizes = self.problem.genome.chosen(genes).sum(axis=1)
         # From the best on: of each size only the first can be better than what is known.
         feasible = np.flatnonzero(evaluation.violation == 0)
