@@ -38,6 +38,7 @@ def explains_arguments(
         places. By default the arguments that have a place are named, and the others.
     """
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        """Return a function that refuses wrong arguments before it calls this one."""
         parameters = signature(function).parameters
         names = [name for name, parameter in parameters.items()
                  if parameter.kind is not Parameter.VAR_KEYWORD]
@@ -47,6 +48,7 @@ def explains_arguments(
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
+            """Call the function; raise TypeError for too many arguments, or one of another name."""
             if len(args) > len(placed):
                 count = count_in_words(len(placed), "argument")
                 message = f"{function.__name__}() takes {count} by position, not {len(args)}."

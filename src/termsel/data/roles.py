@@ -173,9 +173,11 @@ class Split:
 
     def roles(self, ids: tuple[str, ...], ground: FloatArray, shares: FloatArray,
               rng: np.random.Generator) -> tuple[str, ...]:
-        """Return a role for each point.
+        """Return a role for each of n points, which the split assigns.
 
-        Raises PluginFault, naming the plugin, if it assigns other than one role each.
+        `ground` (n, 3) are their places. `shares` (3,), whose sum is 1, are those of control, check
+        and independent points. Raises PluginFault, naming the plugin, if it assigns other than one
+        role each.
         """
         with attribute_errors_to(self.assign, "assign"):
             assigned = self.assign(ids, ground.copy(), shares.copy(), rng)
@@ -330,7 +332,7 @@ def assign_roles(
     crs: str = LOCAL,
     rng: np.random.Generator,
 ) -> tuple[str, ...]:
-    """Assign the roles control, check and independent to points, by their places on the ground.
+    """Return a role for each point, control, check or independent, by its place on the ground.
 
     `fractions` are the shares of control, check and independent points, of any sum. `lines` says
     whether lines are the control: the share of control points is 0 then. `crs` is that of the

@@ -267,6 +267,9 @@ def _affine_deviation(columns: FloatArray, image: FloatArray) -> float | None:
 def _may_be_clearly_better(columns: FloatArray, image: FloatArray, affine_sigma: float) -> bool:
     """Return False where no projection of points in front of the camera is clearly better.
 
+    `columns` (n, c) are those of the projection's numerators, `image` (n, 2) the measured positions
+    and `affine_sigma` the sigma0 of the affine model that it is compared with, in the same unit.
+
     Let p be the columns of a point, the first of them 1, with its image f, and let d be the
     denominator, a linear function of p. It is positive at each point and so in their centroid,
     where it is made 1. With the other columns centred and divided so that they are at most 1, let

@@ -184,7 +184,11 @@ def _transformation_of_gcps(key: str, xy: FloatArray, image: FloatArray,
 
 
 def _fit_similarity(xy: FloatArray, image: FloatArray) -> Transformation:
-    """Return the similarity that fits the ground to the image best on the ground, as in QGIS."""
+    """Return the similarity from ground to image with the least squares on the ground, as in QGIS.
+
+    `xy` (n, 2) are x and y of points, `image` (n, 2) their line and sample. The similarity maps
+    ground positions, of which only x and y count, to (m, 2) lines and samples.
+    """
     # A similarity is z -> a z + b of complex numbers. From image to ground, a = sum conj(p) g /
     # sum |p|^2 for positions p and g less their means fits best on the ground.
     plan = xy @ [1, 1j]

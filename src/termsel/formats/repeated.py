@@ -83,7 +83,11 @@ def average_repeated(ids: Sequence[str], image: FloatArray, ground: FloatArray,
 
 def _log_averaged_rows(ids: Sequence[str], image: FloatArray, means: FloatArray,
                        repeated: Sequence[Sequence[int]]) -> None:
-    """Log which rows were averaged, and their largest distance from their means."""
+    """Log which rows were averaged, and their largest distance from their means [px].
+
+    `image` and `means` (n, 2) are the measured and the averaged position of each row. Each of
+    `repeated` lists the indices of the rows of one point.
+    """
     distances = [float(np.linalg.norm(image[rows] - means[rows[0]], axis=1).max())
                  for rows in repeated]
     groups = [", ".join(ids[row] for row in rows) for rows in repeated[:MAX_GROUPS_NAMED]]

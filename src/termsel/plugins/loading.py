@@ -207,7 +207,7 @@ class Loader:
         points: list[EntryPoint] = []
         # Not entry_points(): one package with unreadable metadata would hide all plugins.
         for distribution in distributions():
-            of_plugins, fault = _points_of(distribution)
+            of_plugins, fault = _plugin_entry_points(distribution)
             if not of_plugins and not fault:
                 continue
             name = _name_of(distribution)
@@ -311,8 +311,12 @@ def _cache_key(plugin: Plugin) -> str:
     return f"{plugin.distribution}:{plugin.name}"
 
 
-def _points_of(distribution: Distribution) -> tuple[list[EntryPoint], str]:
-    """Return the entry points of a distribution's plugins, and a fault of its metadata, or ""."""
+def _plugin_entry_points(distribution: Distribution) -> tuple[list[EntryPoint], str]:
+    """Return the entry points of a distribution's plugins, and what is wrong with its metadata.
+
+    The second is a clause such as "its entry_points.txt cannot be read: ..."; "" if nothing is
+    wrong.
+    """
     points, reason = run_plugin_code(lambda: [
         point for point in distribution.entry_points.select(group=PROJECT) if point.module])
     if points is None:
@@ -456,7 +460,11 @@ def _guard_implementation(
     givers: _Givers,
     seconds: float | None,
 ) -> Callable[..., Any]:
-    """Return an implementation that never raises; what it returns is a list of things."""
+    """Return the implementation of a hook by one plugin, guarded so that it never raises.
+
+    It returns the list of things that `accept` takes of the plugin's answer, None for none. A fault
+    is noted in `answers`, and which plugin gave what in `givers`. The plugin has so many seconds.
+    """
     @wraps(implementation.function)
     def answer(*_args: Any, **_keywords: Any) -> list[Any] | None:
         """Return the things that one plugin gives for the hook, None for none; note its fault."""

@@ -376,9 +376,10 @@ def longitudes_and_latitudes_of(crs: str) -> Callable[[FloatArray], FloatArray] 
 
 @lru_cache  # PROJ takes milliseconds, and each step of a run asks
 def axes_of_degrees(crs: str) -> tuple[float, str]:
-    """Return the unit of longitude and latitude [deg], and the CRS with degrees in its place.
+    """Return how many degrees the unit of longitude and latitude is, and the CRS in degrees.
 
-    For a CRS in degrees these are 1 and the same CRS; without pyproj every CRS is taken as one.
+    Such a unit is the grad of old French maps, 0.9 degrees. For a CRS in degrees these are 1 and
+    the same CRS; without pyproj every CRS is taken as one in degrees.
     """
     parsed = None if crs in WGS84 else _with_pyproj(crs)
     if parsed is None:

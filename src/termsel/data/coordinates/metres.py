@@ -287,11 +287,12 @@ def _projection_on_datum_of(crs: str, conversion: Any, name: str) -> str:
 
 
 def is_polar(positions: FloatArray) -> bool:
-    """Return whether positions, as longitudes and latitudes [deg], lie around a pole.
+    """Return whether positions lie around a pole; their first columns are longitude and latitude.
 
-    They do if all are beyond `POLAR_LATITUDE` and their longitudes span more than `TURNING`, so
-    that degrees are no plane coordinates; or if some are beyond the zones of UTM, which end at 84 N
-    and 80 S. Positions on both sides of the equator do not.
+    The positions (n, 2 or more) are in degrees. They lie around a pole if all are beyond
+    `POLAR_LATITUDE` and their longitudes span more than `TURNING`, so that degrees are no plane
+    coordinates; or if some are beyond the zones of UTM, which end at 84 N and 80 S. Positions on
+    both sides of the equator do not.
     """
     lon = positions[:, 0]
     lat = positions[:, 1]

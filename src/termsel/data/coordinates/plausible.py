@@ -103,7 +103,11 @@ def _unit_of_heights(features: FeatureSet, stated: str | None) -> float:
 
 
 def _check_heights(heights: FloatArray, features: FeatureSet, stated_unit: str | None) -> None:
-    """Raise TermselError for heights beyond any ground; blank ones are NaN."""
+    """Raise TermselError for heights (m,) of vertices beyond any ground; blank ones are NaN.
+
+    On the Earth these are heights beyond `_HIGHEST`, and else beyond `_HIGHEST_OF_BODIES`.
+    `stated_unit` is that of the heights, None if the user states none.
+    """
     metres = heights * _unit_of_heights(features, stated_unit)
     on_earth = body_of(features.crs) == EARTH
     beyond = np.flatnonzero(np.abs(metres) > (_HIGHEST if on_earth else _HIGHEST_OF_BODIES))
@@ -161,6 +165,9 @@ def _note_on_depths(features: FeatureSet) -> str:
 
 def _check_distance(ground: FloatArray, features: FeatureSet, crs: str) -> None:
     """Raise TermselError for positions in a geocentric CRS that are far below or above the surface.
+
+    The positions (m, 3) are those of the vertices of the features, in metres from the centre of the
+    body.
     """
     distance = np.linalg.norm(ground, axis=1)
     radius = ellipsoid_of(crs)[0]
@@ -225,7 +232,10 @@ _FEW_OUTSIDE = 0.2
 
 def _hint_of_utm(xy: FloatArray, features: FeatureSet, zone: int, low: tuple[float, float],
                  high: tuple[float, float]) -> str:
-    """Return a sentence on the likely reason why coordinates (n, 2) are outside a zone of UTM."""
+    """Return a sentence on the likely reason why coordinates (n, 2) are outside a zone of UTM.
+
+    `low` and `high` are the least and largest easting and northing of the zone [m].
+    """
     is_outside = ((xy < low) | (xy > high)).any(axis=1)
     if is_outside.mean() <= _FEW_OUTSIDE:
         outside = len(np.unique(features.vertex_feature[is_outside]))

@@ -507,7 +507,7 @@ def _possible_readings(rows: Sequence[Sequence[str]], width: int, known_columns:
 
 
 def _without_scores(numbers: dict[int, FloatArray]) -> dict[int, FloatArray]:
-    """Return columns of numbers, by index, without scores from 0 to 1, residuals and the like.
+    """Return columns of numbers (n,), by index, without scores from 0 to 1, residuals and the like.
 
     Four columns or fewer come back as they are: they may all be coordinates. Of more, those go that
     lie within 0 and 1, as no heights do, and that the others do not explain, unless fewer than four

@@ -358,8 +358,9 @@ class Table:
                                          "are pixels, leave the unit out of the name.")
 
     def _with_sign_of_axis(self, numbers: FloatArray, meaning: str) -> FloatArray:
-        """Return angles that count west or south, by the name of their column, with a minus sign.
+        """Return the angles (n,) of a column that counts west or south, with a minus sign.
 
+        That it does so is in the name of the column, whose `meaning` is one of x or of y.
         Angles that are all negative already stay as they are, and so do numbers beyond 360, which
         are plane coordinates. Raises TermselError where only some angles are negative.
         """
@@ -418,7 +419,11 @@ _GROUND_UNIT = re.compile(r"(deg|degrees?|m|met(re|er)s?)", re.IGNORECASE)
 
 def sniff_table(path: Path, head: bytes, aliases: Aliases, columns: str = "",
                 required: Sequence[str] = ()) -> bool:
-    """Return True if a header names at least three columns of numbers, and all `required`."""
+    """Return whether a file is a table whose header names three columns of numbers or more.
+
+    `head` are the first bytes of the file and `columns` what the user says of the headings. The
+    header must name all meanings that are `required`, too.
+    """
     stated = parse_columns(columns)
     rows = first_rows(path, head, aliases, stated)
     if not rows:

@@ -218,7 +218,11 @@ class GeolocationVrt(GridWriter):
 
     def log_interpolation_error(self, fitted: Fit, image: FloatArray, ground: FloatArray,
                                 surface: Dem | float) -> None:
-        """Log how far GDAL's interpolation between the nodes of the array is from the model."""
+        """Log how far GDAL's interpolation between the nodes of the array is from the model.
+
+        `image` (rows, columns, 2) and `ground` (rows, columns, 3) are the positions of the nodes;
+        `surface` gives the heights between them, one for all if it is a number.
+        """
         # Longitudes that jump by a full turn between two nodes have no middle.
         ground = ground.copy()
         ground[..., 0] = nearest_longitudes(
