@@ -522,7 +522,10 @@ class Auto(Method):
         fewest = self.fewest(data)
 
         def fit_without(excluded: BoolArray) -> Fit | None:
-            """Return the fit of the method chosen without some features; None if too few remain."""
+            """Return the fit of the method chosen without some features; None if too few remain.
+
+            `excluded` (n,) marks the features left out.
+            """
             remaining = _features_without(data, excluded)
             choice = None
             if len(remaining) >= fewest:

@@ -299,8 +299,8 @@ def _majority_of_polynomials(control: FitData,
                              halves: Halves | None) -> tuple[BoolArray, Test] | None:
     """Return the points that agree with a polynomial, with all that they predict, and their test.
 
-    Returns None where the points that agree are no clear majority: they are too few, or the points
-    that disagree are no gross blunders.
+    The points are a mask (n,) of the control. Returns None where the points that agree are no clear
+    majority: they are too few, or the points that disagree are no gross blunders.
     """
     agreeing = find_majority(control, halves)
     if agreeing is None:
@@ -364,7 +364,7 @@ def agreement(control: FitData) -> BoolArray | None:
 
 def _judge_by_projection(control: FitData, auto: Auto,
                          used: BoolArray) -> tuple[BoolArray, Test] | None:
-    """Return the points in use and their test by a central projection or a known camera.
+    """Return the points in use (n,) and their test by a central projection or a known camera.
 
     Polynomials follow an oblique view so badly that their residuals hide blunders, and make sound
     points look like some. None where the method that is chosen for the points in use is neither.
@@ -488,7 +488,8 @@ def _contradicting_features(all_features: FitData, is_other: BoolArray,
                             used: BoolArray) -> Suspects | None:
     """Return which other features contradict the control, beginning with the features `used`.
 
-    None where even the core of all features is too small for a test.
+    `is_other` (n,) marks the features that are not control. None where even the core of all
+    features is too small for a test.
     """
     test_of_all = cache(Division(all_features, ~np.zeros_like(is_other)).shrunken_test)
     # Where those in use are too few for a test, the core of all features is.

@@ -412,8 +412,9 @@ def _likeliest_fit(data: FitData, likelihoods: Likelihoods, sets: Sequence[BoolA
                    of_polynomials: Majority | None) -> Majority | None:
     """Return the likeliest majority under the regularised polynomial, sought from each of the sets.
 
-    Where one polynomial of all points makes them about as likely, or no majority is likelier than
-    `of_polynomials`, that comes back.
+    Each set is a mask (n,) of the points that the search begins with. Where one polynomial of all
+    points makes them about as likely, or no majority is likelier than `of_polynomials`, that comes
+    back.
     """
     distances = likelihoods.distances * data.scaling.image_scale
     weights = weights_of(data.features.points)

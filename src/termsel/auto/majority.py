@@ -373,7 +373,8 @@ def _are_interleaved(ground: FloatArray, agreeing: BoolArray) -> bool:
     """Return whether points that disagree lie among those that agree, and not beside them.
 
     Most of them must have agreeing points in at least three of the four quadrants about them.
-    Returns False where no point disagrees.
+    `ground` (n, 3) are the places of all points, `agreeing` (n,) marks those that agree. Returns
+    False where no point disagrees.
     """
     contradicting = _rows_spread_over_table(ground[~agreeing, None, :2])
     if not len(contradicting):

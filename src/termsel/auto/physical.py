@@ -285,8 +285,9 @@ def _solutions_by_kind(points: Points, scaling: Scaling, crs: str, exponents: Ex
                        slopes: FloatArray) -> CameraSolutions | None:
     """Return the solutions with priors of the kinds of cameras that may have made the image.
 
-    Solutions whose evidence is negligible are left out. Returns None where none of the kinds can
-    have made the image.
+    `slopes` (2, 2) are the scaled line and sample (rows) by metre to the east and to the north
+    (columns). Solutions whose evidence is negligible are left out. Returns None where none of the
+    kinds can have made the image.
     """
     variables = 3 if any(power[2] for power in exponents) else 2
     pixel = 1.0 / scaling.image_scale

@@ -360,9 +360,9 @@ def _fill_errors_of_folds(rows: FloatArray, fold: IntArray, systems: FloatArray,
 def _reflect_rows(vectors: FloatArray, column: int, count: int) -> None:
     """Reflect vectors so that one of them ends at its diagonal entry: a Householder step.
 
-    The vector of the number `column` keeps the entries before the diagonal; the diagonal becomes
-    its remaining length, and what is after it has no meaning. The vectors after it, up to `count`,
-    are reflected with it.
+    The vectors are the rows of `vectors`, changed in place. The vector of the number `column` keeps
+    the entries before the diagonal; the diagonal becomes its remaining length, and what is after it
+    has no meaning. The vectors after it, up to `count`, are reflected with it.
     """
     # w becomes w - f (v'w) v, with f = 2 / v'v for the vector v to be mirrored at.
     v = vectors[column, column:]

@@ -189,7 +189,10 @@ class Control:
 
     @classmethod
     def of(cls, points: Points, pixel: float, prior: NoisePrior) -> Control | None:
-        """Return the control that points are; None where the points determine no affine map."""
+        """Return the control that scaled points are; None if they determine no affine map.
+
+        `pixel` is the scaled length of a pixel.
+        """
         monomials = evaluate_monomials(points.ground, EXPONENTS)
         affine = monomials[:, :AFFINE_COLUMNS]
         if np.linalg.matrix_rank(affine) < AFFINE_COLUMNS:
@@ -198,6 +201,7 @@ class Control:
         positions = affine @ to_image
         deviations = points.image - positions
         least = deviations - monomials @ np.linalg.lstsq(monomials, deviations)[0]
+        # Noises from far below the residuals of a full polynomial to all that is not affine.
         low = np.clip(0.03 * np.sqrt((least**2).mean()), LEAST_NOISE * pixel, 0.02 * pixel)
         high = max(LARGE_NOISE * pixel, float(np.sqrt((deviations**2).mean())))
         count = int(np.ceil(np.log(high / low) / NOISE_STEP)) + 1

@@ -445,9 +445,9 @@ def _halve_rows(positions: FloatArray, rows: IntArray, most: int) -> list[IntArr
 def _groups_around(positions: FloatArray, centre: FloatArray, reach: float) -> list[IntArray]:
     """Return rows in MISFIT_MAX_POINTS groups, cut in halves the finer the nearer to a centre.
 
-    The next group to be cut is the one that is seen under the largest angle from the centre. Within
-    the `reach` of the centre distances do not count, and the largest group is cut: everywhere, if
-    the reach is infinite.
+    A group lists the indices of its rows among the `positions` (n, 2). The next group to be cut is
+    the one that is seen under the largest angle from the centre. Within the `reach` of the centre
+    distances do not count, and the largest group is cut: everywhere, if the reach is infinite.
     """
     def entry(rows: IntArray) -> tuple[float, int, IntArray]:
         extent = float(np.ptp(positions[rows], axis=0).max())
@@ -499,7 +499,11 @@ def _variation_within_groups(positions: FloatArray, deviations: FloatArray,
 
 
 def _means_of(control: System, groups: list[IntArray]) -> System:
-    """Return the control with each group as one point: the weighted mean of its measurements."""
+    """Return the control with each group as one point: the weighted mean of its measurements.
+
+    A group lists the indices of its rows. The relative variance of a mean is 1 over the sum of the
+    weights, the inverse relative variances of its rows.
+    """
     group_of = np.empty(len(control.positions), dtype=np.intp)
     for number, rows in enumerate(groups):
         group_of[rows] = number

@@ -209,7 +209,11 @@ def share_left(fitted: Fit, ground: FloatArray) -> float:
 
 def _variance_gains(factors: FloatArray, remaining: FloatArray, scene_products: FloatArray,
                     noise: FloatArray) -> FloatArray:
-    """Return by how much a measurement at each candidate lessens the mean variance, shape (c,)."""
+    """Return by how much a measurement at each candidate lessens the mean variance, shape (c,).
+
+    `factors` (c, 2, d) are F of each candidate, `remaining` (d, d) is R, `scene_products` (d, d) is
+    G, as in `rank_places`; `noise` (2,) are the variances of a measured line and sample.
+    """
     # With the covariance M = F R F' + s of a measurement, the mean variance falls by
     # tr(M^-1 F R G R F'). Both axes of all candidates are rows of one product, which BLAS takes
     # at once; as c products of two rows it takes ten times as long.

@@ -160,7 +160,7 @@ def recognise_part(predicted: FloatArray, measured: FloatArray) -> ImagePart | N
 
 
 def _ratio_of_distances(predicted: FloatArray, measured: FloatArray) -> float:
-    """Return the median ratio of distances between points, predicted by measured.
+    """Return the median ratio of distances between points (n, 2), predicted by measured.
 
     Of many points _MAX_PAIRED_POINTS are paired. It is 1 where all were measured at one place.
     """

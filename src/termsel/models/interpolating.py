@@ -35,9 +35,10 @@ class Interpolating(Polynomial):
 
     def predict(self, coefficients: FloatArray, control: FeatureSet,
                 ground: FloatArray) -> FloatArray:
-        """Return image positions by the control points (see `SensorModel.predict`).
+        """Return image positions (..., m, 2) of ground positions (m, 3) by the control points.
 
-        Where these determine no interpolation, positions are those of the terms.
+        They are the same for all of the coefficients (..., k), which count only where the points
+        determine no interpolation: there positions are those of the terms.
         """
         interpolation = self.interpolation(control)
         if interpolation is None:

@@ -257,11 +257,12 @@ class RationalModel(SensorModel):
         return False
 
     def linearised(self, features: FeatureSet, coefficients: FloatArray) -> Equations | None:
-        """Return the equations of points and lines about a solution (Gauss-Newton), or None.
+        """Return the equations of points and lines about the `coefficients` (k,) of a solution.
 
-        There are such equations for lines with separate denominators, and for all features of a
-        model that is `weighted`. In all other cases None keeps the linear equations that the
-        literature solves: points alone, and lines with polynomials or a shared denominator.
+        They are those of one step of Gauss-Newton. There are such equations for lines with separate
+        denominators, and for all features of a model that is `weighted`. In all other cases None
+        keeps the linear equations that the literature solves: points alone, and lines with
+        polynomials or a shared denominator.
         """
         if not self.weighted and (not len(features.lines) or self.exact_for_lines):
             return None
