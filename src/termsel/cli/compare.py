@@ -178,7 +178,7 @@ def _several_files_error(files: tuple[Path, ...]) -> TermselError:
 
 def _study_asked_for(files: tuple[Path, ...], options: dict[str, Any]) -> tuple[Path | None,
                                                                                 dict[str, Any]]:
-    """Return the study file and {}, or None and the options as the keys of a study.
+    """Return the study file and {}, or None and the keys of a study that the options stand for.
 
     Raises TermselError if both or neither are given, and for several study files.
     """

@@ -79,7 +79,10 @@ def _is_study(folder: Path) -> bool:
 
 
 def _require_page(output: Path, folder: Path, image: str | None, *, overwrite: bool) -> None:
-    """Raise TermselError if a page cannot be written here, or would replace what it is made of."""
+    """Raise TermselError if a page cannot be written here, or would replace what it is made of.
+
+    It is made of the files of the run or study in `folder`, and of the `image`, if there is one.
+    """
     from termsel.core.files.names import JOURNAL
     from termsel.io.replacing import require_replaceable
     from termsel.studies.cells.folder import PLAN

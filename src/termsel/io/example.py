@@ -162,7 +162,10 @@ def _write_matches(folder: Path, to_map: Callable[[FloatArray], FloatArray]) -> 
 
 
 def _write_ortho(path: Path, to_map: Callable[[FloatArray], FloatArray]) -> tuple[float, float]:
-    """Write a map of the board with some ground around it; return its west and north edge [m]."""
+    """Write a map of the board with some ground around it; return its west and north edge [m].
+
+    `to_map` takes ground positions to east and north on the map (n, 2 or 3).
+    """
     to_ground = transformation_between(MAP_CRS, CRS)
     east, north, _ = np.array(to_map(ground_of_corners())).T
     west = np.floor(east.min() / GSD) * GSD - 200.0  # m

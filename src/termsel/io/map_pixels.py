@@ -346,13 +346,17 @@ def _interpolate_tile(raster: Any, spec: MapPixels, positions: FloatArray) -> tu
 
 
 def _window_of(raster: Any, spec: MapPixels, positions: FloatArray) -> Any:
-    """Return the window of an image that resampling at positions needs; None if all are outside."""
+    """Return the window of an image that resampling at positions needs; None if all are outside.
+
+    `positions` (..., 2) are line and sample.
+    """
     from rasterio.windows import Window
 
     lines, samples = raster.shape
     low, high = extent_of_positions(positions, lines, samples)
     if not (low <= high).all():
         return None
+    # A kernel reaches beyond the position that it is for.
     margin = np.ceil(reach(spec.resampling, positions)).astype(int)
     first = np.maximum(np.floor(low).astype(int) - margin, 0)
     last = np.minimum(np.ceil(high).astype(int) + margin + 1, [lines, samples])

@@ -121,7 +121,11 @@ class MapPositions:
 
     def _interpolate_positions(self, shape: tuple[int, int], transform: Any, heights: FloatArray,
                                levels: FloatArray, step: int) -> FloatArray:
-        """Return positions between nodes, (lines, samples, 2), at the heights of the pixels."""
+        """Return the line and sample in the image of the pixels of a tile, (lines, samples, 2).
+
+        They are computed at nodes, every `step` pixels, at each of the `levels` of height, and
+        interpolated at the `heights` (lines, samples) of the pixels.
+        """
         nodes, size = _node_positions(shape, step)
         plan = self._ground_of_pixels(nodes, transform)
         at_levels = np.stack(

@@ -56,13 +56,13 @@ def project_table(
     columns: str = "",
     layer: str | None = None,
 ) -> tuple[str, list[str]]:
-    """Return points with image and ground coordinates as CSV, and warnings.
+    """Return a CSV of points with both their image and ground coordinates, and warnings.
 
-    The table has x, y and, for models with height, z, or is a vector file of points; blank and
-    missing heights are those of the raster `dem` or the one `height`. With `inverse`, from the
-    image to the ground, it has line and sample, and `dem` or `height` is the ground, or else the
-    heights z of the table; models without height need none of them. `layer` names a layer of a
-    vector file or a sheet of a spreadsheet.
+    The table at `path` has x, y and, for models with height, z, or is a vector file of points;
+    blank and missing heights are those of the raster `dem` or the one `height`. With `inverse`,
+    from the image to the ground, it has line and sample, and `dem` or `height` is the ground, or
+    else the heights z of the table; models without height need none of them. `layer` names a layer
+    of a vector file or a sheet of a spreadsheet.
 
     The CSV is headed id,line,sample,x,y,z,uncertainty_line,uncertainty_sample,outside: standard
     deviations of what the model predicts (`termsel.Fit.sigma`), and how far a place is outside the

@@ -201,7 +201,11 @@ def _has_names(table: TableBlock, column: int) -> bool:
 
 
 def _row_html(table: TableBlock, i: int, classes: Sequence[str], is_listed: bool) -> str:
-    """Return a row of a table: its head, which may be a button that picks it, and its cells."""
+    """Return row i of a table as HTML: its head, which may be a button that picks it, and cells.
+
+    `classes` are those of the columns; with `is_listed` each cell names its column, for narrow
+    screens, which show rows as lists.
+    """
     name, *texts = map(_escape_html, table.rows[i])
     attributes = ' class="marked"' if i == table.marked else ""
     if table.choice:

@@ -396,6 +396,7 @@ class Result(Glance, Record, frozen=True, kw_only=True, eq=False, dict=True, wea
         return next_step_for_user(self, str(folder), again)
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
+        """Return a title and the rows, by their heads, by which a result shows itself."""
         counts = self.data.counts
         features = [count_in_words(n, noun) for n, noun in (
             (counts.control, "control point"), (counts.lines, "control line"),

@@ -87,10 +87,9 @@ def label_of(name: str) -> str:
 
 
 def fits_of(record: Record) -> Iterator[tuple[str, bool, int, RmseByRole]]:
-    """Yield the label and figures of this result, then those of all fits without a search.
+    """Yield label, whether also fitted to selection points, number of terms, and RMSE by role.
 
-    The figures are whether the fit was also made to the selection points, its number of terms, and
-    its RMSE by role.
+    First come those of the result itself, then those of each fit that it is compared with.
     """
     # The strategy auto fits to control and check points together, a search to control alone.
     yield THIS, bool(record.strategy), record.selection.n_terms, record.rmse

@@ -422,7 +422,12 @@ def _no_choice_error(auto: Auto, data: FitData) -> TermselError:
 
 def _strategy_record(choice: Choice, errors: FloatArray | None, predicted: Predicted | None,
                      data: FitData, clean: Observations, rpc_unused: str) -> Strategy:
-    """Return the record of a choice; `errors` are those held out [px], None without any."""
+    """Return the record of a choice among methods.
+
+    `errors` (n, 2) are those of the features held out [px], and `predicted` is the RMSE that they
+    predict; either is None if it is not known. `clean` are the observations without blunders, and
+    `rpc_unused` says why an RPC was not used; "" if it was, or if there is none.
+    """
     held_out = None
     if errors is not None:
         # Between the lines of a lattice the predicted figure is that of the interval's middle.

@@ -147,10 +147,10 @@ def objectives_of(names_listed: str | None, criterion: Criterion) -> tuple[Objec
 # Features without a height among others that have one: left out of models that use heights.
 
 def to_leave_out(features: FeatureSet) -> tuple[str, ...]:
-    """Return the features without a height, where a model that uses heights is still possible.
+    """Return the ids of features without a height, if a model of heights is possible without them.
 
-    None where all have heights, most have none, or heights show nothing. Those that are off take no
-    part.
+    Empty if all features have heights, if most have none, or if the image shows no effect of the
+    heights. Features that are off take no part, and independent points do not decide.
     """
     off = {name for name, role in zip(features.points.ids, features.points.roles, strict=True)
            if role == "off"}

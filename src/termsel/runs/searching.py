@@ -112,7 +112,11 @@ class Search(TaskMethod):
         return held_out_by_refits(self.fit, fitted.control, heights=fitted.model.uses_height)
 
     def find(self, task: Task, memory: Memory) -> tuple[Request, Finding]:
-        """Return what a search finds of a prepared task, or of a problem of one's own."""
+        """Return the request that was searched, and what the search found.
+
+        What is searched is `task` or, where this search has a problem or settings of its own, a
+        task of these with the features of `task`.
+        """
         if self.problem is not None or self.settings:
             task = self._with_own_problem(task)
         # The outlier test comes before the search, which may leave blunders out.
@@ -376,7 +380,10 @@ def _proofs_by_size(task: Task, search: SearchResult) -> list[SizeProof]:
 
 
 def _front_member(task: Task, genes: Genes) -> Member:
-    """Return the member of a front, with its RMSE on all roles."""
+    """Return the record of a member of a front, given its genes (size,): objectives and RMSEs.
+
+    The selection is fitted anew, and the RMSE is that of the points of each role.
+    """
     observations = task.observations
     selection = task.problem.decode(genes)
     member = fit_of(task, selection)

@@ -364,9 +364,10 @@ def prepare(
 def find_features(features: Any, source: str | None, crs: CrsLike | None,
                   columns: str | Mapping[str, Any] | None, rpc: Rpc | Path | str | None = None,
                   ) -> tuple[FeatureSet | None, str | None]:
-    """Return the features given or read, with their RPC, and their source; None without features.
+    """Return the features given or read, with their RPC, and the name of where they come from.
 
-    Raises TermselError if only crs, columns or rpc are given.
+    That name is `source`, or else the file; it is None if neither is known. The features are None
+    if none are given. Raises TermselError if only crs, columns or rpc are given.
     """
     if features is None:
         if crs is not None or columns is not None or rpc is not None:

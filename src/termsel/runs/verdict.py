@@ -355,7 +355,10 @@ def _contradicting_known_image(fitted: Fit, points: Points, heights: bool,
 
 def _sorted_outliers(features: FeatureSet, roles: dict[str, Role],
                      suspects: Suspects) -> tuple[Outlier, ...]:
-    """Return the outliers among features, the largest error first; none is excluded."""
+    """Return the suspects among features as outliers of the record, the largest error first.
+
+    `roles` gives the role of each feature by its id. No outlier is marked as excluded.
+    """
     lines = frozenset(features.lines.features)
     is_outlier = suspects.blunders | suspects.undecided
     outliers = []

@@ -27,13 +27,12 @@ FEATURES = "features"
 
 def search_without_blunders(task: Task, auto: Auto, verdict: Verdict | None = None,
                             **how: Any) -> tuple[Task, SearchResult]:
-    """Search a task's problem, without blunders where its option "blunders" says so.
+    """Return the task that was searched, and its search with the recommended member selected.
 
-    They can neither be selected, unless the user forces them on, nor judge. Where no selection
-    without them satisfies all conditions, the search is made with them. `verdict` is that of
-    `judge_features`; `how` are arguments of `termsel.search`.
-
-    The task that was searched is returned, and the search with its recommended member selected.
+    Where the task's option "blunders" says so, blunders can neither be selected, unless the user
+    forces them on, nor judge. Where no selection without them satisfies all conditions, the search
+    is made with them. `verdict` is that of `judge_features`, which is asked if it is None; `how`
+    are arguments of `termsel.search`.
     """
     remaining: Task | None = task
     if task.options["problem"].get("blunders") == "leave-out":

@@ -337,7 +337,11 @@ def _plugin_versions(cells: list[Cell], spec: Spec) -> dict[str, str]:
 
 def _run_cells(cells: list[Cell], stopped: Callable[[], bool], workers: int,
                scheduler: str | None, plugins: Mapping[str, str]) -> Iterator[Outcome]:
-    """Yield the outcomes of cells as they end, by the executor that is asked for."""
+    """Yield the outcomes of cells as they end, by the executor that is asked for.
+
+    Cells whose features could not be read fail first. `scheduler` is the address of a cluster; None
+    runs the cells in `workers` processes of this machine. `stopped` says whether to begin no more.
+    """
     for cell in cells:
         if cell.data.features is None:
             yield failed_outcome(cell.key, cell.data.reason)

@@ -123,6 +123,7 @@ class Study(Glance):
         return value_of_slot("study-map", "maps of studies require")(self)
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
+        """Return a title and the rows, by their heads, by which a study shows itself."""
         spec = self.spec
         kinds = {"problems": spec.problems, "models": spec.models, "criteria": spec.criteria,
                  "solvers": spec.solvers}

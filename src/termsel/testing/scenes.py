@@ -63,7 +63,7 @@ def imaged_features(model: SensorModel, coefficients: FloatArray, rng: np.random
                     points: int = 0, lines: int = 0) -> FeatureSet:
     """Return control whose image coordinates the model computes itself, in scaled coordinates.
 
-    `points` and `lines` are how many there are of each.
+    The model has the `coefficients` (k,). `points` and `lines` are how many there are of each.
     """
     ground = random_ground(rng, points)
     middle = rng.uniform(-0.7, 0.7, (lines, 1, 3))
@@ -73,17 +73,20 @@ def imaged_features(model: SensorModel, coefficients: FloatArray, rng: np.random
     ends = model.project(coefficients, vertices.reshape(-1, 3)).reshape(-1, 2, 2)
     # The ground vertices of a line lie on the image line, but the image points that define it are
     # elsewhere along it.
-    positions = np.array([-0.3, 1.4])[None, :, None] * (ends[:, 1:] - ends[:, :1])
-    return FeatureSet(
-        Points(numbered_names("p", points), model.project(coefficients, ground), ground)
-        if points else empty_points(),
-        Lines(numbered_names("l", lines), ends[:, :1] + positions,
-              vertices) if lines else empty_lines())
+    offsets = np.array([-0.3, 1.4])[None, :, None] * (ends[:, 1:] - ends[:, :1])
+    control_points = empty_points()
+    if points:
+        image = model.project(coefficients, ground)
+        control_points = Points(numbered_names("p", points), image, ground)
+    control_lines = empty_lines()
+    if lines:
+        control_lines = Lines(numbered_names("l", lines), ends[:, :1] + offsets, vertices)
+    return FeatureSet(control_points, control_lines)
 
 
 def make_experiment(model: SensorModel, points: int, lines: int, shrink: float = 1.0,
                     ) -> tuple[FeatureSet, FloatArray, FloatArray]:
-    """Return features, the coefficients they were computed with, and other ground points.
+    """Return features, the coefficients (k,) they were computed with, and other places (50, 3).
 
     `points` and `lines` are 1 or 0, whether there are any; there are enough of either to determine
     all terms twice over. Random coefficients are multiplied by `shrink`.

@@ -102,7 +102,7 @@ def _median_rmse(rows: Sequence[Mapping[str, Any]]) -> float:
 
 def _verdict_on_image(
         row: Mapping[str, Any], accept: Accept | None, usual: float) -> tuple[str, str]:
-    """Return the verdict on an image of a batch, and its reason.
+    """Return the verdict on an image of a batch, such as `FIT` or `DOUBTFUL`, and its reason.
 
     `row` is the image's row in the table, `accept` is the RMSE that the user asks for, and `usual`
     is the median RMSE of the batch [px]. An image is doubtful where the interval of its RMSE spans

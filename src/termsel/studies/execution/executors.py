@@ -71,7 +71,11 @@ def run_serially(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop
 
 def run_in_processes(cells: Sequence[Cell], features: Mapping[str, FeatureSet], stop: Stop,
                      workers: int) -> Iterator[Outcome]:
-    """Yield the outcomes of cells, run in processes of this machine, as they end."""
+    """Yield the outcomes of cells, run in `workers` processes of this machine, as they end.
+
+    `features` are those of the data by the key that a cell names. Once `stop()` is true no further
+    cell begins. A cell that makes its process die fails; the others are run again.
+    """
     waiting = deque(cells)
     while waiting and not stop():
         suspects: list[Cell] = []
@@ -89,7 +93,11 @@ def run_in_processes(cells: Sequence[Cell], features: Mapping[str, FeatureSet], 
 
 def _run_in_pool(waiting: deque[Cell], features: Mapping[str, FeatureSet], stop: Stop, workers: int,
                  suspects: list[Cell]) -> Iterator[Outcome]:
-    """Yield outcomes until all are done or a process dies; say which cells were under way then."""
+    """Yield the outcomes of cells as they end, until all are done or a process dies.
+
+    Cells are taken from `waiting` as they begin. Those under way when a process died are appended
+    to `suspects`.
+    """
     running: dict[Future[Outcome], Cell] = {}
     with safe_start():  # its locks have a process of their own
         # The environment may have changed since the process that workers are forked from began;

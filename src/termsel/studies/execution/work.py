@@ -205,7 +205,7 @@ def _search_as_asked(cell: Cell, features: FeatureSet, trace: _Trace) -> tuple[
 
 
 def _member_objectives(task: Task, genes: BoolArray) -> list[float]:
-    """Return the objectives of a member of a front, given its genes.
+    """Return the objectives of a member of a front, given its genes (size,).
 
     Of a problem with a single objective the second one is the number of features or terms that the
     member selects, as the recipe says.

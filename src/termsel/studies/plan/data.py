@@ -279,7 +279,11 @@ def _options_by_part(
 
 def _read_image(source: Source, files: Mapping[str, str], folder: Path, part_name: str,
                 options: Mapping[str, Any]) -> Data:
-    """Return the data of files of one image, or why they cannot be read."""
+    """Return the features of one image's files as data of a study, or why they cannot be read.
+
+    `files` are names in `folder`, by what they are, such as "points" or "lines"; `part_name` is the
+    name of a part of them, "" for all. `options` go before those of the source.
+    """
     label = " + ".join(dict.fromkeys(files.values()))
     if part_name:
         label = f"{label}#{part_name}"
