@@ -175,6 +175,7 @@ def _approximate_image(features: FeatureSet, heights: bool) -> FloatArray:
     lines = features.lines
     degree = 2 if len(features) >= QUADRATIC_FEATURES else 1
     normal, rho = line_normals(lines)
+    # Both vertices of a line have its normal.
     normal = np.repeat(normal, 2, axis=0)
     rho = np.repeat(rho, 2)
     of_vertices = monomials(lines.ground.reshape(-1, 3), degree)

@@ -12,7 +12,7 @@ from termsel.adjustment.numba_settings import import_numba
 
 
 def _fused_intrinsic() -> Any:
-    """Return code for kernels that is called as fused(a, b, c)."""
+    """Return an intrinsic of numba: compiled code calls it as fused(a, b, c), for a b + c."""
     import_numba()
     import numba
     from numba.extending import intrinsic
@@ -22,6 +22,7 @@ def _fused_intrinsic() -> Any:
     def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
         return builder.fma(*args)
 
+    # numba asks this function for the types alone; `generate` writes the code.
     def fused(_context: Any, a: Any, b: Any, c: Any) -> Any:
         del a, b, c
         return number(number, number, number), generate

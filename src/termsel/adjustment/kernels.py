@@ -71,8 +71,8 @@ _compiled = partial(compile_lazily, _nrt=False)
 
 @_compiled
 def _dot_product(u: FloatArray, v: FloatArray) -> float:
-    """Return a scalar product in four sums; in a single one each addition would wait for the one
-    before."""
+    """Return the scalar product of two vectors (n,)."""
+    # In four sums: in a single one each addition would wait for the one before.
     a = b = c = d = 0.0
     quarter = len(v) // 4
     for i in range(quarter):
@@ -299,6 +299,7 @@ def _reduce_to_triangle(source: FloatArray) -> FloatArray:
            terms=np.ones((1, k), dtype=bool), features=np.ones((1, 1), dtype=bool), tolerance=-1.0,
            longest=0.0, coefficients=np.empty((1, k)), violation=np.empty(1, dtype=np.intp))
     triangle = np.zeros((min(m, k), k + 2))
+    # Below the diagonal the panels still have what reflections left there.
     by_rows = panels.transpose(1, 0, 2).reshape(panels.shape[1], panels.shape[0] * LANES)
     triangle[:, :k + 1] = np.triu(by_rows[:len(triangle), :k + 1])
     return triangle

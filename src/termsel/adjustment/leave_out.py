@@ -327,6 +327,7 @@ def solve_parts(parts: tuple[IndependentPart, ...], terms: BoolArray, features: 
     """
     coefficients = np.zeros(terms.shape)
     undetermined_terms = np.zeros(len(terms))
+    # Parts share no coefficient: each is an adjustment of its own.
     for part in parts:
         if near is None or features is None:
             solution, undetermined = solve_many(part.equations, terms[:, part.columns], features)

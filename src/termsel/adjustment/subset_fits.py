@@ -36,6 +36,7 @@ def squared_distances_from_fits(design: FloatArray, image: FloatArray,
     _fill_squares(np.ascontiguousarray(design), np.ascontiguousarray(image), sets,
                   np.empty((k, k)), np.empty((2, k)), np.empty((2, k)), np.empty((n, 2)), squares,
                   pivots)
+    # Normal equations square the condition: sets that are nearly dependent are solved by SVD.
     for number in np.flatnonzero(~(pivots > LEAST_PIVOT)):
         used = sets[number]
         coefficients = np.linalg.lstsq(design[used], image[used])[0]
@@ -104,6 +105,7 @@ def _factor(matrix: FloatArray) -> float:
             if j < i:
                 matrix[i, j] = entry / matrix[j, j]
             else:
+                # Negated, so that NaN, the root of a negative pivot, is taken as well.
                 least = entry / diagonal if not entry / diagonal >= least else least
                 matrix[i, i] = np.sqrt(entry)
     return least

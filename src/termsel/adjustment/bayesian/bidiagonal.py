@@ -47,9 +47,13 @@ class Bidiagonal:
 
 
 def bidiagonal_forms(matrix: FloatArray, scales: FloatArray) -> Bidiagonal:
-    """Return the bidiagonal forms of a matrix (m, k), m <= k, whose columns have scales (g, k)."""
+    """Return the bidiagonal forms of a matrix (m, k), m <= k, under several scales of its columns.
+
+    There is one form for each row of `scales` (g, k), by which the columns are multiplied.
+    """
     m = len(matrix)
     count = len(scales)
+    # The forms lie side by side, last, so that each step is one loop over all of them.
     matrices = np.multiply(matrix[:, :, None], scales.T, order="C")
     rotation = np.zeros((m, m, count))
     rotation[np.arange(m), np.arange(m)] = 1.0

@@ -415,6 +415,7 @@ def _fill_radar_views(flights: _Flights, places: FloatArray, time: FloatArray,
         for m in range(time.shape[1]):
             x, y, z = _sight(flights, c, places, m, time[c, m])
             distance = np.sqrt(x * x + y * y + z * z)
+            # Doppler is the derivative of the range by time, here by a forward difference.
             x, y, z = _sight(flights, c, places, m, time[c, m] + FIRST_STEP)
             later = np.sqrt(x * x + y * y + z * z)
             views[0, c, m] = (later - distance) / FIRST_STEP / orbit_radius[c]

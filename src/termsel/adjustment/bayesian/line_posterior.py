@@ -294,6 +294,7 @@ def _features_by_row_count(feature: IntArray) -> list[tuple[IntArray, IntArray]]
     `feature` (m,) is the feature of each row.
     """
     row_counts = np.bincount(feature)
+    # The rows sorted by feature: those of feature i are order[starts[i]:starts[i] + its count].
     order = np.argsort(feature, kind="stable")
     starts = np.cumsum(row_counts) - row_counts
     groups = []

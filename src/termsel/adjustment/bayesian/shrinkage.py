@@ -205,6 +205,8 @@ class Shrinkage:
         design = self._design
         residuals = self._solutions.residuals(design.basis.T @ target)
         unexplained = design.unexplained_part(target)
+        # x = T X'v, with the residuals v and the prior covariance T of the coefficients, relative
+        # to the variance of the noise.
         coefficients = (residuals @ design.shrunken) * self._squared_scales
         return AxisSolutions(
             solution_of_cell, design.explained.shape[1] - self._solutions.traces, coefficients,

@@ -107,6 +107,8 @@ class ThinPlates:
         positions = ground[:, :2] * self.units
         for axis, (smoothing, spline, w) in enumerate(zip(
                 self.smoothing, self.splines, weights_of(self.points).T, strict=True)):
+            # y'M y / (n - f), with M the inverse covariance without what is affine: M y are the
+            # weights of the kernels.
             field_variance = float(spline.weights @ (self.points.image[:, axis] * w)) / (n - f)
             relative_variance = self.field_columns.variance(
                 positions, columns, point_columns, self._positions, smoothing, w
@@ -208,6 +210,7 @@ def _eigenvectors_of_splines(lead: FloatArray, positions: FloatArray, weights: F
     if n < f + 2:
         return None
     q = np.linalg.qr(lead)[0]
+    # A point of leverage 1 - the row of q has the length 1 - is indispensable.
     if (np.linalg.matrix_rank(lead, TOLERANCE) < f
             or (1.0 - (q**2).sum(axis=1)).min() < TOLERANCE):
         return None

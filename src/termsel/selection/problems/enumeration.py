@@ -102,7 +102,11 @@ def _cost_by_size(scores: FloatArray, cost: Callable[[FloatArray], FloatArray], 
 
 
 def _refuse_other_errors(inputs: ProblemData) -> None:
-    """Refuse scores of control rows where a row's error is not that of its point [px]."""
+    """Raise TermselError where a score of held-out rows is not that of the held-out points [px].
+
+    That is so of "press" and "kfold" where standard deviations weight the rows, and where the model
+    corrects its predictions by the control.
+    """
     name = inputs.criterion.name
     points = inputs.control.points
     if inputs.criterion.subset_score not in ("press", "kfold"):

@@ -70,6 +70,7 @@ class ParameterProblem(Problem):
         segments: list[AnySegment] = [segment_of(options[name]) for name in self.parameters]
         if terms:
             segments = [*base.genome.segments, *segments]
+        # Genes of terms come first, those of the parameters after them.
         self._n_terms = base.genome.size if terms else 0
         self.genome = Genome(
             segments, on=select(base.genome.labels, base.genome.on) if terms else (),

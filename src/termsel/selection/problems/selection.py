@@ -170,6 +170,7 @@ class SelectionProblem(Problem):
             raise TermselError(f"model {model.name!r} with other options has other terms, so they "
                                "cannot be selected at the same time",
                                hint="Choose a problem that searches these options alone.")
+        # Genome and guard points depend on terms and features alone, and are shared.
         problem = copy(self)
         problem.inputs = replace(self.inputs, model=model)
         problem.equations = first_order_equations(model, self.inputs.control)

@@ -39,6 +39,7 @@ class _Silence:
         """Say it once in the log, and again and again in the progress, until it is over."""
         logged = False
         while not self.over.wait(_LOOK_SECONDS):
+            # Evaluations are a sign of life, too, even where nothing is yielded.
             if self.ledger.count != self.count or not self.running:
                 self.heard()
             if (quiet := time.perf_counter() - self.since) < SILENT_SECONDS:

@@ -353,7 +353,11 @@ def count(problem: Problem, max_terms: int | None = None) -> int:
 
 def space_of(problem: Problem, subproblems: tuple[EnumerablePart, ...],
              max_terms: int | None) -> str:
-    """Return the space of a proof in words, such as "all selections of up to 12 terms an axis"."""
+    """Return the selections that a proof is of, in words.
+
+    They are such as "selections of up to 12 terms per coordinate", where line and sample are
+    `subproblems` of their own, or `ALL`. `max_terms` is the option of the solver, None without it.
+    """
     limits = {limits_of(problem, subproblem, max_terms)[1] for subproblem in subproblems}
     most_free = max(int(problem.genome.free[subproblem.genes].sum()) for subproblem in subproblems)
     if min(limits) >= most_free:
