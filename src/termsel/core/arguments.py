@@ -42,6 +42,7 @@ def explains_arguments(
         parameters = signature(function).parameters
         names = [name for name, parameter in parameters.items()
                  if parameter.kind is not Parameter.VAR_KEYWORD]
+        # A function with **kwargs has names of its own choice, which only it can refuse.
         takes_any = len(names) < len(parameters)
         placed = [name for name in names
                   if parameters[name].kind is Parameter.POSITIONAL_OR_KEYWORD]

@@ -85,6 +85,7 @@ class TermselError(Exception):
         self.ids = tuple(ids)
         self.name = name
         self.code = code
+        # Who finds out more while the error is on its way adds it to these.
         self.options: dict[str, str] = {}
         self.guesses: list[str] = []
         self.first_points: list[str] = []

@@ -102,6 +102,7 @@ class Points(Tabular):
         check_places(self.ground[in_use], select(self.ids, in_use))
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
+        """Return a title and the rows, by their heads, by which points show themselves."""
         roles = Counter(role or "no role" for role in self.roles)
         return f"Points: {len(self)}", {
             "ids": ", ".join(self.ids[:5]) + (", ..." if len(self) > 5 else ""),
@@ -173,6 +174,7 @@ class Lines(Tabular):
         check_segments(self.ground, self.ids)
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
+        """Return a title and the rows, by their heads, by which lines show themselves."""
         return f"Lines: {len(self)}", {
             "ids": ", ".join(self.features[:5]) + (", ..." if len(self.features) > 5 else "")}
 
@@ -314,6 +316,7 @@ class FeatureSet(Glance):
         return len(self.points) + len(self.lines.features)
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
+        """Return a title and the rows, by their heads, by which features show themselves."""
         roles = Counter(role or "no role" for role in self.points.roles)
         size = self.image_size
         return (f"FeatureSet: {count_in_words(len(self.points), 'point')}, "

@@ -81,6 +81,7 @@ def are_remaining_makers(rpc: Rpc, features: FeatureSet) -> bool:
     digests = {digest for pair in _vertex_digests(features) for digest in pair}
     if min(digests, default="") <= largest:
         return False
+    # Digests are numbers of _DIGEST_BYTES bytes, written in hexadecimal digits of one length.
     share = int(largest, 16) / 256.0**_DIGEST_BYTES
     return bool((1.0 - share)**len(digests) < _CHANCE)
 

@@ -238,6 +238,7 @@ def _take_shortened_steps(project: Projection, image: FloatArray, ground: FloatA
     """
     full_steps = np.einsum("nij,nj->ni", _inverse_derivatives(project, ground, unit), error)
     moved = ground.copy()
+    # Each point has its own length of step: those that got better are done.
     remaining = np.arange(len(ground))
     for halving in range(_SHORTER):
         tried = ground[remaining]

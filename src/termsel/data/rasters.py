@@ -281,6 +281,7 @@ def refuse_empty_giant(raster: Any) -> None:
     """
     pixels = float(raster.width) * raster.height * raster.count
     size = pixels * np.dtype(_BYTES.get(raster.dtypes[0], raster.dtypes[0])).itemsize
+    # All files count: a virtual raster has its pixels in others.
     stored = sum(os.path.getsize(file) for file in raster.files if os.path.isfile(file))
     archived = any(file.startswith("/vsi") for file in raster.files)
     if not archived and size > SMALL and size > _DENSEST * stored:

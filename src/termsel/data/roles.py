@@ -96,6 +96,7 @@ def with_merged_twins(features: FeatureSet) -> FeatureSet:
     back.
     """
     points = features.points
+    # Points of one label are twins; labels are numbered from 0 in the order of their first points.
     labels = find_twins(points.ground)
     first_of_group = np.unique(labels, return_index=True)[1]
     if len(first_of_group) == len(points):
@@ -179,6 +180,7 @@ class Split:
         and independent points. Raises PluginFault, naming the plugin, if it assigns other than one
         role each.
         """
+        # Copies, as a plugin may change what it is given.
         with attribute_errors_to(self.assign, "assign"):
             assigned = self.assign(ids, ground.copy(), shares.copy(), rng)
         if (isinstance(assigned, str) or not isinstance(assigned, Sequence | np.ndarray)

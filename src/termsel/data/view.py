@@ -198,6 +198,7 @@ def _view_of(measurements: Measurements) -> CentralView | None:
     represented by MAX_VIEW_POINTS that are spread over all.
     """
     points = measurements.points
+    # In spatial order neighbours follow each other: every m-th point is spread over the scene.
     if len(points) > MAX_VIEW_POINTS:
         even = np.linspace(0, len(points) - 1, MAX_VIEW_POINTS).astype(int)
         points = points.take(spatial_order(points.ground[:, :2])[even])

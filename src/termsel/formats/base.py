@@ -412,6 +412,7 @@ def _files_of_points_in_words(folder: Path) -> str:
         counts = Counter(file.suffix.lower() for file in folder.iterdir())
     except OSError:
         return ""
+    # The most frequent ending: a folder may have notes next to the tables.
     ending = max(_OF_POINTS, key=lambda ending: counts[ending])
     if not counts[ending]:
         return ""

@@ -220,6 +220,7 @@ class Dem:
         x, y = self.raster.transform @ (columns.ravel() + window.col_off,
                                         rows.ravel() + window.row_off)
         heights = self.converted(x, y, self.stored(window).ravel())
+        # From the CRS of the raster to that of the control, whose heights they are now.
         ground = np.column_stack([*self.to_raster.transform(x, y, direction="INVERSE"), heights])
         finite = np.isfinite(ground).all(axis=1)
         heights[finite] = to_wgs84(self.crs)(ground[finite])[:, 2]
@@ -490,6 +491,7 @@ def note_on_ellipsoid(features: FeatureSet, project: Projection) -> str:
     if not features.heights.endswith(UNDECLARED) or not counts_from_ellipsoid(features.crs):
         return ""
     middle = np.nanmedian(features.ground_vertices(), axis=0)
+    # The height over WGS84 of a place on the other ellipsoid is how far that is above.
     middle[2] = 0.0
     above = float(to_wgs84(features.crs)(middle[None])[0, 2])
     if abs(above) < _SAME_ELLIPSOID:
@@ -513,6 +515,7 @@ def say_difference(features: FeatureSet, project: Projection, surface: Dem | flo
         caution = _far_height_note(features, project, surface)
     else:
         caution = _hole_note(features, project, surface)
+        # There is one caution: a contradiction to the control goes before a hole.
         difference = difference_of(features, surface)
         if difference is not None and difference.contradicts:
             pixels = pixels_of(difference, features, project)

@@ -399,6 +399,7 @@ def from_items(items: Mapping[str, str]) -> Rpc:
         """
         if name not in items:
             return tuple(number_of(f"{name}_{i + 1}") for i in range(N_COEFFICIENTS))
+        # Parentheses are around the lists of an RPB.
         if "(" in items[name] and ")" not in items[name]:
             raise TermselError(f"the file breaks off within {RPB_NAMES.get(name, name)}",
                                hint="Fetch it again.")
@@ -408,6 +409,7 @@ def from_items(items: Mapping[str, str]) -> Rpc:
                                hint=_INCOMPLETE)
         return numbers
 
+    # Errors are no part of the model, and vendors leave them out or blank.
     bias, random, count = read_errors(*(number_of(name) if items.get(name) else None
                                         for name in ERROR_NAMES))
     return Rpc(

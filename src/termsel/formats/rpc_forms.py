@@ -81,6 +81,7 @@ def rpc_of_result(tree: object) -> Rpc | None:
 
     None if it was given none. Raises TermselError if its numbers were changed.
     """
+    # Any JSON may be given: each level is looked at before it is used.
     data = tree.get("data") if isinstance(tree, dict) and "schema" in tree else None
     numbers = data.get("rpc") if isinstance(data, dict) else None
     if numbers is None:

@@ -44,6 +44,7 @@ def exchange_back(features: FeatureSet, choice: str | None) -> FeatureSet:
         return features.with_(points=replace(points,
                                              ground=points.ground[:, _SWAPPED_GROUND_ORDER]),
                               lines=replace(lines, ground=lines.ground[..., _SWAPPED_GROUND_ORDER]))
+    # Standard deviations are of line and sample, and go with them.
     sigma = None if points.sigma is None else points.sigma[:, _IMAGE]
     return features.with_(points=replace(points, image=points.image[:, _IMAGE], sigma=sigma),
                           lines=replace(lines, image=lines.image[..., _IMAGE]))

@@ -70,6 +70,7 @@ def say_other_image(result: Result, image: Path | str) -> None:
     read = result.data.read
     known = None if read is None else read.image
     found = None if known is None else image_file_of(image)
+    # Of the same or an unknown file only the numbers in the names can be compared.
     if known is None or found is None or (known.size, known.digest) == (found.size, found.digest):
         say_other_number(result.data.source, image)
     else:

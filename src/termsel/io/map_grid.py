@@ -291,6 +291,7 @@ def _outline_on_map(
     positions = np.stack([x, y], axis=-1)
     is_placed = np.isfinite(positions).all(axis=1)
     positions[~is_placed] = np.nan
+    # Across 180 degrees the outline goes on, or the map would go once around the Earth.
     if is_placed.any() and (turn := turn_of(target)):
         positions[is_placed, 0] = unwrap_longitudes(positions[is_placed, 0], turn)
     return np.asarray(positions.reshape(_OUTLINE, _OUTLINE, 2))

@@ -128,6 +128,7 @@ class MapPositions:
         """
         nodes, size = _node_positions(shape, step)
         plan = self._ground_of_pixels(nodes, transform)
+        # Heights move positions by more than a line: each node is projected at every level.
         at_levels = np.stack(
             [
                 self._image_positions(np.column_stack([plan, np.full(len(plan), level)]))
@@ -144,6 +145,7 @@ class MapPositions:
 
         They are for tiles where the model bends too much to be interpolated.
         """
+        # The middles of the pixels: maps are counted from the corner of the first pixel.
         lines, samples = np.indices(shape)
         pixels: FloatArray = np.column_stack([lines.ravel(), samples.ravel()]) + np.float64(0.5)
         positions = np.empty((len(pixels), 2))

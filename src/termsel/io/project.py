@@ -138,6 +138,7 @@ def _locate_points(result: Result, path: Path, columns: str, dem: Path | None,
         raise
     image = table.stack("line", "sample")
     heights = _heights_on_ground(table, crs, path) if by_table else None
+    # A stated surface goes before the heights of the table; who has both should know.
     if model.uses_height and not by_table and _has_columns(path, columns, "z", layer=layer):
         log.warning("Note: the heights z of %s are not used, as %s is given.", path.name,
                     "--height" if dem is None else "--dem")
@@ -178,6 +179,7 @@ def _project_points(result: Result, path: Path, columns: str, dem: Path | None,
         raise
     with np.errstate(all="ignore"):
         image = result.project(ground)
+    # At a pole of the model a position is infinite, and no more use than an unknown one.
     image[~np.isfinite(image)] = np.nan
     return ids, image, ground
 
@@ -358,6 +360,7 @@ def _require_crs_and_heights(table: Table, crs: str, path: Path, uses_height: bo
             f": gdaltransform -s_srs {names[0]} -t_srs {names[1]} takes and prints lines of x y z, "
             "without a header."
             if all(name.startswith("EPSG:") for name in names) else "."))
+    # Both faults in one message, so that the user need not try twice.
     lacks_heights = uses_height and not fills_heights and "z" not in table.columns
     if lacks_heights:
         problems.append("there is no column for z, and the model requires heights")

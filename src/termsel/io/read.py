@@ -361,6 +361,7 @@ def _with_image_size(features: FeatureSet, image: Path | str | None, size: tuple
     """
     if image is None or size is None:
         return features
+    # Roles are given later: here they only tell which features may lie outside.
     in_use = with_roles(features, asked_roles(off, None)) if off else features
     require_inside(in_use, size, image)
     warn_of_incomplete(image)
@@ -593,8 +594,12 @@ def _reader_that_recognises(path: Path, head: bytes, readers: Sequence[Reader]) 
 
 
 def _recognises_noise(reader: Reader, path: Path) -> bool:
-    """Return whether a reader recognises noise as well, and say so."""
+    """Return whether a reader recognises random bytes as its format, too; if so, warn.
+
+    `path` is the file that it recognised.
+    """
     with private_folder() as folder:
+        # Of the same name, as a reader may go by the ending.
         noise = folder / path.name
         noise.write_bytes(_NOISE)
         if not reader.sniff(noise, _NOISE):
@@ -776,6 +781,7 @@ def _read_each_file(reader_of: Mapping[Path, Reader], origin: Origin | None, swa
             raise
     if origin is None:
         return sets
+    # A file that cannot be read is the first fault to be told, before any note on an origin.
     for path, reader in reader_of.items():
         try:
             sets[path] = origin(sets[path], states_own=reader.states_origin,

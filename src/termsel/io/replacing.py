@@ -155,6 +155,7 @@ def _files_in_use(reads: Iterable[object], beside: bool) -> Iterator[Path]:
                      *(path.with_name(path.stem + end) for end in _AFTER),
                      *(path.with_name(path.name + end) for end in _APPENDED)]
             waiting += filter(is_there, names)
+        # The sources of a virtual raster may be virtual rasters again.
         if _is_vrt(path):
             with open_raster(path) as raster:
                 waiting += [Path(file) for file in raster.files]

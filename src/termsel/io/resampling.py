@@ -265,10 +265,8 @@ def _filled_complex(pixels: Any, has_data: Any, first_line: int, first_sample: i
                     kernel: int, radius: float, stretch_line: float, stretch_sample: float,
                     lines: int, samples: int, integral: bool, low: float, high: float, values: Any,
                     visible: Any) -> None:
-    """Fill a tile of complex pixels: real and imaginary parts each as `_fill_pixels` does.
-
-    So they can be, as kernels are real.
-    """
+    """Fill a tile of complex pixels: real and imaginary parts each as `_fill_pixels` does."""
+    # A sum of pixels times real weights has the sums of both parts as its parts.
     for component in range(2):
         component_pixels = pixels.real.copy() if component == 0 else pixels.imag.copy()
         component_values = np.zeros(values.shape, dtype=component_pixels.dtype)

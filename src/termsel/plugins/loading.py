@@ -166,6 +166,7 @@ class Loader:
     def __init__(self, entry_points: Iterable[EntryPoint] | None = None) -> None:
         self.failures: list[Remark] = []
         self._missing: list[Plugin] = []
+        # Metadata alone: a plugin is imported when something needs it.
         points = self._usable_entry_points() if entry_points is None else entry_points
         external = [Slot(_plugin_of(point), point.load, point.module, hooks_in_source(point))
                     for point in points]

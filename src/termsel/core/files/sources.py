@@ -358,6 +358,7 @@ class _Chain:
         for entry in _names_next_to(path):
             name = entry.casefold()
             neighbour = path.parent / entry
+            # These are rasters themselves, with neighbours of their own.
             if name.endswith((".ovr", ".msk", ".aux", ".rrd")):
                 self.require(str(neighbour), entry, depth + 1)
             elif not neighbour.is_dir():

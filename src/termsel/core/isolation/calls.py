@@ -94,6 +94,7 @@ def _guard_of(name: str, function: Callable[..., Any], check: Check | None) -> C
     """
     @wraps(function)
     def call(self: Any, *args: Any, **options: Any) -> Any:
+        # A method that another one of the plugin calls is within the guard of that.
         if _off.get() or running_package() == package_of(type(self)):
             return function(self, *args, **options)
         with attribute_errors_to(self, name):

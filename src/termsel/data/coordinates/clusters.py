@@ -67,6 +67,7 @@ def _shortest_tree(plan: FloatArray) -> tuple[list[int], list[int], FloatArray]:
     the place that each is joined to, and the lengths of these edges. The algorithm is by R.C. Prim,
     Bell System Technical Journal 36 (1957) 1389-1401.
     """
+    # Of each place: the distance to the nearest place in the tree, and the number of that.
     distances = np.linalg.norm(plan - plan[0], axis=1)
     nearest_inside = np.zeros(len(plan), dtype=np.intp)
     is_outside = np.ones(len(plan), dtype=bool)

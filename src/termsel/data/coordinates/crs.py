@@ -364,6 +364,7 @@ def longitudes_and_latitudes_of(crs: str) -> Callable[[FloatArray], FloatArray] 
         return None
     from pyproj import Transformer
 
+    # To the CRS that the projection is of, so that no datum is changed.
     geodetic = parsed.geodetic_crs
     inverse = Transformer.from_crs(parsed, geodetic, always_xy=True)
     radians = geodetic.axis_info[0].unit_conversion_factor
@@ -426,6 +427,7 @@ def metres_per_height(crs: str) -> float:
 def height_axis_unit(crs: str) -> float | None:
     """Return the unit of the vertical axis of a CRS [m]; None if it has none."""
     crs = normalise(crs)
+    # The usual CRSs need no pyproj, whose import takes long.
     if crs in (LOCAL, "", "EPSG:4326") or UTM.fullmatch(crs):
         return None
     if crs == "EPSG:4979":

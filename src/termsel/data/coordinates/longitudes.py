@@ -118,6 +118,7 @@ def without_jump(features: FeatureSet) -> FeatureSet:
     lon = _continuous_longitudes(features)
     if np.ptp(lon) > turn:
         return features
+    # Within half a turn of the middle of the scene, all are on its side of the jump.
     unwrapped = nearest_longitudes(all_longitudes, float(lon.min() + lon.max()) / 2, turn)
     if (unwrapped == all_longitudes).all():
         return features
@@ -149,6 +150,7 @@ def _continuous_longitudes(features: FeatureSet) -> FloatArray:
     lon = unwrap_longitudes(features.ground_vertices()[_deciding_vertices(features), 0], turn)
     points = features.points
     decides = ~_is_set_aside(points)
+    # Of longitudes within half a turn there is only one order.
     if np.ptp(lon) <= turn / 2 or decides.sum() < LEAST_FOR_SEAM:
         return lon
     start = _seam_by_image(points.ground[decides, :2], points.image[decides], turn)

@@ -296,6 +296,7 @@ def is_polar(positions: FloatArray) -> bool:
     """
     lon = positions[:, 0]
     lat = positions[:, 1]
+    # Latitudes of both signs, or 0: a scene on both sides of the equator.
     if not len(lat) or lat.min() * lat.max() <= 0:
         return False
     lowest_latitude = np.abs(lat).min()

@@ -128,6 +128,7 @@ def _hint_of_heights(metres: FloatArray, beyond: IntArray, column: str, names: l
     fault, `column` is the name of their column, and `names` are the features that have them.
     """
     known_heights = metres[np.isfinite(metres)]
+    # A few are slips of the pen; if many are, the unit or the column is wrong.
     if len(beyond) <= _FEW_OUTSIDE * len(known_heights):
         possible_heights = np.delete(metres, beyond)
         low, high = np.nanmin(possible_heights), np.nanmax(possible_heights)
@@ -196,6 +197,7 @@ def _hint_of_degrees(xy: FloatArray, features: FeatureSet) -> str:
         if _are_joined(xy, joined):
             return (f"These look like {unit} in one number, {form}: write them with their signs, "
                     "or with spaces between.")
+    # No angle is beyond a full turn, and few projected coordinates are within it.
     are_metres = (np.abs(xy) > 360).any(axis=1)
     if are_metres.mean() > 0.5:
         return "These look like metres: state the projected CRS with --crs."
@@ -237,12 +239,14 @@ def _hint_of_utm(xy: FloatArray, features: FeatureSet, zone: int, low: tuple[flo
     `low` and `high` are the least and largest easting and northing of the zone [m].
     """
     is_outside = ((xy < low) | (xy > high)).any(axis=1)
+    # A few outside are slips of the pen; if many are, the CRS or the unit is wrong.
     if is_outside.mean() <= _FEW_OUTSIDE:
         outside = len(np.unique(features.vertex_feature[is_outside]))
         rows = "this row" if outside == 1 else f"these {outside} rows"
         inside = len(features) - outside
         return (f"The other {count_in_words(inside, 'row')} {'is' if inside == 1 else 'are'} "
                 f"within the zone: is there a digit too many? Correct {rows}.")
+    # Eastings have six digits; some countries write the number of the zone before them.
     if (xy[:, 0] // 1e6 == zone).all():
         crs = _WITH_ZONE.get(zone)
         stated = f", or state the CRS that has them, --crs {crs} (ETRS89)" if crs else ""
@@ -298,6 +302,7 @@ def _check_range(xy: FloatArray, features: FeatureSet, low: tuple[float, float],
     is_outside = beyond.any(axis=1)
     if not is_outside.any():
         return
+    # The range of x differs from that of y, so that exchanged columns often show.
     exchanged = xy[:, ::-1]
     is_outside_exchanged: BoolArray = np.asarray(
         ((exchanged < low) | (exchanged > high)).any(axis=1))
@@ -448,6 +453,7 @@ def _note_on_kilometres(features: FeatureSet) -> str:
         return ""
     extent = np.linalg.norm(np.ptp(plan, axis=0))
     extent_in_image = np.linalg.norm(np.ptp(points.image, axis=0))
+    # As metres they make sense if they are in the area and no pixel is microscopic.
     if _is_in_area(points.ground, crs, area, 0.0) and extent > _SMALLEST_PIXEL * extent_in_image:
         return ""
     return ("x and y look like kilometres: times 1,000 they are in the area of "

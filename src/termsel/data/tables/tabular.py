@@ -357,6 +357,7 @@ def as_numbers(cells: TextArray, ids: Sequence[str], name: str) -> FloatArray:
             numbers[row] = float(cell or "nan")
         except ValueError:
             numbers[row] = math.inf
+        # Python reads 1_000 as a number, which no table means.
         if cell and ("_" in cell or not math.isfinite(numbers[row])):
             raise TermselError(f"{ids[row]!r} has {cell!r} in this column, expected a number",
                                column=name, ids=[ids[row]],

@@ -417,6 +417,7 @@ def _missing_pair_error(path: Path, header: Sequence[str], numeric: Sequence[int
                       if set(columns) & set(numeric)]
     if len(numeric) - len(known_meanings) >= 2:
         return None
+    # One pair is complete, and nothing of the other is there: a table of one kind of coordinates.
     pairs = {"image": ("line", "sample"), "ground": ("x", "y")}
     for present, absent in (("image", "ground"), ("ground", "image")):
         if all(by_name[name] for name in pairs[present]) and not any(

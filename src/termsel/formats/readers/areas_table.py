@@ -79,6 +79,7 @@ def _rows_of_areas(table: Table) -> dict[str, list[int]]:
     number = table.stack("corner")[:, 0]
     for name, corners in rows.items():
         corners.sort(key=lambda row: float(number[row]))
+        # Two corners of one number could be joined in either order.
         for first, second in pairwise(corners):
             if number[first] == number[second]:
                 raise table.error(f"corner {number[first]:g} of area {name!r} is also on line "

@@ -437,6 +437,7 @@ def rows_of_records(records: Sequence[Mapping[str, Any]], row_name: str,
     for record in records:
         texts.append({name: as_cell(value) for name, value in record.items()
                       if not isinstance(value, list | dict)})
+    # Every name that occurs, in the order in which they first do: records may lack some.
     names = list(dict.fromkeys(chain.from_iterable(texts)))
     rows = [[record.get(name, "") for name in names] for record in texts]
     columns = {meaning: names.index(name) for meaning, name in fixed.items() if name in names}

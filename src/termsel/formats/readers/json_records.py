@@ -38,6 +38,7 @@ class PointsJson(PointsCsv):
         text = head.decode("utf-8-sig", "replace").lstrip()
         if text[:1] not in ("{", "[") or any(name in text for name in _OF_OTHER_READERS):
             return False
+        # `head` may end within the file, so that only an object in it is parsed.
         first = _FLAT_OBJECT.search(text)
         try:
             record = json.loads(first[0]) if first else {}

@@ -93,6 +93,7 @@ class QgisPoints(TableReader):
             raise TermselError(f"no point lies in the image {self.options['raster']}",
                                file=table.path,
                                hint="Give the image in which these points were measured.")
+        # Upwards comes before downwards, as QGIS writes it.
         best = inside.index(max(inside))
         if best == len(readings) - 1:
             log.warning("Note: %s: sourceY is positive, unlike in files of QGIS, and is read as "

@@ -254,6 +254,7 @@ class Table:
         flags = self.columns.get("enabled", ())
         is_enabled = {}
         for cell in dict.fromkeys(flags):
+            # A blank cell leaves its row in use.
             meaning = truth_of(cell) if cell.strip() else True
             if meaning is None:
                 raise self.error(f"{cell.strip()!r} is neither true nor false",
@@ -565,6 +566,7 @@ def _ragged_row_error(path: Path | None, line: int, header: Sequence[str], row: 
         return TermselError(f"the row ends after {len(row)} of {len(header)} cells, before "
                             f"{first_names_in_words(missing, 4)}", file=path, line=line,
                             hint="Complete it, or delete it.")
+    # 1,5 in a file that commas separate makes one cell too many.
     if delimiter == ",":
         comma = " If numbers have decimal commas, separate the columns by semicolons."
     else:
