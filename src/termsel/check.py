@@ -156,6 +156,7 @@ def _claim_lines(content: dict[str, Any], axes: Sequence[Axis]) -> list[str]:
     lines = ["What is claimed, of the data with the SHA-256 "
              f"{stated or 'that the certificate does not state'}:"]
     for axis, axis_content in zip(axes, content["axes"], strict=True):
+        # Who has the equations can compute this checksum of them, and compare.
         system = checksum({key: axis_content[key] for key in ("control", "errors", "denominators")})
         lines += [
             f"axis {axis.name}: {len(axis.a)} equations of the control and {axis.checks} "
@@ -279,6 +280,7 @@ class Axis:
         too early or goes on after all is decided.
         """
         counts = [0, 0, 0]
+        # A stack instead of recursion; the first child is on top, as in the order of the steps.
         todo = [self.root()]
         while todo:
             counts[2] += 1

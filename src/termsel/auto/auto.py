@@ -373,6 +373,7 @@ class Auto(Method):
 
         choice_of_all = best_of(remaining, describe, explained=explained)
         choice = choice_of_all
+        # Each round leaves one fit out, so that it ends with the choice or without fits.
         while choice is not None and is_astray_between(choice.chosen):
             remaining.remove(choice.chosen)
             choice = best_of(remaining, describe, explained=explained)
@@ -573,6 +574,7 @@ class Auto(Method):
             count = int(line_numbers.max()) + 1
             first, last = held_out_lines(count)
             is_inside = (line_numbers >= first) & (line_numbers <= last)
+            # Every FOLDS_OF_LATTICE-th line is held out at once, so that its neighbours stay.
             for fold in range(folds_along(count)):
                 in_fold = is_inside & ((line_numbers - first) % FOLDS_OF_LATTICE == fold)
                 fitted = fit_without(in_fold)
@@ -629,6 +631,7 @@ def unjudged_fit(data: FitData, method: Method) -> Choice | None:
         fitted = method.fit(data)
     except Undetermined:
         return None
+    # Without redundancy the fit passes through all points, and no residual says how good it is.
     unjudged = _without_redundancy(method, fitted)
     if not fitted.estimator.least_squares or has_pole(unjudged):
         return None

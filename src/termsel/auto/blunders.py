@@ -621,6 +621,7 @@ def _points_on_a_bend(control: FitData, used: BoolArray) -> BoolArray:
     is likelier right or a blunder. A point on a bend shows it to the next.
     """
     bent = np.zeros(len(control), dtype=bool)
+    # One point after another: each that joins shows the bend farther out.
     is_open = not len(control.features.lines)
     while is_open and not (used | bent).all():
         division = Division(control, used | bent)

@@ -61,6 +61,7 @@ class Comparison:
         """
         result = []
         for name, fitted, predicted in self.rows:
+            # A number of terms stands for a fit that the features do not determine.
             if isinstance(fitted, int):
                 no_figures = dict.fromkeys(("control", "check", "independent"))
                 baseline = Baseline(name, fitted, BOTH, False, no_figures)

@@ -294,6 +294,8 @@ class Division:
             return np.empty(0, dtype=np.intp)
         predicted = prediction.posterior.predict_unused(UNUSED_WEIGHT)
         strain = np.sqrt(predicted.statistic)
+        # Off the bend is what chance does not explain and the prediction is sharp enough to say:
+        # FALSE_ALARM is shared out among all points, as each of them might be named (Bonferroni).
         is_off_the_bend = ((predicted.probability < FALSE_ALARM / len(self.used))
                            & (strain > STRAIN_PER_SPREAD * np.sqrt(predicted.spread.max(axis=1))))
         likeliest_first = np.argsort(-predicted.probability, kind="stable")
@@ -312,6 +314,7 @@ class Division:
                                     *_bending_polynomial(heights=self.all_features.heights))
         if prediction is None:
             return False
+        # Logarithms: the evidence for a blunder must not outweigh the odds beforehand against one.
         odds = blunder_odds([(1.0, prediction.posterior, False)],
                             np.flatnonzero(prediction.order == point))
         return bool(odds[0] <= with_point.log_odds_of_right_points)

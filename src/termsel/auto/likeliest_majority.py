@@ -280,6 +280,7 @@ class Likelihoods:
         judged = self.judge(used[None])
         if _may_be_relief(self.image[~used], judged.errors[0, ~used]):
             return False
+        # Of an error in line and sample the square over 2 variances is 1 in the mean by chance.
         squares = (judged.errors[0, ~used]**2).sum(axis=1)
         strains = np.sqrt(squares / 2 / judged.variances[0, ~used])
         are_gross = bool(np.median(strains) >= GROSS_STRAIN)

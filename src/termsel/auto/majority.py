@@ -152,6 +152,7 @@ def polynomial_designs(ground: FloatArray, *, heights: bool) -> tuple[list[Float
     exponents = polynomial_of(heights, 2).exponents
     design = evaluate_monomials(ground, exponents)
     is_affine = np.array(exponents).sum(axis=1) <= 1
+    # Too few points for all terms would let a quadratic polynomial follow blunders.
     if n < POINTS_BY_TERM * len(exponents):
         design = design[:, is_affine]
         is_affine = is_affine[is_affine]
@@ -379,6 +380,7 @@ def _are_interleaved(ground: FloatArray, agreeing: BoolArray) -> bool:
     contradicting = _rows_spread_over_table(ground[~agreeing, None, :2])
     if not len(contradicting):
         return False
+    # Each point that disagrees (rows) against each that agrees (columns), in x and y.
     is_beyond = _rows_spread_over_table(ground[agreeing, :2]) > contradicting
     is_right, is_above = np.moveaxis(is_beyond, 2, 0)
     quadrants = np.stack([is_right & is_above, is_right & ~is_above,

@@ -69,6 +69,7 @@ def misplaced_points(points: Points) -> tuple[BoolArray, BoolArray]:
         return no_point, no_point
     plan = points.ground[:, :2]
     distances = np.abs(plan - np.median(plan, axis=0))
+    # Quantiles, which a few points far away do not move.
     usual_distances = np.array([quantile_of(along_axis, TYPICAL_SHARE)
                                 for along_axis in distances.T])
     is_far: BoolArray = np.any(distances > FAR * usual_distances, axis=1)

@@ -441,6 +441,7 @@ class PinholeCamera(Estimator):
             raise Undetermined("no camera in front of all control points was found",
                                hint="Choose another model, such as dlt or projective.")
         coefficients = _projection_coefficients(camera, model)
+        # Shrunken parameters count in parts; the record has whole numbers.
         count = round(camera.effective)
         in_use = control.take(used)
         equations = 2 * len(in_use)

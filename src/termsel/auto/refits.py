@@ -57,6 +57,7 @@ def held_out_by_refits(fit: Callable[[FitData], Fit], features: FeatureSet, *,
         in_fold = fold_of_feature == fold
         held_out = features.take(in_fold)
         fitted = fit(data.take(~in_fold))
+        # Points have one vertex and lines two, in the order of `vertex_feature`.
         errors[in_fold[feature_of_vertex]] = np.concatenate([
             fitted.errors(held_out.points), fitted.line_errors(held_out.lines).reshape(-1, 2)])
     return HeldOut.of(errors, features)

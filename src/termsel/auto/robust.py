@@ -43,7 +43,11 @@ class Reweighted(Estimator):
 
     def fit(self, model: SensorModel, control: FeatureSet, scaling: Scaling, terms: BoolArray,
             used: BoolArray) -> Fit:
-        """Fit a model (see `Estimator.fit`), for lines under denominators to first order."""
+        """Return the robust fit of a model, with the arguments of `Estimator.fit`.
+
+        Of lines under denominators the first step of the iteration is fitted. A model that is not
+        determined comes back as least squares fit it.
+        """
         plain = LeastSquares(iterated=False).fit(model, control, scaling, terms, used)
         if not plain.determined:
             return plain

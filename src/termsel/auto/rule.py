@@ -458,6 +458,7 @@ def chance_of_similarity(fitted: Fit, compared: Iterable[Fit]) -> float:
     further_unknowns = fitted.effective - simplest.effective
     if freedom <= 0.0 or further_unknowns <= 0.0:
         return 0.0
+    # Nested models: what the further unknowns take of the squares is compared with what is left.
     share = _squares_left(fitted) / _squares_left(simplest)
     return chance_of_better_fit(share, freedom, further_unknowns)
 

@@ -62,11 +62,13 @@ class ForwardSelection(Estimator):
         weights = weights_of(points_in_use)
         columns = evaluate_monomials(points.ground, model.exponents)
         affine = np.array(model.exponents).sum(axis=1) < 2
+        # Weighted columns (2, n, k) and measurements (2, n): line and sample choose for themselves.
         selections = select_forward(columns * weights.T[:, :, None], (points.image * weights).T,
                                     affine)
         if selections is None:
             raise Undetermined(f"{len(points)} control points are too few to select terms by",
                                hint="Measure more control, or fit the model affine.")
+        # Errors of weighted equations are divided by the weights, and in px again.
         errors = np.stack([selection.errors
                            for selection in selections], axis=1) / weights * scaling.image_scale
         chosen = np.concatenate([selection.terms for selection in selections])
@@ -137,6 +139,7 @@ def _rows_and_systems(columns: FloatArray, target: FloatArray,
                 for terms_of_axis, target_of_axis in zip(columns, target, strict=True)]
         factors = [_factors_without_folds(rows_of_axis, fold) for rows_of_axis in rows]
         target_columns = [k] * axes
+    # Of rows with the targets of all axes an axis takes its own.
     columns_of_axes = [np.append(np.arange(k), target_column) for target_column in target_columns]
     return ([rows_of_axis[:, columns_of_axis]
              for rows_of_axis, columns_of_axis in zip(rows, columns_of_axes, strict=True)],

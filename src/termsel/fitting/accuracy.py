@@ -434,11 +434,17 @@ def accuracy_of(fitted: Fit, independent: Points) -> Accuracy | None:
 
 
 def nssda_accuracy(points: int, ground: OnGround | None) -> StandardFigure:
-    """Return the horizontal accuracy at 95 % confidence by NSSDA (appendix 3-A)."""
+    """Return the horizontal accuracy at 95 % confidence by NSSDA (appendix 3-A).
+
+    It is NSSDA_FACTOR times the mean of the RMSEs of x and y, in the unit of `ground`. There is no
+    figure, but the reason why, for fewer than NSSDA_POINTS points, and where the RMSEs of x and y
+    differ too much.
+    """
     missing = _why_missing(points, ground, NSSDA_POINTS)
     if ground is None or missing:
         return StandardFigure(None, missing)
     low, high = sorted((ground.x, ground.y))
+    # The approximation by the mean holds for a ratio of at least 0.6.
     if high > 0 and low < MIN_AXIS_RATIO * high:
         return StandardFigure(None,
                               f"the RMSE of one axis is below {MIN_AXIS_RATIO:g} of the other")

@@ -603,6 +603,7 @@ class Fit(Glance):
         original = self.original or self
         points = original.control.take(original.used).points
         misfit = original.misfit
+        # Stated standard deviations say what is noise; many points show it by themselves.
         if (misfit is None or points.sigma is not None or len(points) >= UNDECIDED_POINTS
                 or not UNDECIDED < misfit.probability < 1.0 - UNDECIDED):
             return ""
@@ -788,6 +789,7 @@ class Fit(Glance):
         n_positions = len(self.control.points) + 2 * len(self.control.lines)
         squares = self.held_out().squares
         points = self.control.take(self.used).points
+        # Weights with the mean 1, so that the RMSE stays one in px.
         if has_unlike_weights(points):
             precisions = weights_of(points)**2
             relative_weights = np.ones(len(squares))

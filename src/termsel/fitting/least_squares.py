@@ -263,6 +263,7 @@ def left_out_squares(fitted: Fit) -> FloatArray:
     solutions = solutions_without_each(parts, fitted.terms, fitted.used)
     if solutions is None:
         return np.full(len(control), np.inf)
+    # Weights depend on the solution, which among few points changes with each that is left out.
     if is_weighted and len(control) <= MAX_REFITTED_POINTS and not len(control.lines):
         solutions = _refitted_without_each(fitted)
     fits = Fits(model=model, control=control.points, check=empty_points(),

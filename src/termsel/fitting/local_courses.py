@@ -290,6 +290,7 @@ class LocalCourses:
             return self._spread_cell
         squares = ((self._centres - self._centres[number])**2).sum(axis=1)
         squares[number] = np.inf
+        # The cell reaches to the next centre: groups within that are small.
         groups = _groups_around(self.control.positions, self._centres[number],
                                 float(np.sqrt(squares.min())))
         system = _means_of(self.control, groups)
@@ -454,6 +455,7 @@ def _groups_around(positions: FloatArray, centre: FloatArray, reach: float) -> l
         distance = float(np.linalg.norm(positions[rows].mean(axis=0) - centre))
         return -extent / max(distance / reach, 1.0), int(rows[0]), rows
 
+    # A heap whose first entry is the next to be cut: its key is the negative angle.
     groups = [entry(np.arange(len(positions)))]
     while len(groups) < MISFIT_MAX_POINTS and groups[0][0] < 0.0:
         rows = heappop(groups)[2]

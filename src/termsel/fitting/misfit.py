@@ -447,6 +447,7 @@ def mixed_misfit(misfits: Sequence[tuple[float, Misfit]]) -> Misfit | None:
     """Return the mixture of misfits of the same control, each with its chance; None without any."""
     if not misfits:
         return None
+    # Sums over all courses are linear in a course's share, so that the chance multiplies its terms.
     courses = []
     for chance, misfit in misfits:
         if chance > 0.0:

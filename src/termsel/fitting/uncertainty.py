@@ -302,6 +302,7 @@ class _Belief:
         """
         if len(control.lines):
             return None
+        # A belief of a lower degree than the model could not have the model's truth in it.
         degree = max(BELIEF_DEGREE, model.polynomial_degree or 0)
         heights = model.uses_height if heights is None else heights
         points = control.points
