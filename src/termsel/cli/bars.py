@@ -118,6 +118,7 @@ def _json_printer(title: str, total: float | None) -> Callable[..., None]:
               state: str = "") -> None:
         """Print the progress as a line of JSON, unless the last one is too recent."""
         nonlocal printed
+        # None says that the end is not known, and null is what a reader gets.
         share = completed / total if total else None
         if time.monotonic() - printed < _BETWEEN and share != 1.0:
             return

@@ -142,6 +142,7 @@ def say_once(noun: str = "image") -> Iterator[None]:
         counts[kind] += 1
         return counts[kind] == 1
 
+    # At the handlers: a filter of the logger itself would miss messages of loggers below it.
     handlers = logging.getLogger("termsel").handlers
     for handler in handlers:
         handler.addFilter(is_first)

@@ -69,6 +69,7 @@ def _require_options(options: Mapping[str, Any]) -> None:
     from termsel.data.coordinates.crs import normalise
     from termsel.io.map_pixels import RESAMPLING
 
+    # It raises for a CRS that is unknown.
     if options["crs"] is not None:
         normalise(options["crs"])
     resampling = options["resampling"]

@@ -61,6 +61,7 @@ def _words_without(words: Sequence[str], options: Mapping[str, str]) -> Iterator
             value = value or next(remaining, "")
             if value.partition("=")[0] != options[_SET].partition("=")[0]:
                 yield from (_SET, value)
+        # Without "=" the value is the next word, and goes with the option.
         elif word in options:
             next(remaining, None)
         elif name not in options:

@@ -32,6 +32,7 @@ def usage_message(error: click.ClickException) -> str:
     """Return the fault of a command line, what to type instead, and where the options are listed.
     """
     path = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else ""
+    # A MissingParameter is a BadParameter as well, and so comes before it.
     if isinstance(error, click.MissingParameter):
         lines = _lines_on_missing(error)
     elif isinstance(error, click.NoSuchOption):
@@ -251,6 +252,7 @@ def _remedy_for_unit(name: str, param: click.Parameter, typed: str) -> str:
     factor = _FACTORS[unit].get(match[2].lower())
     if factor is not None:
         return f"{name} is in {unit}: {float(match[1]) * factor:g}."
+    # How large a pixel is nobody knows before the run: the user has to divide.
     lengths = _FACTORS["metres"]
     if unit == "px" and match[2].lower() in lengths:
         return f"{name} is in px: {typed} divided by the size of a pixel in {match[2]}."

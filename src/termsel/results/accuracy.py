@@ -139,6 +139,7 @@ def _accuracy_without_check_points(record: Record, predicted: Predicted | None) 
         return [f"not known: {exactly}; measure at least one more"]
     if predicted is None:
         return ["not known: no independent check points"]
+    # Errors of the size of rounding are those of computed points, and predict nothing.
     if predicted.high < _ROUNDING_PX:
         return ["the points fit exactly; not verified: no independent check points"]
     return [_prediction_sentence(predicted), "not verified: no independent check points"]

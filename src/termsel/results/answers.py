@@ -415,6 +415,7 @@ def _answer_on_bad_points(record: Record, view: View | None) -> Iterator[Block]:
     if view is None:
         return
     yield from chart_block(view, "worst", bars.bars_of_worst(view))
+    # A line has two vertices, each with a row: the larger residual counts.
     on_ground: dict[str, float] = {}
     for row in view.on_ground:
         if row["metres"] is not None:

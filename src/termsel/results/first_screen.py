@@ -453,7 +453,10 @@ def are_all_named(record: Record) -> bool:
 
 
 def _list_worst(outliers: Sequence[Outlier]) -> str:
-    """Return the worst outliers with their errors; the unit stands at the first."""
+    """Return the ids of the worst outliers with their errors [px], as a list in words.
+
+    They are named in their order, up to `_MAX_OUTLIERS_NAMED`; the unit stands at the first.
+    """
     texts = []
     for i, outlier in enumerate(outliers[:_MAX_OUTLIERS_NAMED]):
         certainty = "" if outlier.certainty == "certain" else f" ({outlier.certainty})"
@@ -550,6 +553,7 @@ def _conventional_rmse(record: Record, row: BaselineRow) -> Iterator[str]:
     total = row.rmse.independent.total
     if total is None or not row.determined or record.solver == row.name:
         return
+    # The conventional fit has the outliers that the record's fit is without.
     excluded = any(outlier.excluded for outlier in record.outliers)
     lacks_features = record.selection.n_features < record.offered.n_features
     if lacks_features:

@@ -77,6 +77,7 @@ def _ranges_in_words(sizes: Sequence[int]) -> str:
 
     Three or more numbers without a gap are given by the first and the last of them.
     """
+    # Numbers that follow each other without a gap are one run.
     runs: list[list[int]] = []
     for size in sizes:
         if runs and size == runs[-1][-1] + 1:

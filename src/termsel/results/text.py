@@ -103,6 +103,7 @@ def _lines_of_table(table: TableBlock, *, all_rows: bool) -> Iterator[str]:
     columns = [i for i in range(len(table.columns)) if i not in table.page_only]
     rows = [[row[i] for i in columns] for row in (table.columns, *table.rows)]
     lines = list(_align_rows(rows, map(table.has_words, columns)))
+    # Rows are counted without the header, which is the first line.
     if table.marked is not None:
         lines = [("-> " if i == table.marked + 1 else "   ") + line
                  for i, line in enumerate(lines)]

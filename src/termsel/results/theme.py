@@ -52,7 +52,11 @@ def require_altair() -> Any:
 
 
 def with_theme(chart: Any, title: str = "", look: str = "") -> Any:
-    """Return a chart in the common style, with its title and how to read it."""
+    """Return a chart of Altair in the common style.
+
+    `title` is above it, and under the title `look`, a sentence on how to read the chart. Without a
+    title there is neither.
+    """
     alt = require_altair()
     if title:
         chart = chart.properties(title=alt.Title(title, subtitle=_wrap_text(look, chart)))

@@ -224,6 +224,7 @@ def _none_detected_in_words(test: BlunderTest | None, errors: float) -> str:
         if test.features >= NOT_FEW:
             return f"No outlier can be detected by this model among {test.features} features."
         return f"No outlier can be detected: {test.features} features are too few."
+    # Only an error that is larger than the extent of the features would show.
     if test.limit > test.extent:
         return ("No outlier can be detected: no model fits these features. Several are wrong, or "
                 "no model is suitable.")

@@ -253,6 +253,7 @@ def _held_out_accuracy(outcome: _Chosen, clean: Observations,
     errors = outcome.errors
     if errors is not None and not len(chosen.control.lines):
         errors = errors[:len(clean.pool.features.points)]
+    # Of a lattice the figure is that between its lines; of other control it is from the errors.
     predicted = outcome.between
     if errors is not None and clean.lattice is None:
         predicted = predict_rmse_of_fit(chosen, errors, len(independent), independent.ground)

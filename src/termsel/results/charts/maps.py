@@ -372,7 +372,10 @@ def _scale_bar(x0: float, y0: float, length: float, text: str, at_x: str, at_y: 
 
 
 def _axis_titles(view: View) -> tuple[str, str]:
-    """Return the names of both axes on the ground, with their unit if it is known."""
+    """Return the titles of the horizontal and vertical axis of the ground, x and y.
+
+    The unit is in them if it is known; the horizontal axis names the CRS, too.
+    """
     crs = view.record.data.crs
     unit = view.units_per_metre
     if is_geographic(crs):

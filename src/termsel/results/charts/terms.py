@@ -92,6 +92,7 @@ def frequency_bars(view: View) -> Any:
         selections = f"{stability.repeats} selections"
     else:
         selections = f"{len(view.record.front)} members of the front"
+    # Bars leave a gap between the terms.
     layers = [base.mark_bar(height={"band": 0.72}).encode(
         x=alt.X("share:Q", title=f"share of the {selections}", axis=alt.Axis(format="%"),
                 scale=alt.Scale(domain=[0, 1])),

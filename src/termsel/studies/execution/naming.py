@@ -22,6 +22,7 @@ def name_image_in_log(image: str) -> Iterator[list[str]]:
     """
     _name_images()
     warnings: list[str] = []
+    # Of warnings of this image alone: others may be read in other threads.
     keeper = _Keeper(warnings, image)
     before = _image.set(image)
     logger = logging.getLogger("termsel")
