@@ -295,7 +295,7 @@ class Division:
         predicted = prediction.posterior.predict_unused(UNUSED_WEIGHT)
         strain = np.sqrt(predicted.statistic)
         # Off the bend is what chance does not explain and the prediction is sharp enough to say:
-        # FALSE_ALARM is shared out among all points, as each of them might be named (Bonferroni).
+        # FALSE_ALARM is divided by the number of points, as each might be named (Bonferroni).
         is_off_the_bend = ((predicted.probability < FALSE_ALARM / len(self.used))
                            & (strain > STRAIN_PER_SPREAD * np.sqrt(predicted.spread.max(axis=1))))
         likeliest_first = np.argsort(-predicted.probability, kind="stable")
