@@ -410,7 +410,7 @@ class Axis:
                          lines: Sequence[int]) -> tuple[bool, list[int]] | None:
         """Return whether s'z = 1 is out of reach, and else the largest values of some lines.
 
-        These are in units of 1 / UPPER, rounded up. None if nothing is proven.
+        These are in units of 1 / UPPER, rounded up. Returns None if nothing is proven.
         """
         if type(spheres) is not list:
             spheres = [spheres] * len(node.rest)

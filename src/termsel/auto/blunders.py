@@ -289,7 +289,7 @@ def _without_likely_blunders(control: FitData, used: BoolArray, max_share: float
 def _majority_and_test(control: FitData) -> tuple[BoolArray, Test] | None:
     """Return the points that agree, (n,), and their test, where more than a third are blunders.
 
-    None where no majority is clear, so that the usual search from a core will do.
+    Returns None where no majority is clear, so that the usual search from a core will do.
     """
     halves = Halves.of(control)
     return likeliest_majority(control, _majority_of_polynomials(control, halves), halves)
@@ -323,7 +323,7 @@ def _grow_majority(control: FitData, agreeing: BoolArray) -> tuple[BoolArray, Te
     """Return the points of a majority and those that it predicts, (n,), and their test.
 
     The closest are admitted bit by bit, until the noise jumps: among many admitted at once blunders
-    hide each other. None where the points are too few for a test.
+    hide each other. Returns None where the points are too few for a test.
     """
     n = len(control)
     used = agreeing
@@ -352,8 +352,8 @@ def _grow_majority(control: FitData, agreeing: BoolArray) -> tuple[BoolArray, Te
 def agreement(control: FitData) -> BoolArray | None:
     """Return which of few points agree, (n,), where more than a third contradict the others.
 
-    None for MIN_POINTS points or more, which `find_blunders` decides about, and where no more than
-    a third contradict.
+    Returns None for MIN_POINTS points or more, which `find_blunders` decides about, and where no
+    more than a third contradict.
     """
     # So few points may agree by chance: this warns, and nothing is left out for it.
     if len(control) >= MIN_POINTS:
@@ -367,7 +367,8 @@ def _judge_by_projection(control: FitData, auto: Auto,
     """Return the points in use (n,) and their test by a central projection or a known camera.
 
     Polynomials follow an oblique view so badly that their residuals hide blunders, and make sound
-    points look like some. None where the method that is chosen for the points in use is neither.
+    points look like some. Returns None where the method that is chosen for the points in use is
+    neither.
     """
     if len(control.features.lines):
         return None
@@ -488,7 +489,7 @@ def _contradicting_features(all_features: FitData, is_other: BoolArray,
                             used: BoolArray) -> Suspects | None:
     """Return which other features contradict the control, beginning with the features `used`.
 
-    `is_other` (n,) marks the features that are not control. None where even the core of all
+    `is_other` (n,) marks the features that are not control. Returns None where even the core of all
     features is too small for a test.
     """
     test_of_all = cache(Division(all_features, ~np.zeros_like(is_other)).shrunken_test)

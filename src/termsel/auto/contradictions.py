@@ -157,7 +157,7 @@ class Division:
     def test(self) -> Test | None:
         """Return the test by a random field where points support one, else by `shrunken_test`.
 
-        None where the features in use are too few for either.
+        Returns None where the features in use are too few for either.
         """
         return self.local_test() or self.shrunken_test()
 

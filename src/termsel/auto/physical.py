@@ -163,7 +163,7 @@ def prior_evidence(points: Points, scaling: Scaling, crs: str,
                    exponents: Exponents) -> PriorEvidence | None:
     """Return how likely scaled control points are under each kind of prior.
 
-    None where no kind of camera can have made the image. The exponents are those of a cubic
+    Returns None where no kind of camera can have made the image. The exponents are those of a cubic
     polynomial of X and Y, or of X, Y and Z.
     """
     return _cached_evidence(Measurements.of(points), scaling, crs, exponents)

@@ -291,8 +291,8 @@ def required_probability(process: GaussianProcess) -> float:
 def interpolated(model: SensorModel, control: FeatureSet, scaling: Scaling) -> Interpolation | None:
     """Return the interpolation of control points by a model.
 
-    None where the points are too few, or lie so that they determine no interpolation, such as in a
-    row.
+    Returns None where the points are too few, or lie so that they determine no interpolation, such
+    as in a row.
     """
     return model.prepared(scaling, control.crs).interpolation(scaling.features(control))
 

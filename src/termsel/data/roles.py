@@ -304,7 +304,7 @@ class Observations:
     def lattice(self) -> Lattice | None:
         """The lattice that all points form, with its rows for the points of the pool.
 
-        None if all points form no lattice.
+        Returns None if all points form no lattice.
         """
         points = self.features.points
         all_points = lattice_of(self.features)

@@ -49,7 +49,8 @@ NUMBERS = range(8, 5001)  # fewer errors show nothing, and for more the test has
 def chances_if_normal(errors: FloatArray) -> tuple[float, float] | None:
     """Return the chance that normal errors look so little normal, for each column of (n, 2).
 
-    None for a number that is not one of NUMBERS, and where the errors of a column are equal.
+    Returns None for a number that is not one of NUMBERS, and where the errors of a column are
+    equal.
     """
     n = len(errors)
     if n not in NUMBERS or not np.ptp(errors, axis=0).all():
@@ -351,7 +352,8 @@ def predict_rmse_of_all(fitted: Fit, expected: Predicted, ground: FloatArray) ->
 def pixel_on_ground(fitted: Fit) -> float | None:
     """Return how far a pixel is on the ground [m]: root of the mean square at the control.
 
-    None where the CRS does not show metres, or the model has no inverse, or is not plausible.
+    Returns None where the CRS does not show metres, or the model has no inverse, or is not
+    plausible.
     """
     points = fitted.control.points
     if not len(points):

@@ -332,7 +332,7 @@ class Fit(Glance):
     def standard_deviations(self) -> dict[str, float]:
         """Standard deviations of the coefficients by name, in scaled coordinates.
 
-        NaN without redundancy and for coefficients that are not those of least squares.
+        Returns NaN without redundancy and for coefficients that are not those of least squares.
         """
         values = self.adjustment.deviations
         return {str(self.model.terms[i]): float(values[i]) for i in np.flatnonzero(self.terms)}
@@ -544,8 +544,8 @@ class Fit(Glance):
     def local_courses(self) -> LocalCourses | CameraCourses | None:
         """The error of the model between control points, as they show it, or None.
 
-        None with lines or too few points, with heights of very many points, and for a projection of
-        a view: it is no field about a polynomial, and is judged by its residuals.
+        Returns None with lines or too few points, with heights of very many points, and for a
+        projection of a view: it is no field about a polynomial, and is judged by its residuals.
         """
         # What corrects a polynomial by its residuals has the errors of points between them, too.
         is_polynomial = self.model.polynomial_degree is not None or (
@@ -575,7 +575,7 @@ class Fit(Glance):
     def misfit(self) -> Misfit | None:
         """The error that the model itself has, as the residuals of control points show it, or None.
 
-        None with lines, which show too little of it, and without redundancy.
+        Returns None with lines, which show too little of it, and without redundancy.
         """
         control = self._scaled_used
         # Lines have no residual along themselves; without redundancy all are zero.
@@ -806,7 +806,7 @@ class Fit(Glance):
         """Return the RMSE of the control features in use, each under the fit without it.
 
         Where the features without one of them do not determine the terms, the least-norm solution
-        counts. None without features in use.
+        counts. Returns None without features in use.
         """
         errors_each, _ = self.errors_without_each
         return rmse_of(np.concatenate(errors_each), len(errors_each))

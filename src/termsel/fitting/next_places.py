@@ -152,7 +152,7 @@ def _with_correlations_of_polynomial(spread: Spread, original: Fit, scaled_groun
                                      image: FloatArray) -> Spread | None:
     """Return a spread whose errors correlate as those of the regularised cubic polynomial do.
 
-    None where the points do not support that polynomial.
+    Returns None where the points do not support that polynomial.
     """
     believed = believed_spread(original.model, original.scaled_control.take(original.used),
                                scaled_ground, image)

@@ -399,8 +399,8 @@ class Pinhole:
 def pinhole_of(scaled: FeatureSet, scaling: Scaling) -> Pinhole | None:
     """Return the camera of scaled control points.
 
-    None with few points, with lines, or if no camera has all points in front. Heights that are not
-    known, or all the same, are those of level ground.
+    Returns None with few points, with lines, or if no camera has all points in front. Heights that
+    are not known, or all the same, are those of level ground.
     """
     measured = _camera_points(scaled, scaling)
     if measured is None or len(measured.image) < PINHOLE_MIN_POINTS:

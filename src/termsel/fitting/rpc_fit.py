@@ -172,7 +172,7 @@ def closest_rpc(fitted: Fit, heights: tuple[float, float] | None = None) -> RpcF
 def with_coefficients(fitted: Fit) -> Rpc | None:
     """Return the RPC with the coefficients of a fit in longitude, latitude and height.
 
-    None if the model's terms are not those of an RPC.
+    Returns None if the model's terms are not those of an RPC.
     """
     above = np.zeros((2, N_COEFFICIENTS))
     below = np.zeros((2, N_COEFFICIENTS))

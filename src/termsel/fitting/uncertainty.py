@@ -262,7 +262,7 @@ def shared_variance(model: SensorModel, control: FeatureSet) -> float | None:
     """Return the relative variance of the mean square error that all places have in common.
 
     Where few coefficients are uncertain, the mean square of errors all over the scene is so, too.
-    None with lines, and where points are too few for a posterior.
+    Returns None with lines, and where points are too few for a posterior.
     """
     belief = _Belief.of(model, control)
     if belief is None:
@@ -298,7 +298,7 @@ class _Belief:
            heights: bool | None = None) -> _Belief | None:
         """Return the belief by control points, by default with the heights that the model uses.
 
-        None with lines, or if points determine no affine model.
+        Returns None with lines, or if points determine no affine model.
         """
         if len(control.lines):
             return None

@@ -406,7 +406,7 @@ _OF_POINTS = (".csv", ".points", ".txt", ".xlsx", ".geojson", ".json", ".gpkg")
 def _files_of_points_in_words(folder: Path) -> str:
     """Return a sentence with the command for the files of points in a folder.
 
-    "" if it has none, or cannot be read.
+    Returns "" if it has none, or cannot be read.
     """
     try:
         counts = Counter(file.suffix.lower() for file in folder.iterdir())

@@ -22,8 +22,8 @@ _NO_CRS = "Give a file of WKT, a raster or a layer that has a CRS, or its name, 
 def stated_crs(stated: str | None) -> str | None:
     """Return the normal form of a CRS that a user states, by name or by the file that has it.
 
-    None if `stated` is None. Raises TermselError where it is neither a CRS nor a file with one. Not
-    for a CRS within a file, which must never name another file.
+    Returns None if `stated` is None. Raises TermselError where it is neither a CRS nor a file with
+    one. Not for a CRS within a file, which must never name another file.
     """
     if stated is None:
         return None

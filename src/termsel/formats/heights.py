@@ -147,7 +147,8 @@ class Dem:
         """Return a height that the ground in the box around places (n, 2) hardly exceeds.
 
         That is the greatest height there, or in a large box the greatest that is sampled, and a
-        margin for what the vertical datum adds elsewhere. NaN without any height in the box.
+        margin for what the vertical datum adds elsewhere. Returns NaN without any height in the
+        box.
         """
         from rasterio.windows import Window
 
@@ -446,7 +447,7 @@ def surface_of(dem: Path | str | None, crs: str, height: float,
 def difference_of(features: FeatureSet, surface: Dem) -> DemDifference | None:
     """Return how far a raster is above the known heights of features that take part.
 
-    None if these are too few, or the raster does not cover them.
+    Returns None if these are too few, or the raster does not cover them.
     """
     ground = features.ground_vertices()
     off = {name for name, role in zip(features.points.ids, features.points.roles, strict=True)
@@ -480,7 +481,8 @@ def note_on_ellipsoid(features: FeatureSet, project: Projection) -> str:
     """Return that heights of no declared datum count from another ellipsoid than that of WGS84.
 
     Such heights come from a raster, and are taken to count from the ellipsoid of the features' CRS.
-    "" for other heights, and where the two ellipsoids are within _SAME_ELLIPSOID of each other.
+    Returns "" for other heights, and where the two ellipsoids are within _SAME_ELLIPSOID of each
+    other.
 
     Parameters
     ----------
@@ -533,8 +535,8 @@ _LEAST_HILL = 30.0  # metres above 0 of all other heights from which on a 0 is a
 def _hole_note(features: FeatureSet, project: Projection, surface: Dem) -> HeightCaution | None:
     """Return that a raster has heights of exactly 0, and all others far above or all far below it.
 
-    Programs write 0 where they know no height, and not all declare it. None where that is not so,
-    and where control lies near 0 itself, as on the sea.
+    Programs write 0 where they know no height, and not all declare it. Returns None where that is
+    not so, and where control lies near 0 itself, as on the sea.
     """
     ground = features.ground_vertices()[:, :2]
     ground = ground[np.isfinite(ground).all(axis=1)]
@@ -568,9 +570,9 @@ def _far_height_note(features: FeatureSet, project: Projection,
                      height: float) -> HeightCaution | None:
     """Return that a height is farther from the control's than these are from each other.
 
-    A height that is given by hand is often in another unit or datum. None if it is not that far, if
-    it moves places by less than FAR_HEIGHT_PIXELS, as under a model that uses no heights, or if the
-    control has no heights.
+    A height that is given by hand is often in another unit or datum. Returns None if it is not that
+    far, if it moves places by less than FAR_HEIGHT_PIXELS, as under a model that uses no heights,
+    or if the control has no heights.
     """
     heights = features.ground_vertices()[:, 2]
     heights = heights[np.isfinite(heights)]

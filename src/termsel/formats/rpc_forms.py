@@ -79,7 +79,7 @@ def rpc_of_tags(tags: Mapping[str, str]) -> Items:
 def rpc_of_result(tree: object) -> Rpc | None:
     """Return the vendor's RPC that a run was given, from the tree of its result.json.
 
-    None if it was given none. Raises TermselError if its numbers were changed.
+    Returns None if it was given none. Raises TermselError if its numbers were changed.
     """
     # Any JSON may be given: each level is looked at before it is used.
     data = tree.get("data") if isinstance(tree, dict) and "schema" in tree else None

@@ -186,7 +186,7 @@ def _heights_in_words(crs: str) -> str:
 def _advice_if_same_heights(crs: str, raster_crs: CRS) -> str:
     """Return advice to state the vertical CRS of the raster for the control, too.
 
-    "" if the control states one, or that of the raster has no code.
+    Returns "" if the control states one, or that of the raster has no code.
     """
     vertical_crs = _vertical_part(raster_crs)
     number = None if vertical_crs is None else vertical_crs.to_epsg()
@@ -228,7 +228,7 @@ def _surface_of_heights(crs: CRS) -> tuple[str, str]:
 def _datum_by_tags(raster: Any, path: Path) -> str | None:
     """Return the vertical datum by a raster's tags: a code of EPSG, or "ellipsoidal".
 
-    None without such a tag. Raises TermselError for a datum that PROJ does not have.
+    Returns None without such a tag. Raises TermselError for a datum that PROJ does not have.
     """
     for name, value in {**raster.tags(), **raster.tags(1)}.items():
         # The name must be of heights and of a datum: "height" alone is a number.

@@ -178,7 +178,7 @@ def _points_that_tell(features: FeatureSet) -> FeatureSet:
 def _unit_by_dem(features: FeatureSet, units: tuple[str, ...], dem: Path) -> str | None:
     """Return the unit in which heights differ from a DEM by a shift, or agree with it.
 
-    None if the DEM does not decide between them.
+    Returns None if the DEM does not decide between them.
     """
     ground = _points_that_tell(features).ground_vertices()
     ground = ground[np.isfinite(ground[:, 2])]

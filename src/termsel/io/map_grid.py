@@ -250,7 +250,8 @@ def sees_all(result: Result, grid: MapGrid, height: float) -> bool:
 def footprint_of(result: Result, surface: Dem | float) -> FloatArray:
     """Return the ground (n, 3) that a grid over the image shows, in the CRS of the control.
 
-    NaN for places of the image that show no ground, or ground at which the model does not hold.
+    Returns NaN for places of the image that show no ground, or ground at which the model does not
+    hold.
     """
     (first_line, first_sample), (last_line, last_sample) = result.fit.image_box()
     # From the outer edges of the outermost pixels.
@@ -281,7 +282,7 @@ def _outline_on_map(
         result: Result, dem: Path | str | None, height: float, target: str) -> FloatArray:
     """Return x and y on the map of a grid over the image, shape (_OUTLINE, _OUTLINE, 2).
 
-    NaN where the image shows no ground, or the CRS `target` has no place for it.
+    Returns NaN where the image shows no ground, or the CRS `target` has no place for it.
     """
     control_crs = result.features.crs
     with surface_of(dem, control_crs, height) as surface:

@@ -162,7 +162,8 @@ def map_pixels(picture: Picture, resampling: str | None, nodata: float | None) -
 def _unused_index(picture: Picture) -> int | None:
     """Return an index of the colour table that no pixel has, to mark where the map has no data.
 
-    None if pixels have all indices, if the picture is not a file, or if its type has no table.
+    Returns None if pixels have all indices, if the picture is not a file, or if its type has no
+    table.
     """
     band = picture.bands[0]
     if picture.path is None or band.type not in _WITH_TABLE:

@@ -74,7 +74,7 @@ class MapPositions:
     def of_tile(self, shape: tuple[int, int], transform: Any) -> FloatArray:
         """Return line and sample in the image of the pixels of a tile, (lines, samples, 2).
 
-        NaN for pixels that the image does not show, or whose height is not known.
+        Returns NaN for pixels that the image does not show, or whose height is not known.
 
         Parameters
         ----------
@@ -159,8 +159,8 @@ class MapPositions:
     def _image_positions(self, ground: FloatArray) -> FloatArray:
         """Return line and sample (n, 2) of places (n, 3) on the ground.
 
-        NaN for places that are not known, behind a pole of the model, or far outside the image: the
-        model would compute nonsense.
+        Returns NaN for places that are not known, behind a pole of the model, or far outside the
+        image: the model would compute nonsense.
         """
         positions = np.full((len(ground), 2), np.nan)
         is_valid = np.isfinite(ground).all(axis=1) & self._is_near(ground[:, :2])

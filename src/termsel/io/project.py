@@ -161,8 +161,8 @@ def _project_points(result: Result, path: Path, columns: str, dem: Path | None,
                     ) -> tuple[list[str], FloatArray, FloatArray]:
     """Return ids, image positions (n, 2), and the ground positions (n, 3) of a table.
 
-    NaN for image positions that the model does not compute. Arguments and errors are those of
-    `project_table`.
+    Returns NaN for image positions that the model does not compute. Arguments and errors are those
+    of `project_table`.
     """
     try:
         ids, ground = read_ground(result, path, columns, dem, height, layer)

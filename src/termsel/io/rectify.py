@@ -267,7 +267,7 @@ def _say_heights(result: Result, surface: Dem | float) -> HeightCaution | None:
 def _say_level(result: Result, surface: Dem | float) -> HeightCaution | None:
     """Warn how far the map is off because the ground is taken as level; return the caution.
 
-    None if a raster of heights is given, or if the model uses no heights.
+    Returns None if a raster of heights is given, or if the model uses no heights.
     """
     if isinstance(surface, Dem) or not result.fit.model.uses_height:
         return None

@@ -129,10 +129,10 @@ def recognise_part(predicted: FloatArray, measured: FloatArray) -> ImagePart | N
     """Return the part of an RPC's image that this image is, if points show that it is one.
 
     `predicted` are the positions of points by the RPC, `measured` those in the image, both (n, 2)
-    [px]. None where they are near each other, where the points are too few, or where no part
-    explains most of them. A shift of the RPC itself looks like another place where the part begins.
-    So the place is rounded, and the correction of the RPC finds the remaining pixels, with their
-    uncertainty. Medians let less than half of the points be blunders.
+    [px]. Returns None where they are near each other, where the points are too few, or where no
+    part explains most of them. A shift of the RPC itself looks like another place where the part
+    begins. So the place is rounded, and the correction of the RPC finds the remaining pixels, with
+    their uncertainty. Medians let less than half of the points be blunders.
     """
     is_seen = np.isfinite(predicted).all(axis=1)
     predicted = predicted[is_seen]

@@ -262,8 +262,8 @@ def _title_by_degree(model: str, degree: object) -> str:
 def _shift_in_words(record: Record) -> str:
     """Return the shift that corrects a vendor's RPC in the middle of the control, in px.
 
-    "" for a model without a constant in either axis, which only the affine correction of an RPC
-    has, and for a correction whose coefficients are all 0.
+    Returns "" for a model without a constant in either axis, which only the affine correction of an
+    RPC has, and for a correction whose coefficients are all 0.
     """
     coefficients = record.coefficients
     if record.data.rpc is None or not {"line.bias:1", "sample.bias:1"} <= coefficients.keys():
@@ -735,8 +735,8 @@ def _urgent_warnings(record: Record) -> Iterator[str]:
 def _caution_on_known_camera(record: Record) -> str:
     """Return that a camera of which nothing is stated fits clearly better than the stated one.
 
-    "" where none does. The caution asks for the distortion where none is stated: a focal length
-    alone means a lens without distortion.
+    Returns "" where none does. The caution asks for the distortion where none is stated: a focal
+    length alone means a lens without distortion.
     """
     strategy = record.strategy
     if strategy is None or strategy.chosen != KNOWN_CAMERA:

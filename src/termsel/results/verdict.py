@@ -122,10 +122,10 @@ TESTABLE_RATIO = 10.0
 def names_to_leave_out(record: Record) -> str:
     """Return the ids of the blunders that the next run should leave out, with commas.
 
-    "" where all of them, but those that are merely possible, were rejected in this run. Otherwise
-    it names the rejected ones as well: the next run gives roles anew, and would have them as
-    independent check points. It also names what this run was asked to leave out, since the option
-    of the next run replaces that of this one.
+    Returns "" where all of them, but those that are merely possible, were rejected in this run.
+    Otherwise it names the rejected ones as well: the next run gives roles anew, and would have them
+    as independent check points. It also names what this run was asked to leave out, since the
+    option of the next run replaces that of this one.
     """
     wrong = [outlier for outlier in record.outliers if outlier.certainty != "possible"]
     if all(outlier.excluded for outlier in wrong):

@@ -452,8 +452,8 @@ def _final_fit(fitted: Fit, points: Points, heights: bool, auto: Auto,
     """Return the chosen structure fitted to all points, independent ones included.
 
     Selected terms stay those that were selected; what is shrunken is averaged again. Blunders among
-    independent points stay out. None where there is no further point, and where the fit has a pole
-    or is not determined.
+    independent points stay out. Returns None where there is no further point, and where the fit has
+    a pole or is not determined.
     """
     control = fitted.control
     further = points.take([role in ASSIGNABLE and name not in blunders

@@ -125,8 +125,8 @@ class TwoGroups:
 def datum_of(groups: TwoGroups, crs: str, position: tuple[float, float]) -> str:
     """Return the name of the datum whose coordinates are off those of a CRS as two groups are.
 
-    `position` is the longitude and latitude [deg] at which the datums are compared. "" where no
-    datum that PROJ knows to be in use there is as far off, and without pyproj.
+    `position` is the longitude and latitude [deg] at which the datums are compared. Returns ""
+    where no datum that PROJ knows to be in use there is as far off, and without pyproj.
     """
     try:
         from pyproj import Transformer

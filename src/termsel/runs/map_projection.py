@@ -131,8 +131,8 @@ def _longitudes_and_latitudes_of(
         features: FeatureSet) -> Callable[[FloatArray], FloatArray] | None:
     """Return a function from x and y (n, 2) to longitudes and latitudes [rad].
 
-    None where x and y are nearly true to scale, as those of UTM and of national grids are, and
-    where nobody knows what they are.
+    Returns None where x and y are nearly true to scale, as those of UTM and of national grids are,
+    and where nobody knows what they are.
     """
     if normalise(features.crs) == LOCAL:
         return None

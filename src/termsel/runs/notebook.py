@@ -55,8 +55,8 @@ def line_of_many(title: str) -> Iterator[Callable[[str, bool], None]]:
 def _line_renewer(title: str) -> Callable[[str, bool], None] | None:
     """Return a function that renews a line in a notebook.
 
-    It takes the text of the line, and whether it is the last one. None outside a notebook, or
-    where another line is shown already.
+    It takes the text of the line, and whether it is the last one. Returns None outside a notebook,
+    or where another line is shown already.
     """
     # Where there is a notebook, IPython is imported already.
     shell: Any = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()

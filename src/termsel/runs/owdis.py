@@ -95,8 +95,8 @@ def with_selected_lines(control: FitData, choice: Choice, auto: Auto,
 def _select_features(control: FitData, seed: int) -> FitData | None:
     """Return the points of `control` and the lines with which OWDIS predicts these points best.
 
-    None where OWDIS cannot select: there are too few lines, all are parallel, or no selection meets
-    its constraints. Raises KeyboardInterrupt where its search was interrupted.
+    Returns None where OWDIS cannot select: there are too few lines, all are parallel, or no
+    selection meets its constraints. Raises KeyboardInterrupt where its search was interrupted.
     """
     features = control.features
     points = features.points
@@ -123,7 +123,7 @@ def _held_out_errors(control: FitData, auto: Auto, seed: int) -> FloatArray | No
     """Return the errors of the points [px], (n_points, 2), under choices made without them.
 
     For each of FOLDS_WITH_LINES folds of points, OWDIS selects lines and a model is chosen by the
-    other points. None if there is no choice without some fold.
+    other points. Returns None if there is no choice without some fold.
     """
     points = control.features.points
     errors = np.empty((len(points), 2))

@@ -337,7 +337,7 @@ def _contradicting_known_image(fitted: Fit, points: Points, heights: bool,
                                auto: Auto) -> Suspects | None:
     """Return the other points that contradict the known image of the chosen model.
 
-    None if the model has none, or there are no such points.
+    Returns None if the model has none, or there are no such points.
     """
     if not method_of(fitted).from_one or not len(points):
         return None

@@ -284,7 +284,7 @@ def _mean_time(sizes: list[int], seconds: Mapping[int, float]) -> float | None:
     """Return the mean time [s] of cells that have these numbers of features.
 
     `seconds` has the times of the cells that were run, by their number of features; between these
-    the time is linear in the logarithm of the number. None if no cell was timed.
+    the time is linear in the logarithm of the number. Returns None if no cell was timed.
     """
     if not seconds:
         return None

@@ -243,7 +243,8 @@ def next_command(study: Study, folder: Path) -> str:
     """Return the next step after a batch as a command: maps, or where to measure more points.
 
     It begins with "Next: " and can be typed. Where an image or a DEM that the maps need is not
-    known, it is the page of the least certain image instead. "" where nothing is left to do.
+    known, it is the page of the least certain image instead. Returns "" where nothing is left to
+    do.
     """
     rows = [row for row in study.rows if row["state"] == "done"]
     names = folders_of(study.cells)

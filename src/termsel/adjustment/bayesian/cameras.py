@@ -87,8 +87,8 @@ def east_north_up(scaling: Scaling, crs: str,
                   scaled: FloatArray) -> tuple[FloatArray, float] | None:
     """Return scaled places to the east, north and up of their middle [m], (m, 3), and its latitude.
 
-    NaN where the latitude is not known. None on other bodies than the Earth, and for geocentric
-    coordinates.
+    Returns NaN where the latitude is not known. Returns None on other bodies than the Earth, and
+    for geocentric coordinates.
     """
     ground_crs = scaling.fit_crs or crs
     middle = np.array(scaling.ground_offset)

@@ -263,8 +263,8 @@ class _InverseTriangle:
 def _inverse_triangle(knots: FloatArray) -> _InverseTriangle | None:
     """Return a root of the inverse of what affine functions leave of the kernels around knots.
 
-    It comes from Cholesky's factor (see `_InverseTriangle`). None where rounding would show, as
-    where some of the knots (k, 2) are close together.
+    It comes from Cholesky's factor (see `_InverseTriangle`). Returns None where rounding would
+    show, as where some of the knots (k, 2) are close together.
     """
     kernels = spline_kernel(knots, knots)
     reflections = Reflections.of(_affine_columns(knots))

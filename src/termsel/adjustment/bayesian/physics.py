@@ -140,8 +140,8 @@ def camera_priors(kinds: Sequence[Kind], positions: FloatArray, scaled: FloatArr
                   pixel: float) -> CameraPriors | None:
     """Return priors by cameras that see places (m, 3) [m], which are scaled (m, 3), too.
 
-    None if hardly any camera sees these. The slopes are those of line and of sample by metres to
-    the east and to the north, (2, 2), in scaled units; `pixel` is that of a pixel.
+    Returns None if hardly any camera sees these. The slopes are those of line and of sample by
+    metres to the east and to the north, (2, 2), in scaled units; `pixel` is that of a pixel.
     """
     # In steps, so that views of points held out are found again.
     azimuth = AZIMUTH_STEP * round(np.degrees(float(np.arctan2(*slopes[0]))) / AZIMUTH_STEP)

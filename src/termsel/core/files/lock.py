@@ -72,8 +72,8 @@ def _hold_lock(folder: Path, hint: str) -> Iterator[FileIO]:
 def take_turn(path: Path, seconds: float) -> FileIO | None:
     """Return a lock on a file, for work that one process does at a time, once nobody else holds it.
 
-    None where it is not free after so many seconds, or the file cannot be opened or locked: callers
-    must not depend on having it. `end_turn` gives it back.
+    Returns None where it is not free after so many seconds, or the file cannot be opened or locked:
+    callers must not depend on having it. `end_turn` gives it back.
     """
     deadline = time.monotonic() + seconds
     with suppress(OSError), ExitStack() as files:

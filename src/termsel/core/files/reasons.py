@@ -48,7 +48,7 @@ def _exception_chain(error: BaseException | None) -> Iterator[BaseException]:
 def _is_full(path: Path) -> bool:
     """Return whether the disk of a file, or of the folder that it would be in, is full.
 
-    False where that cannot be told.
+    Returns False where that cannot be told.
     """
     folders = (path, *path.absolute().parents)
     folder = next((candidate for candidate in folders if candidate.is_dir()), None)

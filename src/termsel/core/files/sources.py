@@ -119,7 +119,8 @@ def refuse_foreign(path: Path | str) -> list[str]:
 def is_single_file(path: Path | str) -> bool:
     """Return whether GDAL opens no other file with a raster by its name alone.
 
-    False for a virtual raster, and for what is no file on the disk, such as one in an archive.
+    Returns False for a virtual raster, and for what is no file on the disk, such as one in an
+    archive.
     """
     # A file in memory was made by this process, which makes none next to it.
     if str(path).startswith("/vsimem/"):
@@ -648,7 +649,7 @@ def _archive_and_member(name: str) -> tuple[Path | None, str]:
 def _list_archive(name: str, archive: Path) -> list[str] | None:
     """Return the files in an archive as GDAL calls them, none if it cannot be read.
 
-    None where `name` stands for one compressed file, which is no archive.
+    Returns None where `name` stands for one compressed file, which is no archive.
     """
     if name.startswith("/vsigzip/"):
         return None
@@ -668,7 +669,7 @@ def _list_archive(name: str, archive: Path) -> list[str] | None:
 def _read_archive_member(name: str, archive: Path, member: str) -> bytes | None:
     """Return the beginning of a file in an archive; all of it if it is a virtual raster.
 
-    None if the archive cannot be read, or has no such file.
+    Returns None if the archive cannot be read, or has no such file.
     """
     try:
         if name.startswith("/vsigzip/"):

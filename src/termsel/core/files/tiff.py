@@ -34,8 +34,8 @@ _BIG = _Layout(8, "Q", "Q", "HHQQ")
 def metadata_of_tiff(file: BinaryIO) -> bytes | None:
     """Return GDAL's metadata of the first image of a TIFF, as bytes of XML; empty without any.
 
-    None where that cannot be told: for other files, and where the TIFF is cut off or has too many
-    entries.
+    Returns None where that cannot be told: for other files, and where the TIFF is cut off or has
+    too many entries.
 
     Parameters
     ----------

@@ -177,7 +177,7 @@ def _is_in_an_image(numbers: Mapping[int, FloatArray], reading: Mapping[str, int
 def _shows_ground(numbers: Mapping[int, FloatArray], reading: Mapping[str, int]) -> bool:
     """Return whether x, y and z of a reading look like ground.
 
-    False for a reading without numbers for line, sample, x and y.
+    Returns False for a reading without numbers for line, sample, x and y.
     """
     if not all(reading.get(name) in numbers for name in _REQUIRED):
         return False
@@ -197,8 +197,8 @@ def _read_upwards(reading: Mapping[str, int], known_columns: Mapping[str, int],
     """Return a guess with line and sample exchanged, which holds if lines count upwards.
 
     Sample before line, as x before y, is the usual order of columns. A guess departs from it where
-    the image would else mirror the ground; but it would not if lines counted upwards. None for a
-    guess in that usual order, or with y before x, and where any of the four columns is known.
+    the image would else mirror the ground; but it would not if lines counted upwards. Returns None
+    for a guess in that usual order, or with y before x, and where any of the four columns is known.
     """
     guessed = _REQUIRED - known_columns.keys()
     if guessed < _REQUIRED or reading["line"] > reading["sample"] or reading["x"] > reading["y"]:

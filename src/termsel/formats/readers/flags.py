@@ -58,7 +58,7 @@ def find_flags(header: Sequence[str], rows: Sequence[Sequence[str]], taken: Coll
 
     A column counts if each of its cells is true, false or blank, and if it leaves some rows in use
     and others not. A blank cell leaves its row in use. Of several columns, all must leave a row in
-    use. Columns `taken` have another meaning. None if there is no such column.
+    use. Columns `taken` have another meaning. Returns None if there is no such column.
     """
     found = []
     in_use = [True] * len(rows)

@@ -86,9 +86,9 @@ def table_of_places(path: Path, aliases: Aliases, stated: Mapping[str, str], *,
                     layer: str | None = None, flat: bool = False) -> Table | None:
     """Return the points of a vector file as a table of their coordinates and properties.
 
-    Of a file with several layers it reads `layer`, or the first one of points. None if the file is
-    neither GeoJSON nor a vector file of a GIS. With `flat`, heights may be missing, and are then
-    blank. Raises TermselError where the file has other geometries than points.
+    Of a file with several layers it reads `layer`, or the first one of points. Returns None if the
+    file is neither GeoJSON nor a vector file of a GIS. With `flat`, heights may be missing, and are
+    then blank. Raises TermselError where the file has other geometries than points.
 
     Examples
     --------

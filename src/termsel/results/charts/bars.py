@@ -170,7 +170,7 @@ def _rmse_of(rows: list[Row]) -> dict[str, float]:
 def caption_on_others(view: View) -> str:
     """Return a caption on hollow symbols in the chart of all fits, and on fits that it leaves out.
 
-    "" if the chart has neither.
+    Returns "" if the chart has neither.
     """
     rows, failed = rows_of_fits(view)
     sentences = []

@@ -28,8 +28,8 @@ def find_best_by_splicing(systems: ScoreSystems, mask: int, best: FloatArray, ma
     """Return the best score and mask of each size, (k + 1,) each, after all changes of a subset.
 
     Best and masks are those so far. Infeasible subsets that were scored before are not scored
-    again; further ones are added. None where columns of the subset are dependent, or where TRIED
-    changes of a size are infeasible: then all of them have to be walked.
+    again; further ones are added. Returns None where columns of the subset are dependent, or where
+    TRIED changes of a size are infeasible: then all of them have to be walked.
     """
     used = systems.everything.used
     inside = (BITS[systems.everything.candidates] & np.uint64(mask)) != 0

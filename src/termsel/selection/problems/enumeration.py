@@ -186,7 +186,7 @@ def _denominator_columns(model: RationalModel, ground: FloatArray,
                          image_axis: int) -> FloatArray | None:
     """Return the linear form of one axis' denominator at ground points, shape (n, columns).
 
-    None for a model without denominators.
+    Returns None for a model without denominators.
     """
     # 1 + d x is linear in the coefficients x: those of unit vectors, less 1, are its columns d.
     unit_vectors = np.eye(len(model.terms))[model.axis == image_axis]

@@ -61,8 +61,8 @@ def _fewest_rows(terms: int, rows: int, share: float, freedom: int) -> int:
 def _linearised_selection_points(inputs: ProblemData) -> tuple[FloatArray, FloatArray] | None:
     """Return the selection points' image positions for terms of 0, and their change by each term.
 
-    Both are raveled, of shape (2 c,) and (2 c, k). None where the positions are not linear in the
-    terms.
+    Both are raveled, of shape (2 c,) and (2 c, k). Returns None where the positions are not linear
+    in the terms.
     """
     model = inputs.model
     ground = inputs.check.ground

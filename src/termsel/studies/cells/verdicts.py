@@ -176,7 +176,8 @@ def _rmse_interval(row: Mapping[str, Any], unit: str) -> tuple[float, float, flo
     """Return the RMSE of an image between the ends of its 90 % interval: low, RMSE, high.
 
     It is the RMSE that independent points show, where there are many or none is predicted, else the
-    predicted one. `unit` is "px" or "m". None where there is no RMSE, or no pixel size for metres.
+    predicted one. `unit` is "px" or "m". Returns None where there is no RMSE, or no pixel size for
+    metres.
     """
     n_independent = row["n_independent"] or 0
     measured = row["independent"]

@@ -53,8 +53,8 @@ def gap_to_optimum(problem: Problem, reached: float) -> dict[str, Any] | None:
     """Return the gap between a solution and the proven optimum, if that is known quickly.
 
     Given the first objective that is reached, it is a certificate with the optimum and the gap,
-    relative to the optimum. None if the space cannot be enumerated, has more than QUICK subsets or
-    QUICK_ROWS rows, or has nothing feasible.
+    relative to the optimum. Returns None if the space cannot be enumerated, has more than QUICK
+    subsets or QUICK_ROWS rows, or has nothing feasible.
     """
     try:
         proven = _quick_optimum(problem)
@@ -72,7 +72,8 @@ def gap_to_optimum(problem: Problem, reached: float) -> dict[str, Any] | None:
 def _quick_optimum(problem: Problem) -> tuple[float, int, str] | None:
     """Return the least first objective, proven, the number of subsets, and their space in words.
 
-    None if there are too many subsets or equations for a quick proof, or if none is feasible.
+    Returns None if there are too many subsets or equations for a quick proof, or if none is
+    feasible.
     """
     systems = problem.row_systems()
     if systems is not None:

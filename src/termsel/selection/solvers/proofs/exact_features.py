@@ -159,7 +159,7 @@ def quick_optimum(problem: Problem,
                   systems: tuple[RowSystem, ...]) -> tuple[float, int, str] | None:
     """Return the least objective, proven, the number of selections, and their space in words.
 
-    None if there are too many selections for a quick proof, or if none is feasible. Raises
+    Returns None if there are too many selections for a quick proof, or if none is feasible. Raises
     TermselError for too many features.
     """
     selections = selections_of(problem, systems)

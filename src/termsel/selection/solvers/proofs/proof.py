@@ -87,7 +87,7 @@ class Proof:
     def _objective_of_costs(self, best: float) -> Callable[[float], float] | None:
         """Return a function from a sum of costs to the objective, by that of the best selection.
 
-        None if the objective is neither the sum itself nor an RMSE [px].
+        Returns None if the objective is neither the sum itself nor an RMSE [px].
         """
         subproblem = self.parts[0]
         # The rows whose errors the score adds up.
@@ -111,7 +111,7 @@ class Proof:
     def bound(self, best: float) -> float | None:
         """Return a lower bound of the objective of all selections, given that of the best so far.
 
-        None if the objective is neither the sum of the parts' costs nor their RMSE [px].
+        Returns None if the objective is neither the sum of the parts' costs nor their RMSE [px].
         """
         if self.complete:
             return best
