@@ -230,9 +230,9 @@ class Spectrum:
         return np.asarray(square / (self.values**2 + square))
 
     def gcv(self, penalty: FloatArray) -> FloatArray:
-        """Return the generalised cross-validation, up to a factor (Golub et al. 1979, eq. 1.4).
+        """Return the generalised cross-validation (n,) of each penalty (n,), up to a factor.
 
-        For penalties of shape (n,).
+        It is eq. 1.4 of Golub et al. (1979).
         """
         residual_share = self._residual_share(penalty)
         square = ((residual_share * self.inner) ** 2).sum(axis=1) + self.outside
@@ -240,12 +240,11 @@ class Spectrum:
         return np.asarray(square / freedom**2)
 
     def curvature(self, penalty: FloatArray) -> FloatArray:
-        """Return the curvature of the L-curve, (log |residuals|, log |x|).
+        """Return the curvature (n,) of the L-curve (log |residuals|, log |x|) at each penalty (n,).
 
-        With rho and eta, the squares of residuals and coefficients, it needs only the slope of
-        eta, since d rho = -penalty^2 d eta (Hansen 2001, section 3). Positive in a corner.
-
-        For penalties of shape (n,).
+        It is positive in a corner. With rho and eta, the sums of squares of residuals and
+        coefficients, it needs only the slope of eta, since d rho = -penalty^2 d eta (Hansen 2001,
+        section 3).
         """
         residual_share = self._residual_share(penalty)
         squares = ((1.0 - residual_share) * self.inner / self.values) ** 2

@@ -301,9 +301,9 @@ class Auto(Method):
         return choice
 
     def _settled_choice(self, candidates: Iterable[Method], data: FitData) -> Choice | None:
-        """Return the choice of the first method that the features support alone; None without one.
+        """Return the choice of the first method that says that no other one is possible.
 
-        A method may say that nothing else is possible, as where a file names its sensor.
+        A method may say so where a file names its sensor, for example. Returns None if none does.
         """
         for method in candidates:
             reason = self._settles(method, data)

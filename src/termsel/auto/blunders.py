@@ -151,9 +151,10 @@ def _suspects_of(control: FitData, auto: Auto) -> Suspects | None:
 
 
 def _verdict_without(misplaced: BoolArray, control: FitData, auto: Auto) -> _Verdict | None:
-    """Return the verdict with points out of place, the mask `misplaced` (n,); None without any.
+    """Return the verdict in which the points of the mask `misplaced` (n,) are blunders.
 
-    None, too, where the other features are too few for a test.
+    The other features are judged without them. Returns None where no point is misplaced, and where
+    the other features are too few for a test.
     """
     if not misplaced.any():
         return None
@@ -558,7 +559,10 @@ def _features_with_weight(control: FitData, test_of_all: TestOfAll) -> BoolArray
 
 
 def _weightless(control: FitData) -> BoolArray | None:
-    """Return the features with a row of no weight, (n,); None if too few for a quadratic."""
+    """Return which features, (n,), have a row of weight 0 under a robust quadratic polynomial.
+
+    Returns None if the features are too few for such a polynomial.
+    """
     model = polynomial_of(control.heights, 2)
     equations = model.equations(control.scaled)
     # Without redundancy all residuals are 0, and so all weights 1.

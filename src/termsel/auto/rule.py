@@ -586,7 +586,10 @@ def advantage_in_words(advantage: float, other: str) -> str:
 
 
 def requirement_in_words(advantage: float, margin: float) -> str:
-    """Return whether an advantage is more than chance, and how large it must be; "" for none."""
+    """Return in words whether an advantage is more than chance, and how large it must be for that.
+
+    Returns "" where there is no advantage.
+    """
     if not advantage > _NO_ADVANTAGE:
         return ""
     if margin == np.inf:

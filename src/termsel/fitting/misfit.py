@@ -444,7 +444,10 @@ def rows_of_field(n: int) -> IntArray:
 
 
 def mixed_misfit(misfits: Sequence[tuple[float, Misfit]]) -> Misfit | None:
-    """Return the mixture of misfits of the same control, each with its chance; None without any."""
+    """Return the mixture of misfits of the same control, each with its chance.
+
+    Returns None if there are no misfits.
+    """
     if not misfits:
         return None
     # Sums over all courses are linear in a course's share, so that the chance multiplies its terms.

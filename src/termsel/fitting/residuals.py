@@ -152,7 +152,7 @@ def _residual_rows(ids: tuple[str, ...], errors: FloatArray, ground: FloatArray,
 
 
 def rmse_of(errors: FloatArray, n: int) -> Rmse | None:
-    """Return the RMSE of errors, shape (..., 2), of n features; None without any."""
+    """Return the RMSE of errors, shape (..., 2), of n features; None if n is 0."""
     if not n:
         return None
     with np.errstate(over="ignore"):  # beyond all numbers is infinite

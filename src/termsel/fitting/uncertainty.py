@@ -366,8 +366,9 @@ def _propagated_noise(model: SensorModel, control: FeatureSet, terms: BoolArray,
                       ground: FloatArray) -> tuple[Spread, FloatArray]:
     """Return the noise propagated through an adjustment, and squared held-out errors, (n,).
 
-    Of a model that corrects predictions by its control it is that of the uncorrected ones, which
-    are worse. Without redundancy both are unknown: NaN, and infinite.
+    Of a model that corrects its predictions by the control, these are the figures of predictions
+    without the correction, which are worse. Without redundancy neither is known: the noise is NaN,
+    and the errors are infinite.
     """
     if not adjustment.feasible or not adjustment.redundancy > 0:
         return _unknown_spread(len(ground)), np.full(len(control), np.inf)

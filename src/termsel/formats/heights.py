@@ -194,7 +194,10 @@ class Dem:
         return np.asarray(x), np.asarray(y)
 
     def _interpolate_heights(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the raster's own heights at its x and y, (n,); NaN outside of it."""
+        """Return the raster's own heights at its x and y, (n,), NaN outside of the raster.
+
+        They are interpolated between the middles of pixels.
+        """
         position = pixel_positions(self.raster, x, y)
         size = np.array(self.raster.shape)
         heights = np.full(len(position), np.nan)
@@ -215,7 +218,9 @@ class Dem:
         return heights
 
     def ellipsoidal(self, window: Any) -> FloatArray:
-        """Return ellipsoidal heights [m] of the pixels of a window, (lines, samples); NaN for none.
+        """Return ellipsoidal heights [m] of the pixels of a window, (lines, samples).
+
+        They are NaN for pixels without a height.
         """
         rows, columns = np.mgrid[:window.height, :window.width] + 0.5
         x, y = self.raster.transform @ (columns.ravel() + window.col_off,
@@ -231,8 +236,8 @@ class Dem:
     def _read_window(self, first: Any, last: Any) -> FloatArray:
         """Return the heights from pixel `first` to `last`, and of one more row and column.
 
-        These are needed to interpolate towards them, and left out at the edge of the raster. NaN
-        for pixels without a height.
+        The further ones are needed to interpolate towards them, and left out at the edge of the
+        raster. Pixels without a height are NaN.
         """
         from rasterio.windows import Window
 
@@ -240,7 +245,9 @@ class Dem:
         return self.stored(Window(int(first[1]), int(first[0]), columns, rows))
 
     def stored(self, window: Any) -> FloatArray:
-        """Return the raster's own heights in a window, (lines, samples); NaN for none and infinite.
+        """Return the raster's own heights in a window, (lines, samples).
+
+        They are NaN for pixels without a height, and for heights that are infinite.
         """
         with np.errstate(all="ignore"):  # of bytes that are no numbers, and numbers near the limit
             values = self.raster.read(1, window=window, masked=True).astype(np.float64)

@@ -129,11 +129,11 @@ def has_rpc(image: Path | str) -> bool:
 
 
 def read_delivered_rpc(image: Path | str) -> Rpc | None:
-    """Return the RPC that an image came with, inside it or next to it; None without one.
+    """Return the RPC that an image came with, inside it or next to it; None if it has none.
 
     An RPC that termsel fitted to control points, and that was exported next to the image, is not
     returned: the points that it was fitted to would seem to test it. The vendor's RPC that it hides
-    is returned in its place, or None without one, and a warning is logged.
+    is returned in its place, None if it hides none, and a warning is logged.
 
     Raises
     ------

@@ -126,8 +126,9 @@ def _require_database(path: Path) -> None:
 
 
 def to_datum_of(crs: str, raster_crs: CRS, path: Path) -> Heights | None:
-    """Return a function from heights [m] of a raster's CRS to those of a CRS; None if alike.
+    """Return a function from heights [m] of a raster's CRS to those of a CRS.
 
+    Returns None if both have the same heights.
     A CRS that states no vertical datum has ellipsoidal heights. Raises TermselError where PROJ
     lacks the grid of a geoid.
     """
@@ -257,9 +258,9 @@ def _is_number(value: str) -> bool:
 
 
 def _datum_of(words: tuple[str, ...]) -> str | None:
-    """Return the datum that consecutive words name, by the longest name; None if none do.
+    """Return the vertical datum that consecutive words name: a code of EPSG, or "ellipsoidal".
 
-    A code of EPSG, or "ellipsoidal".
+    Of several names the longest counts. Returns None if the words name no datum.
     """
     codes = _vertical_names()
     # The longest name first: "navd 88 height" before "navd".

@@ -198,7 +198,10 @@ def _unit_by_dem(features: FeatureSet, units: tuple[str, ...], dem: Path) -> str
 
 
 def _unit_by_rpc(features: FeatureSet, units: tuple[str, ...], rpc: Rpc) -> str | None:
-    """Return the unit in which an RPC sees or covers the points, but for a shift; None if open."""
+    """Return the unit of heights in which an RPC sees or covers the points, but for a shift.
+
+    `units` are those to choose from. Returns None if more than one of them will do, or none.
+    """
     points = _points_that_tell(features).points
     if not len(points):
         return None

@@ -94,9 +94,9 @@ class MapPixels:
 
     @property
     def bits(self) -> int | None:
-        """Bits of a pixel where a byte holds several pixels; None elsewhere.
+        """Bits of a pixel where a byte holds several pixels; None for all other maps.
 
-        As few as hold the pixels of the image and the value of no data.
+        They are as few as can hold the pixels of the image and the value for "no data".
         """
         if len(self.picture.bands) > 1 or not self.category:
             return None

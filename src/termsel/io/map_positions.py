@@ -322,8 +322,8 @@ def _positions_between(nodes: Any, levels: Any, heights: Any, step: int, positio
 
     It fills `positions` (lines, samples, 2), from `nodes` (levels, rows, columns, 2) that are
     `step` pixels apart and have the heights `levels` (levels,), at the `heights` (lines, samples)
-    of the pixels. Bilinear in the plane; by Lagrange's polynomial between heights. A pixel without
-    a height has NaN for both.
+    of the pixels. Positions are interpolated bilinearly in the plane, and by Lagrange's polynomial
+    between heights. A pixel without a height has NaN for both.
     """
     count = len(levels)
     level_weights = np.empty(count)

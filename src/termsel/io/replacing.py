@@ -162,7 +162,10 @@ def _files_in_use(reads: Iterable[object], beside: bool) -> Iterator[Path]:
 
 
 def _is_vrt(path: Path) -> bool:
-    """Return whether a path is a file that begins as a virtual raster; False if unreadable."""
+    """Return whether a path is a file that begins as a virtual raster.
+
+    Returns False for a file that cannot be read.
+    """
     if not path.is_file():
         return False
     try:

@@ -536,7 +536,10 @@ class RationalFunctions(MonomialModel):
         return equations and replace(equations, prior=self._prior_weights(features))
 
     def _prior_weights(self, features: FeatureSet) -> FloatArray | None:
-        """Return the weights (k,) that hold the terms of denominators near 0; None without any."""
+        """Return the weights (k,) that hold the terms of denominators near 0.
+
+        Returns None where these terms are not held.
+        """
         ridge = self.options["ridge"]
         if ridge is None:
             # A DLT has so few denominators that lines determine them.

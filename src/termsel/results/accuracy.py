@@ -223,7 +223,9 @@ def _doubt_clauses(record: Record, accuracy: Accuracy) -> list[str]:
 
 
 def reused_points_in_words(accuracy: Accuracy) -> str:
-    """Return which of the independent check points have assessed an earlier fit; "" for none.
+    """Return which of the independent check points have assessed an earlier fit, in words.
+
+    Returns "" if none of them has.
 
     An RMSE that somebody has seen and then acted on is no longer independent. Where fewer than half
     of the points were seen, it is not spoiled by much, and the first screen is silent.

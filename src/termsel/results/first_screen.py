@@ -619,7 +619,10 @@ def _urgent_warnings_and_notes(record: Record) -> list[str]:
 
 
 def _caution_on_heights(record: Record) -> str:
-    """Return that the heights of the DEM are not those of the control; "" without that doubt."""
+    """Return the caution that the heights of the DEM may not be those of the control.
+
+    Returns "" where the record has no such doubt.
+    """
     doubt = record.data.read.height_doubt if record.data.read else ""
     if not doubt:
         return ""

@@ -184,7 +184,10 @@ def _table_as_html(table: TableBlock) -> str:
 
 
 def _column_class(table: TableBlock, column: int) -> str:
-    """Return the class of the cells of a column, as an attribute; "" for plain ones."""
+    """Return the class of the cells of a column, as an attribute of HTML.
+
+    Returns "" for a column that needs no class.
+    """
     if table.has_words(column):
         return ' class="words"'
     if column in table.page_only:  # too wide for a narrow screen as for a text

@@ -190,7 +190,7 @@ class View:
     def hull(self) -> list[Row]:
         """Corners of the control's convex hull in order, the first repeated: `line`, `sample` [px].
 
-        `i` is the number of the corner in this order. Empty for control on one straight line.
+        `i` is the number of the corner in this order. Control on one straight line has no corners.
         """
         corners = convex_hull(self._control_in_image)
         return [{"i": i, "line": float(self._control_in_image[corner, 0]),

@@ -121,7 +121,8 @@ def is_even(ground: FloatArray, places: FloatArray) -> bool:
 def places_within_hull(ground: FloatArray) -> FloatArray:
     """Return places (m, 3) over the convex hull of points on the ground (n, 3).
 
-    Each at the height of the nearest point. None where the points lie on one line.
+    Each place has the height of the nearest point. There is no place, m is 0, where the points lie
+    on one line.
     """
     plan = ground[:, :2]
     if not convex_hull(plan):

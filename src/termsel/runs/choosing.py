@@ -470,7 +470,9 @@ def _final_fit(fitted: Fit, points: Points, heights: bool, auto: Auto,
 
 
 def _notes_on_rpc(request: Request, data: FitData, auto: Auto, fitted: Fit) -> tuple[str, str]:
-    """Return a first note on the RPC that is given, and a note on its correction; "" for neither.
+    """Return a note on the RPC that is given, and a note on its correction.
+
+    Either is "" where there is nothing to say.
     """
     method = method_of(fitted)
     if method.from_one:

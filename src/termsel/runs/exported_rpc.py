@@ -34,7 +34,7 @@ RPC_DOUBTS = (_FITTED, _WITHOUT_RECORD)
 
 
 def rpc_of_model(model: SensorModel) -> Rpc | None:
-    """Return the RPC that a model has as an option; None without one."""
+    """Return the RPC that a model has as an option; None if it has none."""
     text = model.options.get("rpc")
     if not isinstance(text, str) or _COUNT not in text:
         return None

@@ -138,7 +138,9 @@ def _control_on_globe(control: FeatureSet) -> FloatArray:
 
 
 def note_on_pole(features: FeatureSet, control: FeatureSet) -> str:
-    """Return a note on control around a pole, with the option that fits it better; "" elsewhere.
+    """Return a note on control around a pole, with the option that fits it better.
+
+    Returns "" for control elsewhere.
     """
     crs = normalise(features.crs)
     if features.fit_crs or not is_in_degrees(features.crs) or kind_of(crs) != "geographic":

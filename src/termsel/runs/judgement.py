@@ -157,9 +157,9 @@ def judge_choice(method: Method, predicted: float | None, rmse: Rmses,
 
 
 def best_conventional(method: Method, baselines: tuple[Baseline, ...]) -> str:
-    """Return the name of the conventional model that cross-validation prefers; "" for none.
+    """Return the name of the conventional model that cross-validation prefers.
 
-    The method that was chosen is no rival of its own.
+    `method`, which was chosen, is no rival of its own. Returns "" if no rival was judged.
     """
     rmse_of_rival = {}
     for row in baselines:

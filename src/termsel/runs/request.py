@@ -100,10 +100,11 @@ def with_options(role: str, component: type[Configurable] | Configurable,
 
 
 def second_solver(recipe: Recipe, settings: Mapping[str, Any]) -> Any:
-    """Return the solver of the second step, as asked for or the problem's; None without one.
+    """Return the solver of the second step of a search, as asked for, or else the problem's.
 
-    `settings` are the options of all parts as the user gave them. Raises TermselError for a second
-    solver, or options of one, where there is no second step, or none with a solver of its own.
+    Returns None where there is no second step, and where it has no solver of its own. `settings`
+    are the options of all parts as the user gave them. Raises TermselError for a second solver, or
+    options of one, where there is no second step, or none with a solver of its own.
     """
     defaults = {option.name: option.default
                 for option in (*recipe.options, *undeclared_options(recipe))}

@@ -346,7 +346,10 @@ def _certificate_or_gap(task: Task, search: SearchResult, fitted: Fit) -> Certif
 
 
 def _proof_or_gap(task: Task, search: SearchResult, fitted: Fit) -> Mapping[str, Any] | None:
-    """Return the certificate of a search, or its distance from the optimum; None without either."""
+    """Return the certificate of a search, or its distance from the optimum, as the record has them.
+
+    Returns None where neither is known.
+    """
     # What a solver of a plugin proves is its claim, and named as such.
     claim = plugins_of(task.request).get("solver")
     if search.certificate is not None and claim:

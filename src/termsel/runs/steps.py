@@ -19,7 +19,9 @@ from termsel.selection.solvers.search import SearchResult, begin, search
 
 
 def search_in_steps(task: Task, **how: Any) -> SearchResult:
-    """Search a task's problem as its option "steps" says, with arguments of `termsel.search`.
+    """Return the search of a task's problem in the steps that its option "steps" says.
+
+    `how` are arguments of `termsel.search`.
 
     "joint" searches terms and features together. "terms-first" selects terms with all features in
     use, then features under these terms; "features-first" selects features under all terms, then

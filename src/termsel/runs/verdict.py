@@ -227,7 +227,10 @@ def _note_on_contradictions(pool: FitData, suspects: Suspects) -> Iterator[str]:
 
 
 def _visible_suspects(suspects: Suspects | None) -> Suspects | None:
-    """Return suspects without those whose errors are too small to be measured; None of None."""
+    """Return suspects without those whose errors are too small to be measured.
+
+    Returns None if `suspects` is None.
+    """
     if suspects is None:
         return None
     is_visible = suspects.errors > UNSEEN

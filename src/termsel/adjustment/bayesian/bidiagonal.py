@@ -66,8 +66,9 @@ def evidence_of(forms: Bidiagonal, targets: FloatArray,
                 sizes: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return log factors, (g, s), and sums of squares, (a, g, s), of the solutions of all sizes.
 
-    Of g forms and s sizes. The logarithm is that of |I + s^2 M M'|^-1/2, the sum
-    y' (I + s^2 M M')^-1 y of each of the a columns of `targets` (m, a).
+    There are g forms M and s sizes, which are the numbers of `sizes` (s,). Of a form M and a size t
+    the log factor is log |I + t^2 M M'|^-1/2, and the sum of squares y' (I + t^2 M M')^-1 y, for
+    each of the a columns y of `targets` (m, a).
     """
     _, count = forms.diagonal.shape
     # (a, m, g): U'y, the targets along the columns of U.
@@ -103,7 +104,11 @@ class BidiagonalSolutions:
         return residuals
 
     def redundancies(self, directions: FloatArray) -> FloatArray:
-        """Return b' (I + s^2 M M')^-1 b of directions b, (m, n), shape (u, n)."""
+        """Return b' (I + s^2 M M')^-1 b for u solutions and n directions b, shape (u, n).
+
+        The directions are the columns of `directions` (m, n); M is the form of a solution, s its
+        size.
+        """
         n = directions.shape[1]
         quadratic_forms = np.empty((len(self._form), n))
         for start in range(0, n, POINTS_PER_REFLECTION):

@@ -87,8 +87,8 @@ def east_north_up(scaling: Scaling, crs: str,
                   scaled: FloatArray) -> tuple[FloatArray, float] | None:
     """Return scaled places to the east, north and up of their middle [m], (m, 3), and its latitude.
 
-    Returns NaN where the latitude is not known. Returns None on other bodies than the Earth, and
-    for geocentric coordinates.
+    The latitude is in degrees, NaN where it is not known. Returns None on other bodies than the
+    Earth, and for geocentric coordinates.
     """
     ground_crs = scaling.fit_crs or crs
     middle = np.array(scaling.ground_offset)
@@ -258,11 +258,12 @@ def _from_centre(positions: FloatArray) -> FloatArray:
 
 def _views_at_sight(fill_views: Callable[[FloatArray, FloatArray], None], positions: FloatArray,
                     azimuth: float, cameras: int) -> tuple[FloatArray, BoolArray]:
-    """Return times at which the first of two numbers of a view is 0, with the second, (2, c, m).
+    """Return when c cameras see m places, with what they see then, and which cameras see all.
 
-    The second array says which cameras see all places, (c,). `fill_views` fills in both numbers,
-    (2, c, m), at times (c, m) [s]. Places `positions` (m, 3) [m] are passed in the direction
-    `azimuth` [rad]; `cameras` is their number c.
+    A view has two numbers, which `fill_views` fills in, (2, c, m), at times (c, m) [s]. A place is
+    seen when the first of them is 0. The first array (2, c, m) has these times [s] and the second
+    number, the other one (c,) is True for cameras that see all places. The places `positions`
+    (m, 3) [m] are passed in the direction `azimuth` [rad]; `cameras` is c.
     """
     # A satellite passes the ground at 7 km/s: the first guess of the time.
     guess = positions @ np.array([np.sin(azimuth), np.cos(azimuth), 0.0]) / GROUND_SPEED
@@ -288,9 +289,10 @@ def _views_at_sight(fill_views: Callable[[FloatArray, FloatArray], None], positi
 
 @_compiled
 def _next_steps(off: FloatArray, previous: FloatArray, step: FloatArray) -> float:
-    """Replace steps by those of the secant method, and return the largest; NaN if one is.
+    """Replace `step` (l,) by the next steps of the secant method, and return the largest size.
 
-    `off` and `previous` are what should be 0 after the steps and before them; all are (l,).
+    `off` (l,) is what should be 0, after the steps, and `previous` (l,) was the same before them.
+    NaN is returned if one of the steps is NaN.
     """
     largest = 0.0
     for i in range(len(step)):

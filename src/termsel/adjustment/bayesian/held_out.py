@@ -48,9 +48,9 @@ class HeldOutPredictions:
 
 
 def chance_of(statistic: FloatArray, freedom: int, pairs: int = 1) -> FloatArray:
-    """Return the chance of a larger F than each statistic, of its shape.
+    """Return the chance that F is larger than each statistic, in the shape of `statistic`.
 
-    F has 2 `pairs` and `freedom` degrees of freedom. SciPy's takes long.
+    F has 2 `pairs` and `freedom` degrees of freedom. SciPy's function takes longer.
     """
     ratio = 2 * pairs * statistic / freedom
     term = total = np.exp(-freedom / 2 * np.log1p(ratio))
@@ -91,10 +91,10 @@ class _Workspace(NamedTuple):
 
 def leave_each_point_out(line: AxisErrors, sample: AxisErrors, cells: WeightedCells,
                          half: int) -> HeldOutPredictions:
-    """Return each of some points as all others predict it.
+    """Return what is predicted of each of n points by all other points, averaged over the cells.
 
-    Line and sample have their solutions, and which occur together in the cells. `half` is half the
-    degrees of freedom without a point.
+    `line` and `sample` have the errors of the points under the solutions of their axis. A cell is
+    one solution of each with a probability. `half` is half the degrees of freedom without a point.
     """
     count = line.redundancies.shape[1]
     # The factor of a cell, (l_line l_sample)^-1/2 (S / S')^h S, begins with S and its probability.

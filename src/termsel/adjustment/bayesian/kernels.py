@@ -42,7 +42,7 @@ class Reflections:
 
     @classmethod
     def of(cls, columns: FloatArray) -> Reflections:
-        """Return the Q that makes some columns (n, f) triangular."""
+        """Return the orthogonal Q (n, n) of the QR decomposition of some columns (n, f)."""
         packed, factors = np.linalg.qr(columns, mode="raw")
         vectors = np.triu(packed, 1).T
         np.fill_diagonal(vectors, 1.0)
@@ -134,9 +134,11 @@ class SplineColumns:
 
     def variance(self, ground: FloatArray, columns: FloatArray, point_columns: FloatArray,
                  positions: FloatArray, smoothing: float, w: FloatArray) -> FloatArray:
-        """Return the variance at places (m, 2) by that of the field, shape (m,).
+        """Return the variance of the prediction, divided by the field's, at places (m, 2): (m,).
 
-        The affine columns there are (m, 3), those of the points (n, 3); `w` are their weights.
+        `columns` (m, 3) are the affine columns at the places, `point_columns` (n, 3) those at the
+        points, whose `positions` are (n, 2) and whose weights are `w` (n,). `smoothing` is the
+        variance of the noise divided by the field's.
         """
         (n, f) = point_columns.shape
         field = self(ground)

@@ -215,8 +215,9 @@ class _SharedScales:
 def _shared_scales(scales: bytes, sizes: bytes, n_own: int, targets: int) -> _SharedScales:
     """Return the scales of all solutions, with what they have in common for a fast solution.
 
-    A solution has a size and a group: `scales` are of n_own columns in each group, and of all
-    others together. Bytes, as they are the key of what is cached.
+    A solution has a size and a group. `scales` (g, n_own + 1) has those of n_own columns in each
+    group, and last the one that all other columns share. Both arrays come as their bytes, as the
+    cache needs a key.
     """
     scales_of_groups = np.frombuffer(scales).reshape(-1, n_own + 1)
     by_size = (np.frombuffer(sizes)[:, None] * scales_of_groups[:, None]).reshape(-1, n_own + 1)

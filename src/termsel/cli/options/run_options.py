@@ -461,7 +461,7 @@ def _holds_heights(path: Path) -> bool:
 
 
 def _kind_of(path: Path) -> str:
-    """Return which option a file is for: "image", "rpc", "lines" or "points".
+    """Return the name of the option that a file is for: "image", "rpc", "lines" or "points".
 
     Images and RPCs are known by their names, lines by the header of their table. Whatever else it
     is, and what cannot be read, is for "points", whose reader says what is wrong with it.

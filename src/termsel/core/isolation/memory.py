@@ -54,7 +54,7 @@ def _free_bytes() -> float | None:
 
 
 def _free_memory_of_machine() -> float | None:
-    """Return the bytes of memory available to all processes; None except on Linux."""
+    """Return how many bytes of memory are free for all processes; None on systems but Linux."""
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
     except OSError:
@@ -64,7 +64,7 @@ def _free_memory_of_machine() -> float | None:
 
 
 def _memory_below_limit() -> float | None:
-    """Return the bytes of address space below its limit; None without a limit."""
+    """Return how many bytes of memory this process may still take; None if it has no limit."""
     if sys.platform == "win32":
         return None
     import resource

@@ -109,7 +109,10 @@ def install_hint(package: str) -> str:
 
 
 def package_of_option(name: str) -> str:
-    """Return a sentence on the package that an option of ``--set`` comes with; "" for none."""
+    """Return a sentence on the package that an option of ``--set`` comes with.
+
+    Returns "" for an option that comes with no package.
+    """
     package = package_of_name(f"{SET} {name}")
     if not package:
         return ""

@@ -274,8 +274,9 @@ def _best_delimiter(text: str, aliases: Aliases, stated: Mapping[str, str]) -> s
 @lru_cache(64)  # several readers ask about a file, some of them several times
 def _delimiter_of_lines(lines: tuple[str, ...], items: tuple[tuple[str, tuple[str, ...]], ...],
                         stated_items: tuple[tuple[str, str], ...]) -> str:
-    """Return the separator of a text with these first lines, as `_best_delimiter`; "" for blanks.
+    """Return the separator of a text with these first lines, as `_best_delimiter` finds it.
 
+    It is "" where blanks separate the columns.
     `items` and `stated_items` are the items of its mappings, as a cache takes no mappings.
     """
     aliases = dict(items)

@@ -91,7 +91,7 @@ class RpcWriter(Writer):
                          f"heights from {heights[0]:g} to {heights[1]:g}"))
 
     def _height_range(self) -> tuple[float, float] | None:
-        """Return the least and the largest height of the option `heights`; None without it.
+        """Return the least and the largest height of the option `heights`; None if it is not given.
 
         Raises TermselError if these are no two numbers in this order.
         """

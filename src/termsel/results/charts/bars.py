@@ -37,7 +37,7 @@ FLATTENED = 12.0
 
 
 def bars_of_worst(view: View) -> Any:
-    """Return the largest residuals as bars, the largest first; those beyond the axis are broken.
+    """Return a chart of the largest residuals as bars, the largest first.
 
     Each has the colour of its role and the label of its blunder test. A bar longer than the axis,
     which ends where most residuals do, ends in two strokes with its length beside it, as one

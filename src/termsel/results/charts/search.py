@@ -32,8 +32,9 @@ _IN_PIXELS = ("check-rmse", "kfold", "press", "median", "huber")
 
 
 def front_chart(view: View) -> Any:
-    """Return the front: RMSE of check and independent points against terms or features.
+    """Return a chart of the front: RMSE of check and independent points against size.
 
+    The size is the number of terms or features.
     Each member of the front is one selection, its size along x. The recommended one has a ring. A
     click on a member shows its selection in the other charts of the page.
     """
@@ -141,7 +142,10 @@ def convergence_chart(view: View) -> Any:
 
 
 def refinement_remark(view: View) -> str:
-    """Return how many evaluations follow the search in its local refinement; "" without one."""
+    """Return a sentence on the evaluations that follow a search in its local refinement.
+
+    Returns "" if the search had no refinement.
+    """
     refinement = view.record.polish
     if refinement is None or not refinement.evaluations:
         return ""

@@ -282,7 +282,11 @@ def _parse_sources(at: Places, listed: Any) -> list[Source]:
 
 def _parse_texts(at: Places, path: Keys, value: Any,
                  choices: tuple[str, ...] | None = None) -> tuple[str, ...]:
-    """Return a text or a list of texts as a tuple; TermselError for others, or not in `choices`."""
+    """Return a text, or a list of texts, as a tuple of texts.
+
+    Raises TermselError, with the place in the study, for anything else, and for a text that is not
+    among the `choices`, if there are any.
+    """
     items = [value] if isinstance(value, str) else value
     if not isinstance(items, Sequence) or not all(isinstance(item, str) for item in items):
         raise at.error(path, f"{path[-1]} is neither text nor a list of texts")
@@ -328,7 +332,11 @@ def _parse_options(at: Places, path: Keys, table: Any) -> dict[str, Any]:
 
 
 def _parse_budget(at: Places, limits: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the limits of a study's searches; TermselError for an unknown one, or a bad value."""
+    """Return the limits of a study's searches, by name.
+
+    Raises TermselError, with the place in the study, for a limit that is not known, and for a value
+    that is not positive, above 1e12 or, for a count, not whole.
+    """
     for key, value in limits.items():
         path = ("budget", key)
         if key not in BUDGETS:

@@ -336,8 +336,8 @@ def _enter_feature(rows: FeatureRows, state: WalkState, space: EntrySpace,
                    depth: int, p: int, i: int) -> float:
     """Let the rows of feature i enter part p of the selection at a depth; return y'y of the part.
 
-    They enter one by one. Of `space` are filled `rows`, `share` and `half`, by which h becomes
-    h - share' rows and q becomes q - share' half - half' share, and e and g.
+    Rows are entered one by one. Filled in are the arrays `rows`, `share` and `half` of `space`, by
+    which h becomes h - share' rows and q becomes q - share' half - half' share, and its e and g.
     """
     start = rows.start[p, i]
     middle = rows.start[p, i + 1]

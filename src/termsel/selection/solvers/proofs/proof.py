@@ -270,7 +270,8 @@ def _cost_by_size(scores: FloatArray, subproblem: EnumerablePart, fewest: int) -
 def _least_joint_cost(costs: Sequence[FloatArray]) -> tuple[FloatArray, IntArray]:
     """Return the least sum of costs of every total size, (n,), and the parts' sizes, (n, parts).
 
-    A convolution of minima and sums, part by part.
+    The parts are joined one after another: the least cost of n genes is the least sum of the costs
+    of i genes in the parts before and n - i genes in this one, over all i.
     """
     total = np.zeros(1)
     sizes = np.zeros((1, 0), dtype=np.intp)

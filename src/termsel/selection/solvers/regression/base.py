@@ -120,9 +120,11 @@ class Regression:
 
     def standardised(self, penalised: BoolArray, removed: BoolArray, rows: BoolArray | None = None,
                      ) -> Standardised:
-        """Return penalised columns (k,) and target orthogonal to other columns (k,).
+        """Return the columns of the mask `penalised` (k,), of length 1, and the target.
 
-        The others are independent ones, such as the constant. Only some rows (m,), if given.
+        Both are made orthogonal to the columns of the mask `removed` (k,), which are independent,
+        such as the constant. A column that depends on those becomes 0. With the mask `rows` (m,)
+        only these rows count.
         """
         selected_rows = slice(None) if rows is None else rows
         columns = self.columns[selected_rows][:, penalised]
