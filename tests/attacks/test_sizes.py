@@ -10,12 +10,14 @@ import zipfile
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import termsel
 from termsel import TermselError
+from termsel.data import rasters
 from termsel.data.rasters import open_raster, refuse_empty_giant
 from tests.attacks.files import image, vrt
 
@@ -176,12 +178,52 @@ def test_a_small_image_of_any_size(how: str, folder: Path, refused, made_result:
     assert not (folder / "a.html").exists()
 
 
-def test_images_that_compress_well_are_read(folder: Path) -> None:
+@pytest.mark.parametrize(("driver", "options"), [
+    ("GTiff", {"compress": "deflate", "tiled": True, "count": 3, "interleave": "pixel"}),
+    ("GTiff", {"compress": "zstd", "tiled": True, "blockxsize": 1024, "blockysize": 1024}),
+    ("GTiff", {"compress": "deflate", "count": 3, "interleave": "band", "blockysize": 500}),
+    ("PNG", {}),
+])
+@pytest.mark.parametrize("value", [0, 255])
+def test_constant_images_are_read_whatever_their_size(
+        value: int, driver: str, options: dict[str, Any], folder: Path,
+        monkeypatch: pytest.MonkeyPatch) -> None:
     rasterio = pytest.importorskip("rasterio")
-    with rasterio.open(folder / "a.tif", "w", driver="GTiff", count=1, dtype="uint8", width=9000,
-                       height=9000, compress="deflate", tiled=True) as raster:
-        raster.write(np.zeros((1, 9000, 9000), dtype=np.uint8))
+    # As with images of a gigabyte, which take seconds to write.
+    monkeypatch.setattr(rasters, "SMALL", 2**20)
+    options = {"count": 1, "dtype": "uint8", "width": 5000, "height": 4000} | options
+    with rasterio.open(folder / "a.tif", "w", driver=driver, **options) as raster:
+        shape = (options["count"], options["height"], options["width"])
+        raster.write(np.full(shape, value, dtype=np.uint8))
+    pixels = 4000 * 5000 * options["count"]
+    assert pixels > 500 * (folder / "a.tif").stat().st_size
     with open_raster(folder / "a.tif") as raster:
+        refuse_empty_giant(raster)
+
+
+def test_an_image_with_few_of_its_blocks_is_refused(folder: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    with rasterio.open(folder / "a.tif", "w", driver="GTiff", count=1, dtype="uint8",
+                       width=200_000, height=100_000, sparse_ok=True, tiled=True,
+                       blockxsize=2048, blockysize=2048, compress="deflate") as raster:
+        raster.write(np.full((1, 2048, 2048), 7, dtype=np.uint8),
+                     window=rasterio.windows.Window(0, 0, 2048, 2048))
+    with open_raster(folder / "a.tif") as raster, \
+            pytest.raises(TermselError, match="of 100,000 lines and 200,000 samples has only"):
+        refuse_empty_giant(raster)
+
+
+def test_a_damaged_image_of_many_pixels_is_refused(
+        folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    monkeypatch.setattr(rasters, "SMALL", 2**20)
+    with rasterio.open(folder / "a.png", "w", driver="PNG", count=1, dtype="uint8", width=5000,
+                       height=4000) as raster:
+        raster.write(np.zeros((1, 4000, 5000), dtype=np.uint8))
+    whole = (folder / "a.png").read_bytes()
+    (folder / "a.png").write_bytes(whole[:len(whole) // 2])
+    with open_raster(folder / "a.png") as raster, \
+            pytest.raises(TermselError, match="has only"):
         refuse_empty_giant(raster)
 
 

@@ -13,8 +13,9 @@ import pytest
 pytest.importorskip("termsel_block", reason="termsel-block is not installed: "
                     "pip install -e plugins/termsel-block")
 
+from termsel import TermselError
 from termsel.testing import invoke
-from termsel.toolkit.coordinates import normalise, transformation_between
+from termsel.toolkit.coordinates import normalise, to_wgs84, transformation_between
 from termsel_block.accuracy import independent_points, predicted_errors, rms_length
 from termsel_block.block import Block
 from termsel_block.example import write_example
@@ -146,7 +147,8 @@ def test_a_block_is_the_same_in_feet(
                                [tie.error for tie in in_metres.wrong_ties], atol=0.05)
     np.testing.assert_allclose([image.predicted for image in in_feet.images],
                                [image.predicted for image in in_metres.images], rtol=0.02)
-    assert read_in(in_feet).endswith("observations), custom Transverse Mercator")
+    assert read_in(in_feet).endswith(
+        "observations), custom Transverse Mercator; z in US survey feet")
 
 
 def test_a_height_counts_while_most_of_its_rows_are_in_use() -> None:
@@ -280,3 +282,70 @@ def test_without_control_a_block_says_that_the_dem_is_another(
     assert of_independent == [True] * said
     for i in range(3):
         assert error(result, i) < predicted_errors(result, i).high
+
+
+PLANE_IN_FEET = "+proj=utm +zone=39 +datum=WGS84 +units=us-ft +type=crs"
+
+
+def in_plane_feet(folder: Path, metres_per_z: float, name_of_z: str = "z") -> tuple[Path, Block]:
+    """Write the example with x and y in US survey feet, z in a unit; return it in degrees, too."""
+    write_example(folder)
+    in_degrees = read_block(folder / "block.toml")
+    for image in in_degrees.images:
+        assert image.features is not None
+        points = image.features.points
+        ground = transformation_between(in_degrees.crs, PLANE_IN_FEET)(points.ground)
+        rows = [f"id,line,sample,x,y,{name_of_z},role"]
+        for name, (line, sample), (x, y, z), role in zip(
+                points.ids, points.image.tolist(), ground.tolist(), points.roles, strict=True):
+            rows.append(f"{name},{line},{sample},{x},{y},{z / metres_per_z},{role}")
+        (folder / f"{image.name}_points.csv").write_text("\n".join(rows) + "\n")
+    file = folder / "block.toml"
+    file.write_text(file.read_text().replace("EPSG:4979", PLANE_IN_FEET))
+    return file, in_degrees
+
+
+@pytest.mark.parametrize(("unit", "metres", "words"), [
+    ("us-ft", 1200 / 3937, "US survey feet"), ("crs", 1200 / 3937, "US survey feet"),
+    ("ft", 0.3048, "feet"), ("metre", 1.0, "metres")])
+def test_a_block_states_the_unit_of_its_heights(
+        tmp_path: Path, unit: str, metres: float, words: str) -> None:
+    file, in_degrees = in_plane_feet(tmp_path / "place", metres)
+    file.write_text(f'z_unit = "{unit}"\n{file.read_text()}')
+    block = read_block(file)
+    for image, expected in zip(block.images, in_degrees.images, strict=True):
+        assert image.features is not None
+        assert expected.features is not None
+        geodetic = to_wgs84(block.crs)(image.features.points.ground)
+        np.testing.assert_allclose(geodetic, expected.features.points.ground, atol=1e-4)
+    done = invoke("block", file, "--out", tmp_path / "adjusted", "--quiet")
+    assert done.exit_code == 0, done.output
+    assert done.output.partition("\n")[0].endswith(f"; z in {words}")
+
+
+def test_an_open_unit_of_heights_is_asked_for_in_words_of_the_file(tmp_path: Path) -> None:
+    file, _ = in_plane_feet(tmp_path / "place", 1.0)
+    with pytest.raises(TermselError, match="z may be in US survey feet") as raised:
+        read_block(file)
+    assert raised.value.hint == 'State it: z_unit = "us-ft" or z_unit = "metre".'
+
+
+def test_a_unit_of_heights_that_one_image_shows_is_asked_for(tmp_path: Path) -> None:
+    """Its column has a name; ties have none."""
+    file, _ = in_plane_feet(tmp_path / "place", 0.3048, "z_ft")
+    with pytest.raises(TermselError, match="the block does not state its unit") as raised:
+        read_block(file)
+    assert raised.value.hint == 'Add z_unit = "ft" below the CRS.'
+
+
+@pytest.mark.parametrize(("crs", "unit", "message"), [
+    ("EPSG:4979", "fathom", "option 'z_unit' does not take 'fathom'"),
+    ("local", "ft", "plane coordinates without a CRS have z in their own unit")])
+def test_a_unit_that_heights_cannot_have_is_refused(
+        tmp_path: Path, crs: str, unit: str, message: str) -> None:
+    write_example(tmp_path / "place")
+    file = tmp_path / "place" / "block.toml"
+    file.write_text(file.read_text().replace('"EPSG:4979"', f'"{crs}"\nz_unit = "{unit}"'))
+    with pytest.raises(TermselError, match=message) as raised:
+        read_block(file)
+    assert raised.value.line == 2

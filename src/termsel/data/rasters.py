@@ -49,8 +49,17 @@ SMALL = 2**28
 """Bytes of pixels that are read whatever the size of the file."""
 
 _DENSEST = 500
-"""Bytes of pixels that a byte of a file may hold; images have fewer, but some compressors can more.
-"""
+"""Bytes of pixels that a byte of a file may hold unasked; scans of text and constant images have
+more."""
+
+_MOST_BLOCKS = 100
+"""Rows and columns of blocks of a giant TIFF that are looked for."""
+
+_LEAST_SHARE = 0.5
+"""Of the blocks of a giant TIFF that must be in the file."""
+
+_WITHOUT_HOLES = ("JPEG", "JP2OpenJPEG", "PNG")
+"""Formats that cannot leave out pixels: those that a file lacks cannot be read."""
 
 _UNREADABLE_PIXELS = re.compile(r"IReadBlock failed|TIFFReadEncoded|TIFFFillStrip|TIFFFillTile")
 """What GDAL says where a file ends before its pixels do, or they are damaged."""
@@ -271,24 +280,64 @@ def _refuse_large_blocks(path: Path | str, raster: Any) -> None:
 def refuse_empty_giant(raster: Any) -> None:
     """Refuse to read a raster whose pixels are hundreds of times what its files hold.
 
-    A small file can claim to have any size, and to read all of its pixels would take hours. Rasters
-    in archives and on servers, whose files have no known size, are not refused.
+    A small file can claim to have any size, and to read all of its pixels would take hours. One
+    that compresses well has its pixels, and is not refused. Rasters in archives and on servers,
+    whose files have no known size, are not refused either.
 
     Raises
     ------
     TermselError
-        If the pixels take more than `SMALL`, and more than `_DENSEST` times the size of the files.
+        If the pixels take more than `SMALL`, and more than `_DENSEST` times the size of the files,
+        and are not in them.
     """
     pixels = float(raster.width) * raster.height * raster.count
     size = pixels * np.dtype(_BYTES.get(raster.dtypes[0], raster.dtypes[0])).itemsize
     # All files count: a virtual raster has its pixels in others.
     stored = sum(os.path.getsize(file) for file in raster.files if os.path.isfile(file))
     archived = any(file.startswith("/vsi") for file in raster.files)
-    if not archived and size > SMALL and size > _DENSEST * stored:
-        raise TermselError(
-            f"this raster of {raster.height:,} lines and {raster.width:,} samples has only "
-            f"{stored / 1024:,.0f} KiB of data", file=raster.name,
-            hint="Give a raster that has pixels, or a smaller one.")
+    if archived or size <= SMALL or size <= _DENSEST * stored or _has_its_pixels(raster):
+        return
+    raise TermselError(
+        f"this raster of {raster.height:,} lines and {raster.width:,} samples has only "
+        f"{stored / 1024:,.0f} KiB of data", file=raster.name,
+        hint="Give a raster that has pixels, or a smaller one.")
+
+
+def _has_its_pixels(raster: Any) -> bool:
+    """Return whether the pixels of a raster are in its file, by its blocks or its end.
+
+    Formats of which neither is known are taken to lack them.
+    """
+    from rasterio.errors import RasterioIOError
+    from rasterio.windows import Window
+
+    if raster.driver == "GTiff":
+        return _share_of_blocks(raster) >= _LEAST_SHARE
+    if raster.driver not in _WITHOUT_HOLES:
+        return False
+    lines, samples = raster.block_shapes[-1]
+    first_line = (raster.height - 1) // lines * lines
+    first_sample = (raster.width - 1) // samples * samples
+    try:
+        raster.read(raster.count, window=Window(first_sample, first_line,
+                                                raster.width - first_sample,
+                                                raster.height - first_line))
+    except RasterioIOError:
+        return False
+    return True
+
+
+def _share_of_blocks(raster: Any) -> float:
+    """Return the share of the blocks of a TIFF that are in its file, of many those on a grid."""
+    present: list[bool] = []
+    for band, (lines, samples) in enumerate(raster.block_shapes, 1):
+        rows = -(-raster.height // lines)
+        columns = -(-raster.width // samples)
+        for row in range(0, rows, -(-rows // _MOST_BLOCKS)):
+            for column in range(0, columns, -(-columns // _MOST_BLOCKS)):
+                offset = raster.get_tag_item(f"BLOCK_OFFSET_{column}_{row}", "TIFF", band)
+                present.append(offset is not None)
+    return sum(present) / len(present)
 
 
 def _unreadable_error(path: Path | str, reason: str) -> TermselError:

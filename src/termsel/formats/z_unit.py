@@ -139,19 +139,46 @@ def _agree(named: str, counted: str | None) -> bool:
     return counted in (FOOT, US_FOOT, named)
 
 
+def crs_with_z_unit(crs: str, stated: str) -> str:
+    """Return a CRS whose heights are in the unit that the option z_unit states.
+
+    Raises TermselError for an unknown unit, and for coordinates without a CRS.
+    """
+    return with_height_unit(crs, _asked_unit(crs, stated))
+
+
+def z_unit_in_words(crs: str) -> str:
+    """Return the unit of the heights of a CRS, such as "US survey feet", where it must be said.
+
+    It is "" where x, y and heights are in metres, in degrees and metres, or in a unit without name.
+    """
+    unit = unit_of_size(metres_per_height(crs))
+    if unit is None or (unit == METRE and unit_of_plane(crs) is None):
+        return ""
+    return WORDS[unit]
+
+
+def _asked_unit(crs: str, stated: str) -> str:
+    """Return the unit of heights, as in `UNITS`, that the option z_unit states for a CRS.
+
+    Raises TermselError for an unknown unit, and for coordinates without a CRS.
+    """
+    if stated not in Z_UNIT.choices:
+        raise TermselError(f"option 'z_unit' does not take {stated!r}",
+                           hint=f"It takes: {' | '.join(Z_UNIT.choices)}.")
+    if crs == LOCAL:
+        raise TermselError("plane coordinates without a CRS have z in their own unit",
+                           hint="Leave z_unit out, or state the CRS of the ground coordinates.")
+    return unit_of_plane(crs) or METRE if stated == OF_PLANE else stated
+
+
 def _convert_to_asked_unit(features: FeatureSet, stated: str) -> FeatureSet:
     """Return features whose CRS has heights in the unit that the option z_unit states.
 
     Coordinates stay as they are. Raises TermselError for an unknown unit, for coordinates without a
     CRS, and where the name of the column states another unit.
     """
-    if stated not in Z_UNIT.choices:
-        raise TermselError(f"option 'z_unit' does not take {stated!r}",
-                           hint=f"It takes: {' | '.join(Z_UNIT.choices)}.")
-    if features.crs == LOCAL:
-        raise TermselError("plane coordinates without a CRS have z in their own unit",
-                           hint="Leave z_unit out, or state the CRS of the ground coordinates.")
-    unit = unit_of_plane(features.crs) or METRE if stated == OF_PLANE else stated
+    unit = _asked_unit(features.crs, stated)
     named = features.named_units.get("z", "")
     if named and not _agree(named, unit):
         raise TermselError(

@@ -9,6 +9,8 @@ from termsel.data.coordinates.crs import plane_transformer as plane_transformer
 from termsel.data.coordinates.crs import short_crs_name as short_crs_name
 from termsel.data.coordinates.crs import to_wgs84 as to_wgs84
 from termsel.data.coordinates.crs import transformation_between as transformation_between
+from termsel.data.coordinates.height_units import UNITS as UNITS
+from termsel.data.coordinates.height_units import is_unit_open as is_unit_open
 from termsel.data.coordinates.longitudes import nearest_longitudes as nearest_longitudes
 from termsel.data.coordinates.longitudes import turn_of as turn_of
 from termsel.data.coordinates.metres import height_unit as height_unit
@@ -17,3 +19,5 @@ from termsel.data.coordinates.plausible import check_ground as check_ground
 from termsel.data.coordinates.wgs84 import from_ecef as from_ecef
 from termsel.data.coordinates.wgs84 import to_ecef as to_ecef
 from termsel.data.coordinates.wgs84 import vertical_directions as vertical_directions
+from termsel.formats.z_unit import crs_with_z_unit as crs_with_z_unit
+from termsel.formats.z_unit import z_unit_in_words as z_unit_in_words

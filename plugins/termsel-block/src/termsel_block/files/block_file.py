@@ -8,6 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,7 +19,14 @@ import numpy as np
 
 from termsel import FeatureSet, TermselError, get, open_raster, read, read_rpc
 from termsel.toolkit import count_in_words, options_of_file, require_regular, unguard_cell
-from termsel.toolkit.coordinates import LOCAL, normalise, short_crs_name
+from termsel.toolkit.coordinates import (
+    LOCAL,
+    UNITS,
+    crs_with_z_unit,
+    is_unit_open,
+    normalise,
+    short_crs_name,
+)
 from termsel.toolkit.files import (
     KINDS_OF_JSON,
     is_cut,
@@ -79,6 +87,22 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
     ties: str | list[str]
     image: list[_Image]
     dem: str | None = None
+    z_unit: str | None = None
+
+
+@dataclass(frozen=True)
+class _Common:
+    """What a block's file states for all images: its CRS, the unit of heights and a DEM."""
+
+    file: Path
+    crs: str
+    z_unit: str | None
+    dem: Path | None
+
+    @property
+    def folder(self) -> Path:
+        """That of the file, from which paths are counted."""
+        return self.file.parent
 
 
 def read_block(path: Path | str) -> Block:
@@ -87,9 +111,9 @@ def read_block(path: Path | str) -> Block:
     Parameters
     ----------
     path : path-like
-        With `crs`, `ties` (a table id,image,line,sample, or several), optionally `dem`, and for
-        each image a table ``[[image]]`` with `name` and any of `points`, `lines`, `rpc`, `image`
-        and `model`.
+        With `crs`, `ties` (a table id,image,line,sample, or several), optionally `dem` and
+        `z_unit`, and for each image a table ``[[image]]`` with `name` and any of `points`, `lines`,
+        `rpc`, `image` and `model`.
 
     Returns
     -------
@@ -126,11 +150,11 @@ def read_block(path: Path | str) -> Block:
     names = [image.name for image in stated.image]
     _check_names(names, path)
     folder = path.parent
-    crs = normalise(stated.crs)
-    dem = folder / stated.dem if stated.dem else None
+    common = _Common(path, _crs_of_block(stated, path), stated.z_unit,
+                     folder / stated.dem if stated.dem else None)
     if not stated.ties:
         raise TermselError("the block names no file of ties", file=path, hint=_EXAMPLE)
-    images = tuple(_read_image(image, folder, crs, dem, path) for image in stated.image)
+    images = tuple(_read_image(image, common) for image in stated.image)
     files = [stated.ties] if isinstance(stated.ties, str) else list(stated.ties)
     ties, notes = read_ties([folder / file for file in files], names)
     _refuse_unconnected_images(images, ties, path)
@@ -138,7 +162,24 @@ def read_block(path: Path | str) -> Block:
     files += [stated.dem] if stated.dem else []
     for image in stated.image:
         files += [file for file in (image.points, image.lines, image.rpc, image.image) if file]
-    return Block(crs, images, ties, dem, notes, tuple(folder / file for file in files))
+    return Block(common.crs, images, ties, common.dem, notes,
+                 tuple(folder / file for file in files))
+
+
+def _crs_of_block(stated: _File, path: Path) -> str:
+    """Return the CRS of a block, with heights in the unit that its file states if it states one.
+
+    Raises TermselError, with the file and the line of `z_unit`, for a unit that it cannot have.
+    """
+    crs = normalise(stated.crs)
+    if stated.z_unit is None:
+        return crs
+    try:
+        return crs_with_z_unit(crs, stated.z_unit)
+    except TermselError as error:
+        text = path.read_text(encoding="utf-8-sig")
+        raise TermselError(error.what, file=path, line=_line_of("z_unit", text),
+                           hint=error.hint) from error
 
 
 def _refuse_unconnected_images(images: Sequence[BlockImage], ties: Ties, path: Path) -> None:
@@ -255,14 +296,16 @@ def _check_names(names: Sequence[str], path: Path) -> None:
                            hint="Add [[image]] for each; for one image use termsel run.")
 
 
-def _read_image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: Path) -> BlockImage:
+def _read_image(stated: _Image, common: _Common) -> BlockImage:
     """Return an image of the block with size, RPC and control read from its files.
 
-    `stated` is its entry in the file `path` of a block, in `folder`; `crs` and `dem` are those of
-    the block. If no RPC is named, that of the raster is used if it has one. Raises TermselError if
-    a file is missing or wrong, for an RPC in a block without a CRS, for a model that the image
-    cannot have, and for an RPC that termsel fitted to the control.
+    `stated` is its entry in the file of the block. If no RPC is named, that of the raster is used
+    if it has one. Raises TermselError if a file is missing or wrong, for an RPC in a block without
+    a CRS, for a model that the image cannot have, and for an RPC that termsel fitted to the
+    control.
     """
+    path = common.file
+    folder = common.folder
     for key in ("points", "lines", "rpc", "image"):
         file = getattr(stated, key)
         if file and not (folder / file).exists():
@@ -287,7 +330,7 @@ def _read_image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: 
         raise TermselError("an image with an RPC requires the package termsel-rpc, which is not "
                            "installed", file=rpc_file,
                            hint="In a clone of termsel: pip install ./plugins/termsel-rpc.")
-    if rpc is not None and crs == LOCAL:
+    if rpc is not None and common.crs == LOCAL:
         raise TermselError(f"image {stated.name!r} has an RPC, which needs geographic "
                            "coordinates, and the block is in plane coordinates without a CRS",
                            file=path, hint="State the CRS of the ground coordinates.")
@@ -298,7 +341,7 @@ def _read_image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: 
     features = None
     of_dem = frozenset[str]()
     if stated.points or stated.lines:
-        features = _control_features(stated, folder, crs, dem, path)
+        features = _control_features(stated, common)
         if rpc is not None and (makers := makers_of(rpc, features)):
             # The record of an RPC may list part of a large set of control alone.
             at_least = "at least " if is_cut(rpc) else ""
@@ -309,7 +352,7 @@ def _read_image(stated: _Image, folder: Path, crs: str, dem: Path | None, path: 
                 "seem to confirm it",
                 file=rpc_file, hint=f"Give the RPC that the vendor delivered{other_control}.",
                 ids=makers)
-        of_dem = frozenset() if dem is None else _without_height(stated, folder, crs)
+        of_dem = frozenset() if common.dem is None else _without_height(stated, common)
     return BlockImage(stated.name, features, rpc, rpc_file, raster, size=size, model=stated.model,
                       of_dem=of_dem, options=options)
 
@@ -346,10 +389,10 @@ def _check_model(stated: _Image, options: Mapping[str, Any], has_rpc: bool, path
                            hint=hint) from error
 
 
-def _without_height(stated: _Image, folder: Path, crs: str) -> frozenset[str]:
+def _without_height(stated: _Image, common: _Common) -> frozenset[str]:
     """Return the ids of an image's points and lines whose files state no height."""
     # With the DEM the heights would be filled in.
-    features = _read_control(stated, folder, crs, None)
+    features = _read_control(stated, replace(common, dem=None))
     points = features.points
     lines = features.lines
     is_missing = np.concatenate([np.isnan(points.ground[:, 2]),
@@ -358,15 +401,16 @@ def _without_height(stated: _Image, folder: Path, crs: str) -> frozenset[str]:
         [*points.ids, *lines.ids], is_missing.tolist(), strict=True) if has_none)
 
 
-def _read_control(stated: _Image, folder: Path, crs: str, dem: Path | None) -> FeatureSet:
+def _read_control(stated: _Image, common: _Common) -> FeatureSet:
     """Return the control of an image as `termsel.read` reads it, with heights from the DEM if any.
 
     Errors of it are raised with hints for the file of a block.
     """
+    folder = common.folder
     try:
         return read(folder / stated.points if stated.points else None,
-                    folder / stated.lines if stated.lines else None, crs=crs, dem=dem,
-                    **_part_of(stated, folder))
+                    folder / stated.lines if stated.lines else None, crs=common.crs,
+                    z_unit=common.z_unit, dem=common.dem, **_part_of(stated, folder))
     except TermselError as error:
         raise TermselError(error.what.replace("--crs says", "the block says"), file=error.file,
                            line=error.line, column=error.column,
@@ -397,16 +441,18 @@ def _part_of(stated: _Image, folder: Path) -> dict[str, Any]:
                        hint="Give the image of the block the name that the file has for it.")
 
 
-def _control_features(stated: _Image, folder: Path, crs: str, dem: Path | None,
-                      path: Path) -> FeatureSet:
+def _control_features(stated: _Image, common: _Common) -> FeatureSet:
     """Return the control of an image, in the CRS of the block and with heights.
 
     Raises TermselError if it is in another CRS, or if a height is neither stated nor in the DEM.
     """
-    points = folder / stated.points if stated.points else None
-    features = _read_control(stated, folder, crs, dem)
+    path = common.file
+    crs = common.crs
+    points = common.folder / stated.points if stated.points else None
+    features = _read_control(stated, common)
     # Nothing that follows would transform it.
     if normalise(features.crs) != crs:
+        _refuse_guessed_unit(stated, features, common)
         raise TermselError(f"the control of image {stated.name!r} is in "
                            f"{short_crs_name(features.crs)}, the block in {short_crs_name(crs)}",
                            file=points or path,
@@ -419,6 +465,22 @@ def _control_features(stated: _Image, folder: Path, crs: str, dem: Path | None,
                            file=points or path,
                            hint="Give heights, or a raster of them as dem in the block's file.")
     return features
+
+
+def _refuse_guessed_unit(stated: _Image, features: FeatureSet, common: _Common) -> None:
+    """Raise TermselError if control differs from the block in a unit of heights that was guessed.
+
+    A DEM, an RPC or the name of a column may show the unit of one image, and nothing that of the
+    ties, which are in the block's.
+    """
+    if common.z_unit is not None or not is_unit_open(common.crs):
+        return
+    for unit in UNITS:
+        if normalise(features.crs) == crs_with_z_unit(common.crs, unit):
+            raise TermselError(f"z of the control of image {stated.name!r} is in "
+                               f"{features.z_unit}, and the block does not state its unit",
+                               file=common.file,
+                               hint=f'Add z_unit = "{unit}" below the CRS.')
 
 
 def read_ties(files: Sequence[Path], images: Sequence[str]) -> tuple[Ties, tuple[str, ...]]:

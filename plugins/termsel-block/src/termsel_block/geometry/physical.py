@@ -237,6 +237,8 @@ def hint_for_block(hint: str | None) -> str:
         return ("Name the RPC as rpc of the image, control as points, and a correction as model, "
                 "such as affine.")
     hint = hint.replace("Leave --crs out, or correct the file", "Correct one of them")
+    # The unit of heights is the block's, options of a model are the image's.
+    hint = re.sub(r"--set z_unit=([\w-]+)", r'z_unit = "\1"', hint)
     return re.sub(r"--set (\w+)=(\w+)", r'options = { \1 = "\2" }', hint)
 
 

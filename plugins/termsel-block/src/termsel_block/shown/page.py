@@ -115,7 +115,7 @@ def _rejected_table(record: BlockRecord) -> Iterator[TableBlock | str]:
         return
     columns: tuple[str, ...] = ("id", "image", "kind", "distance [px]", "remark")
     rows: list[tuple[str, ...]] = [
-        (wrong.id, wrong.image, kind, f"{wrong.error:.1f}", reason_of(wrong, record))
+        (wrong.id, wrong.image, kind, f"{wrong.error:.1f}", reason_of(wrong))
         for kind, wrong in rejected[:_MAX_LISTED]]
     if not any(row[-1] for row in rows):  # nothing to remark
         columns, rows = columns[:-1], [row[:-1] for row in rows]

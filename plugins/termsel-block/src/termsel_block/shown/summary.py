@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from shlex import quote
 
 from termsel.toolkit import count_in_words
 from termsel.toolkit.charts import Fact
-from termsel.toolkit.coordinates import short_crs_name
-from termsel_block.estimation.adjustment import BLUNDER_SIGMAS
+from termsel.toolkit.coordinates import short_crs_name, z_unit_in_words
 from termsel_block.shown.record import BlockRecord, ImageRecord, WrongControl, WrongTie
 
 LINES = 12
@@ -62,8 +61,10 @@ def read_in(record: BlockRecord) -> str:
     points = sum(image.control for image in record.images)
     with_control = sum(image.control > 0 for image in record.images)
     where = f" in {with_control} of them" if points else ""
+    unit = z_unit_in_words(record.crs)
     return (f"{len(record.images)} images, {points} GCP observations{where}, {record.ties} ties "
-            f"({record.measurements} observations), {short_crs_name(record.crs)}")
+            f"({record.measurements} observations), {short_crs_name(record.crs)}"
+            + (f"; z in {unit}" if unit else ""))
 
 
 def block_facts(record: BlockRecord) -> list[Fact]:
@@ -123,21 +124,41 @@ def _caution_lines(record: BlockRecord) -> Iterator[str]:
 def _blunder_line(record: BlockRecord) -> str:
     """Return a line on rejected observations, or on how many were tested if none was rejected.
 
-    The first `_MAX_REJECTED_NAMED` are named with their errors, those of control before ties.
+    The first `_MAX_REJECTED_NAMED` features are named with their errors, control before ties.
     """
     ties = len(record.wrong_ties)
     control = len(record.wrong_control)
     if not ties and not control:
         return (f"none detected among {record.measurements} tie and "
                 f"{sum(image.control for image in record.images)} GCP observations")
-    rejected: list[WrongControl | WrongTie] = [*record.wrong_control, *record.wrong_ties]
-    first = rejected[:_MAX_REJECTED_NAMED]
-    names = ", ".join(f"{wrong.id} in {wrong.image} {wrong.error:.1f} px" for wrong in first)
-    further = f", {ties + control - len(first)} more" if ties + control > len(first) else ""
+    first = _observations_of_features(record)[:_MAX_REJECTED_NAMED]
+    names = ", ".join(map(_rejected_in_words, first))
+    others = ties + control - sum(map(len, first))
+    further = f", {others} more" if others else ""
     kinds = " and ".join(f"{number} {kind}" for number, kind in (
         (ties, "tie"), (control, "GCP")) if number)
     noun = "observation" if ties + control == 1 else "observations"
     return f"{kinds} {noun} rejected: {names}{further}"
+
+
+def _observations_of_features(record: BlockRecord) -> list[list[WrongControl | WrongTie]]:
+    """Return rejected observations in their order, those of a tie that no image uses together."""
+    of_ties: dict[tuple[str, str], list[WrongControl | WrongTie]] = {}
+    for tie in record.wrong_ties:
+        of_ties.setdefault((tie.id, "" if tie.any_ray else tie.image), []).append(tie)
+    return [*([control] for control in record.wrong_control), *of_ties.values()]
+
+
+def _rejected_in_words(observations: Sequence[WrongControl | WrongTie]) -> str:
+    """Return where an observation was rejected and how far off it is.
+
+    Of a tie that no image uses it is not known which image is wrong, and that one is off by more.
+    """
+    worst = observations[0]
+    if not reason_of(worst):
+        return f"{worst.id} in {worst.image} {worst.error:.1f} px"
+    images = " or ".join(sorted(wrong.image for wrong in observations))
+    return f"{worst.id} in {images} {worst.error:.1f} px or more"
 
 
 def _image_rows(record: BlockRecord, most: int) -> list[str]:
@@ -175,19 +196,14 @@ def _rejected_tie_lines(record: BlockRecord) -> list[str]:
         return []
     lines = ["", "Tie observations rejected:"]
     for tie in record.wrong_ties:
-        reason = reason_of(tie, record)
+        reason = reason_of(tie)
         lines.append(f"  {tie.id} in {tie.image}: {tie.error:.1f} px"
                      + (f" ({reason})" if reason else ""))
     return lines
 
 
-def reason_of(wrong: WrongTie | WrongControl, record: BlockRecord) -> str:
-    """Return why an observation near the model was rejected, or what its distance does not say.
-
-    It is "" for one that is far from where others see it.
-    """
-    if isinstance(wrong, WrongTie) and wrong.error <= BLUNDER_SIGMAS * record.sigma_ties:
-        return "now in one image only"
+def reason_of(wrong: WrongTie | WrongControl) -> str:
+    """Return what the distance of a rejected observation does not say; "" where it says all."""
     if isinstance(wrong, WrongTie) and wrong.any_ray:
         return "its images contradict one another: one of them is off by more"
     return ""
