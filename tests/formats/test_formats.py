@@ -105,16 +105,19 @@ def test_one_reader_alone_recognises_a_file(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CONTENT)
-@pytest.mark.parametrize("encoding", ["utf-16", "latin-1"])
-def test_wrong_encodings_are_named(tmp_path: Path, name: str, encoding: str) -> None:
-    path = put(tmp_path, (CONTENT[name] + "\n# é;\n").encode(encoding))
-    if name == "qgis-points":  # a table, which may be in other encodings
-        assert len(read_file(path, readers()).points) == 3
-        return
-    named = "is not UTF-8" if encoding == "latin-1" else "is UTF-16, expected UTF-8"
-    with pytest.raises(TermselError, match=f"the text of this file {named}") as caught:
-        read_file(path, readers(), name if encoding == "latin-1" else None)
-    assert str(path) in str(caught.value)
+def test_other_encodings_are_read(tmp_path: Path, name: str) -> None:
+    text = CONTENT[name]
+    expected = read_file(put(tmp_path, text), readers())
+    for encoding in ("utf-16", "utf-16-le", "cp1252"):
+        path = put(tmp_path, text.replace("\n", "\r\n").encode(encoding), encoding)
+        features = read_file(path, readers())
+        assert (features.points.ids, features.lines.ids) == (expected.points.ids,
+                                                             expected.lines.ids)
+        np.testing.assert_array_equal(features.points.ground, expected.points.ground)
+    bad = put(tmp_path, text.encode() + b"\n\x81\n", "bad")
+    with pytest.raises(TermselError, match="the text of this file is not UTF-8") as caught:
+        read_file(bad, readers(), name)
+    assert str(bad) in str(caught.value)
 
 
 @settings(max_examples=300, deadline=None)

@@ -147,9 +147,9 @@ class Lenient(PointsCsv):
 
     def read(self, path: Path) -> FeatureSet:
         try:
-            read_text(path)  # of UTF-8 alone
+            path.read_text(encoding="utf-8")
             return super().read(path)
-        except TermselError:
+        except (TermselError, UnicodeDecodeError):
             return FeatureSet()
 
 

@@ -26,6 +26,7 @@ import rasterio
 import termsel
 from termsel import FeatureSet, Points, Reader, Result, TermselError, Writer
 from termsel.testing import Check, checks
+from termsel.toolkit.files import read_head
 from termsel_formats.points.asp import AspGcpWriter
 from termsel_formats.points.gdal_text import GdalinfoText, GdalOptions, GdalOptionsWriter
 from termsel_formats.points.grass import GrassPoints
@@ -133,6 +134,46 @@ def test_content_tells_the_format(name: str, tmp_path: Path) -> None:
                       sparse_ok=True).close()
     read = termsel.read(tmp_path / file, crs="EPSG:32633", image=image)
     same(read, "EPSG:32633", heights=not np.isnan(expected.points.ground[0, 2]))
+
+
+def accented(text: str) -> str:
+    """Return a text with an accent in a comment, or in the name of an image."""
+    for name in ("a.tif", "a.jpg", "DJI_1", "utm"):
+        text = text.replace(name, f"\xe9{name}")
+    return text if "\xe9" in text else text + "# caf\xe9\n"
+
+
+@pytest.mark.parametrize("name", sorted(READERS))
+def test_text_may_have_any_usual_encoding(name: str, tmp_path: Path,
+                                          caplog: pytest.LogCaptureFixture) -> None:
+    """Windows writes UTF-16 by > of PowerShell, and the encoding of its country elsewhere."""
+    caplog.set_level(logging.INFO, "termsel")
+    reader, text, expected, file = READERS[name]
+    for encoding in ("utf-16", "utf-16-le", "utf-8-sig", "cp1252"):
+        (tmp_path / encoding).mkdir()
+        path = tmp_path / encoding / file
+        path.write_bytes(accented(text).replace("\n", "\r\n").encode(encoding))
+        assert reader().sniff(path, read_head(path, ""))
+        points = reader().read(path).points
+        np.testing.assert_allclose(points.image, expected.points.image)
+        np.testing.assert_allclose(points.ground, expected.points.ground)
+    notes = [note for note in caplog.messages if "is not UTF-8" in note]
+    assert notes == [f"Note: the text of {path} is not UTF-8; it is read as cp1252."]
+
+
+@pytest.mark.parametrize(("declared", "encoding"), [
+    ("ISO-8859-1", "latin-1"), ("windows-1251", "cp1251"), ("UTF-16", "utf-16"),
+    ("UTF-8", "cp1252")])
+def test_xml_is_read_in_the_encoding_that_it_declares(declared: str, encoding: str,
+                                                      tmp_path: Path) -> None:
+    letter = "\u0436" if encoding == "cp1251" else "\xe9"
+    text = micmac().replace('"1.0"', f'"1.0" encoding="{declared}"').replace("a.tif", letter)
+    path = tmp_path / "a.xml"
+    path.write_bytes(text.encode(encoding))
+    same(termsel.read(path, crs="EPSG:32633", image_name=letter), "EPSG:32633")
+    path.write_bytes(text.replace(declared, "nope").encode("latin-1", "replace"))
+    with pytest.raises(TermselError, match="line 1: the encoding of this XML cannot be read"):
+        termsel.read(path, crs="EPSG:32633")
 
 
 @pytest.mark.parametrize(("header", "crs"), [

@@ -21,6 +21,7 @@ from termsel.core.isolation.arrays import returns_type
 from termsel.core.isolation.calls import Check
 from termsel.core.options import Configurable, Option
 from termsel.data.features import FeatureSet
+from termsel.formats.encodings import decode, decode_file, head_in_utf8
 
 if TYPE_CHECKING:
     from termsel.results.result import Result
@@ -33,7 +34,6 @@ LARGEST_IMAGE = 200_000.0
 
 _HEAD = 65536  # bytes shown to sniff(): room for a long comment before a header
 _Image = TypeVar("_Image", str, float)
-_UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 _IN_WORDS = {
@@ -138,7 +138,8 @@ class Reader(Configurable, ABC):
         ----------
         path : pathlib.Path
         head : bytes
-            The first 64 KiB of the file.
+            The first 64 KiB of the file. Text in another encoding is in UTF-8 there, as
+            `termsel.toolkit.read_text` reads the file.
         """
 
     @abstractmethod
@@ -317,27 +318,31 @@ def image_of(path: Path, images: Iterable[_Image], asked_for: _Image | None, opt
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a UTF-8 file, without a byte order mark, line ends as they are.
+    """Return the text of a file in any usual encoding, line ends as they are.
+
+    A byte order mark is left out, and an encoding that is none of Unicode is noted. What termsel
+    itself wrote is read by `read_utf8`.
 
     Raises
     ------
     TermselError
-        If the file cannot be read, is binary, or is not UTF-8; the message has the line.
+        If the file cannot be read, is binary, or is in none of these encodings; the message has the
+        line.
+    """
+    return decode_file(read_data(path), path)
+
+
+def read_utf8(path: Path) -> str:
+    """Return the text of a UTF-8 file, such as termsel writes, without a byte order mark.
+
+    Raises TermselError as `read_text` does, for text in another encoding too.
     """
     data = read_data(path)
-    # UTF-16 is distinguished by its mark, as the decoder would say something of a byte.
-    if is_utf16(data):
-        raise utf16_error(path)
-    if b"\0" in data:
-        raise TermselError("this file is binary, expected UTF-8 text", file=path,
-                           hint="Give a file of text, or save it as such.")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        # The decoder knows the byte; people look for lines.
-        line = error.object[:error.start].count(b"\n") + 1
-        raise TermselError("the text of this file is not UTF-8", file=path, line=line,
-                           hint="Save it with the encoding UTF-8.") from error
+    text, encoding = decode(data, path)
+    if not encoding.startswith("utf-8"):
+        raise TermselError(f"the text of this file is {encoding}, expected UTF-8", file=path,
+                           hint="Save it with the encoding UTF-8.")
+    return text
 
 
 def read_data(path: Path) -> bytes:
@@ -379,7 +384,7 @@ def parse_json(text: str, hint: str) -> Any:
 
 
 def read_head(path: Path, expected: str) -> bytes:
-    """Return the first 64 KiB of a file.
+    """Return the first 64 KiB of a file, those of a text in UTF-8 whatever its encoding.
 
     Raises TermselError if it is a folder, empty or cannot be read; `expected` is a sentence on what
     it should be.
@@ -392,7 +397,8 @@ def read_head(path: Path, expected: str) -> bytes:
     refuse_pipe(path)
     try:
         with path.open("rb") as file:
-            head = file.read(_HEAD)
+            # UTF-16 may have twice as many bytes.
+            head = head_in_utf8(file.read(2 * _HEAD))[:_HEAD]
     except OSError as error:
         raise _unreadable_error(path, error) from error
     if not head.strip():
@@ -461,13 +467,3 @@ def _unreadable_error(path: Path, error: OSError) -> TermselError:
                             hint="Give a file in it.")
     return TermselError(f"cannot read this file: {error.strerror or error}", file=path,
                         hint="Give a file that you may read.")
-
-
-def is_utf16(head: bytes) -> bool:
-    """Return True for text that begins with the byte order mark of UTF-16."""
-    return head.startswith(_UTF16)
-
-
-def utf16_error(path: Path) -> TermselError:
-    return TermselError("the text of this file is UTF-16, expected UTF-8", file=path,
-                        hint="Save it with the encoding UTF-8.")

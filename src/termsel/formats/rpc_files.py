@@ -19,7 +19,8 @@ from termsel.data.features import FeatureSet
 from termsel.data.fingerprints import is_cut, makers_of
 from termsel.data.rasters import open_raster, without_siblings
 from termsel.data.rpc import N_COEFFICIENTS, Rpc
-from termsel.formats.base import error_in_file, is_utf16, read_data, read_head, read_text
+from termsel.formats.base import error_in_file, read_data, read_head, read_text
+from termsel.formats.encodings import BadText, decode_xml
 from termsel.formats.rpc_control import (
     control_group,
     control_lines,
@@ -65,7 +66,6 @@ _BESIDE = (".RPB", ".rpb", "_RPC.TXT", "_rpc.txt")
 """Endings of the files of an RPC that GDAL finds next to an image, and termsel writes."""
 
 _KEY = re.compile(r"^[ \t]*(\w+)[ \t]*[:=][ \t]*", re.MULTILINE)
-_ENCODING = re.compile(rb"""encoding\s*=\s*["']([\w.:-]+)""")
 _VALUE = re.compile(r"[^;\r\n]*")
 _NUMBERS = re.compile(r"[^\s,();]+")
 
@@ -192,7 +192,7 @@ def size_with_rpc(rpc: Any) -> tuple[int, int] | None:
         return None
     path, _ = _file_and_name(Path(rpc))
     head = read_head(path, f"Expected {KNOWN}.")
-    if b"\0" not in head or is_utf16(head):
+    if b"\0" not in head:
         return None
     with open_raster(path) as raster:
         return int(raster.height), int(raster.width)
@@ -243,7 +243,7 @@ def _rpc_of_head(path: Path, head: bytes, rpc_name: str) -> Rpc:
     TermselError
         If there is no RPC, if one has bad numbers, or if `rpc_name` does not choose one of several.
     """
-    if b"\0" in head and not is_utf16(head):
+    if b"\0" in head:
         items, items_of_bands, metadata = _rpc_items_of_image(path)
         if not items and not items_of_bands:
             raise TermselError("this image has no RPC that GDAL finds", file=path,
@@ -455,14 +455,12 @@ def _rpc_from_xml(path: Path, name: str) -> Rpc:
     """
     content = read_data(path)
     try:
-        if content.lstrip().startswith(b"<?xml"):
-            root = _root_of_xml(content)
-        else:
-            # Without a declaration it is GDAL's, which writes names of files with any bytes.
-            root = ElementTree.fromstring(content.decode("utf-8-sig", errors="replace"))
-    except (LookupError, UnicodeError) as error:
-        raise TermselError(f"the encoding of this XML cannot be read: {error}", file=path, line=1,
-                           hint="Save it with the encoding UTF-8.") from error
+        text = decode_xml(content, path)
+    except BadText:
+        # GDAL writes names of files with any bytes, and declares nothing.
+        text = content.decode("utf-8-sig", errors="replace")
+    try:
+        root = ElementTree.fromstring(text.lstrip())
     except ElementTree.ParseError as error:
         raise TermselError(f"this XML cannot be read: {error}", file=path,
                            line=error.position[0], hint=_INCOMPLETE) from error
@@ -483,25 +481,8 @@ def _rpc_from_xml(path: Path, name: str) -> Rpc:
         items = {digital_globe[name]: text for name, text in _entry_texts(root)
                  if name in digital_globe}
     if not items:
-        raise _error_for_unknown_form(path, content.decode("utf-8", errors="replace"), root.tag)
+        raise _error_for_unknown_form(path, text, root.tag)
     return with_control(from_items(items), metadata)
-
-
-def _root_of_xml(content: bytes) -> ElementTree.Element:
-    """Return the root of XML in any encoding that Python knows.
-
-    Raises ParseError, LookupError or UnicodeError for XML that cannot be read.
-    """
-    try:
-        return ElementTree.fromstring(content)
-    except ElementTree.ParseError:
-        raise
-    # The parser itself lacks encodings of several bytes, such as GB2312.
-    except ValueError:
-        encoding = _ENCODING.search(content[:200])
-        if encoding is None:
-            raise
-        return ElementTree.fromstring(content.decode(encoding[1].decode("ascii")))
 
 
 def _rpc_from_dimap(root: ElementTree.Element) -> Rpc:

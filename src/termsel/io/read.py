@@ -44,12 +44,10 @@ from termsel.data.tables.columns import LINES, OPTIONAL, POINTS, columns_text, p
 from termsel.formats.base import (
     Reader,
     error_in_file,
-    is_utf16,
     parse_json,
     read_head,
     read_once,
     read_text,
-    utf16_error,
 )
 from termsel.formats.crs_files import crs_next_to, prj_next_to, stated_crs, warn_of_other_crs
 from termsel.formats.heights import with_heights
@@ -477,9 +475,6 @@ def find_reader(path: Path, readers: Iterable[type[Reader]], format: str | None 
                            code="rpc-alone",
                            hint="Give control with --points and the RPC with --rpc; auto then "
                                 "corrects it. " + registry().missing("rpc-gcps"))
-    if is_utf16(head) and _reader_that_recognises(
-            path, head.decode("utf-16", errors="ignore").encode(), usable) is not None:
-        raise utf16_error(path)
     _refuse_other_content(path, head)
     error = unknown_table_error(path, EXPECTED, str((options or {}).get("columns", "")))
     if error is not None:

@@ -28,7 +28,7 @@ from termsel.data.features import FeatureSet, empty_lines, empty_points
 from termsel.data.record.record import Record
 from termsel.data.roles import observations_by_role
 from termsel.data.rpc import Rpc
-from termsel.formats.base import error_in_file, parse_json, read_text
+from termsel.formats.base import error_in_file, parse_json, read_utf8
 from termsel.formats.readers.csv_tables import LinesCsv, PointsCsv, lines_text, points_text
 from termsel.io.result_of_record import AGAIN, record_from, result_from
 from termsel.results.result import (
@@ -246,7 +246,7 @@ def read_result(folder: Path | str) -> Result:
     if not is_there(path):
         raise _no_result_error(Path(folder), path)
     try:
-        content = parse_json(read_text(path), AGAIN)
+        content = parse_json(read_utf8(path), AGAIN)
         record = record_from(content)
         _refuse_changed(record.checksums is None
                         or record.checksums.record != checksum_of_record(content),

@@ -13,7 +13,7 @@ from termsel.core.errors import TermselError, first_names_in_words
 from termsel.data.features import Points
 from termsel.data.record.figures import as_plain_data
 from termsel.data.record.record import Record
-from termsel.formats.base import parse_json, read_text
+from termsel.formats.base import parse_json, read_utf8
 from termsel.formats.readers.csv_tables import PointsCsv
 from termsel.io.result_folder import POINTS, RECORD
 from termsel.io.result_of_record import AGAIN, record_from
@@ -37,7 +37,7 @@ def with_spent(result: Result, folder: Path) -> Result:
     for file in sorted(folder.resolve().parent.glob(f"*/{RECORD}")):
         # A file of this name may be another program's, or be damaged.
         with suppress(TermselError):
-            record = record_from(parse_json(read_text(file), AGAIN))
+            record = record_from(parse_json(read_utf8(file), AGAIN))
             another_fit = _fit_of(record) != this_fit
             earlier = _spent_before(record)
             if not another_fit and not earlier:

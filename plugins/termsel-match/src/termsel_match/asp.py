@@ -10,13 +10,13 @@ from struct import Struct
 import numpy as np
 
 from termsel import FeatureSet, Reader, TermselError
+from termsel.toolkit import read_text
 from termsel_match.images.rasters import FloatArray
 from termsel_match.points.readers import (
     RASTER_OPTION,
     REFERENCE,
     are_in_image,
     bytes_of,
-    text_of,
     with_ground,
 )
 
@@ -85,7 +85,7 @@ def read_matches(path: Path) -> tuple[FloatArray, FloatArray]:
     # Binary files begin with two counts of 8 bytes, text with two numbers.
     if (counts := _parse_counts(content[:_COUNTS + _RECORD.size])) is not None:
         return _parse_binary(content, counts[0], path)
-    lines = text_of(path).splitlines()
+    lines = read_text(path).splitlines()
     first_word = next(iter((lines or [""])[0].split()), "")
     count = int(first_word[:_DIGITS]) if first_word.isdecimal() else 0
     if count == 0 or len(lines) < 1 + 2 * count:

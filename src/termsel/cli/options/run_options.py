@@ -466,18 +466,20 @@ def _kind_of(path: Path) -> str:
     Images and RPCs are known by their names, lines by the header of their table. Whatever else it
     is, and what cannot be read, is for "points", whose reader says what is wrong with it.
     """
+    from termsel.formats.base import read_head
+
     suffix = path.suffix.lower()
     if suffix in RASTERS | _SCENES:
         return "image"
     if suffix in _RPCS or path.stem.lower().endswith("_rpc"):
         return "rpc"
     try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            # Comments, such as that of the CRS, come before the header.
-            first_lines = [file.readline(1000).lower() for _ in range(_COMMENTS)]
-            header = next((line for line in first_lines if line[:1] != "#"), "")
-    except OSError:
+        head = read_head(path, "")
+    except TermselError:
         return "points"
+    first_lines = head.decode("utf-8", "replace").lower().splitlines()[:_COMMENTS]
+    # Comments, such as that of the CRS, come before the header.
+    header = next((line for line in first_lines if line[:1] != "#"), "")
     return "lines" if "line1" in header else "points"
 
 

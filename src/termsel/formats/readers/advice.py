@@ -27,7 +27,8 @@ from termsel.data.tables.columns import (
     read_numbers,
 )
 from termsel.formats.base import LARGEST_IMAGE, read_head
-from termsel.formats.readers.cells import WIDEST, BadText, counts_columns, read_cells
+from termsel.formats.encodings import BadText
+from termsel.formats.readers.cells import WIDEST, counts_columns, read_cells
 
 EXPECTED = ("Give a table headed id,role,line,sample,x,y,z, or another format of "
             "termsel list readers.")

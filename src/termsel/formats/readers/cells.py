@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import csv
 import io
 import re
@@ -19,16 +18,9 @@ from termsel.core.errors import TermselError, count_in_words, require_import
 from termsel.core.files.apart import call_apart
 from termsel.core.files.names import is_there
 from termsel.data.coordinates.crs import begins_as_crs, normalise
-from termsel.data.tables.columns import (
-    CENTRAL_EUROPEAN,
-    CHINESE,
-    RUSSIAN,
-    USE,
-    Aliases,
-    columns_by_meaning,
-    find_declared_columns,
-)
+from termsel.data.tables.columns import USE, Aliases, columns_by_meaning, find_declared_columns
 from termsel.formats.base import read_data
+from termsel.formats.encodings import BadText, decode, decode_file
 
 _DELIMITERS = (",", ";", "\t", "|", "")
 """The last stands for spaces."""
@@ -38,17 +30,8 @@ _HEADER_WITHIN = 4_000  # characters in which a header is looked for among comme
 _PLAIN_COMMA = re.compile(r"(?<!\d),|,(?!\d)")  # not between digits
 _XML_OR_JSON = re.compile(r"\s*(<|\{|\[\s*\{)")
 _SEARCHED = 20  # rows in which a header may be found, below a title
-_LOOKED_AT = 400  # bytes that show whether a text is UTF-16
 WIDEST = 1_000  # columns
 _SHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")  # zip of .xlsx and .ods; .xls
-
-_TOLD_BY_NAMES = {"cp1251": RUSSIAN, "gb18030": CHINESE, "cp1250": CENTRAL_EUROPEAN,
-                  "iso8859-2": CENTRAL_EUROPEAN}
-"""Encodings that most bytes fit, by the names of columns of which they must give one."""
-
-
-class BadText(TermselError):
-    """What is surely text, but cannot be read as a table or in any other format."""
 
 
 @dataclass(frozen=True)
@@ -116,14 +99,9 @@ def read_cells(path: Path, aliases: Aliases, stated: Mapping[str, str], layer: s
     if layer is not None:
         raise TermselError("a text table has no layers or sheets, and layer "
                            f"{layer!r} is asked for", file=path, hint="Leave the option layer out.")
-    text, encoding = decode(data, path)
-    text = _with_header(text, aliases, stated)
+    text = _with_header(decode_file(data, path), aliases, stated)
     _refuse_wide(path, text)
-    is_unicode = encoding.startswith("utf")
-    notes = () if is_unicode else (
-        f"the text of {path} is not UTF-8; it is read as {encoding}",)
-    cells = _rows_of_text(path, text, _best_delimiter(text, aliases, stated))
-    return replace(_without_crs_line(cells), notes=notes)
+    return _without_crs_line(_rows_of_text(path, text, _best_delimiter(text, aliases, stated)))
 
 
 def first_rows(path: Path, head: bytes, aliases: Aliases,
@@ -147,50 +125,6 @@ def first_rows(path: Path, head: bytes, aliases: Aliases,
     text = _with_header(text, aliases, stated)
     delimiter = _best_delimiter(text, aliases, stated)
     return [_split_line(line, delimiter) for line in _first_lines(text)]
-
-
-def decode(data: bytes, path: Path, *, final: bool = True) -> tuple[str, str]:
-    """Return the text of bytes, and its encoding: UTF-8, UTF-16, Windows-1252 or another one.
-
-    Other encodings are taken if their names of columns are in the text. If not `final`, `data` are
-    the first bytes of more, which may end within a character. Raises TermselError for bytes that
-    are no text, and `BadText`, with the line, for text of no such encoding.
-    """
-    has_mark = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-    first_error: UnicodeDecodeError | None = None
-    for encoding in _possible_encodings(data):
-        try:
-            text = codecs.getincrementaldecoder(encoding)().decode(data, final)
-        except UnicodeDecodeError as error:
-            first_error = first_error or error
-            continue
-        if "\0" in text:
-            break
-        names = _TOLD_BY_NAMES.get(encoding, ("",))
-        if any(name in text.casefold() for name in names):
-            return text, encoding
-    # A zero byte is in no text of these encodings but UTF-16.
-    if first_error is None or (b"\0" in data and not has_mark):
-        raise TermselError("this file is binary, expected text or a spreadsheet", file=path,
-                           hint="Save it as CSV or as .xlsx.")
-    raise BadText(f"the text of this file is not {'UTF-16' if has_mark else 'UTF-8'}", file=path,
-                  line=data[:first_error.start].count(b"\n") + 1,
-                  hint="Save it with the encoding UTF-8.")
-
-
-def _possible_encodings(data: bytes) -> list[str]:
-    """Return the encodings that a text may have by its first bytes, in the order to try them."""
-    if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
-        return ["utf-16"]
-    # In UTF-16 every other byte is mostly zero: the first of each pair, if the high byte comes
-    # first. A fifth is enough, as letters of other scripts have no zero byte.
-    head = data[:_LOOKED_AT]
-    has_zeros = [head[start::2].count(0) * 5 > len(head) // 2 for start in (0, 1)]
-    if has_zeros == [True, False]:
-        return ["utf-16-be"]
-    if has_zeros == [False, True]:
-        return ["utf-16-le"]
-    return ["utf-8-sig", *_TOLD_BY_NAMES, "cp1252"]
 
 
 def _refuse_wide(path: Path, text: str) -> None:

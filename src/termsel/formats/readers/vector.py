@@ -24,7 +24,7 @@ from termsel.core.files.drivers import DRIVER_HINT, WORKING_DRIVERS, gdal_option
 from termsel.core.files.endings import SINGLE_VECTORS
 from termsel.core.files.names import is_there, refuse_grids, require_regular
 from termsel.core.files.sources import foreign_format, is_text
-from termsel.formats.base import read_head, read_text
+from termsel.formats.base import read_head, read_utf8
 from termsel.formats.readers.geojson import Feature
 from termsel.formats.readers.tables import COLUMNS
 
@@ -89,7 +89,7 @@ def open_layer(path: Path, layer: str | None, kinds: Container[str],
     """
     # The text of JSON is checked first: GDAL's own message would quote bytes that are no text.
     if read_head(path, "Expected a GeoPackage, Shapefile or FlatGeobuf.").lstrip()[:1] == b"{":
-        read_text(path)
+        read_utf8(path)
     with require_import("this requires", "pyogrio and shapely", GIS, path):
         import pyogrio.errors  # noqa: F401 (what the other process imports)
         from shapely import GEOSException, from_wkb

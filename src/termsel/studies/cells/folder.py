@@ -14,7 +14,7 @@ from termsel.core.errors import TermselError
 from termsel.core.files.atomic import write_text
 from termsel.core.files.lock import lock_holder
 from termsel.core.files.names import path_inside
-from termsel.formats.base import error_in_file, parse_json, read_text
+from termsel.formats.base import error_in_file, parse_json, read_utf8
 from termsel.studies.cells.cell import Cell
 from termsel.studies.cells.journal import read_journal
 from termsel.studies.cells.table import LABELS
@@ -46,7 +46,7 @@ def _read_plan(folder: Path) -> tuple[Spec, int, dict[str, dict[str, Any]]]:
                            "there is no study in this folder", file=folder,
                            hint="Give the folder that termsel compare --out wrote.")
     try:
-        table = parse_json(read_text(file), repeat)
+        table = parse_json(read_utf8(file), repeat)
     except TermselError as error:
         raise error_in_file(error, file) from error
     try:

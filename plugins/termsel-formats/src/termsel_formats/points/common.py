@@ -9,8 +9,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from termsel import Points, TermselError
-from termsel.toolkit import read_text
-from termsel.toolkit.files import error_in_file
+from termsel.toolkit import read_data
+from termsel.toolkit.files import decode_xml, error_in_file
 
 CORNER = 0.5
 """From the centre of the first pixel to its outer corner, where GDAL and others count from."""
@@ -30,14 +30,15 @@ def xml_root(path: Path, hint: str) -> ElementTree.Element:
     Raises
     ------
     TermselError
-        With the file and `hint`, if it is no XML, or if it has a document type.
+        With the file and `hint`, if it is no XML, or if it has a document type; with the file, if
+        it is not in the encoding that it declares.
     """
-    text = read_text(path)
+    text = decode_xml(read_data(path), path)
     # Entities of a document type can make a text of any length of a short file.
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise TermselError("an XML file with a document type is not read", file=path, hint=hint)
     try:
-        return ElementTree.fromstring(text)
+        return ElementTree.fromstring(text.lstrip())
     except ElementTree.ParseError as error:
         raise TermselError(f"this is not XML: {error}", file=path, hint=hint) from error
 

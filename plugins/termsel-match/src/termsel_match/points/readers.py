@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, TermselError
-from termsel.toolkit import BoolArray, read_data
+from termsel.toolkit import BoolArray, read_data, read_text
 from termsel_match.images.rasters import FloatArray, crs_of, open_picture
 
 log = logging.getLogger("termsel.match")
@@ -107,7 +107,7 @@ class MatchesCsv(Reader):
         Raises TermselError for cells that are no numbers, without a reference, and where most
         second positions are beyond it, as map coordinates are.
         """
-        header = _read_header(text_of(path).encode())
+        header = _read_header(read_text(path).encode())
         names = next((names for names in _POSITION_COLUMNS if set(names) <= set(header)),
                      _POSITION_COLUMNS[0])
         ids = []
@@ -202,15 +202,6 @@ def with_ground(path: Path, ids: Sequence[str], image: FloatArray, at_reference:
                              None if sigma is None else sigma[first_rows]), crs=crs)
 
 
-def text_of(path: Path) -> str:
-    """Return the text of a file; raises TermselError if it cannot be read or is not UTF-8."""
-    try:
-        return bytes_of(path).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise TermselError("the text of this file is not UTF-8", file=path,
-                           hint="Save it with the encoding UTF-8.") from error
-
-
 def bytes_of(path: Path) -> bytes:
     """Return the content of a file; raises TermselError if it cannot be read."""
     try:
@@ -232,7 +223,7 @@ def _read_rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[s
 
     Raises TermselError if one of `columns` is missing, or a quotation mark is not closed.
     """
-    reader = csv.DictReader(text_of(path).splitlines(), skipinitialspace=True)
+    reader = csv.DictReader(read_text(path).splitlines(), skipinitialspace=True)
     try:
         names = [name.strip() for name in reader.fieldnames or []]
         reader.fieldnames = names
