@@ -413,6 +413,45 @@ def test_a_script_of_several_images_asks_which(tmp_path: Path) -> None:
     same(termsel.read(path, image_name="im2.tif"), "EPSG:32633")
 
 
+@pytest.mark.parametrize("heading", [
+    "# comment\n#\timage\t\ttarget\t\tstatus\n#\teast\tnorth\teast\tnorth\t(1=ok, 0=ignore)\n#",
+    "\ufeff# image  target  status\n# east north east north (1=ok, 0=ignore)"])
+def test_points_of_grass_are_known_by_their_heading(heading: str, tmp_path: Path) -> None:
+    path = tmp_path / "my points.txt"
+    path.write_text("\n".join([heading, *grass().splitlines()[4:], ""]), encoding="utf-8")
+    image = tmp_path / "image.tif"
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
+        rasterio.open(image, "w", driver="GTiff", width=2000, height=2000, count=1, dtype="uint8",
+                      sparse_ok=True).close()
+    same(termsel.read(path, crs="EPSG:32633", image=image), "EPSG:32633", heights=False)
+
+
+def test_links_without_a_header_count_from_corners(tmp_path: Path) -> None:
+    """With one residual they have a width that no reader takes without a word."""
+    path = tmp_path / "links.txt"
+    path.write_text("\n".join(f"{row}\t0.12" for row in links().splitlines()))
+    with pytest.raises(TermselError, match="image_origin=y-up-corner") as caught:
+        termsel.read(path, crs="EPSG:32633")
+    read = termsel.read(path, crs="EPSG:32633", columns=caught.value.options["--columns"],
+                        image_origin=caught.value.options["--set"].partition("=")[2])
+    same(read, "EPSG:32633", heights=False)
+
+
+@pytest.mark.parametrize(("separator", "decimal"), [
+    (";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", ".")])
+def test_marks_of_pix4d_as_spreadsheets_write_them(separator: str, decimal: str,
+                                                   tmp_path: Path) -> None:
+    marks = [["Filename", "Label", "PixelX", "PixelY"]]
+    ground = []
+    for name, (line, sample), position in zip(IDS, IMAGE, GROUND, strict=True):
+        pixels = [str(number).replace(".", decimal) for number in (sample + 0.5, line + 0.5)]
+        marks.append(["a.JPG", name, *pixels])
+        ground.append([name, *(str(number).replace(".", decimal) for number in position)])
+    for file, rows in (("m.csv", marks), ("m_gcps.csv", ground)):
+        (tmp_path / file).write_text("\n".join(map(separator.join, rows)), encoding="utf-16")
+    same(termsel.read(tmp_path / "m.csv", crs="EPSG:32633"), "EPSG:32633")
+
+
 def test_exports_of_allmaps(tmp_path: Path) -> None:
     """The forms of printGcps of its package io: numbers alone, links, and .points."""
     rows = [(sample + 0.5, line + 0.5, x, y) for (line, sample), (x, y, _)

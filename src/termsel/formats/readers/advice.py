@@ -110,14 +110,18 @@ def with_advice(error: TermselError, header: Sequence[str], rows: Sequence[Seque
     # A column that is known by its name may hold a cell that is no number.
     numeric = [reading for reading in complete
                if all(reading[name] in numbers for name in _REQUIRED)]
+    # Without a header these are links of ArcGIS, or points of GRASS, which count from corners.
+    corner = "-corner" if error.code == "header-missing" else ""
     if numeric and all(_counts_upwards(numbers[reading["line"]]) for reading in numeric):
-        error.options["--set"] = "image_origin=y-up"
-        error.hint = f"{error.hint or ''} Its lines count upwards: --set image_origin=y-up."
+        origin = f"image_origin=y-up{corner}"
+        error.options["--set"] = origin
+        error.hint = f"{error.hint or ''} Its lines count upwards: --set {origin}."
     elif (numeric and (upwards := _read_upwards(numeric[0], known_columns))
           and _by_axes_in_names([upwards], header) == [upwards]):
         columns = _columns_option(upwards, header, aliases, fixed)
         error.hint = (f"{error.hint or ''} If its lines count upwards from the lower edge: "
-                      f"--columns {columns} --set image_origin=bottom-left --image FILE.")
+                      f"--columns {columns} --set image_origin=bottom-left{corner} "
+                      "--image FILE.")
     if any(_are_two_images(numbers, reading) for reading in numeric):
         error.hint = (f"{error.hint or ''} If both pairs are pixels, the second those of a "
                       "georeferenced image, head them x1,y1,x2,y2.")

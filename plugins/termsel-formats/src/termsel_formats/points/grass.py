@@ -21,6 +21,8 @@ from termsel.toolkit import read_text
 from termsel.toolkit.files import Table, is_number
 
 _GRASS_TITLE = b"Ground Control Points File"
+# Its library writes no title, and this above the points of i.points and i.rectify.
+_GRASS_HEADING = re.compile(r"^#\s*(?:image|source)\s+target\s+status\s*$", re.MULTILINE)
 _PLANE = ("source east", "source north", "east", "north", "status")
 _SPATIAL = ("source east", "source north", "source height", "east", "north", "height", "status")
 _GRASS_HEADINGS = {"sample": "source east", "line": "source north", "x": "east", "y": "north",
@@ -40,11 +42,14 @@ class GrassPoints(Reader):
     default_origin = "bottom-left-corner"
 
     def sniff(self, path: Path, head: bytes) -> bool:
-        """Return True for a file with the title of GRASS, or the name and rows of its files."""
+        """Return True for a file with the title of GRASS, or its name or heading, and its rows."""
         if head.lstrip(b"\xef\xbb\xbf \t\r\n#").startswith(_GRASS_TITLE):
             return True
-        rows = _numbered_rows(head.decode("utf-8", "replace").rpartition("\n")[0])
-        return path.name in ("POINTS", "CONTROL_POINTS") and bool(rows) and all(
+        text = head.decode("utf-8-sig", "replace")
+        rows = _numbered_rows(text.rpartition("\n")[0])
+        is_called_so = (path.name in ("POINTS", "CONTROL_POINTS")
+                        or _GRASS_HEADING.search(text) is not None)
+        return is_called_so and bool(rows) and all(
             len(cells) in (5, 7) and all(map(is_number, cells)) and cells[-1] in ("0", "1")
             for _, cells in rows)
 

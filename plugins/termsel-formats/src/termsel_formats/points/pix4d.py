@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -41,10 +41,10 @@ from termsel_formats.points.written import (
     say_checked,
 )
 
-_MARK = re.compile(rb"\s*[^,\r\n]+\.(?:jpe?g|tiff?|png|dng|rjpg|raw)\s*,[^,\r\n]+,"
-                   rb"\s*[-+.\d][^,\r\n]*,\s*[-+.\d][^,\r\n]*(?:,\s*[\d.][^,\r\n]*)?\s*$",
-                   re.IGNORECASE)
-_HEADER = re.compile(rb"\s*(image|file|photo)\s*_?(name)?\s*,[^\d\r\n]*$", re.IGNORECASE)
+_IMAGES = re.compile(r"\.(?:jpe?g|tiff?|png|dng|rjpg|raw)", re.IGNORECASE)
+_HEADER = re.compile(r"(image|file|photo)\s*_?(name)?", re.IGNORECASE)
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
+_SNIFFED = 20  # lines that show the format
 _LATITUDE = ("lat", "latitude", "y", "northing", "north")
 _LATITUDE_FIRST = Option(
     "latitude_first", None, "Whether the second column of the ground file is a latitude, or a "
@@ -64,12 +64,16 @@ class Pix4dMarks(Reader):
 
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True for lines that begin with the name of an image, a label and two numbers."""
-        lines = [line for line in head.removeprefix(b"\xef\xbb\xbf").splitlines()[:20]
-                 if line.strip()]
-        if lines and _HEADER.match(lines[0]):
-            lines = lines[1:]
+        text = head.decode("utf-8-sig", "replace")
+        lines = [line for line in text.splitlines()[:_SNIFFED] if line.strip()]
         complete = lines[:-1] or lines  # the last one may be cut
-        return bool(complete) and all(_MARK.match(line) for line in complete)
+        try:
+            rows = list(_split_rows(complete))
+        except csv.Error:
+            return False
+        if rows and _HEADER.fullmatch(rows[0][0]) and _is_header(rows[0]):
+            rows = rows[1:]
+        return bool(rows) and all(map(_is_mark, rows))
 
     def read(self, path: Path) -> FeatureSet:
         """Return the marks of one image that have ground coordinates in a second file.
@@ -130,22 +134,31 @@ def _is_header(cells: list[str]) -> bool:
 
 def _names_latitude(path: Path) -> bool:
     """Return whether a header of the ground file says that latitudes come first."""
-    first = next(_rows_of(path), [])
+    first = next(_split_rows(read_text(path).splitlines()), [])
     return len(first) > 1 and first[1].lower() in _LATITUDE
 
 
-def _rows_of(path: Path) -> Iterator[list[str]]:
-    """Yield the cells of each line, between commas, semicolons, tabs or spaces.
+def _is_mark(cells: list[str]) -> bool:
+    """Return whether cells are a mark: a file of an image, a label, two or three numbers."""
+    return (len(cells) in (4, 5) and _IMAGES.fullmatch(Path(cells[0]).suffix) is not None
+            and bool(cells[1]) and all(map(is_number, cells[2:])))
 
-    The separator is the first of these that the first line has. Raises csv.Error for a line that
-    the csv module cannot split.
+
+def _split_rows(lines: Sequence[str]) -> Iterator[list[str]]:
+    """Yield the cells of each line, between tabs, semicolons, commas or spaces.
+
+    The separator is the first of these that the first line has: next to the others a comma is
+    decimal, as spreadsheets write it in many countries. Raises csv.Error for a line that the csv
+    module cannot split.
     """
-    lines = read_text(path).splitlines()
     first = next((line for line in lines if line.strip()), "")
-    separator = next((mark for mark in ",;\t" if mark in first), " ")
+    separator = next((mark for mark in "\t;," if mark in first), " ")
     # Several spaces may align a column.
     for row in csv.reader(lines, delimiter=separator, skipinitialspace=separator == " "):
         cells = [cell.strip() for cell in row]
+        if separator != ",":
+            cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell
+                     for cell in cells]
         yield [cell for cell in cells if cell] if separator == " " else cells
 
 
@@ -157,7 +170,7 @@ def _numbered_rows(path: Path, widths: tuple[int, ...], form: str) -> list[tuple
     """
     rows: list[tuple[int, list[str]]] = []
     try:
-        for number, cells in enumerate(_rows_of(path), 1):
+        for number, cells in enumerate(_split_rows(read_text(path).splitlines()), 1):
             if not any(cells) or (not rows and _is_header(cells)):
                 continue
             if len(cells) not in widths:
