@@ -29,8 +29,12 @@ from termsel.core.threads import one_blas_thread
 from termsel.data.features import FeatureSet, Points
 from termsel.data.fit_data import FitData
 from termsel.fitting.accuracy import Predicted, predict_rmse_of_fit
-from termsel_cameras.sheets.candidates import candidate_projections
-from termsel_cameras.sheets.choosing import first_of_the_best, rank_projections
+from termsel_cameras.sheets.candidates import candidate_projections, candidates_of
+from termsel_cameras.sheets.choosing import (
+    as_probable_as_the_best,
+    choose_by_points,
+    rank_by_series,
+)
 from termsel_cameras.sheets.paper import matrix_of
 from termsel_cameras.sheets.series import SHEET_OF_SERIES
 from termsel_cameras.sheets.series_file import Series, series_of, with_series_columns
@@ -58,11 +62,22 @@ REAL_CRS = "EPSG:3111"
 LIKE_SCALE, NEARBY = 2.0, 30_000.0
 """Ratio of scales, and distance of the middles [m], up to which maps may be sheets of a series."""
 
-NEARLY = (1.0, 1.02, 1.1, 1.3)
-"""Ratios to the best up to which the first projection of the list is taken."""
+MAP_NOISE, MAP_LOCAL = 1.5, 2.0
+"""Of points of a map that is drawn in a projection, and amplitude of its local deformation [px]."""
 
-MAP_NOISE = 1.5
-"""Of points of a map that is drawn in a projection [px]."""
+MAP_SIZES = ((0.6, 0.4), (3.0, 2.0), (12.0, 8.0))
+"""Of maps that are drawn in a projection [deg]."""
+
+MAP_WIDTH = 6000.0
+"""Of their images [px]."""
+
+PAPER_OF_MAP = np.array([0.0, 0.01, 0.006, 0.003])
+"""Standard deviations of turn, stretch and shear of a map."""
+
+MAP_COUNTS = (4, 6, 8, 12, 20)
+
+DRAWN_SHEETS, DRAWN_MANY, DRAWN_FEW = 8, 18, 4
+"""Sheets of a series that is drawn in a projection; points of three of them, and of the others."""
 
 CANDIDATES = 8
 """Of the default list: the first of these, and the one of the simulated map."""
@@ -235,45 +250,114 @@ def of_series(sheet: FeatureSet, ground: FloatArray, image: FloatArray) -> dict[
 
 
 @one_blas_thread
-def figures_of_projection(kind: str, number: int) -> dict[str, float]:
-    """Return the RMSE at points left out [px] of the projections that each NEARLY takes.
+def figures_of_projection(kind: str, count: int, number: int) -> dict[str, float]:
+    """Return the RMSE at points left out [px] of the projection that `--crs auto` takes.
 
-    And in degrees, and that of the best in hindsight.
+    And in degrees, as a run takes it by itself, of the least held-out error, of the best in
+    hindsight; whether points show the projection, and the interval of the RMSE that is predicted.
     """
-    features, left_out = (drawn_map if kind == "drawn" else left_out_of)(number)
-    candidates = candidate_projections(features.points.ground[:, :2])
+    features, left_out = (drawn_map if kind == "drawn" else left_out_of)(count, number)
+    candidates = candidates_of([features], None, None)
     if kind == "real":
         candidates = candidates[:CANDIDATES]
-    ranked = rank_projections([features], candidates)
-    errors = {crs: rmse_in(features, crs, left_out) for crs in
-              dict.fromkeys(["", *(tried.crs for tried in ranked)])}
-    taken = {f"{nearly:g}": errors[first_of_the_best(ranked, candidates, nearly).crs]
-             for nearly in NEARLY}
-    return {"degrees": errors[""], "hindsight": min(errors.values()), **taken}
+    choice = choose_by_points([features], candidates)
+    errors = {crs: rmse_in(features, crs, left_out)
+              for crs in dict.fromkeys(["", *(tried.crs for tried in choice.ranked)])}
+    plain = termsel.run(features=features)
+    result = termsel.run(features=replace(features, fit_crs=choice.chosen.crs))
+    predicted = result.predicted or Predicted(np.nan, np.nan, np.nan)
+    least = min(choice.ranked, key=lambda tried: tried.rmse)
+    return {"degrees": errors[""], "plain": rmse(plain.project(left_out.ground), left_out.image),
+            "least": errors[least.crs], "chosen": errors[choice.chosen.crs],
+            "hindsight": min(errors.values()), "told": float(len(choice.as_probable) == 1),
+            "run": rmse(result.project(left_out.ground), left_out.image),
+            "low": predicted.low, "high": predicted.high}
 
 
-def drawn_map(number: int) -> tuple[FeatureSet, Points]:
-    """Return 10 points of a map of 12 by 8 degrees in a projection, and further ones."""
+def drawn_map(count: int, number: int) -> tuple[FeatureSet, Points]:
+    """Return points of a map that is drawn in a projection, and further places without noise.
+
+    Its meridian and parallels are not quite those of the middle of its points.
+    """
     rng = np.random.default_rng([62, number])
     middle = np.array([rng.uniform(-10.0, 40.0), rng.uniform(35.0, 60.0)])
-    places = middle + rng.uniform(-1.0, 1.0, (10 + TRUTH, 2)) * [6.0, 4.0]
-    projections = candidate_projections(middle + np.array([[-6.0, -4.0], [6.0, 4.0]]))
-    true = projections[int(rng.integers(2, len(projections) - 1))]
-    plan = np.column_stack(Transformer.from_crs("EPSG:4326", true.crs, always_xy=True).transform(
-        *places.T))
-    image = (plan - plan.mean(axis=0))[:, ::-1] * [-1.0, 1.0] / 250.0
-    image = image + MAP_NOISE * rng.standard_normal(image.shape)
+    size = np.array(MAP_SIZES[number % len(MAP_SIZES)])
+    drawn_about = middle + rng.uniform(-0.5, 0.5, 2) * np.maximum(size, 1.0)
+    projections = candidate_projections(drawn_about + np.array([[-0.5], [0.5]]) * size)
+    true = projections[int(rng.integers(len(projections) - 1))]
+    return drawn(true.crs, middle, size, rng.normal(0.0, PAPER_OF_MAP), count, rng)
+
+
+def drawn(crs: str, middle: FloatArray, size: FloatArray, values: FloatArray, count: int,
+          rng: np.random.Generator) -> tuple[FeatureSet, Points]:
+    """Return points of a map in a projection, measured with noise, and further ones without.
+
+    `size` is that of the map [deg]; `values` are those of its paper, for a width of `MAP_WIDTH`.
+    The first four points are near its corners.
+    """
+    corners = np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]])
+    shares = rng.uniform(-0.5, 0.5, (count + TRUTH, 2))
+    shares[:4] = 0.44 * corners + rng.uniform(-0.05, 0.05, (4, 2))
+    places = middle + shares * size
+    to_plane = Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform
+    plan = np.column_stack(to_plane(*places.T)) - np.array(to_plane(*middle))
+    (left, _), (right, _) = (to_plane(middle[0] + side * size[0], middle[1])
+                             for side in (-0.5, 0.5))
+    upright = plan @ matrix_of(values).T * (MAP_WIDTH / abs(right - left))
+    image = upright[:, ::-1] * [-1.0, 1.0] + MAP_WIDTH / 2.0
+    phases = rng.uniform(0.0, 2.0 * np.pi, 2)
+    image = image + MAP_LOCAL * np.sin(image[:, ::-1] / 900.0 + phases)
+    image[:count] += MAP_NOISE * rng.standard_normal((count, 2))
     points = Points(tuple(f"P{i}" for i in range(len(places))), image,
                     np.column_stack([places, np.full(len(places), np.nan)]))
-    first = np.arange(len(places)) < 10
-    return FeatureSet(points.take(first), crs="EPSG:4326"), points.take(~first)
+    is_measured = np.arange(len(places)) < count
+    return FeatureSet(points.take(is_measured), crs="EPSG:4326"), points.take(~is_measured)
 
 
-def left_out_of(number: int) -> tuple[FeatureSet, Points]:
-    """Return a real map without a third of its points, and these."""
+@one_blas_thread
+def figures_of_drawn_series(number: int) -> list[dict[str, float]]:
+    """Return the RMSE at further places [px] of the sheets of few points of a series.
+
+    Alone as a run fits them, in the series whose projection all sheets choose, and in that of the
+    right projection; the points show neither.
+    """
+    rng = np.random.default_rng([65, number])
+    size = np.array(MAP_SIZES[0])
+    corner = np.array([rng.uniform(-10.0, 40.0), rng.uniform(35.0, 60.0)])
+    extent = np.array([corner, corner + size * [4.0, 2.0]])
+    projections = candidate_projections(extent)
+    true = projections[int(rng.integers(len(projections) - 1))]
+    shared = rng.normal(0.0, PAPER_OF_MAP)
+    sheets = []
+    for sheet in range(DRAWN_SHEETS):
+        values = shared + rng.normal(0.0, AMONG_SHEETS)
+        middle = corner + size * [sheet % 4 + 0.5, sheet // 4 + 0.5]
+        count = DRAWN_MANY if sheet < 3 else DRAWN_FEW
+        sheets.append(drawn(true.crs, middle, size, values, count, rng))
+    measured = [features for features, _ in sheets]
+    candidates = candidates_of(measured, None, None)
+    ranked = rank_by_series(measured, candidates)
+    chosen = as_probable_as_the_best(ranked, candidates)[0]
+    of_chosen, of_true = (series_of(measured, crs) for crs in (chosen.crs, true.crs))
+    return [{"alone": rmse_of_run(features, places),
+             "chosen": rmse_of_run(with_series_columns(features, of_chosen), places),
+             "true": rmse_of_run(with_series_columns(features, of_true), places)}
+            for features, places in sheets if len(features.points) == DRAWN_FEW]
+
+
+def rmse_of_run(features: FeatureSet, places: Points) -> float:
+    """Return the RMSE of a run of some features at further places [px]."""
+    return rmse(termsel.run(features=features).project(places.ground), places.image)
+
+
+def left_out_of(count: int, number: int) -> tuple[FeatureSet, Points]:
+    """Return `count` points of a real map, two thirds for 0, and the rest without blunders."""
     features = real_maps()[number]
-    hidden = np.random.default_rng([63, number]).permutation(len(features.points)) % 3 == 0
-    return features.with_(points=features.points.take(~hidden)), features.points.take(hidden)
+    order = np.random.default_rng([63, number]).permutation(len(features.points))
+    fitted = count or 2 * len(order) // 3
+    left_out = features.points.take(order[fitted:])
+    return (features.with_(points=features.points.take(order[:fitted])),
+            left_out.take(are_sound(number, left_out)))
 
 
 def rmse_in(features: FeatureSet, crs: str, left_out: Points) -> float:
@@ -342,14 +426,32 @@ def single_row(name: str, cases: Sequence[dict[str, float]]) -> str:
 
 
 def projection_row(name: str, cases: Sequence[dict[str, float]]) -> str:
-    """Return a row of the table of projections: medians, and mean ratios to degrees."""
-    columns = [np.array([case[key] for case in cases])
-               for key in ("degrees", *(f"{nearly:g}" for nearly in NEARLY), "hindsight")]
-    cells = [f"{np.median(columns[0]):.2f}"]
-    for column in columns[1:]:
-        ratio = np.exp(np.log(column / columns[0]).mean())
+    """Return a row of the table of projections: medians, and mean ratios to hindsight."""
+    hindsight = np.array([case["hindsight"] for case in cases])
+    cells = []
+    for key in ("degrees", "plain", "least", "chosen"):
+        column = np.array([case[key] for case in cases])
+        ratio = np.exp(np.log(column / hindsight).mean())
         cells.append(f"{np.median(column):.2f} ({ratio:.2f})")
+    predicted = [case for case in cases if np.isfinite(case["low"])]
+    holds = np.mean([case["low"] <= case["run"] <= case["high"] for case in predicted])
+    above = np.mean([case["run"] > case["high"] for case in predicted])
+    told = np.mean([case["told"] for case in cases])
+    cells.append(f"{np.median(hindsight):.2f}")
+    cells += [f"{100 * share:.0f}" for share in (told, holds, above)]
     return f"| {name} | {len(cases)} | " + " | ".join(cells) + " |"
+
+
+def drawn_series_row(series: Sequence[Sequence[dict[str, float]]]) -> str:
+    """Return the row of the table of series that are drawn in a projection."""
+    cases = [case for sheets in series for case in sheets]
+    columns = {key: np.array([case[key] for case in cases]) for key in ("alone", "chosen", "true")}
+    cells = [f"{np.median(column):.2f}" for column in columns.values()]
+    ratios = columns["chosen"] / columns["alone"]
+    of_true = columns["chosen"] / columns["true"]
+    cells += [f"{np.exp(np.log(ratio).mean()):.2f}" for ratio in (ratios, of_true)]
+    cells += [f"{100 * np.mean(share):.0f}" for share in (ratios > 1.05, ratios < 1 / 1.05)]
+    return f"| {len(series)} | {len(cases)} | " + " | ".join(cells) + " |"
 
 
 PAGE = """# Old maps: projections and series
@@ -412,16 +514,33 @@ points of the map.
 
 ## The projection that points choose
 
-Maps of 12 by 8 degrees are drawn in one of the projections of the default list, 10 points measured
-to {map_noise:g} px. Of the real maps a third of the points is left out, and the first {candidates}
-of the list are tried. Of projections whose predicted RMSE is within a factor of the best the first
-of the list is taken. Columns are medians of the RMSE at points left out [px], with the geometric
-mean of the ratio to that in degrees; the last is the best projection in hindsight. termsel's factor
-is 1.1.
+Maps of {sizes} degrees are drawn in one of the projections of the default list, about other
+meridians and parallels than those of their points, on stretched and sheared paper; points are
+measured to {map_noise:g} px, the first four near the corners, and the map is deformed locally by
+{map_local:g} px. Of the real maps some points are fitted and the first {candidates} of the list
+are tried; points left out count if they are no blunders by a run of all points of the map. Columns
+are medians of the RMSE [px] at points left out, with the geometric mean of the ratio to the best
+projection in hindsight: of fits in degrees, of a plain run without `--crs auto`, of the projection
+of the least error of held-out points, and of the one that `--crs auto` takes. Then how often points
+show which it is, how often the interval of 90 % of a run in it holds, and how often the RMSE is
+above it [%].
 
-| maps | fits | in degrees | {factors} | hindsight |
-|---|---:|---:|{rules}---:|
+| maps | fits | degrees | plain | least error | `--crs auto` | hindsight | shown | holds | above |
+|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|
 {projections}
+
+## The projection that a series chooses
+
+Series of {drawn_sheets} sheets of {sheet_size} degrees are drawn in one of the projections: of
+three sheets {drawn_many} points are measured, of the others {drawn_few}, near the corners. The
+projection is the one in which all points together are most probable. Columns are medians of the
+RMSE [px] of the sheets of {drawn_few} points: by a run of each alone, with its series, and with its
+series in the right projection; the geometric means of the ratios of the second to the first and to
+the third; and how often the series makes a sheet worse and better by more than 5 % [%].
+
+| series | sheets | alone | series | right projection | to alone | to right | worse | better |
+|---:|---:|---:|---:|---:|---:|---:|---:|---:|
+{drawn_series}
 
 ## What is missed
 
@@ -434,7 +553,8 @@ is 1.1.
   why it holds less often in the first table.
 - Sheets of like scale that are none of one series would not be seen as such; what they lend is as
   wide as they differ.
-- Projections that predict alike are alike: which of them is taken hardly counts.
+- Few points do not show the projection of a map. `--crs auto` then takes one that is near all those
+  that they do not tell apart, says so, and is seldom much better than a plain run.
 """
 
 
@@ -468,14 +588,26 @@ def tables(options: argparse.Namespace) -> dict[str, str]:
         numbers = [number for number in large if len(real_maps()[number].points) >= few + 4]
         single.append(single_row(f"{few} points" if few else "two thirds", computed(
             figures_of_single_map, [(few, number) for number in numbers], "single")))
-    kinds = {"drawn": range(options.maps), "real": large[:options.maps]}
-    projections = [projection_row(
-        {"drawn": "simulated", "real": "real"}[kind],
-        computed(figures_of_projection, [(kind, number) for number in numbers], "projections"))
-        for kind, numbers in kinds.items() if numbers]
+    projections = []
+    for count in MAP_COUNTS:
+        jobs = [("drawn", count, number) for number in range(options.maps)]
+        projections.append(projection_row(f"simulated, {count} points", computed(
+            figures_of_projection, jobs, "projections")))
+    for count in (4, 0) if large else ():
+        jobs = [("real", count, number) for number in large[:options.real]]
+        name = f"real, {count} points" if count else "real, two thirds"
+        projections.append(projection_row(name, computed(
+            figures_of_projection, jobs, "projections")))
+    drawn_series = drawn_series_row(computed(
+        figures_of_drawn_series, [(number,) for number in range(options.drawn)], "drawn"))
     return {"series": "\n".join(rows), "intervals": "\n".join(intervals),
             "like": "\n".join(like), "single": "\n".join(single),
-            "projections": "\n".join(projections)}
+            "projections": "\n".join(projections), "drawn_series": drawn_series}
+
+
+def in_words(size: tuple[float, float]) -> str:
+    """Return the width and height of a map as text."""
+    return f"{size[0]:g} by {size[1]:g}"
 
 
 def main() -> None:
@@ -483,16 +615,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--few", type=int, nargs="*", default=(4, 8))
     parser.add_argument("--series", type=int, default=3)
-    parser.add_argument("--maps", type=int, default=12, help="maps whose projection is chosen")
+    parser.add_argument("--maps", type=int, default=16, help="maps whose projection is chosen")
+    parser.add_argument("--real", type=int, default=12, help="real maps whose projection is chosen")
+    parser.add_argument("--drawn", type=int, default=12, help="series drawn in a projection")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--kept", type=Path, help="file of cases that are done")
     parser.add_argument("--write", action="store_true", help="renew the page in docs/evidence")
     options = parser.parse_args()
     put("map-series", PAGE.format(
         sheets=SHEETS, many_sheets=len(WITH_MANY), many=MANY, local=LOCAL, noise=NOISE,
-        map_noise=MAP_NOISE, candidates=CANDIDATES, like_scale=LIKE_SCALE,
-        nearby=NEARBY / 1000, **tables(options),
-        factors=" | ".join(f"{nearly:g}" for nearly in NEARLY), rules="---:|" * len(NEARLY)),
+        map_noise=MAP_NOISE, map_local=MAP_LOCAL, candidates=CANDIDATES, like_scale=LIKE_SCALE,
+        nearby=NEARBY / 1000, drawn_sheets=DRAWN_SHEETS, drawn_many=DRAWN_MANY,
+        drawn_few=DRAWN_FEW, sheet_size=in_words(MAP_SIZES[0]),
+        sizes=", ".join(in_words(size) for size in MAP_SIZES), **tables(options)),
         write=options.write)
 
 

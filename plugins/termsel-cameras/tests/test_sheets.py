@@ -20,18 +20,17 @@ from termsel.toolkit.coordinates import normalise, transformation_between
 from termsel_cameras.sheets.candidates import (
     Projection,
     candidate_projections,
+    candidates_of,
     projections_of_file,
 )
 from termsel_cameras.sheets.choosing import (
-    Tried,
     as_probable_as_the_best,
-    first_of_the_best,
+    choose_by_points,
     rank_by_series,
-    rank_projections,
 )
 from termsel_cameras.sheets.meridians import meridian_of
 from termsel_cameras.sheets.paper import Sheet, matrix_of, paper_of, values_of
-from termsel_cameras.sheets.reading import candidates_of, from_greenwich
+from termsel_cameras.sheets.reading import from_greenwich
 from termsel_cameras.sheets.series import SHEET_OF_SERIES, paper_of_text, stated_paper
 from termsel_cameras.sheets.series_file import series_of, with_series_columns
 
@@ -218,6 +217,28 @@ def test_a_series_says_which_projections_it_does_not_tell_apart(tmp_path: Path) 
     assert "whether it is this one or another: polyconic. If the map" in done.stdout
 
 
+def test_sheets_borrow_nothing_in_projections_that_they_contradict(
+        tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    files = [table(series_sheet(POLYCONIC, number, 2, 1.5), tmp_path / f"{number}.csv")
+             for number in range(8)]
+    candidates = tmp_path / "mine.txt"
+    shared = tmp_path / "series.json"
+
+    def said_of(*crss: str) -> str:
+        candidates.write_text("\n".join(crss), encoding="utf-8")
+        return invoke("map-series", *files, "--candidates", candidates, "-o", shared,
+                      "--overwrite").stdout
+
+    assert "the sheets contradict the projections of --candidates" in said_of(MERCATOR, SINUSOIDAL)
+    alone = termsel.read(files[0], crs="EPSG:4326")
+    lent = termsel.read(files[0], crs="EPSG:4326", series=str(shared))
+    assert "lends nothing" in caplog.text
+    assert (lent.fit_crs, lent.points.attributes) == (alone.fit_crs, alone.points.attributes)
+    # One of them that is right is enough, even where the list has one that is as good.
+    assert "contradict" not in said_of(MERCATOR, BONNE)
+    assert termsel.read(files[0], crs="EPSG:4326", series=str(shared)).fit_crs == normalise(BONNE)
+
+
 def test_one_sheet_is_no_series_to_choose_by() -> None:
     assert rank_by_series([series_sheet(BONNE, 6, 3, 1.0)], [Projection("Bonne", BONNE)]) == []
 
@@ -308,7 +329,7 @@ def test_independent_points_take_no_part() -> None:
     other = replace(features, points=replace(features.points, image=wild, roles=roles))
     mine = replace(features, points=features.points.take(np.arange(10) < 7))
     candidates = candidate_projections(np.array([[2.0, 41.0], [14.0, 51.0]]), 20)[:3]
-    assert rank_projections([other], candidates) == rank_projections([mine], candidates)
+    assert choose_by_points([other], candidates) == choose_by_points([mine], candidates)
 
 
 def with_blunder(features: FeatureSet, place: int, shift: tuple[float, float]) -> FeatureSet:
@@ -326,11 +347,9 @@ def test_a_map_with_a_blunder_takes_the_projection_of_its_other_points(
     candidates = candidate_projections(np.array([[2.0, 41.8], [14.0, 50.2]]), 19)
     features = sheet(10, 5)
     others = features.with_(points=features.points.take(np.arange(10) != place))
-    wrong = rank_projections([with_blunder(features, place, shift)], candidates)
-    right = rank_projections([others], candidates)
-    taken = first_of_the_best(wrong, candidates)
-    assert taken == first_of_the_best(right, candidates)
-    assert taken.rmse < 5.0
+    wrong = choose_by_points([with_blunder(features, place, shift)], candidates)
+    assert wrong == choose_by_points([others], candidates)
+    assert wrong.chosen.rmse < 5.0
 
 
 def test_a_blunder_on_a_sheet_is_not_taken_for_its_paper() -> None:
@@ -342,27 +361,55 @@ def test_a_blunder_on_a_sheet_is_not_taken_for_its_paper() -> None:
     assert wrong.noise == without.noise < 2.0 * right.noise
 
 
-def test_projections_that_predict_alike_are_the_first_one() -> None:
-    small = sheet(8, 4, extent=0.05)
-    candidates = candidate_projections(np.array([[7.95, 45.97], [8.05, 46.03]]))
-    assert first_of_the_best(rank_projections([small], candidates[:2]), candidates[:2]).crs == \
-        candidates[0].crs
+@pytest.mark.parametrize("number", range(5))
+@pytest.mark.parametrize("crs", [BONNE, POLYCONIC])
+def test_four_points_that_fit_several_projections_by_chance_take_a_middle_one(
+        crs: str, number: int) -> None:
+    """Not the one of them all that fits best, from which the others may be far."""
+    features = series_sheet(crs, number, 4, 1.5)
+    candidates = candidates_of([features], None, None)
+    choice = choose_by_points([features], candidates)
+    assert len(choice.as_probable) > 5
+    assert choice.chosen in choice.as_probable
+    corner = np.array([1.2 + 0.75 * (number % 4), 47.0 + 0.45 * (number // 4)])
+    degrees = corner + np.random.default_rng(9).uniform(0.0, 1.0, (50, 2)) * [0.6, 0.36]
+    ground = np.column_stack([degrees, np.zeros(50)])
+
+    def seen_in(other: str) -> FloatArray:
+        return termsel.fit(replace(features, fit_crs=other), "poly2d", degree=1).project(ground)
+
+    from_true = [np.sqrt(((seen_in(other.crs) - seen_in(crs))**2).sum(axis=1).mean())
+                 for other in choice.as_probable]
+    place = choice.as_probable.index(choice.chosen)
+    assert from_true[place] < 0.6 * max(from_true)
+    assert from_true[place] < 1.0
 
 
-def test_many_sheets_show_a_projection_where_one_does_not() -> None:
-    candidates = [Projection("first", "EPSG:1"), Projection("second", "EPSG:2")]
+def test_many_points_of_a_map_show_its_projection() -> None:
+    features = series_sheet(SINUSOIDAL, 6, 5, 0.5)
+    candidates = [Projection(crs, crs) for crs in (BONNE, MERCATOR, POLYCONIC, SINUSOIDAL)]
+    choice = choose_by_points([features], candidates)
+    assert choice.as_probable == (choice.chosen,)
+    assert choice.chosen.crs == SINUSOIDAL
 
-    def taken(worse_by: list[float]) -> str:
-        of_sheets = np.array([2.0] * len(worse_by))
-        best, other = (Tried(name, crs, float(np.exp(np.log(rmses).mean())), tuple(rmses))
-                       for name, crs, rmses in (("second", "EPSG:2", of_sheets),
-                                                ("first", "EPSG:1", of_sheets * worse_by)))
-        return first_of_the_best([best, other], candidates).name
 
-    assert taken([1.05, 1.03]) == "first"
-    assert taken([1.05, 1.03, 1.04, 1.06, 1.05]) == "second"
-    # As often better as worse.
-    assert taken([1.3, 0.8, 1.2, 0.9, 1.05]) == "first"
+def test_paper_is_hardly_stretched() -> None:
+    """Four points of a map fit each affine map of it; its projection gives the paper no stretch."""
+    flat = "+proj=eqc +lat_ts=47 +lon_0=2 +datum=WGS84 +units=m +no_defs"
+    square = "+proj=eqc +lat_ts=0 +lon_0=2 +datum=WGS84 +units=m +no_defs"
+    for crs in (flat, square):
+        features = series_sheet(crs, 0, 1, 0.5)
+        choice = choose_by_points([features], [Projection("flat", flat),
+                                               Projection("square", square)])
+        assert choice.chosen.crs == crs
+        assert choice.as_probable == (choice.chosen,)
+
+
+def test_the_screen_says_that_points_do_not_tell_projections_apart(tmp_path: Path) -> None:
+    few = table(series_sheet(BONNE, 0, 2, 1.5), tmp_path / "few.csv")
+    said = invoke("run", "--points", few, "--crs", "auto").stderr
+    assert "of 15 projections the points do not tell " in said
+    assert "its map differs least from those in the others, by " in said
 
 
 def test_a_century_has_its_projections(tmp_path: Path) -> None:

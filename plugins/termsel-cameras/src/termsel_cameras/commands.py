@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -74,10 +75,10 @@ def map_series(sheets: tuple[Path, ...], crs: str | None, prime_meridian: str | 
     with say_once("sheet"):
         read_sheets = [_read_sheet(sheet, crs, meridian) for sheet in sheets]
     if all(sheet.crs in ("", LOCAL) for sheet in read_sheets):
-        projection = ""
+        projection, contradicted_by = "", ""
     else:
-        projection = _choose_projection(read_sheets, candidates, century)
-    series = series_of(read_sheets, projection)
+        projection, contradicted_by = _choose_projection(read_sheets, candidates, century)
+    series = replace(series_of(read_sheets, projection), contradicted_by=contradicted_by)
     _say_paper(series)
     if output is not None:
         write_text(output, series.text())
@@ -104,40 +105,51 @@ _MAX_LISTED = 3
 
 
 def _choose_projection(sheets: list[FeatureSet], candidates: Path | None,
-                       century: int | None) -> str:
+                       century: int | None) -> tuple[str, str]:
     """Print how well each projection predicts the sheets, and return the CRS of the chosen one.
 
-    Raises TermselError if no sheet has enough points, or none determines a model.
+    With it returns the name of a projection that is no candidate and by which the sheets contradict
+    all of them, "" where there is none. Raises TermselError if no sheet has enough points, or none
+    determines a model.
     """
+    from termsel_cameras.sheets.candidates import candidates_of
     from termsel_cameras.sheets.choosing import (
         as_probable_as_the_best,
-        first_of_the_best,
+        choose_by_points,
+        contradicting,
         rank_by_series,
-        rank_projections,
     )
-    from termsel_cameras.sheets.reading import candidates_of
 
     projections = candidates_of(sheets, None if candidates is None else str(candidates), century)
-    if ranked := rank_by_series(sheets, projections):
-        open_choice = as_probable_as_the_best(ranked, projections)
-        best = open_choice[0]
+    stated = {projection.crs for projection in projections}
+    # What no candidate is, is ranked as well: it may be far more probable than all of them.
+    others = [usual for usual in candidates_of(sheets, None, None) if usual.crs not in stated]
+    better = None
+    if with_others := rank_by_series(sheets, [*projections, *others]):
+        better = contradicting(with_others, projections)
+        ranked = [projection for projection in with_others if projection.crs in stated]
+        as_probable = as_probable_as_the_best(ranked, projections)
+        best = as_probable[0]
     else:
-        ranked = rank_projections(sheets, projections)
-        best = first_of_the_best(ranked, projections)
-        open_choice = [best]
+        choice = choose_by_points(sheets, projections)
+        ranked, best, as_probable = list(choice.ranked), choice.chosen, list(choice.as_probable)
     _print_projections(ranked, best)
     echo(f"\nChosen for {count_in_words(len(sheets), 'sheet')}: {best.name}. "
          f"--set projection='{best.crs}'")
-    if len(open_choice) > 1:
-        others = ", ".join(projection.name for projection in open_choice[1:])
-        echo(f"The sheets do not show whether it is this one or another: {others}. If the map "
-             "names its projection, state that in a file of --candidates.")
-    elif len({_figure(projection) for projection in ranked}) == 1 and len(ranked) > 1:
-        echo("All predict these sheets alike, so the sheets do not show which it is.")
-    elif len(sheets) == 1:
-        echo("One sheet is no series, and its points show little of a projection: these figures "
-             "may differ by chance. Give all sheets, or take the projection that the map names.")
-    return best.crs
+    as_good = [projection.name for projection in as_probable if projection is not best]
+    if as_good:
+        echo(f"The sheets do not show whether it is this one or another: {', '.join(as_good)}. If "
+             "the map names its projection, state that in a file of --candidates.")
+    if better is not None:
+        restriction = "--century" if candidates is None else "--candidates"
+        echo(f"Caution: the sheets contradict the projections of {restriction}: in another one, "
+             f"{better.name}, they are far more probable, and predicted within {_figure(better)} "
+             f"px. Borrowing in {best.name} would make sheets of few points worse, so --set series "
+             f"will lend nothing. Leave {restriction} out, or give the projection of the map.")
+    if len(sheets) == 1:
+        echo("One sheet is no series, and its points show little of a projection. Give all "
+             "sheets, or take the projection that the map names.")
+    return best.crs, "" if better is None else better.name
 
 
 def _print_projections(ranked: Sequence[Tried], best: Tried) -> None:

@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from termsel import TermselError
+import numpy as np
+
+from termsel import FeatureSet, TermselError
 from termsel.toolkit import FloatArray, read_text
-from termsel.toolkit.coordinates import normalise
+from termsel.toolkit.coordinates import normalise, to_wgs84
+from termsel_cameras.roles import without_independent
 
 MAX_CANDIDATES = 60
 """Candidates of a file: each takes as long as a choice of the model."""
@@ -100,3 +103,37 @@ def projections_of_file(path: Path | str) -> list[Projection]:
                            hint=f"Give 1 to {MAX_CANDIDATES}, a CRS a line: "
                                 "EPSG:27572  # Lambert II.")
     return projections
+
+
+def candidates_of(sheets: list[FeatureSet], file: str | None,
+                  century: int | None) -> list[Projection]:
+    """Return the projections to choose from: those in `file`, or by the sheets and the century."""
+    if file is not None:
+        return projections_of_file(file)
+    return candidate_projections(corners_of_sheets(sheets), century)
+
+
+def corners_of_sheets(sheets: list[FeatureSet]) -> FloatArray:
+    """Return the south-western and north-eastern corner of all sheets (2, 2).
+
+    Rows are longitude and latitude on WGS84 [deg]. Across 180 degrees the eastern longitude is
+    larger than that. Independent points take no part, as the corners decide what is tried.
+
+    Raises
+    ------
+    TermselError
+        If no sheet has features that take part.
+    """
+    vertices = []
+    for sheet in map(without_independent, sheets):
+        ground = sheet.ground_vertices().copy()
+        ground[:, 2] = 0.0
+        vertices.append(to_wgs84(sheet.crs)(ground)[:, :2])
+    degrees = np.concatenate(vertices)
+    if not len(degrees):
+        raise TermselError("no map has control points, which show what projections to try",
+                           hint="Measure control points, or state the projection.")
+    # All longitudes are brought to within half a turn of the first.
+    first = degrees[0, 0]
+    degrees[:, 0] = first + (degrees[:, 0] - first + 180.0) % 360.0 - 180.0
+    return np.stack([degrees.min(axis=0), degrees.max(axis=0)])

@@ -1,4 +1,4 @@
-"""Which projection predicts the points of a map, or of a series of sheets, best."""
+"""Which projection the points of a map, or of a series of sheets, show to be theirs."""
 
 from __future__ import annotations
 
@@ -8,33 +8,36 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from termsel import FeatureSet, FitData, TermselError
+from termsel.toolkit import FloatArray
+from termsel.toolkit.coordinates import transformation_between
 from termsel.toolkit.models import Auto
 from termsel_cameras.roles import without_independent
-from termsel_cameras.sheets.candidates import Projection
-from termsel_cameras.sheets.paper import Sheet, evidence_of, marks_of, sheet_of
+from termsel_cameras.sheets.candidates import Projection, corners_of_sheets
+from termsel_cameras.sheets.paper import (
+    Sheet,
+    evidence_of,
+    evidence_of_map,
+    marks_of,
+    sheet_of,
+)
 from termsel_cameras.sheets.series import SHEET_OF_SERIES
 from termsel_cameras.sheets.series_file import Series, with_series_columns
 from termsel_cameras.sheets.sound import blunders_in
 
-NEARLY_BEST = 1.1
-"""RMSE by that of the best, up to which the first of several projections is taken: they predict
-alike."""
-
-MIN_SHEETS = 4
-"""Sheets from which on their differences show what chance does."""
-
-SIGNIFICANT_ERRORS = 2.0
-"""Standard errors beyond which a difference over all sheets is not chance."""
-
-NEGLIGIBLE = 0.005
-"""Difference of two logarithms of RMSEs that matters to nobody."""
-
 MIN_POINTS_OF_SHEET = 4
 """Points from which on a sheet distinguishes projections."""
+
+LATTICE = 5
+"""Places along each side of a map at which projections are compared."""
 
 AS_PROBABLE = 3.0
 """Difference of the logarithms of the evidence up to which a projection is as probable as the best:
 odds of 20 to 1."""
+
+CONTRADICTED = 10.0
+"""Difference of the logarithms of the evidence from which on the sheets of a series contradict a
+projection: odds of 20,000 to 1. Of sheets that are deformed locally smaller ones are chance, as
+evidence counts each point for itself."""
 
 MIN_SHEETS_OF_SERIES = 2
 """Sheets from which on their paper can be compared."""
@@ -53,28 +56,64 @@ class Tried:
     rmse : float
         Of points held out of the choice of the model in this projection [px]: of several sheets
         the geometric mean. Infinite where no model is determined.
-    sheet_rmses : tuple of float
-        The RMSE of each sheet [px].
     evidence : float
-        Logarithm of how probable the series makes all points, but for a constant; NaN where no
-        series is compared.
+        Logarithm of how probable the projection makes all points, but for a constant.
     """
 
     name: str
     crs: str
     rmse: float
-    sheet_rmses: tuple[float, ...] = ()
-    evidence: float = np.nan
+    evidence: float
 
 
-def rank_projections(sheets: Sequence[FeatureSet], candidates: Sequence[Projection]) -> list[Tried]:
-    """Return how well each projection predicts the points of all sheets, the best first.
+@dataclass(frozen=True)
+class Choice:
+    """The projection that the points of maps choose.
 
-    All sheets of a series were drawn in one projection, so that each projection has one figure: the
-    geometric mean of the sheets' RMSEs [px], weighted by their numbers of points. Independent
+    Parameters
+    ----------
+    ranked : tuple of Tried
+        All projections, the most probable first.
+    chosen : Tried
+    as_probable : tuple of Tried
+        Those that the points do not tell from the most probable one, as their list has them.
+    apart : float
+        Distance of the maps in the chosen projection from those in all others [px], RMS by how
+        probable these are.
+    """
+
+    ranked: tuple[Tried, ...]
+    chosen: Tried
+    as_probable: tuple[Tried, ...]
+    apart: float
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """A map in a projection.
+
+    `rmse` is that of held-out points of the model of auto [px], infinite where none is determined;
+    `positions` (k, 2) are where that model has the places of a lattice [px]; `paper` is what an
+    affine map shows, None where there is none.
+    """
+
+    rmse: float
+    positions: FloatArray
+    paper: Sheet | None
+
+
+def choose_by_points(sheets: Sequence[FeatureSet], candidates: Sequence[Projection]) -> Choice:
+    """Return the projection from which those that the points find probable differ least.
+
+    How probable a projection is follows from what a model leaves of the points, and from the
+    stretch and shear that it would give the paper (see `evidence_of_map`). Of few points the most
+    probable one, or that of the least held-out error, is one of several by chance, and may be far
+    from all others. So the one is taken whose maps have the least expected squared distance from
+    those in the true projection; where points tell, that is the most probable one. Independent
     points and blunders (see `_without_blunders`) take no part, nor do sheets that have fewer than
-    `MIN_POINTS_OF_SHEET` points before blunders are left out. Raises TermselError if no sheet has
-    enough.
+    `MIN_POINTS_OF_SHEET` points before blunders are left out.
+
+    Raises TermselError if no sheet has enough, or if in no projection a model is determined.
     """
     used_sheets = [without_independent(sheet) for sheet in sheets]
     used_sheets = [_without_blunders(sheet, candidates) for sheet in used_sheets
@@ -83,13 +122,28 @@ def rank_projections(sheets: Sequence[FeatureSet], candidates: Sequence[Projecti
         raise TermselError(f"no map has the {MIN_POINTS_OF_SHEET} points that a choice of its "
                            "projection requires",
                            hint="Measure more points, or state the projection.")
+    shown = [[_shown_in(sheet, candidate.crs) for candidate in candidates]
+             for sheet in used_sheets]
     counts = [len(sheet.points) for sheet in used_sheets]
-    ranked = []
-    for candidate in candidates:
-        sheet_rmses = [_predicted_rmse(sheet, candidate.crs) for sheet in used_sheets]
-        rmse = float(np.exp(np.average(np.log(sheet_rmses), weights=counts)))
-        ranked.append(Tried(candidate.name, candidate.crs, rmse, tuple(sheet_rmses)))
-    return sorted(ranked, key=lambda projection: projection.rmse)
+    log_rmses = np.log([[one.rmse for one in of_sheet] for of_sheet in shown])
+    rmses = np.exp(np.average(log_rmses, axis=0, weights=counts))
+    evidences = np.sum([_evidences(*of_sheet) for of_sheet in zip(used_sheets, shown, strict=True)],
+                       axis=0)
+    if not np.isfinite(evidences).any():
+        raise TermselError("in no projection the points determine a model",
+                           hint="Measure more points, spread over the map.")
+    probabilities = np.exp(evidences - evidences.max())
+    probabilities /= probabilities.sum()
+    squares = np.average([_squared_distances(of_sheet) for of_sheet in shown], axis=0,
+                         weights=counts)
+    expected = np.where(np.isfinite(evidences), squares @ probabilities, np.inf)
+    tried = [Tried(candidate.name, candidate.crs, rmse, evidence) for candidate, rmse, evidence
+             in zip(candidates, rmses.tolist(), evidences.tolist(), strict=True)]
+    chosen = tried[int(expected.argmin())]
+    ranked = sorted(tried, key=lambda projection: -projection.evidence)
+    as_probable = [projection for projection in tried if projection is chosen
+                   or projection.evidence >= ranked[0].evidence - AS_PROBABLE]
+    return Choice(tuple(ranked), chosen, tuple(as_probable), float(np.sqrt(expected.min())))
 
 
 def rank_by_series(sheets: Sequence[FeatureSet], candidates: Sequence[Projection]) -> list[Tried]:
@@ -133,36 +187,16 @@ def as_probable_as_the_best(
             if candidate.crs in as_probable]
 
 
-def first_of_the_best(
-        ranked: Sequence[Tried], candidates: Sequence[Projection], nearly: float = NEARLY_BEST,
-) -> Tried:
-    """Return the first of the candidates that predicts about as well as the best projection.
+def contradicting(
+        ranked: Sequence[Tried], candidates: Sequence[Projection]) -> Tried | None:
+    """Return the projection by which the sheets of a series contradict all candidates, or None.
 
-    Its RMSE is up to `nearly` times the least and, in a series, the sheets do not show that it is
-    worse (`_is_worse_on_sheets`). Raises TermselError if in no projection a model is determined.
+    They are `ranked` by their evidence, with others.
     """
-    best = ranked[0].rmse
-    if not np.isfinite(best):
-        raise TermselError("in no projection the points determine a model",
-                           hint="Measure more points, spread over the map.")
-    nearly_best = {projection.crs: projection for projection in ranked
-                   if projection.rmse <= nearly * best
-                   and not _is_worse_on_sheets(projection, ranked[0])}
-    return next(nearly_best[candidate.crs] for candidate in candidates
-                if candidate.crs in nearly_best)
-
-
-def _is_worse_on_sheets(projection: Tried, best: Tried) -> bool:
-    """Return whether the sheets of a series show that a projection is worse than the best one.
-
-    They do if the logarithms of the ratios of their RMSEs have a mean above `SIGNIFICANT_ERRORS`
-    standard errors. Fewer than `MIN_SHEETS` sheets show nothing.
-    """
-    if len(best.sheet_rmses) < MIN_SHEETS:
-        return False
-    logs = np.log(projection.sheet_rmses) - np.log(best.sheet_rmses)
-    standard_error = logs.std(ddof=1) / np.sqrt(len(logs))
-    return bool(logs.mean() > max(SIGNIFICANT_ERRORS * standard_error, NEGLIGIBLE))
+    crss = {candidate.crs for candidate in candidates}
+    best_candidate = next(projection for projection in ranked if projection.crs in crss)
+    is_contradicted = ranked[0].evidence - best_candidate.evidence > CONTRADICTED
+    return ranked[0] if is_contradicted else None
 
 
 def _different(sheets: Sequence[FeatureSet]) -> list[FeatureSet]:
@@ -213,13 +247,49 @@ def _without_blunders(sheet: FeatureSet, candidates: Sequence[Projection]) -> Fe
     return sheet.with_(points=sheet.points.take(~is_blunder))
 
 
-def _predicted_rmse(features: FeatureSet, crs: str) -> float:
-    """Return the RMSE of held-out points [px] of the model that auto chooses in a projection.
+def _shown_in(sheet: FeatureSet, crs: str) -> _Shown:
+    """Return a map in a projection, with the model that auto chooses there.
 
-    It is infinite if no model is determined, and 1e-9 px at least, as its logarithm is taken.
+    The RMSE is 1e-9 px at least, as its logarithm is taken.
     """
+    projected = replace(sheet, fit_crs=crs)
     try:
-        choice = Auto().choose(FitData.of(replace(features, fit_crs=crs)))
-    except TermselError:
-        return np.inf
-    return np.inf if choice is None else max(choice.chosen.held_out_rmse, 1e-9)
+        choice = Auto().choose(FitData.of(projected))
+        if choice is not None:
+            positions = choice.chosen.project(_lattice_of(sheet))
+            if np.isfinite(positions).all():
+                return _Shown(max(choice.chosen.held_out_rmse, 1e-9), positions,
+                              sheet_of(projected))
+    except TermselError:  # places that the projection does not show
+        pass
+    return _Shown(np.inf, np.zeros((LATTICE**2, 2)), None)
+
+
+def _lattice_of(sheet: FeatureSet) -> FloatArray:
+    """Return places (k, 3) in a lattice over the rectangle around the points of a sheet."""
+    south_west, north_east = corners_of_sheets([sheet])
+    axes = np.linspace(south_west, north_east, LATTICE)
+    degrees = np.stack(np.meshgrid(*axes.T), axis=-1).reshape(-1, 2)
+    flat = np.column_stack([degrees, np.zeros(len(degrees))])
+    return transformation_between("EPSG:4326", sheet.crs)(flat)
+
+
+def _evidences(sheet: FeatureSet, shown: Sequence[_Shown]) -> FloatArray:
+    """Return the logarithm of how probable each projection makes the points of a sheet.
+
+    Minus infinity where no model is determined. Paper counts where each projection shows it.
+    """
+    determined = [one for one in shown if np.isfinite(one.rmse)]
+    shows_paper = all(one.paper is not None for one in determined)
+    evidences = np.full(len(shown), -np.inf)
+    for i, one in enumerate(shown):
+        if np.isfinite(one.rmse):
+            evidences[i] = evidence_of_map(len(sheet.points), one.rmse,
+                                           one.paper if shows_paper else None)
+    return evidences
+
+
+def _squared_distances(shown: Sequence[_Shown]) -> FloatArray:
+    """Return the mean squared distances between the positions in all projections, (n, n) [px^2]."""
+    positions = np.array([one.positions for one in shown])
+    return np.array([((positions - of_one)**2).sum(axis=2).mean(axis=1) for of_one in positions])

@@ -14,13 +14,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from termsel import FeatureSet, FitData, Scaling, TermselError
 from termsel.toolkit import FloatArray
 
 PAPER_NAMES = ("scale", "turn", "stretch", "shear")
-SCALE, TURN = 0, 1
-"""Places of the scale and of the turn, an angle, among the four numbers."""
+SCALE, TURN, STRETCH, SHEAR = range(4)
+"""Places of the four numbers; the turn is an angle."""
 
 MIN_POINTS_OF_PAPER = 4
 """Points from which on a sheet shows its paper, and what an affine map leaves."""
@@ -28,6 +29,19 @@ MIN_POINTS_OF_PAPER = 4
 USUAL_SPREADS = np.array([0.003, 0.01, 0.003, 0.003])
 """Scales of the priors of the standard deviations among sheets, with long tails: paper shrinks by
 some parts in a thousand, sheets lie on a scanner to half a degree."""
+
+SIZES_OF_A_MAP = (0.005, 0.003)
+"""Scales of the priors of stretch and shear of a single map, with long tails: paper shrinks by up
+to some per cent, along its fibres less than across."""
+
+NOISE_OF_A_MAP = 2.0
+"""What a model usually leaves of lines, or of samples, of a single map [px]; it counts as
+`MIN_FREEDOM` degrees of freedom."""
+
+FREEDOM_OF_CHANCE = 12.0
+"""Degrees of freedom of points at which the error of held-out points, by a model that they choose
+themselves, says as much of a projection as what an affine map leaves: measured on simulated maps.
+"""
 
 SPREADS_TRIED = np.geomspace(1e-5, 10.0, 61)
 """Standard deviations among sheets that are averaged over."""
@@ -218,22 +232,63 @@ def evidence_of(sheets: Sequence[Sheet]) -> float:
     The constant is the same in every projection. What counts is how little affine maps leave, and
     how alike the paper of the sheets is: numbers that differ less are predicted better.
     """
-    from scipy.special import gammaln  # which all other commands need not import
-
     noise, freedom = usual_noise(sheets)
     own = np.array([sheet.freedom for sheet in sheets])
     squares = own * np.array([sheet.noise for sheet in sheets]) ** 2
-    usual_square = freedom * noise**2
-    # The variance of a sheet is integrated out: residuals are of a multivariate t distribution.
-    of_residuals = (gammaln((freedom + own) / 2.0) - gammaln(freedom / 2.0)
-                    + freedom / 2.0 * np.log(usual_square)
-                    - (freedom + own) / 2.0 * np.log(usual_square + squares))
+    of_residuals = _log_evidence_of_residuals(squares, own, noise, freedom)
     values, variances = _values_and_variances(sheets, noise, freedom)
     of_paper = [_log_evidence_of_number(*column) for column in zip(
         values.T, variances.T, USUAL_SPREADS, strict=True)]
     # From the density of the four numbers to that of the points: the root of their variances.
     of_units = 0.5 * np.log([sheet.variances for sheet in sheets])
     return float(of_residuals.sum() + sum(of_paper) + of_units.sum())
+
+
+def evidence_of_map(count: int, held_out_rmse: float, shown: Sheet | None) -> float:
+    """Return the logarithm of how probable the points of one map are, but for a constant.
+
+    What counts is how little a model leaves of them, and how little stretch and shear it gives the
+    paper, whose scale and turn may be any. An affine map of `count` points leaves the noise of
+    `shown`, and shows the paper; None is a map that does not. The model that auto chooses may
+    follow what no affine map does, but by its RMSE of held-out points [px], which chance rules
+    where they are few. So the logarithm of the squares that are left is the mean of both, in which
+    the one counts as `FREEDOM_OF_CHANCE`, the other as the degrees of freedom of the points.
+    """
+    freedom = max(2 * count - 6, 0)
+    # Squares of lines and samples together are twice those of either.
+    log_square = 2.0 * float(np.log(held_out_rmse)) - float(np.log(2.0))
+    if shown is not None:
+        log_square = (FREEDOM_OF_CHANCE * 2.0 * float(np.log(shown.noise)) + freedom * log_square
+                      ) / (FREEDOM_OF_CHANCE + freedom)
+    squares = np.array(freedom * np.exp(log_square))
+    evidence = float(_log_evidence_of_residuals(
+        squares, np.array(freedom), NOISE_OF_A_MAP, MIN_FREEDOM))
+    if shown is None:
+        return evidence
+    squared_noise = ((MIN_FREEDOM * NOISE_OF_A_MAP**2 + shown.freedom * shown.noise**2)
+                     / (MIN_FREEDOM + shown.freedom))
+    for number, usual_size in zip((STRETCH, SHEAR), SIZES_OF_A_MAP, strict=True):
+        variance = shown.variances[number]
+        # From the density of the number to that of the points: the root of its variance.
+        evidence += 0.5 * float(np.log(variance)) + _log_evidence_about_zero(
+            shown.values[number], variance * squared_noise, usual_size)
+    return evidence
+
+
+def _log_evidence_of_residuals(squares: FloatArray, own: NDArray[np.int_], noise: float,
+                               freedom: float) -> FloatArray:
+    """Return the logarithm of the density of residuals, but for a constant.
+
+    `squares` are the sums of their squares, of `own` degrees of freedom each. The variance, usually
+    the square of `noise` with `freedom` degrees, is integrated out: residuals are of a multivariate
+    t distribution.
+    """
+    from scipy.special import gammaln  # which all other commands need not import
+
+    usual_square = freedom * noise**2
+    return np.asarray(gammaln((freedom + own) / 2.0) - gammaln(freedom / 2.0)
+                      + freedom / 2.0 * np.log(usual_square)
+                      - (freedom + own) / 2.0 * np.log(usual_square + squares))
 
 
 def _values_and_variances(sheets: Sequence[Sheet], noise: float,
@@ -277,6 +332,19 @@ def _log_evidence_of_number(values: FloatArray, variances: FloatArray,
     return float(np.logaddexp.reduce(log_joint))
 
 
+def _log_evidence_about_zero(value: float, variance: float, usual_size: float) -> float:
+    """Return the logarithm of the density of a number whose mean is zero, its spread open.
+    """
+    totals = variance + SPREADS_TRIED**2
+    log_likelihoods = -0.5 * (np.log(totals) + value**2 / totals)
+    return float(np.logaddexp.reduce(log_likelihoods + _log_priors(usual_size)))
+
+
+def _log_priors(usual_spread: float) -> FloatArray:
+    """Return the prior of each spread that is tried, by its logarithm, but for a constant."""
+    return np.log(SPREADS_TRIED / (1.0 + (SPREADS_TRIED / usual_spread) ** 2))
+
+
 def _by_spread(values: FloatArray, variances: FloatArray,
                usual_spread: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the log of likelihood times prior of each spread that is tried, and the mean there.
@@ -287,11 +355,10 @@ def _by_spread(values: FloatArray, variances: FloatArray,
     weights = 1.0 / totals
     sums = weights.sum(axis=1)
     means = (weights * values).sum(axis=1) / sums
-    # The likelihood of a spread, with the mean integrated out, and the prior by its logarithm.
+    # The likelihood of a spread, with the mean integrated out.
     log_likelihoods = -0.5 * (np.log(totals).sum(axis=1) + np.log(sums)
                               + (weights * (values - means[:, None]) ** 2).sum(axis=1))
-    log_priors = np.log(SPREADS_TRIED / (1.0 + (SPREADS_TRIED / usual_spread) ** 2))
-    return log_likelihoods + log_priors, means, 1.0 / sums
+    return log_likelihoods + _log_priors(usual_spread), means, 1.0 / sums
 
 
 def reason_against(paper: Paper) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,23 +11,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from termsel import FeatureSet, Option, TermselError
-from termsel.toolkit import ONCE, FloatArray
-from termsel.toolkit.coordinates import is_geographic, normalise, to_wgs84
+from termsel.toolkit import ONCE
+from termsel.toolkit.coordinates import is_geographic, normalise
 from termsel_cameras.roles import without_independent
-from termsel_cameras.sheets.candidates import (
-    Projection,
-    candidate_projections,
-    projections_of_file,
-)
+from termsel_cameras.sheets.candidates import candidates_of
 from termsel_cameras.sheets.meridians import MERIDIANS, meridian_of
 
 if TYPE_CHECKING:
-    from termsel_cameras.sheets.choosing import Tried
+    from termsel_cameras.sheets.choosing import Choice
 
 log = logging.getLogger("termsel.cameras")
 
 AUTO = "auto"
 _N_RIVALS = 2
+_N_LISTED = 4
 
 SHEET_OPTIONS = (
     Option("prime_meridian", None, "Meridian that longitudes of the points count from: "
@@ -77,46 +74,41 @@ class SheetOptions:
             return features
         if values["projection"] != AUTO:
             return replace(features, fit_crs=normalise(values["projection"]))
-        from termsel_cameras.sheets.choosing import (  # it fits models
-            first_of_the_best,
-            rank_projections,
-        )
+        from termsel_cameras.sheets.choosing import choose_by_points  # it fits models
 
         candidates = candidates_of([features], values.get("projection_candidates"),
                                    values.get("map_century"))
-        ranked = rank_projections([features], candidates)
-        best = first_of_the_best(ranked, candidates)
-        log.warning("Note: of %d projections %s Coordinates stay in %s.", len(ranked),
-                    _projection_in_words(ranked, best), features.crs)
-        return replace(features, fit_crs=normalise(best.crs))
+        choice = choose_by_points([features], candidates)
+        log.warning("Note: %s Coordinates stay in %s.", choice_in_words(choice), features.crs)
+        return replace(features, fit_crs=normalise(choice.chosen.crs))
 
 
-def _projection_in_words(ranked: Sequence[Tried], chosen: Tried) -> str:
-    """Return sentences on the chosen projection, and how well it and its rivals predict.
-
-    `ranked` are all that were tried, the best first. `chosen` is the best, or the first candidate
-    that is nearly as good.
-    """
-    from termsel_cameras.sheets.choosing import NEARLY_BEST
-
-    def errors_in_words(projections: Sequence[Tried]) -> str:
-        """Return the names of projections with the RMSE of their predictions."""
-        return ", ".join(f"{projection.name} {projection.rmse:.3g} px"
-                         for projection in projections)
-
-    best = ranked[0]
-    if best is chosen:
-        return (f"{chosen.name} predicts the points best: {chosen.rmse:.3g} px "
-                f"({errors_in_words(ranked[1:1 + _N_RIVALS])}).")
-    return (f"{chosen.name} is taken: {chosen.rmse:.3g} px. Of those that predict within "
-            f"{100 * (NEARLY_BEST - 1.0):.0f} % of the best ({errors_in_words([best])}) it is the "
-            "first of the list.")
+def choice_in_words(choice: Choice) -> str:
+    """Return sentences on the chosen projection, its rivals, and whether the points show it."""
+    chosen = choice.chosen
+    count = len(choice.ranked)
+    others = [projection.name for projection in choice.as_probable if projection is not chosen]
+    if others:
+        listed = others if len(others) <= _N_LISTED else [
+            *others[:_N_LISTED - 1], f"{len(others) - _N_LISTED + 1} others"]
+        return (f"of {count} projections the points do not tell {chosen.name} from "
+                f"{', '.join(listed[:-1])}{' or ' if len(listed) > 1 else ''}{listed[-1]}. "
+                f"{chosen.name} is taken: its map differs least from those in the others, by "
+                f"{choice.apart:.2g} px (RMS by how probable they are).")
+    rivals = ", ".join(f"{projection.name} {projection.rmse:.3g} px"
+                       for projection in choice.ranked[1:1 + _N_RIVALS])
+    predicted = f"{chosen.rmse:.3g} px{f' ({rivals})' if rivals else ''}."
+    if all(chosen.rmse <= projection.rmse for projection in choice.ranked):
+        return f"of {count} projections {chosen.name} predicts the points best: {predicted}"
+    return (f"of {count} projections {chosen.name} is most probable, by the points and by how "
+            f"little it stretches the paper: it predicts them within {predicted}")
 
 
 def _sheet_of_series(features: FeatureSet, values: Mapping[str, Any]) -> FeatureSet:
     """Return a sheet with the projection and the paper of the series in `values["series"]`, a file.
 
-    A note is logged if the other sheets are no series. Raises TermselError if options state or
+    A note is logged if the other sheets are no series, or if they contradict their projection; then
+    the sheet is returned as it is. Raises TermselError if options state or
     choose a projection, too, if the file is none, or if no other sheet shows its paper.
     """
     from termsel_cameras.sheets.paper import reason_against
@@ -130,6 +122,12 @@ def _sheet_of_series(features: FeatureSet, values: Mapping[str, Any]) -> Feature
                            f"{min(idle_options)} has no use",
                            hint="Leave one of them out.")
     series = read_series(values["series"])
+    if series.contradicted_by:
+        log.warning("Note: %s lends nothing, and the map is fitted by itself: its sheets "
+                    "contradict the projection that was stated for them, and are far more probable "
+                    "in another (%s).", values["series"], series.contradicted_by,
+                    extra={ONCE: "a series that is contradicted"})
+        return features
     if reason := reason_against(series.paper_for(features)):
         log.warning("Note: %s lends no paper: %s.", values["series"], reason)
     return with_series_columns(features, series)
@@ -155,37 +153,3 @@ def from_greenwich(features: FeatureSet, meridian: float) -> FeatureSet:
     points = replace(features.points, ground=features.points.ground + shift)
     lines = replace(features.lines, ground=features.lines.ground + shift)
     return features.with_(points=points, lines=lines)
-
-
-def candidates_of(sheets: list[FeatureSet], file: str | None,
-                  century: int | None) -> list[Projection]:
-    """Return the projections to choose from: those in `file`, or by the sheets and the century."""
-    if file is not None:
-        return projections_of_file(file)
-    return candidate_projections(corners_of_sheets(sheets), century)
-
-
-def corners_of_sheets(sheets: list[FeatureSet]) -> FloatArray:
-    """Return the south-western and north-eastern corner of all sheets (2, 2).
-
-    Rows are longitude and latitude on WGS84 [deg]. Across 180 degrees the eastern longitude is
-    larger than that. Independent points take no part, as the corners decide what is tried.
-
-    Raises
-    ------
-    TermselError
-        If no sheet has features that take part.
-    """
-    vertices = []
-    for sheet in map(without_independent, sheets):
-        ground = sheet.ground_vertices().copy()
-        ground[:, 2] = 0.0
-        vertices.append(to_wgs84(sheet.crs)(ground)[:, :2])
-    degrees = np.concatenate(vertices)
-    if not len(degrees):
-        raise TermselError("no map has control points, which show what projections to try",
-                           hint="Measure control points, or state the projection.")
-    # All longitudes are brought to within half a turn of the first.
-    first = degrees[0, 0]
-    degrees[:, 0] = first + (degrees[:, 0] - first + 180.0) % 360.0 - 180.0
-    return np.stack([degrees.min(axis=0), degrees.max(axis=0)])

@@ -29,14 +29,17 @@ class Series:
         In which all sheets were drawn; "" where points have no CRS.
     sheets : tuple of Sheet
         Those with points enough to show the paper.
+    contradicted_by : str
+        Name of a projection that the sheets find far more probable; "" where there is none.
     """
 
     projection: str
     sheets: tuple[Sheet, ...]
+    contradicted_by: str = ""
 
     def text(self) -> str:
         """Return the content of the file."""
-        return json.dumps({"projection": self.projection,
+        return json.dumps({"projection": self.projection, "contradicted_by": self.contradicted_by,
                            "sheets": [asdict(sheet) for sheet in self.sheets]}, indent=1) + "\n"
 
     def paper_for(self, features: FeatureSet) -> Paper:
@@ -86,11 +89,12 @@ def read_series(path: Path | str) -> Series:
         content = json.loads(read_text(Path(path)))
         sheets = tuple(_parse_sheet(item) for item in content["sheets"])
         projection = str(content["projection"])
+        contradicted_by = str(content.get("contradicted_by", ""))
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise TermselError(
             f"{path} is no file of a series of sheets",
             hint="Write one: termsel map-series SHEETS... -o series.json.") from error
-    return Series(normalise(projection) if projection else "", sheets)
+    return Series(normalise(projection) if projection else "", sheets, contradicted_by)
 
 
 def _parse_sheet(item: Any) -> Sheet:
