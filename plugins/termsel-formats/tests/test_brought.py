@@ -626,6 +626,19 @@ def test_blunders_stay_out_and_are_named(name: str, checked: Result, tmp_path: P
         assert all(row.split()[0].isdecimal() for row in text.splitlines() if row[0] != "#")
 
 
+@pytest.mark.parametrize(("name", "image", "written"), [
+    ("odm-gcp-list", "a b,#.tif", "a_b,#.tif"), ("asp-gcp", "a b,#.tif", "a_b_.tif"),
+    ("pix4d-marks", "a b,#.tif", "a b_#.tif"), ("micmac-xml", "a b,#.tif", "")])
+def test_another_name_of_the_image_is_noted(name: str, image: str, written: str, tmp_path: Path,
+                                            results: tuple[Result, ...],
+                                            caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / WRITERS[name][1]
+    termsel.export(results[0], name, path, image=image)
+    assert (written or image) in path.read_text()
+    assert (f"calls the image '{image}' {written}, as names have no" in caplog.text
+            ) == bool(written)
+
+
 def parsed_as_bundle_adjust_does(text: str) -> dict[int, tuple[list[float], str, list[float]]]:
     """Return ground numbers, image and image numbers of each id of a .gcp file.
 

@@ -23,7 +23,7 @@ from termsel.toolkit.files import IMAGE_NAME, Table, image_of, is_number
 from termsel_formats.points.written import (
     IMAGE_OPTION,
     PointsWriter,
-    image_name,
+    image_in_one_cell,
     image_sigma,
     points_for_others,
     require_points,
@@ -188,7 +188,7 @@ class AspGcpWriter(PointsWriter):
         points = checked.points
         ground = to_wgs84(result.features.crs)(points.ground)
         sigma_image = image_sigma(points, result)
-        image = _as_one_word(image_name(self.options["image"], path))
+        image = image_in_one_cell(self.options["image"], path, r"\s,#", "blanks, commas or #")
         rows = [f"# WKT: {_WKT_OF_WGS84}", f"# {' '.join(_GROUND)} {' '.join(_IMAGE)}",
                 "# WGS84; heights above the ellipsoid [m]; rows and columns from 0"]
         numbers = _row_ids(points.ids)
@@ -212,8 +212,3 @@ def _row_ids(names: tuple[str, ...]) -> tuple[str, ...]:
     are_numbers = all(name.isascii() and name.isdecimal() and str(int(name)) == name
                       and int(name) <= _LARGEST_ID for name in names)
     return names if are_numbers else tuple(str(number) for number in range(1, len(names) + 1))
-
-
-def _as_one_word(text: str) -> str:
-    """Return a text with _ in place of what separates cells or begins a comment; "_" of ""."""
-    return re.sub(r"[\s,#]+", "_", text) or "_"

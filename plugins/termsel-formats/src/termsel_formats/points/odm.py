@@ -35,7 +35,7 @@ from termsel.toolkit.runs import GIS
 from termsel_formats.points.written import (
     IMAGE_OPTION,
     PointsWriter,
-    image_name,
+    image_in_one_cell,
     points_for_others,
     require_points,
     say_checked,
@@ -272,7 +272,7 @@ class OdmGcpListWriter(PointsWriter):
         if not self.options["check_points"]:
             checked = checked.without_checks()
         require_points(checked, path, self.needs)
-        image = _as_one_word(image_name(self.options["image"], path))
+        image = image_in_one_cell(self.options["image"], path, r"\s", "blanks")
         rows = [_crs_line(result.features.crs)]
         for name, (line, sample), position, is_check in zip(
                 checked.points.ids, checked.points.image.tolist(), checked.points.ground.tolist(),

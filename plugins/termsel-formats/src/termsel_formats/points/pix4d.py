@@ -35,7 +35,7 @@ from termsel_formats.points.common import CORNER, file_beside
 from termsel_formats.points.written import (
     IMAGE_OPTION,
     PointsWriter,
-    image_name,
+    image_in_one_cell,
     points_for_others,
     require_points,
     say_checked,
@@ -211,7 +211,7 @@ class Pix4dMarksWriter(PointsWriter):
         checked = points_for_others(result).without_checks()
         require_points(checked, path, self.needs)
         points = checked.points
-        image = cell_text(image_name(self.options["image"], path).replace(",", "_"))
+        image = cell_text(image_in_one_cell(self.options["image"], path, ",", "commas"))
         # Pix4D expects latitudes before longitudes.
         latitude_first = is_geographic(result.features.crs)
         marks = []

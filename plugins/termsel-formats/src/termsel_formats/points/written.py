@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -102,6 +103,20 @@ def say_checked(name: str, checked: CheckedPoints) -> None:
     control = len(checked.is_check) - checks
     log.info("%s holds %d control and %d check points, not the model. Left out: %s.", name,
              control, checks, ", ".join(checked.left_out) or "none")
+
+
+def image_in_one_cell(image: Path | str | None, path: Path, signs: str, signs_in_words: str) -> str:
+    """Return the name of an image (see `image_name`) with _ in place of some signs.
+
+    `signs` is what a regular expression has between brackets: what separates the cells of a file.
+    A note is logged where the name is changed, as a program will look for an image of that name.
+    """
+    name = image_name(image, path)
+    changed = re.sub(f"[{signs}]+", "_", name)
+    if changed != name:
+        log.warning("Note: %s calls the image '%s' %s, as names have no %s there. Rename the "
+                    "image, so that it is found.", path.name, name, changed, signs_in_words)
+    return changed
 
 
 def image_sigma(points: Points, result: Result) -> FloatArray:
