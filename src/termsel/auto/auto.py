@@ -108,6 +108,7 @@ class Auto(Method):
     hopeless: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
+        """Note a fault of each method whose `max_features` is no number; it is not asked."""
         # A class of a plugin may declare anything: what is no number would fail at each comparison.
         for method in self.methods:
             if not (isinstance(method.max_features, numbers.Real) and method.max_features > 0):

@@ -29,6 +29,7 @@ def search_bar(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] |
     """Yield an observer that shows the progress of a run; None where nobody would see it."""
     with _show_bar(title, quiet) as renew:
         def observe(progress: Progress) -> None:
+            """Show the share that is done, the best value and the number of evaluations."""
             # A population without a feasible member has a best value that means nothing.
             feasible = progress.violation == 0 and math.isfinite(progress.best)
             best = f"{progress.best:.4g}" if feasible else "-"

@@ -164,6 +164,7 @@ class Loader:
     """The plugins and their hooks, of entry points as in `termsel.plugins.registry.Registry`."""
 
     def __init__(self, entry_points: Iterable[EntryPoint] | None = None) -> None:
+        """List the plugins, what is built in first, without importing any of them."""
         self.failures: list[Remark] = []
         self._missing: list[Plugin] = []
         # Metadata alone: a plugin is imported when something needs it.

@@ -82,11 +82,12 @@ def uses_auto(strategy: str | None, recipe: Recipe, method: Sequence[str] = (), 
 class _Watch:
     """Tells observers how far a choice is, and keeps the fits to all points.
 
-    There are so many methods and folds; each fold tries all methods, as the choice itself does.
-    `fits` are those to all points, `count` is how many were tried, those of folds included.
+    `methods` and `folds` are how many there are: the choice tries all methods, and so does each
+    fold. `fits` are those to all points, `count` is how many were tried, those of folds included.
     """
 
     def __init__(self, observers: Iterable[Observer], methods: int, folds: int) -> None:
+        """Begin to count; without observers nothing is told."""
         all_observers = tuple(observers)
         self._observers = Observers(all_observers)
         self._is_observed = bool(all_observers)

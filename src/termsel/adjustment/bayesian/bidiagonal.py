@@ -87,6 +87,7 @@ class BidiagonalSolutions:
     """
 
     def __init__(self, forms: Bidiagonal, form: IntArray, squared_sizes: FloatArray) -> None:
+        """Factor the system of each solution, R'R, and sum up the trace of its inverse."""
         self._rotation = forms.rotation
         self._form = form
         diagonal = forms.diagonal[:, form]

@@ -68,6 +68,10 @@ class SplineColumns:
     """The columns that span a field: kernels around all points, or around knots among many."""
 
     def __init__(self, positions: FloatArray, all_knots: bool) -> None:
+        """Choose the knots: the points at `positions` (n, 2), or with many SPLINE_KNOTS of them.
+
+        With `all_knots` every point is a knot, however many there are.
+        """
         reduced = len(positions) > SPLINE_KNOTS and not all_knots
         self.knots = farthest_points(positions, SPLINE_KNOTS) if reduced else positions
         self._triangle = _inverse_triangle(self.knots) if reduced else None

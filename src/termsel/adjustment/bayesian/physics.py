@@ -201,6 +201,7 @@ class CameraEquations:
     """
 
     def __init__(self, columns: FloatArray, image: FloatArray, weights: FloatArray) -> None:
+        """Rotate the equations, so that the free columns are in the first of them alone."""
         self.columns = columns
         self.image = image
         self.weights = weights
@@ -218,14 +219,15 @@ class CameraEquations:
 
 
 class CameraSolutions:
-    """All solutions of equations with priors, for all noises; `pixel` is a pixel, scaled.
+    """The solutions of equations under each of p priors and each of a noises.
 
-    With A the shrunken columns without the free ones, y what is measured along them, and
-    A covariance A' = U diag(s) U' for each prior, y - A mean is normal along U with the variances
-    s + noise^2. A stack: p priors, a noises, r rows.
+    With A the shrunken columns without the free ones (r, k - N_FREE), y what is measured along them
+    (r,), and A covariance A' = U diag(s) U' for each prior, y - A mean is normal along U with the
+    variances s + noise^2. `pixel` is the scaled length of a pixel.
     """
 
     def __init__(self, equations: CameraEquations, priors: CameraPriors, pixel: float) -> None:
+        """Decompose the covariance of each prior, and find how likely each noise is under it."""
         self._equations = equations
         self.priors = priors
         self.noise = NOISE_GRID * pixel

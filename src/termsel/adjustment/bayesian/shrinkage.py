@@ -224,6 +224,7 @@ class SharedShrinkage:
     """
 
     def __init__(self, design: Design, group: IntArray, size: IntArray, sizes: FloatArray) -> None:
+        """Compute W and the factors of I + C'W C, for u solutions of a group and a size each."""
         n_own = design.n_own
         self._design = design
         self._column_scales = sizes[size, None] * design.scales[group]

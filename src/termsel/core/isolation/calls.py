@@ -49,6 +49,7 @@ class Guarded:
     """The methods, with a check of what they return. A subclass adds to those of its base."""
 
     def __init_subclass__(cls, **options: Any) -> None:
+        """Wrap the guarded methods and the properties of a subclass from outside termsel."""
         super().__init_subclass__(**options)
         if package_of(cls) == OWN:
             return

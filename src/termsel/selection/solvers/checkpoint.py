@@ -155,6 +155,7 @@ class Stage:
     """The evaluations of one stage: those that are known, and those that are added."""
 
     def __init__(self, path: Path, number: int, lines: deque[_Line], start: float) -> None:
+        """Begin with the `lines` of this stage in the file; `start` is when the search began."""
         self.path = path
         self._number = number
         self._lines = lines

@@ -54,6 +54,7 @@ class Ledger(ProblemAround):
     def __init__(self, problem: Problem, *, evaluations: int | None = None,
                  deadline: float | None = None, solver: Solver | None = None,
                  stage: Stage | None = None) -> None:
+        """Begin to count; the arguments are as the class says, None for no limit."""
         super().__init__(problem)
         self.solver = solver
         self.stage = stage

@@ -62,6 +62,7 @@ class Tally:
 
     def __init__(self, cells: Mapping[str, Mapping[str, Any]], workers: int,
                  finished: Mapping[str, CellRecord]) -> None:
+        """Count the cells that have `finished` before, by key; `workers` run the others."""
         self.cells = cells
         self.workers = workers
         self._states = Counter[str]()

@@ -51,6 +51,7 @@ class _Reader:
     """Walks through the tokens of valid TOML and notes where each key and item begins."""
 
     def __init__(self, text: str) -> None:
+        """Divide the text of the file into tokens, each with its line and column."""
         # Offsets at which lines begin, to turn an offset into line and column.
         starts = [0, *(match.end() for match in re.finditer("\n", text))]
         self._tokens: list[tuple[str, str, tuple[int, int]]] = []

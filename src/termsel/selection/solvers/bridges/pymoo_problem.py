@@ -33,6 +33,7 @@ class Variables:
     """The genes of a genome as variables of pymoo, in arrays or, of MixedVariableGA, in dicts."""
 
     def __init__(self, genome: Genome) -> None:
+        """Name each gene by its segment and its number in that, and find its range."""
         self.genome = genome
         self.kinds: list[type] = []
         names = []
@@ -85,9 +86,10 @@ class Keep(Repair):
 
 
 class _Posed(PymooProblem):
-    """The genes are the variables, the violation is the only constraint."""
+    """A problem for pymoo: genes are the variables, the violation is the only constraint."""
 
     def __init__(self, problem: Problem, **options: Any) -> None:
+        """Declare variables, bounds and objectives; `options` are further ones of pymoo's class."""
         bits = problem.genome.dtype == np.bool_
         low, high = (0, 1) if bits else _gene_ranges(problem.genome)
         super().__init__(n_var=problem.genome.size, n_obj=len(problem.objectives), n_ieq_constr=1,

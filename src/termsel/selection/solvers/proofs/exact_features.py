@@ -185,6 +185,7 @@ class _Records:
     """The best selection of every size."""
 
     def __init__(self, problem: Problem, selections: Selections) -> None:
+        """Begin without any selection known; the floor is a bound of all of them."""
         self.problem = problem
         self.selections = selections
         self.segment = _feature_segment(problem)
