@@ -60,19 +60,19 @@ def blocks_of(source: FloatArray, feature: IntArray, triangle: FloatArray) -> Fl
             Q[j] -= Q[i] * triangle[i, j]
         Q[j] /= triangle[j, j]
     blocks = np.zeros((n + 1, width))
-    _fill(np.ascontiguousarray(Q.T), np.ascontiguousarray(source[:, k]),
-          np.where(feature < 0, n, feature), blocks)
+    _fill_blocks(np.ascontiguousarray(Q.T), np.ascontiguousarray(source[:, k]),
+                 np.where(feature < 0, n, feature), blocks)
     return blocks
 
 
 @compile_lazily
-def _fill(Q: FloatArray, b: FloatArray, feature: IntArray, blocks: FloatArray) -> None:
+def _fill_blocks(Q: FloatArray, b: FloatArray, feature: IntArray, blocks: FloatArray) -> None:
     """Add the rows of each feature i to its block in `blocks`: Q_i'Q_i with Q_i'b_i.
 
     Row r of `Q` (m, k) and `b` (m,) is of the feature number `feature[r]`. For the layout of
     `blocks` see `blocks_of`.
     """
-    # Row x of the lower triangle of Q'Q, then its entry of Q'b: as `_reduce` reads them.
+    # Row x of the lower triangle of Q'Q, then its entry of Q'b: as `_triangularise_sum` reads them.
     for row in range(len(Q)):
         block = blocks[feature[row]]
         position = 0
@@ -85,7 +85,7 @@ def _fill(Q: FloatArray, b: FloatArray, feature: IntArray, blocks: FloatArray) -
 
 
 @compile_lazily
-def _sum(blocks: FloatArray, features: BoolArray, total: FloatArray) -> None:
+def _sum_blocks(blocks: FloatArray, features: BoolArray, total: FloatArray) -> None:
     """Add up the blocks of each individual, for the normal equations of a population.
 
     `blocks` (n + 1, w) are those of `blocks_of`; the last one counts for every individual.
@@ -126,8 +126,8 @@ def _sum(blocks: FloatArray, features: BoolArray, total: FloatArray) -> None:
 
 
 @compile_lazily
-def _reduce(total: FloatArray, triangle: FloatArray, lower: FloatArray,
-            source: FloatArray) -> float:
+def _triangularise_sum(total: FloatArray, triangle: FloatArray, lower: FloatArray,
+                       source: FloatArray) -> float:
     """Turn summed blocks into k rows with the same solutions; return their condition.
 
     The condition is tr(G) tr(G^-1), which is at least that of G; infinite if G is not positive
@@ -210,8 +210,8 @@ def reduced_rows(blocks: FloatArray, triangle: FloatArray, features: BoolArray, 
     for start in range(0, len(individuals), _SUMMED):
         batch = individuals[start:start + _SUMMED]
         total = np.empty((len(batch), blocks.shape[1]))
-        _sum(blocks, np.ascontiguousarray(features[batch, :n]), total)
+        _sum_blocks(blocks, np.ascontiguousarray(features[batch, :n]), total)
         # One system serves all: each is used before the next is made.
         for individual, summed in zip(batch.tolist(), total, strict=True):
-            safe = _reduce(summed, triangle, lower, system) <= SAFE_CONDITION
+            safe = _triangularise_sum(summed, triangle, lower, system) <= SAFE_CONDITION
             yield slice(individual, individual + 1), system if safe else None

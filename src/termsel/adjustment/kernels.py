@@ -181,9 +181,9 @@ def _shift_triangle_down(panels: FloatArray, n: int, shift: int) -> None:
 
 
 @_compiled
-def _factor(panels: FloatArray, reflections: Reflections, source: FloatArray, triangular: bool,
-            rows: UintArray, columns: UintArray, heights: IntArray, n: int, tolerance: float,
-            longest: float) -> int:
+def _triangularise(panels: FloatArray, reflections: Reflections, source: FloatArray,
+                   triangular: bool, rows: UintArray, columns: UintArray, heights: IntArray,
+                   n: int, tolerance: float, longest: float) -> int:
     """Triangularise the system of some rows and n columns of `source`; return its rank.
 
     More rows than the panels hold are folded in block by block, on top of the triangle of the
@@ -232,10 +232,10 @@ def _substitute(
 
 
 @_compiled
-def _solve(panels: FloatArray, reflections: Reflections, source: FloatArray, triangular: bool,
-           feature: IntArray, rows: UintArray, columns: UintArray, heights: IntArray,
-           terms: BoolArray, features: BoolArray, tolerance: float, longest: float,
-           coefficients: FloatArray, violation: IntArray) -> None:
+def _solve_population(panels: FloatArray, reflections: Reflections, source: FloatArray,
+                      triangular: bool, feature: IntArray, rows: UintArray, columns: UintArray,
+                      heights: IntArray, terms: BoolArray, features: BoolArray, tolerance: float,
+                      longest: float, coefficients: FloatArray, violation: IntArray) -> None:
     """Solve a population; rows, columns and heights are work space.
 
     Each individual selects columns by `terms` (p, k) and rows by the features of `features` (p, n).
@@ -258,9 +258,10 @@ def _solve(panels: FloatArray, reflections: Reflections, source: FloatArray, tri
         for i in range(len(feature)):  # the same for rows
             rows[m] = i
             m += features[individual, feature[i]]
-        violation[individual] = n - _factor(panels, reflections, source, triangular=triangular,
-                                            rows=rows[:m], columns=columns, heights=heights, n=n,
-                                            tolerance=tolerance, longest=longest)
+        rank = _triangularise(panels, reflections, source, triangular=triangular, rows=rows[:m],
+                              columns=columns, heights=heights, n=n, tolerance=tolerance,
+                              longest=longest)
+        violation[individual] = n - rank
         if violation[individual] == 0:
             # The factors of the reflections are needed no more: space for the right-hand side.
             _substitute(panels, reflections[1], columns, n, coefficients[individual])
@@ -294,10 +295,12 @@ def _reduce_to_triangle(source: FloatArray) -> FloatArray:
     m = source.shape[0]
     k = source.shape[1] - 2
     panels, reflections, heights, columns = _allocate_workspace(k, m)
-    _solve(panels, reflections, source, triangular=False, feature=np.zeros(m, dtype=np.intp),
-           rows=np.empty(m, dtype=np.uintp), columns=columns, heights=heights,
-           terms=np.ones((1, k), dtype=bool), features=np.ones((1, 1), dtype=bool), tolerance=-1.0,
-           longest=0.0, coefficients=np.empty((1, k)), violation=np.empty(1, dtype=np.intp))
+    # One individual, which has all columns and all rows; no column is tested for dependence.
+    _solve_population(panels, reflections, source, triangular=False,
+                      feature=np.zeros(m, dtype=np.intp), rows=np.empty(m, dtype=np.uintp),
+                      columns=columns, heights=heights, terms=np.ones((1, k), dtype=bool),
+                      features=np.ones((1, 1), dtype=bool), tolerance=-1.0, longest=0.0,
+                      coefficients=np.empty((1, k)), violation=np.empty(1, dtype=np.intp))
     triangle = np.zeros((min(m, k), k + 2))
     # Below the diagonal the panels still have what reflections left there.
     by_rows = panels.transpose(1, 0, 2).reshape(panels.shape[1], panels.shape[0] * LANES)
@@ -389,9 +392,9 @@ def solve_many(equations: Equations, terms: BoolArray | None, features: BoolArra
 
     def factor(individuals: slice, system: FloatArray, feature: IntArray, rows: BoolArray) -> None:
         # By position: keywords take some 2 us a call, and with blocks every individual is one.
-        _solve(panels, reflections, system, system is not shared.source, feature, order, index,
-               heights, columns[individuals], rows, TOLERANCE, shared.longest,
-               coefficients[individuals], violation[individuals])
+        _solve_population(panels, reflections, system, system is not shared.source, feature, order,
+                          index, heights, columns[individuals], rows, TOLERANCE, shared.longest,
+                          coefficients[individuals], violation[individuals])
 
     # Rows are factored unless blocks of features pay, which `reduced` decides for each individual.
     if features is None or shared.blocks is None:
@@ -414,4 +417,4 @@ def needs_compilation() -> bool:
 
     It does so once per machine and version; later the machine code is read from disk.
     """
-    return not is_compiled(_solve)
+    return not is_compiled(_solve_population)

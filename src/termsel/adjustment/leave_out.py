@@ -41,8 +41,8 @@ _compiled = partial(compile_lazily, _nrt=False)
 
 
 @_compiled
-def _factor(panels: FloatArray, q: FloatArray, n: int, m: int, reflections: Reflections,
-            tolerance: float) -> bool:
+def _triangularise(panels: FloatArray, q: FloatArray, n: int, m: int, reflections: Reflections,
+                   tolerance: float) -> bool:
     """Triangularise n columns of A, and b after them, in place; False if they are dependent.
 
     Columns lie in panels, m rows each. `q` becomes the same panels of [Q, b - A x]. A column is
@@ -87,8 +87,8 @@ def _factor(panels: FloatArray, q: FloatArray, n: int, m: int, reflections: Refl
 
 
 @_compiled
-def _weigh(q: FloatArray, n: int, start: int, stop: int, block: FloatArray,
-           tolerance: float) -> bool:
+def _errors_without_feature(q: FloatArray, n: int, start: int, stop: int, block: FloatArray,
+                            tolerance: float) -> bool:
     """Multiply a feature's errors b_i - A_i x by (I - Q_i Q_i')^-1; return whether that exists.
 
     `q` (k + 1, m) has the columns of Q, and in row n the errors; the feature has its columns from
@@ -129,8 +129,8 @@ def _leave_out(
 
     Feature i has the rows A_i of A = Q R, and Q_i are its rows of Q. Without it the solution is x -
     R^-1 Q_i' (I - Q_i Q_i')^-1 (b_i - A_i x), so that one factorisation of all rows gives the n
-    solutions. `_weigh` replaces columns and residuals of a feature by their products with the
-    inverse's factor.
+    solutions. `_errors_without_feature` replaces columns and residuals of a feature by their
+    products with the inverse's factor.
 
     Parameters
     ----------
@@ -166,14 +166,14 @@ def _leave_out(
         # The last feature may be that of pseudo-observations, which is never held out.
         if count and selected_features[count - 1] == len(solutions):
             count -= 1
-        determined[individual] = n < m and _factor(r, q, n, m, reflections, tolerance)
+        determined[individual] = n < m and _triangularise(r, q, n, m, reflections, tolerance)
         if not determined[individual]:
             continue
         for s in range(n + 1):  # one column after the other
             for i in range(m):
                 columns[s, i] = q[s // LANES, i, s % LANES]
         for g in range(count):
-            determined[individual] = determined[individual] and _weigh(
+            determined[individual] = determined[individual] and _errors_without_feature(
                 columns, n, start[g], start[g + 1], block, tolerance)
         if not determined[individual]:
             continue

@@ -36,7 +36,7 @@ def solve_near(equations: Equations, start: BoolArray, features: BoolArray,
     All terms are in use. Returns what `solve_many` does, but for rounding: the coefficients (p, k),
     and the number of terms that are not determined (p,).
     """
-    rows = _rows_of(equations.feature, len(start))
+    rows = _padded_rows_of_features(equations.feature, len(start))
     reference = _reference_solution(equations, start) if rows.shape[1] <= MAX_FEATURE_ROWS else None
     if reference is None:
         return solve_many(equations, None, features)
@@ -79,7 +79,7 @@ def solve_near(equations: Equations, start: BoolArray, features: BoolArray,
     return coefficients, undetermined
 
 
-def _rows_of(feature: IntArray, n: int) -> IntArray:
+def _padded_rows_of_features(feature: IntArray, n: int) -> IntArray:
     """Return the rows of each of n features, and of one more feature without rows, (n + 1, r).
 
     r is the largest number of rows that a feature has. A feature with fewer is filled up with m,

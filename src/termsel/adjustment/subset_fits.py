@@ -61,7 +61,7 @@ def _fill_squares(design: FloatArray, image: FloatArray, sets: BoolArray, triang
                 for i in range(k):
                     for j in range(i + 1):
                         triangle[i, j] += design[p, i] * design[p, j]
-        pivots[number] = _factor(triangle)
+        pivots[number] = _factor_by_cholesky(triangle)
         solution[:] = 0.0
         for p in range(n):
             for axis in range(2):
@@ -74,7 +74,7 @@ def _fill_squares(design: FloatArray, image: FloatArray, sets: BoolArray, triang
                         for i in range(k):
                             right[axis, i] += design[p, i] * residuals[p, axis]
             for axis in range(2):
-                _solve(triangle, right[axis])
+                _solve_by_factor(triangle, right[axis])
                 for i in range(k):
                     solution[axis, i] += right[axis, i]
             for p in range(n):
@@ -90,7 +90,7 @@ def _fill_squares(design: FloatArray, image: FloatArray, sets: BoolArray, triang
 
 
 @_compiled
-def _factor(matrix: FloatArray) -> float:
+def _factor_by_cholesky(matrix: FloatArray) -> float:
     """Replace the lower triangle of a matrix (k, k) by Cholesky's factor L; return the least pivot.
 
     A pivot is the square of a diagonal entry of L, divided by the entry of the matrix there.
@@ -112,7 +112,7 @@ def _factor(matrix: FloatArray) -> float:
 
 
 @_compiled
-def _solve(triangle: FloatArray, right: FloatArray) -> None:
+def _solve_by_factor(triangle: FloatArray, right: FloatArray) -> None:
     """Solve L L'x = `right` (k,), which x takes the place of."""
     k = len(right)
     for i in range(k):

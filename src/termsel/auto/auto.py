@@ -307,7 +307,7 @@ class Auto(Method):
         A method may say so where a file names its sensor, for example. Returns None if none does.
         """
         for method in candidates:
-            reason = self._settles(method, data)
+            reason = self._reason_for_only_method(method, data)
             fitted = self.validated(method, data) if reason else None
             if fitted is not None:
                 return Choice(fitted, (fitted,), str(reason))
@@ -340,7 +340,7 @@ class Auto(Method):
         """Whether only one method is offered, so that nothing is chosen."""
         return len(self.methods) == 1
 
-    def _settles(self, method: Method, data: FitData) -> str | None:
+    def _reason_for_only_method(self, method: Method, data: FitData) -> str | None:
         """Return why the features support no method but this one; None if they do, or it fails.
 
         Raises TermselError where the method says what the user must say first.

@@ -178,7 +178,7 @@ class Likelihoods:
         right_side = np.stack([(used * self.image[:, axis]) @ self.design for axis in (0, 1)], 2)
         z = vectors.transpose(0, 1, 3, 2) @ (self.scales[:, :, None] * right_side[:, None])
         squares = used @ (self.image**2).sum(axis=1)
-        scale, noise = self._likeliest(values, z, squares, used.sum(axis=1))
+        scale, noise = self._likeliest_scale_and_noise(values, z, squares, used.sum(axis=1))
 
         # The solution of each set: its coefficients, and what it predicts for all points.
         rows = np.arange(count)
@@ -197,8 +197,8 @@ class Likelihoods:
         return SetsJudged(np.logaddexp(log_right, self.log_wrong).sum(axis=1),
                           log_right - self.log_wrong, errors, variances)
 
-    def _likeliest(self, values: FloatArray, z: FloatArray, squares: FloatArray,
-                   points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _likeliest_scale_and_noise(self, values: FloatArray, z: FloatArray, squares: FloatArray,
+                                   points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return which scales and which noise have the largest evidence for each set, (m,) each.
 
         They are numbers of rows of `scales` and of entries of `noises`. `values` (m, s, k) and `z`

@@ -54,8 +54,8 @@ def rectify_batch(folder: Path, pictures: Path, out: Path, *, doubtful: bool, dr
                            f"Give --dem {dem}, as the batch had, or --height H.")
     if not dry_run:
         make_folder(out, "Choose another --output.")
-        maps = _write(maps, quiet, options)
-    _show(maps)
+        maps = _write_maps(maps, quiet, options)
+    _print_maps(maps)
     if not dry_run:
         write_text(out / TABLE, table_of_maps(maps))
         say_written([out / TABLE])
@@ -80,7 +80,7 @@ def _require_options(options: Mapping[str, Any]) -> None:
         raise no_such_file_error(dem)
 
 
-def _write(maps: list[ImageMap], quiet: bool, options: Mapping[str, Any]) -> list[ImageMap]:
+def _write_maps(maps: list[ImageMap], quiet: bool, options: Mapping[str, Any]) -> list[ImageMap]:
     """Write maps as planned, under one bar; return the maps with their new states."""
     from termsel.io.rectify import rectify
     from termsel.studies.maps import PLANNED, write_maps
@@ -102,7 +102,7 @@ def _write(maps: list[ImageMap], quiet: bool, options: Mapping[str, Any]) -> lis
         return list(write_maps(maps, write))
 
 
-def _show(maps: list[ImageMap]) -> None:
+def _print_maps(maps: list[ImageMap]) -> None:
     """Print what comes of the map of each image, and why some have none.
 
     The table has one row an image, and reasons follow it, as they are too long for a column. Of

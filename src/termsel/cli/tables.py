@@ -13,7 +13,7 @@ from termsel.core.errors import make_printable
 def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a table: drawn by rich on a terminal, as plain columns elsewhere."""
     if stream_of_results().isatty():
-        _draw(header, rows)
+        _print_with_rich(header, rows)
         return
     # A pipe or file has no width that rows must fit into.
     widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
@@ -22,7 +22,7 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         echo("  ".join(cells).rstrip())
 
 
-def _draw(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+def _print_with_rich(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a table for people, with rich."""
     from rich.box import SIMPLE_HEAD
     from rich.console import Console

@@ -23,8 +23,8 @@ from termsel.data.tables.tabular import (
     Tabular,
     TextArray,
     as_numbers,
-    check_places,
-    check_segments,
+    refuse_repeated_lines,
+    refuse_repeated_places,
     rows_at,
     stack_columns,
 )
@@ -99,7 +99,7 @@ class Points(Tabular):
         # This check comes last, as it takes ids and shapes for granted. A point that takes no part
         # contradicts no other.
         in_use = [role != "off" for role in self.roles]
-        check_places(self.ground[in_use], select(self.ids, in_use))
+        refuse_repeated_places(self.ground[in_use], select(self.ids, in_use))
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
         """Return a title and the rows, by their heads, by which points show themselves."""
@@ -171,7 +171,7 @@ class Lines(Tabular):
                 name = self.ids[int(np.argmax(has_no_length))]
                 raise TermselError(f"line {name!r} has zero length {in_words}",
                                    hint="A control line needs two different points.", ids=[name])
-        check_segments(self.ground, self.ids)
+        refuse_repeated_lines(self.ground, self.ids)
 
     def _glance(self) -> tuple[str, Mapping[str, str]]:
         """Return a title and the rows, by their heads, by which lines show themselves."""

@@ -499,7 +499,7 @@ class Fit(Glance):
         """
         original = self.original or self
         points = self._ground_points(ground)
-        squares, noise = original.mean_squares(points)
+        squares, noise = original.mean_square_errors(points)
         variance = (squares + noise * measured) * self.scaling.image_scale ** 2
         # Errors of the heights of the control are errors of the model, too.
         variance += variance_by_heights(
@@ -508,7 +508,7 @@ class Fit(Glance):
         sigma[self.unseen(points)] = np.nan
         return sigma
 
-    def mean_squares(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def mean_square_errors(self, ground: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the mean square errors of places (m, 3) and of a measurement, scaled.
 
         Where `local_courses` follow the error between control points, the mean squares are theirs.

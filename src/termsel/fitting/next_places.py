@@ -130,7 +130,7 @@ def error_covariances(original: Fit, ground: FloatArray) -> Spread | None:
                                      axis) for axis in (0, 1)]
         spread_courses = _spread_of_spans(spans, np.full(2, courses.noise))
         variance = np.zeros(image.shape)
-        variance[visible] = original.mean_squares(ground[visible])[0]
+        variance[visible] = original.mean_square_errors(ground[visible])[0]
         return _with_variance(spread_courses, variance)
     spread: Spread | None = original.estimator.spread(original, scaled_ground)
     if spread is not None and spread.factors is None:  # a local model, which shows no covariances

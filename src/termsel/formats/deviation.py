@@ -116,8 +116,8 @@ def say_measured(name: str) -> None:
     log.info("%s contains the measurements and their residuals, not the model.", name)
 
 
-def say_nearest(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,
-                labels: Mapping[str, str], ending: str) -> str | None:
+def say_nearest_transformation(name: str, fitted: Fit, xy: FloatArray, image: FloatArray,
+                               labels: Mapping[str, str], ending: str) -> str | None:
     """Log which transformation through measured GCPs (n, 2) is nearest to the model, and how near.
 
     Returns the key of the simplest one that is as near as the nearest; None if the GCPs determine

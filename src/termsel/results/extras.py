@@ -94,12 +94,12 @@ def further_sections(result: Any) -> tuple[Section, ...]:
 def section_of(declared: ReportSection, result: Any) -> Section:
     """Return a plugin's section of a result; if it fails, a section with a note on the reason."""
     try:
-        return _check_section(declared, result)
+        return _checked_section(declared, result)
     except TermselError as error:  # also the fault of a plugin
         return Section(declared.title, (Note(str(error), "Not shown"),))
 
 
-def _check_section(declared: ReportSection, result: Any) -> Section:
+def _checked_section(declared: ReportSection, result: Any) -> Section:
     """Return the section that a plugin declares, so that it cannot fail when it is shown.
 
     Raises PluginFault for blocks that are none, and whatever the plugin raises.

@@ -75,7 +75,7 @@ def with_map_projection(observations: Observations, auto: Auto) -> tuple[Observa
     if angles_of is None:
         return as_given
     plan = _plan(features)
-    bend = _bend(plan, features.points.image, angles_of)
+    bend = _nonlinearity(plan, features.points.image, angles_of)
     choice = None
     if len(features.points) < FEW:
         least_bend = PERCEPTIBLE
@@ -101,7 +101,7 @@ def with_map_projection(observations: Observations, auto: Auto) -> tuple[Observa
     best, best_error = None, error_as_given / CLEARLY
     for crs in (azimuthal, mercator_crs(features.crs, lon)):
         projected = observations.fitted_in(crs)
-        held_out_error = _error_in(projected, auto)
+        held_out_error = _held_out_error_in(projected, auto)
         if held_out_error < best_error:
             best, best_error = projected, held_out_error
     if best is None:
@@ -169,8 +169,8 @@ def _lambert_azimuthal(angles: FloatArray) -> FloatArray:
         k * (np.cos(middle_lat) * np.sin(lat) - np.sin(middle_lat) * np.cos(lat) * np.cos(lon))])
 
 
-def _bend(plan: FloatArray, image: FloatArray,
-          angles_of: Callable[[FloatArray], FloatArray]) -> float:
+def _nonlinearity(plan: FloatArray, image: FloatArray,
+                  angles_of: Callable[[FloatArray], FloatArray]) -> float:
     """Return how far Lambert's projection differs from x and y as they are, in the image [px].
 
     It is the RMS of what no affine map of x and y explains of the projection, over a lattice on the
@@ -203,7 +203,7 @@ def _affine_columns(plan: FloatArray) -> FloatArray:
     return np.hstack([np.ones((len(plan), 1)), plan - plan.mean(axis=0)])
 
 
-def _error_in(projected: Observations, auto: Auto) -> float:
+def _held_out_error_in(projected: Observations, auto: Auto) -> float:
     """Return the error of held-out points [px] in a CRS of the fit; infinite where none is chosen.
     """
     try:

@@ -254,7 +254,7 @@ class Pushbroom:
         # The ray of a detector in camera axes; samples run to port, hence the sign.
         look = np.stack([np.zeros_like(across), across, np.ones_like(across)], axis=-1)
         look /= np.linalg.norm(look, axis=1, keepdims=True)
-        straight = _meet(station, np.einsum("nij,nj->ni", rotation, look), height)
+        straight = _meet_heights(station, np.einsum("nij,nj->ni", rotation, look), height)
         position = from_ecef(straight)
         if self.refraction:
             # The shift is about a metre and changes by less than a micrometre over that distance.
@@ -339,7 +339,7 @@ def _refraction(target: FloatArray, up: FloatArray, height: FloatArray, station:
     return shift
 
 
-def _meet(station: FloatArray, ray: FloatArray, height: FloatArray) -> FloatArray:
+def _meet_heights(station: FloatArray, ray: FloatArray, height: FloatArray) -> FloatArray:
     """Return the points where rays reach ellipsoidal heights, Earth-fixed [m], shape (n, 3).
 
     Station and ray are Earth-fixed (n, 3), heights (n,) [m]. Raises TermselError for rays that miss

@@ -18,8 +18,8 @@ from termsel.testing.cases import require
 from termsel.testing.scenes import (
     MIXES,
     accepted_scenes,
+    features_with_truth,
     fit_and_project,
-    make_experiment,
     seeded_generator,
 )
 
@@ -45,7 +45,7 @@ def control_kinds(model: SensorModel) -> None:
     """
     for mix, name in zip(MIXES, ("points alone", "lines alone", "points and lines"), strict=True):
         try:
-            model.equations(make_experiment(model, *mix)[0])
+            model.equations(features_with_truth(model, *mix)[0])
         except TermselError as error:
             raise AssertionError(f"it refuses control from {name}: {error}") from error
 
@@ -85,7 +85,7 @@ def linearisation(model: SensorModel) -> None:
 
     From its start, or the solution of `equations`, a fit to points that it computed converges.
     """
-    features, truth, _ = make_experiment(model, 1, 0)
+    features, truth, _ = features_with_truth(model, 1, 0)
     points = features.points
     terms = np.ones(len(truth), bool)
     used = np.ones(len(features), bool)
@@ -119,7 +119,7 @@ def exact_recovery(model: SensorModel) -> None:
 
     Standard deviations, which weight the points, make no difference.
     """
-    features, truth, ground = make_experiment(model, 1, 0)
+    features, truth, ground = features_with_truth(model, 1, 0)
     _require_recovered(model, features, truth, ground, "points")
     points = features.points
     sigma = seeded_generator().uniform(0.5, 2.0, (len(points), 2))
@@ -137,8 +137,8 @@ def recovery_from_lines(model: SensorModel) -> None:
     is_first_order = _has_separate_denominators(model)
     # Lines alone suffice for a RationalModel, but may not for other models.
     points = 0 if isinstance(model, RationalModel) else 1
-    features, truth, ground = make_experiment(model, points, 1,
-                                              shrink=0.1 if is_first_order else 1.0)
+    features, truth, ground = features_with_truth(model, points, 1,
+                                                  shrink=0.1 if is_first_order else 1.0)
     if not is_first_order:
         _require_recovered(model, features, truth, ground, "lines")
         return
@@ -156,7 +156,7 @@ def recovery_from_lines(model: SensorModel) -> None:
 
 def translation(model: SensorModel) -> None:
     """A shift of all image coordinates shifts its prediction by as much."""
-    features, truth, ground = make_experiment(model, 1, 0)
+    features, truth, ground = features_with_truth(model, 1, 0)
     # Different in line and sample, so that the check fails if a model exchanges them.
     shift = np.array([0.1, -0.05])
     points = features.points
@@ -176,7 +176,7 @@ def fit(model: SensorModel) -> None:
     whose rows for one point depend on others.
     """
     try:
-        scaled, truth, ground = make_experiment(model, 1, 0)
+        scaled, truth, ground = features_with_truth(model, 1, 0)
         model.equations(scaled)
     except TermselError:  # a model of lines alone, as `control_kinds` says
         return

@@ -84,8 +84,8 @@ def imaged_features(model: SensorModel, coefficients: FloatArray, rng: np.random
     return FeatureSet(control_points, control_lines)
 
 
-def make_experiment(model: SensorModel, points: int, lines: int, shrink: float = 1.0,
-                    ) -> tuple[FeatureSet, FloatArray, FloatArray]:
+def features_with_truth(model: SensorModel, points: int, lines: int, shrink: float = 1.0,
+                        ) -> tuple[FeatureSet, FloatArray, FloatArray]:
     """Return features, the coefficients (k,) they were computed with, and other places (50, 3).
 
     `points` and `lines` are 1 or 0, whether there are any; there are enough of either to determine
@@ -107,7 +107,7 @@ def accepted_scenes(model: SensorModel) -> list[FeatureSet]:
     accepted = []
     refusal: TermselError | None = None
     for mix in MIXES:
-        features = make_experiment(model, *mix)[0]
+        features = features_with_truth(model, *mix)[0]
         try:
             model.equations(features)
         except TermselError as error:

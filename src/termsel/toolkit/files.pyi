@@ -32,7 +32,7 @@ from termsel.formats.base import read_head as read_head
 from termsel.formats.deviation import GDALWARP as GDALWARP
 from termsel.formats.deviation import places_of as places_of
 from termsel.formats.deviation import say_measured as say_measured
-from termsel.formats.deviation import say_nearest as say_nearest
+from termsel.formats.deviation import say_nearest_transformation as say_nearest_transformation
 from termsel.formats.encodings import decode_xml as decode_xml
 from termsel.formats.heights import surface_of as surface_of
 from termsel.formats.readers.cells import read_cells as read_cells

@@ -279,7 +279,7 @@ def _views_at_sight(fill_views: Callable[[FloatArray, FloatArray], None], positi
         np.clip(time, -MAX_TIME, MAX_TIME, out=time)
         views, previous = previous, views
         fill_views(time, views)
-        largest = _next_steps(views[0].ravel(), previous[0].ravel(), step.ravel())
+        largest = _take_secant_steps(views[0].ravel(), previous[0].ravel(), step.ravel())
     views[0] = time
     # Cameras for which some place is never seen are left out of the prior.
     seen = np.isfinite(views).all(axis=(0, 2)) & (np.abs(step).max(axis=1) < TIME_TOLERANCE) & (
@@ -288,7 +288,7 @@ def _views_at_sight(fill_views: Callable[[FloatArray, FloatArray], None], positi
 
 
 @_compiled
-def _next_steps(off: FloatArray, previous: FloatArray, step: FloatArray) -> float:
+def _take_secant_steps(off: FloatArray, previous: FloatArray, step: FloatArray) -> float:
     """Replace `step` (l,) by the next steps of the secant method, and return the largest size.
 
     `off` (l,) is what should be 0, after the steps, and `previous` (l,) was the same before them.
@@ -347,8 +347,8 @@ def _add_rotation(x: FloatArray, y: FloatArray, z: FloatArray, axis: FloatArray,
 
 
 @_inlined
-def _turned(x: float, y: float, z: float, axis: FloatArray,
-            angle: float) -> tuple[float, float, float]:
+def _turned_vector(x: float, y: float, z: float, axis: FloatArray,
+                   angle: float) -> tuple[float, float, float]:
     """Return a vector turned about an axis (3,) by an angle of at most a radian.
 
     By Rodrigues' formula (see `_add_rotation`), with the series of sine and cosine: a satellite
@@ -371,15 +371,15 @@ def _turned(x: float, y: float, z: float, axis: FloatArray,
 
 
 @_inlined
-def _sight(flights: _Flights, c: int, places: FloatArray, m: int,
-           time: float) -> tuple[float, float, float]:
+def _line_of_sight(flights: _Flights, c: int, places: FloatArray, m: int,
+                   time: float) -> tuple[float, float, float]:
     """Return the vector from the satellite of a camera to a place at a time.
 
     In axes that turn with the orbit the satellite rests; the Earth turns in inertial space.
     """
-    x, y, z = _turned(places[0, m], places[1, m], places[2, m], flights.pole[c],
-                      EARTH_ROTATION * time)
-    x, y, z = _turned(x, y, z, flights.orbit[c], -flights.motion[c] * time)
+    x, y, z = _turned_vector(places[0, m], places[1, m], places[2, m], flights.pole[c],
+                             EARTH_ROTATION * time)
+    x, y, z = _turned_vector(x, y, z, flights.orbit[c], -flights.motion[c] * time)
     return (x - flights.station[c, 0], y - flights.station[c, 1], z - flights.station[c, 2])
 
 
@@ -394,7 +394,7 @@ def _fill_scanner_views(flights: _Flights, places: FloatArray, time: FloatArray,
     for c in range(len(time)):
         for m in range(time.shape[1]):
             t = time[c, m]
-            x, y, z = _sight(flights, c, places, m, t)
+            x, y, z = _line_of_sight(flights, c, places, m, t)
             ahead = axes[c, 0, 2] * x + axes[c, 1, 2] * y + axes[c, 2, 2] * z
             line = (axes[c, 0, 0] * x + axes[c, 1, 0] * y + axes[c, 2, 0] * z) / ahead
             sample = (axes[c, 0, 1] * x + axes[c, 1, 1] * y + axes[c, 2, 1] * z) / ahead
@@ -415,10 +415,10 @@ def _fill_radar_views(flights: _Flights, places: FloatArray, time: FloatArray,
     """
     for c in range(len(time)):
         for m in range(time.shape[1]):
-            x, y, z = _sight(flights, c, places, m, time[c, m])
+            x, y, z = _line_of_sight(flights, c, places, m, time[c, m])
             distance = np.sqrt(x * x + y * y + z * z)
             # Doppler is the derivative of the range by time, here by a forward difference.
-            x, y, z = _sight(flights, c, places, m, time[c, m] + FIRST_STEP)
+            x, y, z = _line_of_sight(flights, c, places, m, time[c, m] + FIRST_STEP)
             later = np.sqrt(x * x + y * y + z * z)
             views[0, c, m] = (later - distance) / FIRST_STEP / orbit_radius[c]
             views[1, c, m] = distance

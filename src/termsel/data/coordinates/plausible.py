@@ -55,21 +55,22 @@ def check_ground(features: FeatureSet, z_unit: str | None = None) -> None:
     if not len(xy):
         return
     if kind == "geographic":
-        _check_range(xy, features, *_DEGREE_RANGE,
-                     f"cannot be longitude and latitude in {crs}",
-                     lambda: _hint_of_degrees(xy, features))
+        _refuse_outside_range(xy, features, *_DEGREE_RANGE,
+                              f"cannot be longitude and latitude in {crs}",
+                              lambda: _hint_of_degrees(xy, features))
     elif kind == "geocentric":
-        _check_distance(ground, features, crs)
+        _refuse_far_from_surface(ground, features, crs)
     elif kind == "projected":
-        _check_metres(xy, features, crs)
+        _refuse_degrees(xy, features, crs)
         utm = UTM.fullmatch(crs)
         if utm:
-            _check_range(xy, features, *_UTM_RANGE[utm[1]],
-                         f"cannot be easting and northing in {crs} (UTM)",
-                         lambda: _hint_of_utm(xy, features, int(crs[-2:]), *_UTM_RANGE[utm[1]]))
+            _refuse_outside_range(xy, features, *_UTM_RANGE[utm[1]],
+                                  f"cannot be easting and northing in {crs} (UTM)",
+                                  lambda: _hint_of_utm(xy, features, int(crs[-2:]),
+                                                       *_UTM_RANGE[utm[1]]))
     # Heights come last, as a fault of x and y explains more.
     if kind in ("geographic", "projected"):
-        _check_heights(ground[:, 2], features, z_unit)
+        _refuse_impossible_heights(ground[:, 2], features, z_unit)
 
 
 _HIGHEST = 12_000.0
@@ -102,7 +103,8 @@ def _unit_of_heights(features: FeatureSet, stated: str | None) -> float:
     return _FOOT if in_feet else 1.0
 
 
-def _check_heights(heights: FloatArray, features: FeatureSet, stated_unit: str | None) -> None:
+def _refuse_impossible_heights(heights: FloatArray, features: FeatureSet,
+                               stated_unit: str | None) -> None:
     """Raise TermselError for heights (m,) of vertices beyond any ground; blank ones are NaN.
 
     On the Earth these are heights beyond `_HIGHEST`, and else beyond `_HIGHEST_OF_BODIES`.
@@ -164,7 +166,7 @@ def _note_on_depths(features: FeatureSet) -> str:
             "write heights upwards.")
 
 
-def _check_distance(ground: FloatArray, features: FeatureSet, crs: str) -> None:
+def _refuse_far_from_surface(ground: FloatArray, features: FeatureSet, crs: str) -> None:
     """Raise TermselError for positions in a geocentric CRS that are far below or above the surface.
 
     The positions (m, 3) are those of the vertices of the features, in metres from the centre of the
@@ -258,7 +260,7 @@ def _hint_of_utm(xy: FloatArray, features: FeatureSet, zone: int, low: tuple[flo
     return "x must be easting and y northing, in metres; check the CRS of the file."
 
 
-def _check_metres(xy: FloatArray, features: FeatureSet, crs: str) -> None:
+def _refuse_degrees(xy: FloatArray, features: FeatureSet, crs: str) -> None:
     """Refuse features in degrees under a projected CRS: all of them, or some far from the rest.
 
     Metres near the origin of a CRS are as small as degrees. So where only some coordinates (n, 2)
@@ -291,8 +293,9 @@ def _check_metres(xy: FloatArray, features: FeatureSet, crs: str) -> None:
         column=column, hint=hint)
 
 
-def _check_range(xy: FloatArray, features: FeatureSet, low: tuple[float, float],
-                 high: tuple[float, float], problem: str, hint_of: Callable[[], str]) -> None:
+def _refuse_outside_range(xy: FloatArray, features: FeatureSet, low: tuple[float, float],
+                          high: tuple[float, float], problem: str,
+                          hint_of: Callable[[], str]) -> None:
     """Refuse coordinates (n, 2) outside a range; say so if exchanged columns would be inside.
 
     `problem` ends the sentence on the first feature at fault. `hint_of` returns what is likely

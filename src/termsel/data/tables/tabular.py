@@ -72,7 +72,7 @@ def check_heights(z: FloatArray, ids: Sequence[str], kind: str) -> None:
     check_near(z, ids, kind, "a height")
 
 
-def check_deviations(sigma: FloatArray, ids: Sequence[str], kind: str) -> None:
+def refuse_bad_deviations(sigma: FloatArray, ids: Sequence[str], kind: str) -> None:
     """Raise TermselError for deviations that are not positive numbers of a usual size.
 
     Their squares, and those of their inverses, the weights, must not overflow.
@@ -99,7 +99,7 @@ def _refuse_bad_values(is_bad: NDArray[np.bool_], ids: Sequence[str], kind: str,
         raise TermselError(f"{kind} {name!r} has {problem}", hint=hint, ids=[name])
 
 
-def check_places(ground: FloatArray, ids: Sequence[str]) -> None:
+def refuse_repeated_places(ground: FloatArray, ids: Sequence[str]) -> None:
     """Raise TermselError for points with the same ground coordinates (n, 3), naming them.
 
     One image position with several ground points is a line of sight through several heights; but
@@ -161,7 +161,7 @@ def places_in_words(ids: Sequence[str], groups: Sequence[Sequence[int]]) -> str:
     return f"points {named}{unnamed}{each_group} have the same ground coordinates"
 
 
-def check_segments(ground: FloatArray, ids: Sequence[str]) -> None:
+def refuse_repeated_lines(ground: FloatArray, ids: Sequence[str]) -> None:
     """Raise TermselError for two lines with the same ground vertices (n, 2, 3), in any order.
 
     Unknown heights count as 0.
@@ -201,7 +201,7 @@ def reason_to_refuse_id(name: str) -> str:
     return "" if is_printable(name) else "has a line break or a character that cannot be printed"
 
 
-def check_ids(ids: Sequence[str], kind: str, *, unique: bool) -> None:
+def refuse_bad_ids(ids: Sequence[str], kind: str, *, unique: bool) -> None:
     """Raise TermselError for ids that `reason_to_refuse_id` objects to.
 
     `kind` is "point" or "line", for messages. If ids have to be `unique`, one that occurs twice is
@@ -426,7 +426,7 @@ class Tabular(Glance, Framed):
             "attributes": as_attributes(self.attributes, n, *reserved)}
         for name, value in checked.items():
             object.__setattr__(self, name, value)
-        check_ids(ids, kind, unique=not ends)
+        refuse_bad_ids(ids, kind, unique=not ends)
         if n:
             check_finite(self.image, ids, kind, "image coordinates")
             check_finite(self.ground[..., :2], ids, kind, "ground coordinates")
@@ -435,7 +435,7 @@ class Tabular(Glance, Framed):
             # Line and sample of a point have deviations of their own, a line has one across it.
             sigma = read_only_array(self.sigma, (n,) if ends else (n, 2), f"sigma of {kind}s")
             object.__setattr__(self, "sigma", sigma)
-            check_deviations(sigma, ids, kind)
+            refuse_bad_deviations(sigma, ids, kind)
 
     def __len__(self) -> int:
         return len(self.ids)

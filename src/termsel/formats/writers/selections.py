@@ -16,7 +16,7 @@ from termsel.data.coordinates.crs import horizontal_crs
 from termsel.data.coordinates.metres import ground_for_warping
 from termsel.data.features import BoolArray, FloatArray, Points
 from termsel.formats.base import Writer
-from termsel.formats.deviation import GDALWARP, QGIS, say_measured, say_nearest
+from termsel.formats.deviation import GDALWARP, QGIS, say_measured, say_nearest_transformation
 from termsel.formats.readers.csv_tables import line_columns, point_columns, table_text
 from termsel.formats.vrt import IMAGE, picture_for, vrt_text
 from termsel.results.result import Result
@@ -100,8 +100,8 @@ class QgisPointsWriter(SelectionWriter):
         write_text(path, "\n".join([
             *declared, "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual", *rows, ""]))
         used = chosen_points(result)
-        say_nearest(self.name, result.fit, used.ground[:, :2], used.image, QGIS,
-                    "where QGIS has the transformation type {}")
+        say_nearest_transformation(self.name, result.fit, used.ground[:, :2], used.image, QGIS,
+                                   "where QGIS has the transformation type {}")
 
 
 class GcpVrt(SelectionWriter):
@@ -119,8 +119,8 @@ class GcpVrt(SelectionWriter):
         points, gcps, crs = gcps_of(result)
         write_text(path, vrt_text(picture_for(result, self.options["image"]), path.parent,
                                   gcps=gcps, crs=crs))
-        say_nearest(self.name, result.fit, points.ground[:, :2], points.image, GDALWARP,
-                    "by gdalwarp {}")
+        say_nearest_transformation(self.name, result.fit, points.ground[:, :2], points.image,
+                                   GDALWARP, "by gdalwarp {}")
 
 
 class PointsTable(SelectionWriter):

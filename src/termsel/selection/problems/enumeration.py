@@ -65,7 +65,7 @@ def enumerable_parts(inputs: ProblemData, equations: Equations, genome: Genome,
     genes = [gene_of_term[axis == image_axis] for image_axis in (LINE, SAMPLE)]
     # A shared mask is one system with two right-hand sides, if their columns are the same.
     if len(genome.segments) == 1:
-        axis_systems = [_merge(axis_systems, genes)]
+        axis_systems = [_join_axes(axis_systems, genes)]
         genes = genes[:1]
     # One row a point and axis, so that the rows of a fold are its points.
     folds = criterion.subset_folds(inputs.control.points)
@@ -194,7 +194,7 @@ def _denominator_columns(model: RationalModel, ground: FloatArray,
     return None if below is None else np.ascontiguousarray(below[..., image_axis].T - 1.0)
 
 
-def _merge(axis_systems: list[SubsetSystem], genes: list[IntArray]) -> SubsetSystem:
+def _join_axes(axis_systems: list[SubsetSystem], genes: list[IntArray]) -> SubsetSystem:
     """Return the systems of line and sample as one system with two right-hand sides.
 
     `genes` are the numbers of the genes of the columns of each. Raises TermselError where the two

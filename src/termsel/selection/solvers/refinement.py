@@ -63,13 +63,13 @@ def refine(ledger: Ledger, rng: np.random.Generator, generation: Generation | No
                 if ledger.count >= max_evaluations:
                     break
         else:
-            _widen(ledger, min(2 * count, max_evaluations))
+            _widen_front(ledger, min(2 * count, max_evaluations))
     except BudgetSpent:  # the limits above, or the deadline
         pass
     return Polish(found_objective, ledger.best[1], ledger.count - count, ledger.lookups - lookups)
 
 
-def _widen(ledger: Ledger, max_evaluations: int) -> None:
+def _widen_front(ledger: Ledger, max_evaluations: int) -> None:
     """Evaluate all neighbours of all members of the front until no member is new.
 
     A front of many objectives has very many members, so this ends at `max_evaluations` evaluations.

@@ -110,7 +110,7 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
     # From Python there are no lines to name.
     at = places or Places()
     # From here on a study from Python is as one from a file.
-    table = {key: _as_in_a_file(value) for key, value in table.items()}
+    table = {key: _as_study_file_has_it(value) for key, value in table.items()}
     for key in table:
         if key not in KEYS:
             raise at.unknown((key,), "key of a study", KEYS)
@@ -162,16 +162,16 @@ def spec_of(table: Mapping[str, Any], places: Places | None = None) -> Spec:
         measures=measures, accept=accept, places=at)
 
 
-def _as_in_a_file(value: Any) -> Any:
+def _as_study_file_has_it(value: Any) -> Any:
     """Return a value from Python as a study file has it: paths as text, numbers without numpy."""
     if isinstance(value, PurePath):
         return str(value)
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     if isinstance(value, Mapping):
-        return {key: _as_in_a_file(item) for key, item in value.items()}
+        return {key: _as_study_file_has_it(item) for key, item in value.items()}
     if isinstance(value, list | tuple | range):
-        return [_as_in_a_file(item) for item in value]
+        return [_as_study_file_has_it(item) for item in value]
     return value
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from termsel import Option, Points, Result, TermselError, Writer
 from termsel.toolkit import FloatArray
 from termsel.toolkit.coordinates import LOCAL, horizontal_crs, to_wgs84
-from termsel.toolkit.files import GDALWARP, say_nearest
+from termsel.toolkit.files import GDALWARP, say_nearest_transformation
 from termsel_formats.points.common import utm_crs
 
 log = logging.getLogger("termsel.formats")
@@ -169,7 +169,8 @@ def image_name(image: Path | str | None, path: Path) -> str:
 
 def say_by_gdal(name: str, result: Result, points: Points) -> None:
     """Log what gdalwarp makes of the points of a file."""
-    say_nearest(name, result.fit, points.ground[:, :2], points.image, GDALWARP, "by gdalwarp {}")
+    say_nearest_transformation(name, result.fit, points.ground[:, :2], points.image, GDALWARP,
+                               "by gdalwarp {}")
 
 
 def say_points(name: str) -> None:
