@@ -125,6 +125,7 @@ def _choose_projection(sheets: list[FeatureSet], candidates: Path | None,
     # What no candidate is, is ranked as well: it may be far more probable than all of them.
     others = [usual for usual in candidates_of(sheets, None, None) if usual.crs not in stated]
     better = None
+    # One ranking of all, as blunders, and so the points that count, depend on what is ranked.
     if with_others := rank_by_series(sheets, [*projections, *others]):
         better = contradicting(with_others, projections)
         ranked = [projection for projection in with_others if projection.crs in stated]

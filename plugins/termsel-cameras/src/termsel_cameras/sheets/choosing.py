@@ -122,6 +122,7 @@ def choose_by_points(sheets: Sequence[FeatureSet], candidates: Sequence[Projecti
         raise TermselError(f"no map has the {MIN_POINTS_OF_SHEET} points that a choice of its "
                            "projection requires",
                            hint="Measure more points, or state the projection.")
+    # Each sheet is fitted in each projection once; figures and positions come from the same fits.
     shown = [[_shown_in(sheet, candidate.crs) for candidate in candidates]
              for sheet in used_sheets]
     counts = [len(sheet.points) for sheet in used_sheets]
@@ -132,10 +133,12 @@ def choose_by_points(sheets: Sequence[FeatureSet], candidates: Sequence[Projecti
     if not np.isfinite(evidences).any():
         raise TermselError("in no projection the points determine a model",
                            hint="Measure more points, spread over the map.")
+    # Bayes' theorem with the same prior for all; the largest is subtracted lest all round to zero.
     probabilities = np.exp(evidences - evidences.max())
     probabilities /= probabilities.sum()
     squares = np.average([_squared_distances(of_sheet) for of_sheet in shown], axis=0,
                          weights=counts)
+    # The expected squared distance from the map in the true projection: sum_j p_j d_ij^2.
     expected = np.where(np.isfinite(evidences), squares @ probabilities, np.inf)
     tried = [Tried(candidate.name, candidate.crs, rmse, evidence) for candidate, rmse, evidence
              in zip(candidates, rmses.tolist(), evidences.tolist(), strict=True)]
@@ -279,6 +282,7 @@ def _evidences(sheet: FeatureSet, shown: Sequence[_Shown]) -> FloatArray:
 
     Minus infinity where no model is determined. Paper counts where each projection shows it.
     """
+    # A density of paper and one without it have unlike units, which must not decide.
     determined = [one for one in shown if np.isfinite(one.rmse)]
     shows_paper = all(one.paper is not None for one in determined)
     evidences = np.full(len(shown), -np.inf)
@@ -291,5 +295,6 @@ def _evidences(sheet: FeatureSet, shown: Sequence[_Shown]) -> FloatArray:
 
 def _squared_distances(shown: Sequence[_Shown]) -> FloatArray:
     """Return the mean squared distances between the positions in all projections, (n, n) [px^2]."""
+    # Positions, not coefficients, are compared: models differ from projection to projection.
     positions = np.array([one.positions for one in shown])
     return np.array([((positions - of_one)**2).sum(axis=2).mean(axis=1) for of_one in positions])

@@ -265,6 +265,7 @@ def evidence_of_map(count: int, held_out_rmse: float, shown: Sheet | None) -> fl
         squares, np.array(freedom), NOISE_OF_A_MAP, MIN_FREEDOM))
     if shown is None:
         return evidence
+    # The variance of the noise by the usual one and by this map, each by its degrees of freedom.
     squared_noise = ((MIN_FREEDOM * NOISE_OF_A_MAP**2 + shown.freedom * shown.noise**2)
                      / (MIN_FREEDOM + shown.freedom))
     for number, usual_size in zip((STRETCH, SHEAR), SIZES_OF_A_MAP, strict=True):
@@ -335,6 +336,7 @@ def _log_evidence_of_number(values: FloatArray, variances: FloatArray,
 def _log_evidence_about_zero(value: float, variance: float, usual_size: float) -> float:
     """Return the logarithm of the density of a number whose mean is zero, its spread open.
     """
+    # The number is normal with the variance of its error and of its spread together.
     totals = variance + SPREADS_TRIED**2
     log_likelihoods = -0.5 * (np.log(totals) + value**2 / totals)
     return float(np.logaddexp.reduce(log_likelihoods + _log_priors(usual_size)))
