@@ -95,7 +95,10 @@ class CameraCourses:
 
     @one_blas_thread
     def squares(self, ground: FloatArray, image: FloatArray) -> FloatArray:
-        """Return the mean square errors, (m, 2), of a model that sees places in the image."""
+        """Return the mean square errors, (m, 2), of a model that sees places in the image.
+
+        `ground` (m, 3) are the places and `image` (m, 2) where the model sees them, both scaled.
+        """
         total = np.full((len(ground), 2), np.nan)
         finite = np.flatnonzero(np.isfinite(ground).all(axis=1) & np.isfinite(image).all(axis=1))
         # In batches, as covariances between all places would fill the memory.
@@ -108,7 +111,7 @@ class CameraCourses:
         return total
 
     def covariance(self, ground: FloatArray, image: FloatArray, axis: int) -> FloatArray:
-        """Return the mean products of such errors among places, (m, m), on one axis."""
+        """Return the mean products of the errors of `squares` at m places, (m, m), on one axis."""
         monomials, positions = self._seen(ground)
         total = np.zeros((len(ground), len(ground)))
         for course in self.courses:
@@ -140,7 +143,7 @@ class Shrinkages:
 
     @classmethod
     def of_all(cls) -> Shrinkages:
-        """Return all rules, each with all sizes."""
+        """Return every rule of FALLS and RELIEFS with every one of SIZES."""
         exponents = np.array(EXPONENTS[AFFINE_COLUMNS:])
         order = exponents.sum(axis=1)
         rules = np.array([fall**(order - 2.0) * relief**exponents[:, 2]
@@ -210,7 +213,11 @@ class Control:
                    Shrinkages.of_all())
 
     def seen_by(self, field: Field, ratios: tuple[float, ...]) -> Whitened:
-        """Return monomials and deviations as a field of some ratios sees them."""
+        """Return monomials and deviations of the points, whitened by the covariances of a field.
+
+        There is one covariance N + ratio^2 K for each of the `ratios` (r,), with the relative
+        variances N of the points and the correlations K of the field.
+        """
         scale = 1.0 / np.sqrt(self.relative_variances)
         correlations = matern_correlations(self.positions, self.positions, field.lengths,
                                            field.smoothness)

@@ -22,8 +22,9 @@ as far outside: a quadratic term is then 4 times what it is at the hull's edge."
 def distance_outside_control(control: FloatArray, ground: FloatArray) -> FloatArray:
     """Return how far places on the ground (m, 3) are outside the control (n, 3), shape (m,).
 
-    Distance from the hull by its longer side, or above or below its heights by their range,
-    whichever is larger; 0 inside. Infinite if the control has no hull, NaN for no place.
+    That is the distance from the hull, divided by its longer side, or the height above or below
+    the control's heights, divided by their range, whichever is larger. It is 0 inside, infinite if
+    the control has no hull, and NaN where x or y is.
     """
     distances = distance_beyond_hull(control[:, :2], ground[:, :2])
     low = control[:, 2].min()

@@ -196,7 +196,7 @@ def correlated_terms(fit: Fit) -> Iterator[tuple[str, str, float]]:
 def orientation_spread(lines: Lines) -> float:
     """Return how widely the directions of image lines, at least one, spread.
 
-    Twice the smaller eigenvalue of the mean of n n^T over the unit normals n: 1 where all
+    It is twice the smaller eigenvalue of the mean of n n^T over the unit normals n: 1 where all
     directions occur alike, 0 where all lines are parallel and fix one image axis alone.
     """
     normal: FloatArray = line_normals(lines)[0]

@@ -339,7 +339,11 @@ class Fit(Glance):
 
     def with_coefficients(self, coefficients: FloatArray, estimator: Estimator = FIXED_COEFFICIENTS,
                           trace: float = np.nan) -> Fit:
-        """Return the fit with coefficients that are not those of least squares."""
+        """Return the fit with other coefficients (k,), which are not those of least squares.
+
+        `estimator` has found them, and `trace` is the effective number of parameters, NaN if it is
+        not known.
+        """
         # Deviations and correlations are those of least squares, and say nothing of others.
         unknown = np.full(len(coefficients), np.nan)
         adjustment = replace(self.adjustment, coefficients=coefficients, sigma0=np.nan,

@@ -219,9 +219,10 @@ class Groups:
     def _mean_correlations(self, distances: FloatArray, group_of: IntArray,
                            lengths: tuple[float, float],
                            smoothness: float) -> FloatArray:
-        """Return the mean correlation over the distances (p, 2) of each group, (g,); 1 without any.
+        """Return the mean correlation over the distances (p, 2) of each group, (g,).
 
-        `group_of` (p,) is the number of each distance's group.
+        `group_of` (p,) is the number of each distance's group. The mean is 1 for a group without
+        distances.
         """
         correlations = matern_correlations(distances, np.zeros((1, 2)), lengths, smoothness)[:, 0]
         counts = np.bincount(group_of, minlength=len(self.sizes))
@@ -285,7 +286,11 @@ class LocalCourses:
                          for rows in _halve_rows(positions, np.arange(n), most)])
 
     def cell_of(self, number: int) -> CourseCell:
-        """Return the cell of a number, by groups of the control that are small next to it."""
+        """Return the cell of a number: the courses near its centre.
+
+        The control is in groups, which are the smaller, the nearer they are to the centre; each
+        counts as one point.
+        """
         if len(self._centres) == 1:
             return self._spread_cell
         squares = ((self._centres - self._centres[number])**2).sum(axis=1)

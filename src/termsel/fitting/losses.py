@@ -27,11 +27,11 @@ def rmse_like_figure(distances: FloatArray, weights: FloatArray, loss: str = SQU
                      threshold: float = 2.0) -> FloatArray:
     """Return the RMSE of errors, or a figure close to it for normal errors without blunders; (p,).
 
-    Of distances [px] (p, n), with the number of errors that each represents, 0 for a feature that
-    is not in use. The figure is sqrt(mean(rho(d))) with rho(d) = d^2, or for "huber" d^2 up to c
-    and 2 c d - c^2 beyond, c the threshold times the median distance; or for "median" the median
-    distance times 1 / sqrt(ln 2). It is infinite without a feature in use, and if the error of one
-    in use is not finite.
+    The errors are `distances` [px] (p, n); `weights` (p, n) are how many errors each of them
+    represents, 0 for a feature that is not in use. The figure is sqrt(mean(rho(d))) with
+    rho(d) = d^2, or for "huber" d^2 up to c and 2 c d - c^2 beyond, c the threshold times the
+    median distance; for "median" it is the median distance times 1 / sqrt(ln 2). It is infinite
+    without a feature in use, and if the error of one in use is not finite.
     """
     used: BoolArray = weights > 0
     counted = np.asarray(used.any(axis=1) & ~(used & ~np.isfinite(distances)).any(axis=1))

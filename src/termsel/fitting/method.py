@@ -228,8 +228,8 @@ class Method(ABC):
     def settles(self, data: FitData) -> str | None:
         """Return why features support this method alone, as a sentence; None if they do not.
 
-        Such as points that were computed by the very geometry that it knows. No other method is
-        then tried.
+        They do if points were computed by the very geometry that this method knows, for example. No
+        other method is then tried.
 
         Raises
         ------

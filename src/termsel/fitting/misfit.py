@@ -278,7 +278,11 @@ class System:
 
     def log_likelihoods(self, spectra: Sequence[Spectrum],
                         ratios: tuple[float, ...]) -> FloatArray:
-        """Return logarithms of p(r | length, ratio, s) for each axis, (l, 2, r, s)."""
+        """Return log p(residuals | lengths, ratio, s) for each axis, (l, 2, r, s).
+
+        There are l spectra, each of a pair of lengths, r ratios of the field to the noise, and s
+        noises.
+        """
         variances = np.array([spectrum.variances(ratios) for spectrum in spectra])  # (l, r, n)
         vectors = np.array([spectrum.vectors for spectrum in spectra])
         f = self.trend.shape[1]
@@ -358,7 +362,7 @@ class Misfit:
         return float(sum(course.share for course in self.courses))
 
     def squares(self, image: FloatArray) -> FloatArray:
-        """Return the mean square of the model's own error at places in the image, (m, 2)."""
+        """Return the mean square of the model's own error at places (m, 2) in the image, (m, 2)."""
         total = np.zeros((len(image), 2))
         trend = self._trend_at(image)
         for course in self.courses:

@@ -185,12 +185,12 @@ def _covariance_factors(covariance: FloatArray, visible: BoolArray, axis: int) -
 
 
 def share_left(fitted: Fit, ground: FloatArray) -> float:
-    """Return by how much the error at a place falls once those around it are measured: a ratio.
+    """Return the share of the error at a place that is left once the places around it are measured.
 
-    Of measured places (m, 3), each in its turn is the place, and the others are those around it.
+    Each of the places `ground` (m, 3) in its turn is the place, and the others are those around it.
     With C the covariance of all m measurements, the variance of one given the others is
-    1 / (C^-1)_ii, and C_ii without them. The measurements themselves are not looked at. 1 where the
-    covariances are not known.
+    1 / (C^-1)_ii, and C_ii without them. The share is the root of their ratio, with both summed up
+    over all places. It is 1 where the covariances are not known.
     """
     spread = error_covariances(fitted.original or fitted, ground)
     if spread is None or spread.factors is None or not (spread.noise > 0).all():

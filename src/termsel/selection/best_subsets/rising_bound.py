@@ -36,10 +36,11 @@ _STATE = 64  # nodes between two states: a second or so
 
 def raise_bound(systems: ScoreSystems, best: FloatArray, masks: Masks, node_subsets: int,
                 workers: int) -> Iterator[tuple[FloatArray, Masks, float]]:
-    """Yield better subsets, and a score: only subsets that are found already score less.
+    """Yield the best subsets so far, with a score below which no other subset is.
 
-    Best score and mask of each size so far are (k + 1,); a node is walked that has at most
-    `node_subsets`. Workers are threads; the result does not depend on them.
+    The score rises from step to step. `best` and `masks` (k + 1,) are the least score of each size
+    so far and its subset, and are yielded as they become better. A node of at most `node_subsets`
+    is walked, any other one is divided. Workers are threads; the result does not depend on them.
     """
     lower_bound = 0.0
     root = systems.everything

@@ -229,7 +229,10 @@ def _branch_and_bound(incumbents: _Incumbents, root: SubtreeNode, cost: Cost | N
 
 
 def _take_improvement(incumbents: _Incumbents, node: SubtreeNode, result: NodeResult) -> bool:
-    """Count a decided node, and keep its better subsets; return whether there are any."""
+    """Count the subsets of a decided node, and keep those that are better than the incumbents.
+
+    Returns whether there are any such subsets.
+    """
     # A limit that no subset reached is no subset's score. The empty subset has the mask 0 too.
     scores = np.where(result.masks > 0, result.best, np.inf)
     scores[0] = result.best[0]

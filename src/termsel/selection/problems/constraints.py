@@ -47,7 +47,7 @@ def without_heights(names: tuple[str, ...], options: Mapping[str, Any]) -> dict[
     """Return the options by which a problem uses no term with Z, except those that are asked for.
 
     The options are for control that does not show what a height does. `names` are the model's
-    terms, `options` the values that the problem's options have; Returns {} where the problem has
+    terms, `options` the values that the problem's options have. Returns {} where the problem has
     none for this.
     """
     height_terms = {name: term for name in names if (term := Term.parse(name)).has_height

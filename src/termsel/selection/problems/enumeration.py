@@ -216,7 +216,10 @@ def _join_axes(axis_systems: list[SubsetSystem], genes: list[IntArray]) -> Subse
 
 def _order_columns(system: SubsetSystem, order: IntArray, genome: Genome,
                    genes: IntArray) -> SubsetSystem:
-    """Return the system with its columns in order, and with the genome's forced genes."""
+    """Return the system with its columns in the order `order` (k,), and the genome's forced genes.
+
+    `genes` (k,) are the genes of the columns in that order.
+    """
     # What is of rows alone, such as targets, stays as it is.
     by_column = ("design", "check_design", "denominator", "check_denominator", "guard_denominator")
     columns: dict[str, Any] = {name: np.ascontiguousarray(array[:, order]) for name in by_column

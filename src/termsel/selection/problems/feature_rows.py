@@ -18,10 +18,11 @@ if TYPE_CHECKING:
 
 def row_systems(inputs: ProblemData, independent: tuple[IndependentPart, ...], terms: BoolArray,
                 share: float, freedom: int) -> tuple[RowSystem, ...]:
-    """Return the systems of a selection of features, in px; none where no selection can be scored.
+    """Return the systems of rows, in px, by which a selection of features is scored.
 
-    The parts are of the control, with all terms of the model, of which some are in use (k,); share
-    and freedom are those of `largest_term_share`.
+    `independent` are the parts of the control's equations, with all k terms of the model, of which
+    the mask `terms` (k,) are in use; `share` and `freedom` are those of `largest_term_share`. No
+    system is returned where no rows say what a selection scores.
     """
     # A walk scores by the check RMSE, of image positions that are linear in the terms.
     if type(inputs.criterion).score is not CheckRmse.score:

@@ -216,7 +216,10 @@ class Genome:
 
 def _keep_count(genes: BoolArray, segment: Bits | Subset, free: BoolArray,
                 rng: np.random.Generator) -> None:
-    """Switch free genes of a segment in place, until its cardinality is kept."""
+    """Switch free genes of a segment in place, until as many are on as its limits allow.
+
+    `genes` (p, size) are bool, `free` (size,) marks those that may be switched; `rng` draws which.
+    """
     count = genes.sum(axis=1)
     for i in np.flatnonzero((count < segment.minimum) | (count > segment.most)):
         individual = genes[i]

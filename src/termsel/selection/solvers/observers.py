@@ -18,7 +18,7 @@ class Observers:
         self.ended = False
 
     def tell(self, progress: Progress) -> bool:
-        """Tell all observers, and return whether one of them ends the search."""
+        """Give the progress to all observers; return whether one of them ends the search."""
         for observe in self._observers:
             try:
                 # Observers return all kinds of things, of which only True is an answer.

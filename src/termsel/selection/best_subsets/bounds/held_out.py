@@ -141,7 +141,11 @@ def first_prunable_column(top: FloatArray, leverage: FloatArray, first: int, n: 
 
 
 def held_out_lower_bound(vectors: Vectors) -> float:
-    """Return a lower bound of the scores of all subsets of a node."""
+    """Return a lower bound of the held-out errors' sum of squares, for all subsets of a node.
+
+    It is what all of the node's columns together leave of the targets, with each row divided by 1
+    less its leverage under the columns in use.
+    """
     rows = vectors.top[0, 0].T
     leverage = vectors.leverage[0]
     r = vectors.share.shape[3]

@@ -41,10 +41,10 @@ _BOUND_GAIN = 0.02  # a round that raises the bound by less than this share of t
 
 @_compiled
 def node_bound(tree: Tree, d: int, limit: float) -> float:
-    """Return a lower bound of the residual sums of squares of a node's subsets; else infinite.
+    """Return a lower bound of the residual sums of squares of the subsets of a node at depth `d`.
 
-    Weights are raised until it is above the limit, and stay in `tree.weight`. `tree.shifted` is
-    q + W u.
+    It is infinite where no subset has a score. The weights u of the guard points are raised until
+    the bound is above the limit, and stay in `tree.weight`; `tree.shifted` becomes q + W u.
     """
     n = tree.count[d]
     m = tree.weights[d]
@@ -153,7 +153,7 @@ def _solve_guard(tree: Tree, d: int, a: int, n: int) -> None:
 
 @_compiled
 def _solve_coefficients(tree: Tree, d: int, n: int) -> None:
-    """Solve R b = q + W u."""
+    """Solve R b = q + W u for b, which is written to `tree.b`; R (n, n) is that of depth `d`."""
     # Back substitution, from the last row up.
     for i in range(n - 1, -1, -1):
         value = tree.shifted[i]
@@ -166,7 +166,7 @@ def _solve_coefficients(tree: Tree, d: int, n: int) -> None:
 def _residuals_if_dependent(tree: Tree, d: int) -> float:
     """Return the residual sum of squares of columns that depend on each other.
 
-    Infinity if those in use depend on each other, so that no subset of the node has a score.
+    It is infinite if those in use do, as no subset of the node has a score then.
     """
     # Modified Gram-Schmidt: a column that depends on those before it takes nothing off the target.
     n = tree.count[d]

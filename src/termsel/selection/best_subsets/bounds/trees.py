@@ -105,7 +105,10 @@ def tree_of(control: FloatArray, guard: FloatArray, lengths: FloatArray, margin:
 
 @_compiled
 def write(tree: Tree, d: int, all_in_use: bool) -> None:
-    """Write the columns to `tree.work`, those in use first, then targets; order in `cursor`."""
+    """Write the columns at depth `d` to the rows of `tree.work`, those in use first, then targets.
+
+    `tree.cursor` becomes the order of the columns; with `all_in_use` all of them are.
+    """
     n = tree.count[d]
     written = 0
     # Two passes keep the order within those in use, and within the others.
@@ -123,7 +126,11 @@ def write(tree: Tree, d: int, all_in_use: bool) -> None:
 
 @_compiled
 def eliminate(work: FloatArray, i: int, stop: int, n: int, square: float) -> None:
-    """Remove row i from the rows below it, and write its share of each to column n there."""
+    """Remove row i of `work` from the rows below it, up to `stop`, by Gram-Schmidt.
+
+    Rows have n entries; the share of row i in each goes to its column n. `square` is the squared
+    length of row i.
+    """
     for j in range(i + 1, stop):
         ratio = 0.0
         for t in range(n):

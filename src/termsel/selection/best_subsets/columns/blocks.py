@@ -161,7 +161,8 @@ def count_open_pairs(i: int, level: int, count: int, share: float, root_limit: f
                      error_accuracy: float, sum_accuracy: float, b: SubsetBlock) -> int:
     """Return how many subsets with column i and one to its right may score `root_limit` squared.
 
-    Where b.row is positive the score is certainly higher.
+    `b.row` becomes positive for each column to the right with which the score is certainly higher.
+    The other arguments are as for `is_single_column_pruned`.
     """
     control = b.control
     products = b.errors

@@ -53,7 +53,7 @@ def subtract(difference: FloatArray, a: FloatArray, b: FloatArray, ratio: float)
 @_compiled
 def subtract_measured(difference: FloatArray, a: FloatArray, b: FloatArray, ratio: float,
                       t: FloatArray) -> tuple[float, float]:
-    """Write a - ratio b; return its squared length and its product with t."""
+    """Write a - ratio b to `difference`; return its squared length and its product with t."""
     square = 0.0
     product = 0.0
     for row in range(len(difference)):
@@ -248,7 +248,7 @@ def remove(vectors: Vectors, depth: int, f: int, i: int, c: int, n: int, r: int)
 
 @_compiled
 def _open_leverage(vectors: Vectors, depth: int, i: int) -> None:
-    """Add the part of column i to the leverages, from one depth to the next."""
+    """Write the leverages of the rows at the next depth: those here and the part of column i."""
     # Orthogonal columns add up: h = sum v^2 / v'v, and with the denominator's rows w, g = sum v w /
     # v'v.
     v = vectors.top[depth, 0, i]

@@ -127,7 +127,7 @@ def _count_broken_rules(problem: Problem, genes: Genes) -> FloatArray:
 
 
 def _gene_ranges(genome: Genome) -> tuple[FloatArray, FloatArray]:
-    """Return the range of each gene, shape (g,) each."""
+    """Return the least and the largest value of each gene of a genome, (size,) both."""
     low = []
     high = []
     for segment in genome.segments:
@@ -228,7 +228,7 @@ def _begin_algorithm(algorithm: Algorithm, posed: _Posed, rng: np.random.Generat
 def step_algorithm(algorithm: Algorithm, problem: Problem, rng: np.random.Generator,
                    horizon: int | None = None,
                    chance: OwnChance | None = None) -> Iterator[Generation]:
-    """Yield the generations of a pymoo algorithm that is not yet set up; it is changed.
+    """Yield the generations of a pymoo algorithm that is not yet set up; the object is changed.
 
     What draws from a global random state, as some of pymoo's operators do, gets one of its own. The
     horizon is the number of generations that RVEA, which adapts to how far a run is, takes for the

@@ -36,7 +36,10 @@ class _Silence:
         self.count = self.ledger.count
 
     def watch(self) -> None:
-        """Say it once in the log, and again and again in the progress, until it is over."""
+        """Watch until the search is over, and say when the solver has yielded nothing for long.
+
+        It is said once in the log, and again and again in the progress.
+        """
         logged = False
         while not self.over.wait(_LOOK_SECONDS):
             # Evaluations are a sign of life, too, even where nothing is yielded.
@@ -53,7 +56,7 @@ class _Silence:
 
 def warn_of_silence(running: Iterator[Generation], solver: Solver, ledger: Ledger,
                     tell: Callable[[str], None]) -> Iterator[Generation]:
-    """Yield what a solver yields, and say where one of others is silent for long.
+    """Yield what a solver yields, and say when it has yielded nothing for long.
 
     Nothing but Ctrl-C ends code that neither yields nor evaluates. The ledger counts evaluations;
     `tell` takes what the progress shows, and is called in another thread.

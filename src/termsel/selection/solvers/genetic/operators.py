@@ -193,7 +193,10 @@ def _mutate_polynomially(segment: Integers | Reals, genes: Genes, probability: f
 
 
 def _reverse_parts(genes: Genes, probability: float, rng: np.random.Generator) -> Genes:
-    """Reverse a random part of some permutations."""
+    """Return permutations (p, size), in some of which a random part is reversed.
+
+    Each is changed with the given probability.
+    """
     # Inversion: neighbours stay neighbours, but for the two ends of the part.
     mutants = genes.copy()
     n = genes.shape[1]

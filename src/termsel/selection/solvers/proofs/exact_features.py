@@ -172,7 +172,7 @@ def quick_optimum(problem: Problem,
 
 
 def duration_in_words(seconds: float) -> str:
-    """Return a time in words."""
+    """Return a time [s] in words, rounded, such as "20 min"."""
     years = seconds / 31_557_600
     if years > 1:
         return f"{years:,.0f} years" if years < 1e6 else "more than a million years"

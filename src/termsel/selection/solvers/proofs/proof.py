@@ -124,7 +124,8 @@ class Proof:
     def front(self) -> list[BoolArray]:
         """Return the best selection (size,) of every total size that beats all smaller ones.
 
-        By number of genes; the last is the best of all. Empty where nothing is feasible.
+        They are in the order of their numbers of genes, so that the last is the best of all. There
+        are none where nothing is feasible.
         """
         total, sizes = _least_joint_cost(self._costs_by_size())
         return [self._genes_of_sizes(sizes[i].tolist())
