@@ -322,6 +322,7 @@ def test_columns_called_x_and_y_are_not_taken_for_lines_and_samples(tmp_path: Pa
      "line=Y_src,sample=X_src,x=X_tgt,y=Y_tgt"),
     ("mkpts0_x,mkpts0_y,mkpts1_x,mkpts1_y,mconf", "sample line sample2 line2 score",
      "line=mkpts0_y,sample=mkpts0_x,x=mkpts1_x,y=mkpts1_y"),
+    ("图上X,图上Y,A,B", "sample line x y", "line=图上Y,sample=图上X,x=A,y=B"),
     ("col_a,row_a,col_b,row_b", "sample line sample2 line2",
      "line=row_a,sample=col_a,x=col_b,y=row_b")])
 def test_names_say_which_axis_a_column_runs_along(header: str, meanings: str, guess: str,

@@ -195,6 +195,9 @@ def test_minutes_in_one_number_with_degrees_are_no_metres(factor: int, form: str
     ("点号;行;列;北;东;高程", "gb18030"), ("点号;行;列;北向;东向;高程", "utf-8"),
     ("punto;renglón;columna;Y terreno;X terreno;cota", "utf-8"),
     ("punto;Y imagen;X imagen;Norte;Este;cota", "cp1252"), ("punto;fil;col;Norte;Este;h", "utf-8"),
+    ("точка;строка;столбец;X (север);Y (восток);H", "utf-8"),
+    ("id;Y (row);X (col);X [North];Y [East];h", "utf-8"),
+    ("点号;影像行;影像列;X（北）;Y（东）;高程", "gb18030"),
     ("nazwa;wiersz;kolumna;szerokość;długość;wysokość", "cp1250")])
 def test_names_are_known_in_many_languages(header: str, encoding: str, tmp_path: Path) -> None:
     ids = [f"K{i}" for i in range(N)]

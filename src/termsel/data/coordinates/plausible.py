@@ -478,10 +478,13 @@ def _note_on_area(features: FeatureSet) -> str:
     middle = degrees_of(crs, features.points.ground)
     place = "nowhere on the Earth" if middle is None else f"at {position_in_words(middle)}"
     west, south, east, north = area
-    return (f"By their CRS these points are {place}, but {short_crs_name(crs)} is for the area "
-            f"from {position_in_words((west, south))} to {position_in_words((east, north))}: the "
-            "coordinates are of another grid, and what is stated in metres may be of another unit. "
-            "State their own CRS with --crs, or --crs local for a grid without one.")
+    where = (f"By their CRS these points are {place}, but {short_crs_name(crs)} is for the area "
+             f"from {position_in_words((west, south))} to {position_in_words((east, north))}: ")
+    # Many countries call the northing X.
+    if _is_in_area(features.points.ground[:, [1, 0, 2]], crs, area, AREA_MARGIN):
+        return f"{where}x and y look swapped. --set swapped=xy exchanges them."
+    return (f"{where}the coordinates are of another grid, and what is stated in metres may be of "
+            "another unit. State their own CRS with --crs, or --crs local for a grid without one.")
 
 
 def _is_in_area(ground: FloatArray, crs: str, area: tuple[float, float, float, float],

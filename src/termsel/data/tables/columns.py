@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from termsel.core.errors import TermselError, unknown_name_error
-from termsel.data.tables.unit_names import without_unit
+from termsel.data.tables.unit_names import remark_in_brackets, without_unit
 
 Aliases = Mapping[str, tuple[str, ...]]
 """Names that the column of each meaning may have."""
@@ -60,12 +60,14 @@ _FURTHER = {meaning: frozenset(names.split()) for meaning, names in {
             "yimagen yimagem imy imrow imgrow imagerow bildzeile bildy "
             "ligne rangee fila fil renglon linea riga linha wiersz rij regel "
             "riadok radek sor satır rivi rad rekke række rând redak vrstica "
-            "строка yпикс ряд рядок γραμμή 행 行 行号 行数 行坐标",
+            "строка yпикс ряд рядок γραμμή 행 行 行号 行数 行坐标 像素行 影像行 图像行 像素y 影像y "
+            "图像y",
     "sample": "samples samp cols columns xpix xpixel pixelx pix px imgx imagex ximg ximage spalte "
               "ximagen ximagem imx imcol imgcol imagecol bildspalte bildx "
               "colonne columna muestra colonna campione coluna kolumna kolom "
               "pxx sloupec stlpec oszlop sütun sarake kolumn kolonne coloană stupac stolpec "
-              "столбец xпикс колонка стовпець στήλη 열 列 列号 列数 列坐标",
+              "столбец xпикс колонка стовпець στήλη 열 列 列号 列数 列坐标 像素列 影像列 图像列 "
+              "像素x 影像x 图像x",
     "x": "e east lng long easting pointx geox xmap utme utmx utmeast utmeasting "
          "lange laenge langengrad laengengrad rechtswert ostwert "
          "ost longitud longitudine este est leste xl93 dlugosc wschod lengte "
@@ -103,16 +105,34 @@ def fold_name(name: str) -> str:
     return re.sub(r"[\W_]", "", without_accents)
 
 
+_OF_COORDINATES = frozenset(
+    fold_name(name) for meaning in ("line", "sample", "x", "y")
+    for name in (*COORDINATES[meaning], *_FURTHER[meaning]))
+
+
+@lru_cache(10_000)  # readers compare the names of a header with all that are known
+def coordinate_in_brackets(name: str) -> str:
+    """Return the name of a coordinate in brackets behind X or Y alone, folded; "" without one.
+
+    "X (North)" gives "north": many countries call the northing X.
+    """
+    normal = unicodedata.normalize("NFKC", name.strip().casefold())
+    remark = fold_name(remark_in_brackets(normal))
+    is_letter = fold_name(without_unit(normal)) in ("x", "y")
+    return remark if is_letter and remark in _OF_COORDINATES else ""
+
+
 @lru_cache(10_000)  # readers compare the names of a header with all that are known
 def _folded_forms(name: str) -> tuple[str, ...]:
     """Return a column's name folded with and without its unit, and then each of its alternatives.
 
     "Line (px)" gives "linepx" and "line"; "X/Longitude" gives "xlongitude" twice, "x" and
-    "longitude".
+    "longitude". What brackets call a coordinate stands for X or Y in front of them.
     """
     normal = unicodedata.normalize("NFKC", name.strip().casefold())
     alternatives = normal.split("/") if "/" in normal else []
-    return (fold_name(normal), fold_name(without_unit(normal)), *map(fold_name, alternatives))
+    bare = coordinate_in_brackets(name) or fold_name(without_unit(normal))
+    return (fold_name(normal), bare, *map(fold_name, alternatives))
 
 
 def _is_one_of(forms: tuple[str, ...], names: frozenset[str], all_names: frozenset[str]) -> bool:

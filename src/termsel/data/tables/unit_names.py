@@ -107,14 +107,17 @@ def counts_against_axis(name: str, axis: str) -> bool:
     return _DIRECTIONS.get(word) == (axis, -1)
 
 
+def remark_in_brackets(name: str) -> str:
+    """Return what stands in brackets in the name of a column; "" without brackets."""
+    match = _IN_BRACKETS.search(name)
+    return match[1] if match else ""
+
+
 def unknown_remark(name: str) -> str:
     """Return the remark in brackets in the name of a column, if it is neither known nor a unit.
 
     All other names give "".
     """
-    match = _IN_BRACKETS.search(name)
-    if match is None:
-        return ""
-    text = match[1]
+    text = remark_in_brackets(name)
     is_known = _KNOWN_REMARKS.fullmatch(text.strip("°º +")) or unit_of_text(text)
     return "" if is_known else text

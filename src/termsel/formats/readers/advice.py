@@ -73,9 +73,12 @@ _SCORES = frozenset((
     "distance", "dist", "quality", "weight", "prob", "probability", "rms", "rmse", "residual",
     "residuals", "resid", "error", "err", "similarity", "ssim"))
 """Names of columns that say how good a match or a point is."""
-_WORDS_ACROSS = frozenset(("x", "col", "column", "cols"))
-_WORDS_DOWN = frozenset(("y", "row", "rows"))
+_WORDS_ACROSS = frozenset(("x", "col", "column", "cols", "列", "横"))
+_WORDS_DOWN = frozenset(("y", "row", "rows", "行", "纵"))
 """Words in names of columns that say along which axis they run."""
+
+_BETWEEN_WORDS = re.compile(r"[\W_\d]+|(?<=[\u2e80-\u9fff])|(?=[\u2e80-\u9fff])")
+"""What separates words: signs, and the edges of a Chinese character, which is one by itself."""
 
 _IMAGE_FILE = re.compile(r".+\.(jpe?g|tiff?|png|dng|jp2|bmp|arw|cr2|nef)", re.IGNORECASE)
 
@@ -467,7 +470,7 @@ def _axis_in_name(name: str) -> str:
 
     "x_px" runs across, "row" down; a name with words of both, or of neither, says nothing.
     """
-    words = set(re.split(r"[\W_\d]+", name.casefold()))
+    words = set(_BETWEEN_WORDS.split(name.casefold()))
     runs_across = bool(words & _WORDS_ACROSS)
     runs_down = bool(words & _WORDS_DOWN)
     if runs_across == runs_down:

@@ -41,6 +41,7 @@ from termsel.data.tables.columns import (
     Aliases,
     BadCell,
     columns_by_meaning,
+    coordinate_in_brackets,
     decimal_signs,
     find_declared_columns,
     fold_name,
@@ -859,7 +860,7 @@ def _say_remarks(names: Mapping[str, str]) -> None:
     """Log what stands in brackets in names of coordinates and is not known, such as (x 1000)."""
     for meaning, name in names.items():
         remark = unknown_remark(name) if meaning in COORDINATES else ""
-        if remark:
+        if remark and not coordinate_in_brackets(name):
             log.info("Note: what %s says in the name %s is not known: its numbers are taken as "
                      "they are.", repr(remark), name)
 
