@@ -26,7 +26,11 @@ WANTED = {"email": "authors = [{ name = ..., email = ... }]", "repository": "url
 
 
 def stated_metadata(project: dict) -> dict[str, str]:
-    """Return email, tracker, repository and homepage of a project table; only those it states."""
+    """Return the metadata of the plugin that the table [project] of pyproject.toml states.
+
+    Keys are email, tracker, repository and homepage, as in metadata.txt; those that the table does
+    not state are left out.
+    """
     # Keys of [project.urls] may have capitals.
     urls = {name.lower(): url for name, url in project.get("urls", {}).items()}
     emails = [author["email"] for author in project.get("authors", []) if "email" in author]
@@ -36,7 +40,10 @@ def stated_metadata(project: dict) -> dict[str, str]:
 
 
 def metadata_faults(metadata: dict[str, str]) -> list[str]:
-    """Return what the repository of plugins would refuse, as sentences; [] if nothing."""
+    """Return a sentence on each entry that the repository of QGIS plugins would refuse.
+
+    `metadata` should have the keys of `WANTED`. The list is empty if it is complete and valid.
+    """
     sentences = [f"{name} is missing: give --{name}, or {where_stated} in {PROJECT.name}."
                  for name, where_stated in WANTED.items() if name not in metadata]
     for name, text in metadata.items():
@@ -50,13 +57,10 @@ def metadata_faults(metadata: dict[str, str]) -> list[str]:
 
 
 def pack(target: Path, metadata: dict[str, str]) -> None:
-    """Write the plugin's files to a zip file, with lines of `metadata` added to its metadata.txt.
-
-    The same files give the same order of names.
-    """
+    """Write the plugin's files to a zip file, with `metadata` added to its metadata.txt."""
     further_lines = "".join(f"{name}={text}\n" for name, text in metadata.items())
     with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as packed:
-        # In the order of their names, so that the same files give the same archive.
+        # Sorted, so that the same files are always in the same order.
         for file in sorted(FOLDER.rglob("*")):
             if not file.is_file() or "__pycache__" in file.parts:
                 continue
@@ -69,7 +73,10 @@ def pack(target: Path, metadata: dict[str, str]) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Pack the plugin; return 0, or 2 if the repository would refuse it or it cannot be written."""
+    """Pack the plugin as the command line says, and return the exit code.
+
+    It is 0, or 2 if the file cannot be written or, with --for-repository, would be refused.
+    """
     parser = argparse.ArgumentParser(description="Pack the plugin as a file that QGIS installs.")
     parser.add_argument("target", nargs="?", type=Path, default=Path("qgis_termsel.zip"))
     parser.add_argument("--for-repository", action="store_true",

@@ -37,8 +37,8 @@ def own_environment():
 def find_termsel_command():
     """Return the path of the command termsel.
 
-    It is that of the setting, else that of the variable TERMSEL_EXECUTABLE, else that in the
-    environment of 'Set up termsel', else that on PATH.
+    It is the one that the setting states, else that of the variable TERMSEL_EXECUTABLE, else that
+    in the environment of 'Set up termsel', else that on PATH.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def find_termsel_command():
     stated = QgsSettings().value(SETTING, "", type=str) or os.environ.get("TERMSEL_EXECUTABLE", "")
     if stated:
         path = Path(stated)
-        # A folder is taken for a virtual environment.
+        # A user may state the virtual environment instead of the command in it.
         if path.is_dir():
             path = command_in(path)
         if not path.is_file():
@@ -83,23 +83,38 @@ def clean_environment():
 
 
 def run(arguments, feedback, program=None, show=False):
-    """Run a command to its end, show its messages and progress, and return its stdout.
+    """Run a command to its end, show its messages and progress, and return what it prints.
 
-    `arguments` are those of `program`, by default of termsel. With `show`, stdout is shown in the
-    log, and "" is returned. Cancelling ends the process, and those it began, within two seconds.
+    Cancelling ends the process, and those it began, within two seconds.
+
+    Parameters
+    ----------
+    arguments : list
+        Arguments of the command, as text or as what `str` makes text.
+    feedback : QgsProcessingFeedback
+        Where messages and progress are shown, and where the user cancels.
+    program : str, optional
+        Path of the program, by default of the command termsel.
+    show : bool
+        Whether what it prints to stdout is shown in the log, instead of being returned.
+
+    Returns
+    -------
+    str
+        What the command printed to stdout; "" with `show`.
 
     Raises
     ------
     QgsProcessingException
-        If the command cannot be run, fails, or is cancelled; for one that fails with its message.
+        If the command cannot be run, fails or is cancelled; if it fails, with its own message.
     """
     command = [program or find_termsel_command(), *map(str, arguments)]
     feedback.pushCommandInfo(" ".join(command))
-    # Cancelling ends the group of the process, with the processes that the command began.
+    # A group of its own, so that cancelling can end it with the processes that it began.
     options = ({"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
                if _WINDOWS else {"start_new_session": True})
     try:
-        # No shell takes the list apart, and the program is that of the user's own settings.
+        # A list needs no shell, and the program is the one of the user's own settings.
         process = subprocess.Popen(  # nosec B603
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL,
             env=clean_environment(), encoding="utf-8", errors="replace", **options)
@@ -107,11 +122,11 @@ def run(arguments, feedback, program=None, show=False):
         raise QgsProcessingException(f"{command[0]} cannot be run: {error.strerror}.") from error
     printed = []
     messages = queue.Queue()
-    stdout = messages.put if show else printed.append
-    # A thread reads each stream, as a full pipe would stop the command.
-    readers = [threading.Thread(target=_read_lines, args=arguments_of_reader, daemon=True)
-               for arguments_of_reader in ((process.stdout, stdout),
-                                           (process.stderr, messages.put))]
+    take_printed = messages.put if show else printed.append
+    # A thread reads each stream: the command would wait for ever once a pipe is full.
+    readers = [threading.Thread(target=_read_lines, args=(stream, take), daemon=True)
+               for stream, take in ((process.stdout, take_printed),
+                                    (process.stderr, messages.put))]
     for reader in readers:
         reader.start()
     lines = []
@@ -128,7 +143,8 @@ def run(arguments, feedback, program=None, show=False):
         time.sleep(0.05)
     _forward_messages(messages, feedback, lines)
     if process.returncode:
-        # The message begins at the first line with "Error:"; without one it is the last three.
+        # The message begins at the first line with "Error:"; a command that has none, such as pip,
+        # says at its end why it failed: the last three lines.
         first = next((at for at, line in enumerate(lines) if line.startswith("Error:")), -3)
         raise QgsProcessingException(" ".join(lines[first:]) or f"{command[0]} ended with code "
                                      f"{process.returncode}.")
@@ -143,14 +159,13 @@ def _read_lines(stream, take):
 
 
 def _forward_messages(messages, feedback, lines):
-    """Take the waiting messages from a queue: show progress in the bar, and others in the log.
+    """Show the messages that wait in a queue: progress in the bar, and others in the log.
 
-    The others are appended to `lines` too. An error is not shown in the log, as the exception that
-    follows has it.
+    Messages other than progress are appended to `lines`, too.
     """
     while not messages.empty():
         line = messages.get().rstrip()
-        # --progress json writes such lines.
+        # The option --progress json makes termsel write such lines.
         if line.startswith('{"progress"'):
             step = json.loads(line)
             if step["progress"] is not None:
@@ -158,6 +173,7 @@ def _forward_messages(messages, feedback, lines):
             feedback.setProgressText(" ".join(filter(None, (step["what"], step["state"]))))
         elif line:
             lines.append(line)
+            # QGIS shows an error itself, by the exception that `run` raises.
             if line.startswith("Error:"):
                 continue
             if line.startswith(("Warning", "Note")):
@@ -167,11 +183,12 @@ def _forward_messages(messages, feedback, lines):
 
 
 def _remove_leftovers(number, command):
-    """Remove the hidden folders in which a process that was killed had begun to write.
+    """Remove the hidden folders that a killed process of termsel left behind.
 
-    `number` is that of the process. The hidden folders are beside the files that it writes, so
-    those of all arguments of `command` are searched.
+    `number` is the process id, and `command` its list of arguments.
     """
+    # termsel writes to a hidden folder beside the file to be written, and renames it at the end.
+    # Which argument is that file is not known here, so the parent folders of all are searched.
     for folder in {Path(argument).absolute().parent for argument in command[1:]}:
         for leftover in folder.glob(f".termsel-*-{number}-*"):
             shutil.rmtree(leftover, ignore_errors=True)

@@ -43,11 +43,12 @@ def fold_name(name):
 
 
 def field_of(meaning, fields):
-    """Return the name among `fields` that has a meaning; None if there is none.
+    """Return the name of the field that has a meaning, such as "line"; None if there is none.
 
-    Of several it is the one that comes first in `KNOWN`. Accents, signs and units do not count:
-    "Line (px)" is a line.
+    Accents, signs and units do not count: "Line (px)" is a line. If several of the names `fields`
+    have the meaning, it is the one that comes first in `KNOWN`.
     """
+    # Each name as it is and without its unit: "Y_px" is known as it is, "line_px" without.
     forms = {}
     for name in fields:
         normal = unicodedata.normalize("NFKC", name.strip().casefold())

@@ -31,15 +31,26 @@ from .field_names import KNOWN, field_of, heading
 
 
 def points_csv(source, fields):
-    """Write the features of a source as a table of points; return its path and the CRS as text.
+    """Write a layer of control points as a CSV that termsel reads.
 
-    `fields` are the fields that the user stated, by meaning. Which features there are, such as the
-    selected ones alone, is up to Processing.
+    Parameters
+    ----------
+    source : QgsProcessingFeatureSource
+        The features to write: all of a layer, or those that are selected.
+    fields : dict of str to str
+        Names of fields that the user stated, by their meanings, which are the keys of `KNOWN`. A
+        field that is not stated, or stated as "", is found by its name.
+
+    Returns
+    -------
+    path, crs : str
+        Path of a temporary file, and the CRS of its x and y as `crs_text` states it.
 
     Raises
     ------
     QgsProcessingException
-        If there are no fields of line and sample, no CRS, or a feature that is no point.
+        If there is no field of line or sample, a feature has no geometry or no number as line or
+        sample, or the layer has no CRS.
     """
     names = {meaning: _find_field(source, meaning, fields.get(meaning)) for meaning in KNOWN}
     for meaning in ("line", "sample"):
@@ -77,6 +88,7 @@ def _guard_formula(cell):
     """
     if not isinstance(cell, str) or not _FORMULA.match(cell):
         return cell
+    # "-12.5" begins as a formula does, and is a number.
     try:
         float(cell)
     except ValueError:
@@ -90,9 +102,10 @@ def unguard_formula(text):
 
 
 def _find_field(source, meaning, stated):
-    """Return the name of the field with a meaning: the one stated, or else one with a usual name.
+    """Return the name of the field of a source that has a meaning, such as "line".
 
-    None if nothing is stated and no field has such a name.
+    It is `stated` if that is a name, or else the field that is called as usual (see `field_of`);
+    None if there is none.
     """
     if stated:
         return stated
@@ -100,15 +113,16 @@ def _find_field(source, meaning, stated):
 
 
 def _point_cells(feature, names, number):
-    """Return the cells of a feature: id, role, line, sample, x, y, z.
+    """Return the cells of a feature of the layer of points: id, role, line, sample, x, y, z.
 
-    `names` are the names of fields by meaning. Without an id it is P and `number`; x and y are
-    those of the first vertex. Cells without a value are "".
+    `names` are the names of the layer's fields by meaning, None where there is none. A feature
+    without an id is called P followed by `number`; x and y are those of its first vertex. Cells
+    without a value are "".
 
     Raises
     ------
     QgsProcessingException
-        If it has no geometry, or no numbers as line and sample.
+        If the feature has no geometry, or its line or sample is no number.
     """
     geometry = feature.geometry()
     if geometry.isNull() or geometry.isEmpty():
@@ -123,6 +137,7 @@ def _point_cells(feature, names, number):
         return "" if value is None or str(value) == "NULL" else value
 
     for meaning in ("line", "sample"):
+        # A decimal comma is left to termsel, which reads it.
         try:
             float(str(cell(meaning)).replace(",", "."))
         except ValueError:
@@ -131,7 +146,7 @@ def _point_cells(feature, names, number):
                 f"Feature {feature.id()} of the layer of points has {cell(meaning)!r:.40} in its "
                 f"field {names[meaning]}, which is no number. Correct it, or leave the feature "
                 "out.") from None
-    # The height in a field comes before that of the geometry.
+    # A field of heights comes before the z of the geometry, which may be there by accident.
     height = cell("z")
     if height == "" and QgsWkbTypes.hasZ(geometry.wkbType()):
         height = repr(vertex.z())
@@ -153,29 +168,30 @@ def crs_text(crs):
     return crs.authid() if crs.authid().startswith("EPSG:") else crs.toWkt()
 
 
-_CODE = re.compile(r"\w{2,20}:\w{1,20}")
-_GRID = re.compile(r"(grids|file|model|init)\s*=\s*\S*[/\\]|PARAMETERFILE|PROJ4_GRIDS",
-                   re.IGNORECASE)
+_CRS_CODE = re.compile(r"\w{2,20}:\w{1,20}")
+_FILE_IN_WKT = re.compile(r"(grids|file|model|init)\s*=\s*\S*[/\\]|PARAMETERFILE|PROJ4_GRIDS",
+                          re.IGNORECASE)
 """Parts of WKT that may name a file, which PROJ would open."""
 
 
 def stated_crs(text):
-    """Return the CRS that a result states as a code or as WKT; an invalid one for other texts.
+    """Return the QGIS CRS of a text that a result states, which is a code or WKT.
 
-    The result may be a stranger's, and for other texts GDAL would open files and ask servers.
+    The CRS is invalid for other texts and for WKT that may name a file: the result may be a
+    stranger's, and for such texts GDAL would open files or ask servers.
     """
-    if _CODE.fullmatch(text):
+    if _CRS_CODE.fullmatch(text):
         return QgsCoordinateReferenceSystem(text)
-    if "[" in text and not _GRID.search(text):
+    if "[" in text and not _FILE_IN_WKT.search(text):
         return QgsCoordinateReferenceSystem.fromWkt(text)
     return QgsCoordinateReferenceSystem()
 
 
 MAX_FILE_BYTES = 256 << 20
-"""Bytes of a file of a result that are read."""
+"""Size of the largest file of a result that is read."""
 
 
-def read_inside(folder, name):
+def read_result_file(folder, name):
     """Return the text of a file in the folder of a result, which may be a stranger's.
 
     Raises
@@ -186,6 +202,7 @@ def read_inside(folder, name):
         If it is not UTF-8.
     """
     path = Path(folder) / name
+    # lstat does not follow links: one could name any file of the user.
     state = path.lstat()
     if not stat.S_ISREG(state.st_mode) or state.st_size > MAX_FILE_BYTES:
         raise OSError(f"{name} is a link, no file, or too large")
@@ -196,72 +213,82 @@ def read_inside(folder, name):
 _post_processors = []
 
 
-class AsInFile(QgsProcessingLayerPostProcessorInterface):
-    """Gives a layer the look that its file states, which Processing does not do by itself."""
+class StyleOfFile(QgsProcessingLayerPostProcessorInterface):
+    """Gives a layer the style that its file states, which Processing does not do by itself."""
 
     def __init__(self):
         super().__init__()
         _post_processors.append(self)
 
     def postProcessLayer(self, layer, context, feedback):
-        """Give a loaded layer the look that its file states; QGIS calls it."""
+        """Give a layer the style that its file states; QGIS calls it when the layer is loaded."""
         layer.loadDefaultStyle()
         layer.triggerRepaint()
 
 
-class BlundersInRed(AsInFile):
-    """Gives the layer of blunders its look."""
+class StyleOfBlunders(StyleOfFile):
+    """Shows the layer of blunders as red circles."""
 
     def postProcessLayer(self, layer, context, feedback):
-        """Show blunders as red circles; QGIS calls it for the loaded layer."""
-        blunder_style(layer)
+        """Show blunders as red circles; QGIS calls it when the layer is loaded."""
+        show_blunders_in_red(layer)
         layer.triggerRepaint()
 
 
-class InShades(AsInFile):
-    """Shows an uncertainty in shades, the darker the larger."""
+class StyleOfUncertainty(StyleOfFile):
+    """Shows the raster of `termsel sigma` in shades of red, the darker the larger."""
 
     def postProcessLayer(self, layer, context, feedback):
-        """Show the uncertainty in shades of red; QGIS calls it for the loaded layer."""
-        shade(layer)
+        """Show the uncertainty in shades of red; QGIS calls it when the layer is loaded."""
+        shade_uncertainty(layer)
         layer.triggerRepaint()
 
 
-def shade(layer):
-    """Show the uncertainty to the north, band 4 of a layer, in five shades from white to red."""
-    statistics = layer.dataProvider().bandStatistics(4)
+# Bands of `termsel sigma`: line, sample [px], east, north [m], and outside the control.
+_NORTH_BAND = 4
+_SHADES = 5
+
+
+def shade_uncertainty(layer):
+    """Show the standard deviation to the north [m] in five shades, from white to red.
+
+    `layer` is the raster of `termsel sigma`.
+    """
+    statistics = layer.dataProvider().bandStatistics(_NORTH_BAND)
     ramp = QgsColorRampShader(statistics.minimumValue, statistics.maximumValue,
                               QgsGradientColorRamp(QColor("#fff5f0"), QColor("#a50f15")))
-    ramp.classifyColorRamp(5, 4, layer.extent(), layer.dataProvider())
+    ramp.classifyColorRamp(_SHADES, _NORTH_BAND, layer.extent(), layer.dataProvider())
     shader = QgsRasterShader(statistics.minimumValue, statistics.maximumValue)
     shader.setRasterShaderFunction(ramp)
-    renderer = QgsSingleBandPseudoColorRenderer(layer.dataProvider(), 4, shader)
+    renderer = QgsSingleBandPseudoColorRenderer(layer.dataProvider(), _NORTH_BAND, shader)
     renderer.setClassificationMin(statistics.minimumValue)
     renderer.setClassificationMax(statistics.maximumValue)
     layer.setRenderer(renderer)
 
 
-def blunder_style(layer):
-    """Show blunders as large red circles."""
+def show_blunders_in_red(layer):
+    """Show the points of a layer as large red circles."""
     symbol = QgsMarkerSymbol.createSimple({"color": "#c22f2f", "size": "4",
                                            "outline_color": "white"})
     layer.setRenderer(QgsSingleSymbolRenderer(symbol))
 
 
 def add_blunders(folder, record, target):
-    """Add the blunders among the points of a result as the layer "blunders" to a GeoPackage.
+    """Write the points of a result that are blunders to the layer "blunders" of a GeoPackage.
 
-    `folder` is that of the result, `record` the content of its result.json, and `target` the
-    GeoPackage, whose layer of this name is replaced. It is empty if no point is a blunder.
+    Each has its id and its error [px]. `folder` is that of the result, `record` the content of its
+    result.json, and `target` the GeoPackage, which is made if it does not exist. A layer of this
+    name is replaced; the new one has no features if no point is a blunder.
     """
     errors = {outlier["id"]: outlier["error"] for outlier in record.get("outliers", [])}
     layer = QgsVectorLayer("Point?field=id:string&field=error:double", "blunders", "memory")
     layer.setCrs(stated_crs(record["data"].get("crs", "")))
     # A result of lines alone has no table of points.
-    text = read_inside(folder, "points.csv") if (Path(folder) / "points.csv").exists() else ""
+    has_points = (Path(folder) / "points.csv").exists()
+    text = read_result_file(folder, "points.csv") if has_points else ""
     features = []
+    # Blunders among lines are not in this table, and so not in the layer.
     for row in csv.DictReader(line for line in io.StringIO(text) if not line.startswith("#")):
-        # Blunders among lines are not in this table.
         name = unguard_formula(row["id"])
         if name in errors:
             feature = QgsFeature(layer.fields())

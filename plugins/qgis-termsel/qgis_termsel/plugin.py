@@ -6,7 +6,11 @@ from .provider import TermselProvider
 
 
 class TermselPlugin:
-    """What QGIS loads; without a window, as in qgis_process, there is the provider alone."""
+    """Adds termsel's algorithms, a dock and a menu entry to QGIS, and removes them again.
+
+    QGIS makes one when it loads the plugin. Without a window, as in qgis_process, it calls
+    `initProcessing` alone, and there are only the algorithms.
+    """
 
     def __init__(self, iface):
         self.iface = iface

@@ -55,7 +55,7 @@ dock.show_result(sys.argv[1])
 before = dock.left_out()
 dock.table.item(0, 0).setCheckState(CHECKED)
 dock.candidates.setCurrentIndex(1)
-name, asked = dock.again()
+name, asked = dock.next_run()
 dock.resize(460, 420)
 told = {"qt": QT_VERSION_STR, "rows": dock.table.rowCount(), "accuracy": dock.accuracy.text(),
         "candidates": dock.candidates.count(), "before": before, "left out": dock.left_out(),

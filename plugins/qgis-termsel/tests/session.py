@@ -41,7 +41,7 @@ from qgis.PyQt.QtWidgets import QApplication, QDockWidget
 from qgis.utils import iface, plugins
 from qgis_termsel import child
 from qgis_termsel.dock import CHECKED
-from qgis_termsel.layers import shade, stated_crs, write_table
+from qgis_termsel.layers import shade_uncertainty, stated_crs, write_table
 
 folder = Path(os.environ["TERMSEL_PLACE"])
 registry, project = QgsApplication.processingRegistry(), QgsProject.instance()
@@ -236,7 +236,7 @@ def results():
                         OUTPUT=str(folder / "sigma ü.tif"))
     shades = iface.addRasterLayer(told["sigma"].get("OUTPUT", ""), "sigma")
     if shades:
-        shade(shades)
+        shade_uncertainty(shades)
         told["shades"] = [shades.renderer().band(), shades.renderer().classificationMax()]
         project.removeMapLayer(shades.id())
     told["match"] = run(
@@ -314,12 +314,12 @@ def dock():
                       for x in range(picture.width()) for y in range(picture.height()))
     shown.buttons["Choose on the map"].click()
     seen["tool"] = canvas.mapTool() is shown.map_tool
-    place = shown.map_tool.on_map()["C40"]
+    place = shown.map_tool.positions_on_map()["C40"]
     shown.table.clearSelection()
     shown.map_tool.choose(place)
-    seen["chosen"] = shown.chosen()
+    seen["chosen"] = shown.selected_id()
     shown.map_tool.choose(QgsPointXY(place.x() + 1e7, place.y()))  # no point is near
-    seen["still chosen"] = shown.chosen()
+    seen["still chosen"] = shown.selected_id()
     shown.buttons["Go to"].click()
     seen["gone to"] = [canvas.center().distance(place) < canvas.extent().width() / 100,
                        canvas.extent().width() < extent.width() / 2]
@@ -348,9 +348,9 @@ def dock():
          shown.candidates.model().item(i).isEnabled()] for i in range(shown.candidates.count())]
     shown.candidates.setCurrentIndex(
         shown.candidates.findText("quadratic", Qt.MatchFlag.MatchStartsWith))
-    seen["asked"] = shown.again()
+    seen["asked"] = shown.next_run()
     shown.show_result(folder / "of lines")
-    seen["asked of lines"] = shown.again()
+    seen["asked of lines"] = shown.next_run()
 
     def export(dialog):
         seen["export"] = dialog.algorithm().id()

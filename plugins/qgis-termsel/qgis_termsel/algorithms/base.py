@@ -57,28 +57,31 @@ class Algorithm(QgsProcessingAlgorithm):
 
 
 def with_page(outputs, name, page, feedback):
-    """Return outputs with a page for the results viewer.
+    """Return the outputs of an algorithm, with an HTML page for the results viewer among them.
 
-    The batch of QGIS 3.22 fails when it has run all rows and one of them has a page: its own
-    feedback shows that it is one, and then the page is a file in the folder alone.
+    `name` is the output's, and `page` the path of its file. In a batch the outputs are returned
+    without the page.
     """
+    # At its end a batch of QGIS 3.22 fails if a row of it has a page. It is known by its feedback.
     if type(feedback).__name__ == "BatchFeedback":
         return outputs
     return {**outputs, name: str(page)}
 
 
 def result_parameter():
-    """Return the parameter of a folder that has a result."""
+    """Return the parameter "RESULT", the folder of a result, for algorithms that need one."""
     return QgsProcessingParameterFile("RESULT", "Folder of the result", behavior=FOLDER)
 
 
 def layer_file(layer, description):
-    """Return the file of a raster or vector layer.
+    """Return the path of the file that a raster or vector layer shows.
+
+    `description` says in the message what the layer is for, such as "raster of heights".
 
     Raises
     ------
     QgsProcessingException
-        If it has none, such as a layer of a server.
+        If the layer has no file, such as a layer of a server.
     """
     # Layers of files have options after a bar, such as |layername=roads.
     path = layer.source().split("|")[0]
@@ -95,9 +98,9 @@ def move_into_place(new_folder, target):
     """
     target = Path(target)
     target.mkdir(parents=True, exist_ok=True)
-    # result.json comes last: where it is, the folder is complete.
+    # result.json comes last (False sorts before True): where it is, the folder is complete.
     for file in sorted(Path(new_folder).iterdir(), key=lambda path: path.name == "result.json"):
-        # Which a copy to another disk would follow.
+        # Between disks a move is a copy, which would write to where the link leads.
         if (target / file.name).is_symlink():
             (target / file.name).unlink()
         shutil.move(str(file), str(target / file.name))
@@ -105,5 +108,4 @@ def move_into_place(new_folder, target):
 
 def scratch_folder():
     """Return the path of a folder that does not exist yet, in Processing's temporary folder."""
-    # In the temporary folder of Processing.
     return QgsProcessingUtils.generateTempFilename("result")

@@ -25,30 +25,33 @@ from qgis.core import (
 
 from ..child import run
 from ..layers import (
-    AsInFile,
-    BlundersInRed,
+    StyleOfBlunders,
+    StyleOfFile,
     add_blunders,
     crs_text,
     points_csv,
-    read_inside,
+    read_result_file,
 )
 from .base import Algorithm, layer_file, move_into_place, scratch_folder, with_page
 
 _RESIDUALS = "result_residuals.gpkg"
 INPUTS = "qgis.json"
-"""File of a result: what another run needs that the folder has not, as parameters."""
+"""File of this plugin in the folder of a result: parameters of inputs that are not copied there."""
 
 _WITHOUT_CHECK = "--criterion press"
-"""What termsel proposes where check points are too few."""
+"""The option that termsel's message proposes if the points are too few for selection points."""
 
 _DEGREE_BY_NAME = {"linear": 1, "quadratic": 2, "cubic": 3}
 
 
 def inputs_of(folder):
-    """Return the RPC that made the result of a folder, as parameters; {} if it is not stated."""
+    """Return the parameters for another run that the folder of a result does not have as files.
+
+    That is {"RPC": path} for a result that was made with an RPC by this plugin, else {}.
+    """
+    # The file is this plugin's, but anything may have happened to the folder.
     try:
-        # The file is ours, but anything may have happened to the folder.
-        stated = json.loads(read_inside(folder, INPUTS))
+        stated = json.loads(read_result_file(folder, INPUTS))
     except (OSError, ValueError, RecursionError):
         return {}
     rpc = stated.get("RPC") if isinstance(stated, dict) else None
@@ -56,11 +59,15 @@ def inputs_of(folder):
 
 
 def model_named(candidate, model):
-    """Return the parameter MODEL for a candidate of auto; "" if only auto can fit it."""
-    # Polynomials of auto are called by their degree, not by their model.
+    """Return the parameter MODEL that fits a candidate of auto again; "" if only auto can fit it.
+
+    `candidate` and `model` are a candidate's name and its model in result.json, such as "cubic"
+    and "poly3d", for which the parameter is "poly3d 3".
+    """
+    # auto calls polynomials by their degrees; those whose terms it selects have other names.
     if model in ("poly2d", "poly3d"):
         return f"{model} {_DEGREE_BY_NAME[candidate]}" if candidate in _DEGREE_BY_NAME else ""
-    # Its other forms only auto fits.
+    # auto states this model for all its corrections of an RPC; by itself it fits the affine one.
     if model == "rpc-affine":
         return model if candidate == "rpc-by-affine" else ""
     return "" if candidate.startswith(("regularised", "selected")) else model
@@ -71,7 +78,7 @@ HEIGHT_UNITS = ("metre", "ft", "us-ft")
 
 
 class Georeference(Algorithm):
-    """Georeference an image from its points."""
+    """Fits a model to the control points of an image, by `termsel run`."""
 
     NAME, TITLE, GROUP = "georeference", "Georeference from points", "Georeferencing"
     HELP = (
@@ -94,7 +101,6 @@ class Georeference(Algorithm):
                             ("ROLE", "Field of roles")):
             field = QgsProcessingParameterField(name, label, parentLayerParameterName="POINTS",
                                                 optional=True)
-            # Names that are known are found without them.
             field.setFlags(field.flags() | QgsProcessingParameterDefinition.Flag.FlagAdvanced)
             add(field)
         unit = QgsProcessingParameterEnum(
@@ -116,7 +122,10 @@ class Georeference(Algorithm):
         self._declare_outputs()
 
     def _declare_outputs(self):
-        """Declare the parameters that both algorithms have at the end, and their outputs."""
+        """Declare the outputs, and the parameters that come last in the dialog.
+
+        `SelectLines` has the same.
+        """
         self.addParameter(QgsProcessingParameterString(
             "OFF", "Points or lines to leave out, such as P07,L12", optional=True))
         self.addParameter(QgsProcessingParameterFolderDestination("OUTPUT", "Folder of the result"))
@@ -134,13 +143,13 @@ class Georeference(Algorithm):
                          parameters, context, feedback)
 
     def _point_arguments(self, parameters, context):
-        """Return the arguments of the points: a layer written as a table, or a file.
+        """Return the arguments of `termsel run` that state the points and their CRS.
 
-        Raises QgsProcessingException unless exactly one of them is given.
+        A layer of points is written to a temporary file. Raises QgsProcessingException unless
+        either a layer or a file of points is given.
         """
         source = self.parameterAsSource(parameters, "POINTS", context)
         file = self.parameterAsFile(parameters, "FILE", context)
-        # Either one or the other: neither is an error, and so are both.
         if bool(source) == bool(file):
             raise QgsProcessingException("Give a layer of points or a file of points, and not "
                                          "both." if file else "Give a layer or a file of points.")
@@ -155,7 +164,11 @@ class Georeference(Algorithm):
         return ["--points", path, "--crs", crs]
 
     def _option_arguments(self, parameters, context):
-        """Return the arguments of DEM, image, RPC, lines and model; [] if none is given."""
+        """Return the arguments of `termsel run` for the parameters other than the points.
+
+        They state the raster of heights, image, RPC, lines, unit of heights and model, as far as
+        they are given.
+        """
         arguments = []
         dem = self.parameterAsRasterLayer(parameters, "DEM", context)
         if dem is not None:
@@ -179,10 +192,12 @@ class Georeference(Algorithm):
         return arguments
 
     def _run(self, arguments, parameters, context, feedback):
-        """Run the search, put its folder in place, and return the outputs.
+        """Run `termsel run`, move its result to the output folder, and return the outputs.
 
-        If the points are too few for selection points, it runs once more without them. Raises
-        QgsProcessingException if termsel fails, or the folder has a result.
+        `arguments` are those of the command without the features left out, the folder and the
+        export. If the points are too few to set selection points aside, the command is run once
+        more without any. Raises QgsProcessingException if termsel fails, or if the output folder
+        has a result already.
         """
         new_folder = scratch_folder()
         target = self.parameterAsString(parameters, "OUTPUT", context)
@@ -195,15 +210,15 @@ class Georeference(Algorithm):
         try:
             printed = run(command, feedback)
         except QgsProcessingException as error:
-            # With few points termsel proposes to judge by leaving each out in turn: that is done
-            # here.
+            # With few points the message of termsel proposes to judge models by leaving each point
+            # out in turn (PRESS), which needs no selection points: a dialog can do so at once.
             if _WITHOUT_CHECK not in str(error):
                 raise
             feedback.pushInfo("The points are too few for selection points: none are set aside.")
             printed = run([*command, *_WITHOUT_CHECK.split()], feedback)
         record = json.loads(printed)
         rpc = self.parameterAsFile(parameters, "RPC", context)
-        # Another run needs the RPC again, which is a file of the user.
+        # Another run needs the RPC again, of which the folder of the result has no copy.
         if rpc:
             (Path(new_folder) / INPUTS).write_text(json.dumps({"RPC": rpc}), encoding="utf-8")
         move_into_place(new_folder, target)
@@ -213,7 +228,7 @@ class Georeference(Algorithm):
         for note in record.get("notes", []):
             feedback.pushWarning(note)
         page = target / "summary.html"
-        # It may be a link to a file of somebody else.
+        # Writing to a link would overwrite the file that it leads to.
         page.unlink(missing_ok=True)
         page.write_text("<!doctype html><meta charset='utf-8'><pre>" + html.escape(summary)
                         + "</pre>", encoding="utf-8")
@@ -226,14 +241,14 @@ class Georeference(Algorithm):
         for name, (layer, title) in layers.items():
             outputs[name] = f"{target / _RESIDUALS}|layername={layer}"
             details = QgsProcessingContext.LayerDetails(title, context.project(), name)
-            # Blunders have a look of their own; other layers bring theirs in the GeoPackage.
-            details.setPostProcessor(BlundersInRed() if name == "WRONG" else AsInFile())
+            # termsel wrote styles of its layers to the GeoPackage, where blunders have none.
+            details.setPostProcessor(StyleOfBlunders() if name == "WRONG" else StyleOfFile())
             context.addLayerToLoadOnCompletion(outputs[name], details)
         return with_page(outputs, "SUMMARY", page, feedback)
 
 
 class SelectLines(Georeference):
-    """Select control lines: OWDIS."""
+    """Selects control lines by OWDIS, and fits a model to them, by `termsel run`."""
 
     NAME, TITLE = "selectlines", "Select control lines (OWDIS)"
     HELP = (

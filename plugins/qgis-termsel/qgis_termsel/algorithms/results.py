@@ -22,7 +22,7 @@ from qgis.core import (
 )
 
 from ..child import run
-from ..layers import InShades, crs_text, read_inside, stated_crs
+from ..layers import StyleOfUncertainty, crs_text, read_result_file, stated_crs
 from .base import Algorithm, layer_file, result_parameter, scratch_folder, with_page
 
 _FORMATS = ("rpc-txt", "rpb", "rpc-vrt", "gcp-vrt", "gcp-grid-vrt", "geolocation-vrt",
@@ -33,7 +33,7 @@ _WITH_IMAGE = ("rpc-vrt", "gcp-vrt", "gcp-grid-vrt", "geolocation-vrt")
 
 
 class Rectify(Algorithm):
-    """Resample an image to a map."""
+    """Resamples an image to a map through the model of a result, by `termsel rectify`."""
 
     NAME, TITLE, GROUP = "rectify", "Rectify", "Results"
     HELP = ("Resamples an image to a map through the model of a result. The height of the ground "
@@ -61,8 +61,7 @@ class Rectify(Algorithm):
     def processAlgorithm(self, parameters, context, feedback):
         """Run `termsel rectify` and return the map.
 
-        Parameters that are not given leave their option out, so that the command decides as in a
-        terminal. The map is written where QGIS expects its output; errors of the command are those
+        For parameters that are not given, the command has its own defaults. Its errors are those
         of the algorithm.
         """
         arguments = ["rectify", self.parameterAsString(parameters, "RESULT", context),
@@ -90,7 +89,7 @@ class Rectify(Algorithm):
 
 
 class Uncertainty(Algorithm):
-    """Write the uncertainty of a model as a raster."""
+    """Writes the standard deviations of a model as a raster, by `termsel sigma`."""
 
     NAME, TITLE, GROUP = "sigma", "Uncertainty raster", "Results"
     HELP = ("Writes the standard deviations of a model over the image or a map: of line and sample "
@@ -114,7 +113,11 @@ class Uncertainty(Algorithm):
         add(QgsProcessingParameterRasterDestination("OUTPUT", "Uncertainty raster"))
 
     def processAlgorithm(self, parameters, context, feedback):
-        """Run `termsel sigma` and return the raster, shown in shades."""
+        """Run `termsel sigma` and return the raster, which QGIS shows in shades of red.
+
+        Its bands are the standard deviations of line and sample [px] and of east and north [m],
+        and 1 outside the control.
+        """
         arguments = ["sigma", self.parameterAsString(parameters, "RESULT", context)]
         for name, description in (("IMAGE", "image"), ("MAP", "map"), ("DEM", "raster of heights")):
             layer = self.parameterAsRasterLayer(parameters, name, context)
@@ -128,12 +131,13 @@ class Uncertainty(Algorithm):
         run([*arguments, "-o", output, "--overwrite", "--progress", "json"], feedback)
         # Only a layer that QGIS is to load has details to be changed.
         if context.willLoadLayerOnCompletion(output):
-            context.layerToLoadOnCompletionDetails(output).setPostProcessor(InShades())
+            details = context.layerToLoadOnCompletionDetails(output)
+            details.setPostProcessor(StyleOfUncertainty())
         return {"OUTPUT": output}
 
 
 class ExportModel(Algorithm):
-    """Write the model for another program."""
+    """Writes the model of a result for another program, by `termsel export`."""
 
     NAME, TITLE, GROUP = "export", "Export model", "Results"
     HELP = ("Writes the model of a result for GDAL, QGIS, OTB and others: as an RPC, as GCPs, as a "
@@ -152,9 +156,9 @@ class ExportModel(Algorithm):
         add(QgsProcessingParameterFileDestination("OUTPUT", "Exported file"))
 
     def processAlgorithm(self, parameters, context, feedback):
-        """Run `termsel export` and return the file.
+        """Run `termsel export` and return the file that it writes.
 
-        Raises QgsProcessingException without an image it needs.
+        Raises QgsProcessingException if the format refers to an image and none is given.
         """
         form = _FORMATS[self.parameterAsEnum(parameters, "FORMAT", context)]
         output = self.parameterAsFileOutput(parameters, "OUTPUT", context)
@@ -163,7 +167,7 @@ class ExportModel(Algorithm):
         image = self.parameterAsRasterLayer(parameters, "IMAGE", context)
         if image is not None:
             arguments += ["--image", layer_file(image, "image")]
-        # Said here, as the command would name its option and not the parameter.
+        # The command refuses this too, but its message names the option --image.
         elif form in _WITH_IMAGE:
             raise QgsProcessingException(f"The format {form} refers to the image. Give it.")
         dem = self.parameterAsRasterLayer(parameters, "DEM", context)
@@ -174,7 +178,7 @@ class ExportModel(Algorithm):
 
 
 class Report(Algorithm):
-    """Write the report of a result."""
+    """Writes the page that shows a result and its accuracy, by `termsel report`."""
 
     NAME, TITLE, GROUP = "report", "Accuracy report", "Results"
     HELP = ("Writes a page that shows a result: model, accuracy, residuals, blunders and "
@@ -196,7 +200,7 @@ class Report(Algorithm):
 
 
 class NextPlaces(Algorithm):
-    """Propose where to measure next."""
+    """Proposes where to measure further control points, by `termsel plan`."""
 
     NAME, TITLE, GROUP = "nextplaces", "Where to measure next", "Results"
     HELP = ("Lists the positions at which further control points would lower the uncertainty of "
@@ -211,10 +215,10 @@ class NextPlaces(Algorithm):
             "OUTPUT", "Positions", QgsProcessing.SourceType.TypeVectorPoint))
 
     def processAlgorithm(self, parameters, context, feedback):
-        """Run `termsel plan` and return its places as a layer of points.
+        """Run `termsel plan` and return the proposed positions as a layer of points.
 
-        The command writes a CSV, which becomes a layer in the CRS that the result states. All
-        columns but the names are numbers.
+        The layer has the columns of the command's table but x and y as fields, and the CRS of the
+        result. All of them are numbers, except the ids.
         """
         folder = self.parameterAsString(parameters, "RESULT", context)
         table = scratch_folder() + ".csv"
@@ -225,8 +229,8 @@ class NextPlaces(Algorithm):
             rows = list(csv.DictReader(line for line in opened if not line.startswith("#")))
         names = [name for name in (rows[0] if rows else {}) if name not in ("x", "y")]
         # The memory layer's only purpose is to have the fields made from their text.
-        kinds = "&".join(f"field={name}:{'string' if name == 'id' else 'double'}" for name in names)
-        fields = QgsVectorLayer(f"Point?{kinds}", "places", "memory").fields()
+        types = "&".join(f"field={name}:{'string' if name == 'id' else 'double'}" for name in names)
+        fields = QgsVectorLayer(f"Point?{types}", "places", "memory").fields()
         sink, target = self.parameterAsSink(parameters, "OUTPUT", context, fields,
                                             QgsWkbTypes.Type.Point, _crs_of(folder))
         for row in rows:
@@ -241,5 +245,6 @@ class NextPlaces(Algorithm):
 
 
 def _crs_of(folder):
-    """Return the CRS of the result in a folder, invalid if it states none."""
-    return stated_crs(json.loads(read_inside(folder, "result.json"))["data"].get("crs", ""))
+    """Return the CRS of the result in a folder; it is invalid if the result states none."""
+    record = json.loads(read_result_file(folder, "result.json"))
+    return stated_crs(record["data"].get("crs", ""))

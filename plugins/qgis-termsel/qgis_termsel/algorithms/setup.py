@@ -17,12 +17,13 @@ from .base import FOLDER, Algorithm
 
 _PACKAGES = "termsel[gis,report,tables] termsel-formats termsel-rpc"
 _PYTHONS = ("python3.13", "python3.12", "python3.11", "python3", "python")
-# Debian has these two modules in a package of their own, without which no environment can be made.
-_SUITS = "import ensurepip, venv, sys; sys.exit(sys.version_info < (3, 11))"
+# A program that fails in a Python that cannot make an environment for termsel. Debian has the two
+# modules in a package of their own.
+_TEST_OF_PYTHON = "import ensurepip, venv, sys; sys.exit(sys.version_info < (3, 11))"
 
 
 class SetUp(Algorithm):
-    """Make the environment, or state where termsel is."""
+    """Installs termsel in an environment of its own, or takes one that has it."""
 
     NAME, TITLE, GROUP = "setup", "Set up termsel", "Setup"
     HELP = ("Installs termsel in a separate virtual environment, with python -m venv and pip; "
@@ -39,13 +40,16 @@ class SetUp(Algorithm):
         self.addOutput(QgsProcessingOutputString("VERSION", "Version"))
 
     def processAlgorithm(self, parameters, context, feedback):
-        """Make an environment, or check the one that is given, and return its version of termsel.
+        """Make an environment with termsel, or take the one that is given; return its version.
+
+        From then on all algorithms run the command termsel of this environment. Raises
+        QgsProcessingException if it cannot be made, or has no such command.
         """
         stated = self.parameterAsString(parameters, "ENVIRONMENT", context)
         folder = Path(stated) if stated else own_environment()
         if not stated:
-            _make(folder, _split_words(self.parameterAsString(parameters, "PACKAGES", context)),
-                  feedback)
+            packages = _split_words(self.parameterAsString(parameters, "PACKAGES", context))
+            _make_environment(folder, packages, feedback)
         # The command shows that the environment has termsel; its version, that it runs.
         command = command_in(folder)
         if not command.is_file():
@@ -56,36 +60,41 @@ class SetUp(Algorithm):
         return {"VERSION": version}
 
 
-def _make(folder, packages, feedback):
-    """Make an environment with packages; if that fails, remove it unless it was there before.
+def _make_environment(folder, packages, feedback):
+    """Make a virtual environment in `folder`, and install `packages` in it.
 
-    Raises QgsProcessingException if it fails, or no package is named.
+    If that fails or is cancelled, the folder is removed, unless it was there before.
+
+    Raises
+    ------
+    QgsProcessingException
+        If it fails or is cancelled, or `packages` is empty.
     """
     if not packages:
         raise QgsProcessingException("State the packages to install, or an environment that has "
                                      "termsel.")
-    # An environment that was there before is not removed when an installation fails.
-    new = not folder.exists()
-    # venv first, then pip of the new environment, so that nothing of QGIS's Python is touched.
+    is_new = not folder.exists()
     try:
         run(["-m", "venv", folder], feedback, _find_python(feedback), show=True)
+        # By the new environment's own pip, so that nothing of QGIS's Python is touched.
         run(["-m", "pip", "install", "--disable-pip-version-check", "--progress-bar", "off",
              *packages], feedback, str(command_in(folder, "python")), show=True)
     except QgsProcessingException:
-        if new:
+        if is_new:
             shutil.rmtree(folder, ignore_errors=True)
         raise
 
 
 def _split_words(text):
-    """Return the words of a text; [] of a blank one.
+    """Return the words of a text, which spaces separate; [] for a blank text.
 
-    Quotes keep spaces together, and a backslash is one of a path.
+    A word in quotes may have spaces. Backslashes are kept, as those of paths on Windows; shlex
+    would take them for escapes.
     """
     words = []
     remainder = text.strip()
     while remainder:
-        # A quote ends at the same quote, all else at the next blank.
+        # A quoted word ends at the same quote, any other at the next space.
         end = " "
         if remainder[0] in "'\"":
             end = remainder[0]
@@ -97,16 +106,20 @@ def _split_words(text):
 
 
 def _find_python(feedback):
-    """Return a Python that can make the environment.
+    """Return the path of a Python that can make the environment, the newest on PATH first.
 
-    That of QGIS may be too old, or the application itself.
+    Raises
+    ------
+    QgsProcessingException
+        If there is none, or the user cancels.
     """
+    # QGIS's own Python may be too old, and sys.executable may be QGIS itself.
     qgis_python = Path(sys.prefix) / ("python.exe" if sys.platform == "win32" else "bin/python3")
     candidates = [path for path in map(shutil.which, (*_PYTHONS, str(qgis_python))) if path]
-    # Each once: several names may be one program.
+    # Several names may lead to one program, which is tried once.
     for path in dict.fromkeys(candidates):
         try:
-            run(["-c", _SUITS], feedback, path)
+            run(["-c", _TEST_OF_PYTHON], feedback, path)
         except QgsProcessingException:
             if feedback.isCanceled():
                 raise

@@ -20,7 +20,7 @@ from .base import Algorithm, layer_file, with_page
 
 
 class MatchReference(Algorithm):
-    """Find candidates of control in an image and a map."""
+    """Finds points that an image and an orthophoto have in common, by `termsel match-points`."""
 
     NAME, TITLE, GROUP = "match", "Match against reference", "Georeferencing"
     HELP = ("Finds points that an image and an orthophoto have in common, as a table of matches. "
@@ -39,10 +39,10 @@ class MatchReference(Algorithm):
         self.addOutput(QgsProcessingOutputVectorLayer("LAYER", "Matches"))
 
     def processAlgorithm(self, parameters, context, feedback):
-        """Run `termsel match-points` and return the table and a layer of it."""
+        """Run `termsel match-points`; return the table of matches, and a layer that shows it."""
         output = self.parameterAsFileOutput(parameters, "OUTPUT", context)
-        # The image is the argument itself; all other layers are options.
         arguments = ["match-points"]
+        # The command takes the image without an option, and other layers as --reference and --dem.
         for name, description in (("IMAGE", "image"), ("REFERENCE", "reference"),
                                   ("DEM", "raster of heights")):
             layer = self.parameterAsRasterLayer(parameters, name, context)
@@ -59,18 +59,23 @@ class MatchReference(Algorithm):
 
 
 def _layer_of(table):
-    """Return the source of a layer of QGIS that shows a table of points, by its x, y and CRS."""
+    """Return the source, as QGIS writes it, of a layer that shows a CSV of points.
+
+    Points are at the columns x, y and z, in the CRS that a comment line at the top of the table
+    states.
+    """
     with open(table, encoding="utf-8") as opened:
-        # Lines with a number sign, among them the CRS, come before the header.
-        heads = list(takewhile(lambda line: line.startswith("#"), opened))
-    crs = next((head.partition(":")[2].strip() for head in heads if head.startswith("# crs:")), "")
-    options = {"type": "csv", "skipLines": len(heads), "xField": "x", "yField": "y", "zField": "z",
-               "crs": crs, "detectTypes": "yes"}
+        comments = list(takewhile(lambda line: line.startswith("#"), opened))
+    crs = next((comment.partition(":")[2].strip() for comment in comments
+                if comment.startswith("# crs:")), "")
+    # QGIS's provider of texts knows no comments, so they are skipped by their number.
+    options = {"type": "csv", "skipLines": len(comments), "xField": "x", "yField": "y",
+               "zField": "z", "crs": crs, "detectTypes": "yes"}
     return f"delimitedtext://{Path(table).absolute().as_uri()}?{urlencode(options, safe=':')}"
 
 
 class AdjustBlock(Algorithm):
-    """Adjust several images together."""
+    """Adjusts the models of several images together, by `termsel block`."""
 
     NAME, TITLE, GROUP = "block", "Adjust a block of images", "Georeferencing"
     HELP = ("Adjusts several images together by their control and tie points. The block is a file "
@@ -84,7 +89,7 @@ class AdjustBlock(Algorithm):
         self.addOutput(QgsProcessingOutputHtml("PAGE", "Report"))
 
     def processAlgorithm(self, parameters, context, feedback):
-        """Run `termsel block` and return the folder and its page."""
+        """Run `termsel block` and return the folder of the block, with its report as a page."""
         output = self.parameterAsString(parameters, "OUTPUT", context)
         feedback.pushInfo(run(["block", self.parameterAsFile(parameters, "BLOCK", context), "--out",
                                output], feedback))
