@@ -18,7 +18,7 @@ from rasterio.windows import Window
 
 from termsel import TermselError
 from termsel_match import commands
-from termsel_match.images.masks import NONE, open_masked, otsu_threshold, tell_of_idle
+from termsel_match.images.masks import NONE, open_masked, otsu_threshold, warn_of_idle_masks
 from termsel_match.points.candidates import match_points as match
 
 pytestmark = pytest.mark.filterwarnings("ignore:Dataset has no geotransform",
@@ -79,7 +79,7 @@ def test_a_mask_that_touches_nothing_is_told(place: Any, tmp_path: Path,
             ("utm.gpkg", there, "EPSG:32633", ""), ("off.gpkg", far, "EPSG:32633", "reference")):
         caplog.clear()
         mask = polygons(tmp_path / name, [shape], crs)
-        tell_of_idle([NONE, mask], [place / "image.tif"], files)
+        warn_of_idle_masks([NONE, mask], [place / "image.tif"], files)
         assert (str(mask) in caplog.text) == bool(said)
         assert said in caplog.text
     with pytest.raises(TermselError, match="candidates"):

@@ -47,7 +47,7 @@ def test_places_of_a_reduced_image_are_those_of_the_whole(monkeypatch: pytest.Mo
 
     places = np.array([[0.0, 0.0], [10.0, 2.5]])
     monkeypatch.setattr(overview, "describe_keypoints", lambda *_: (places, "vectors"))
-    found, vectors = overview._whole_described(Picture())  # type: ignore[arg-type]
+    found, vectors = overview._describe_whole(Picture())  # type: ignore[arg-type]
     # The middle of a pixel made of four by four lies between the second and the third.
     assert found.tolist() == [[1.5, 1.5], [41.5, 11.5]]
     assert vectors == "vectors"

@@ -106,15 +106,18 @@ def read_matches(path: Path) -> tuple[FloatArray, FloatArray]:
 
 
 def _parse_counts(head: bytes) -> tuple[int, int] | None:
-    """Return the two counts that the head of a binary file states; None if it is no match file."""
+    """Return the two counts at the beginning of a binary match file; None if it is no such file.
+
+    They are the numbers of points in the first and in the second image, which are equal.
+    """
     if len(head) < _COUNTS + _RECORD.size:
         return None
     counts = int.from_bytes(head[:8], "little"), int.from_bytes(head[8:_COUNTS], "little")
     # The whole numbers after x and y are x and y rounded, which no other kind of file has.
     x, y, column, row, *_, size = _RECORD.unpack_from(head, _COUNTS)
-    near = isfinite(x) and isfinite(y) and abs(x - column) <= 1 and abs(y - row) <= 1
-    return (counts if 0 < counts[0] == counts[1] < _MAX_MATCHES and near and size < _MAX_MATCHES
-            else None)
+    is_rounded = isfinite(x) and isfinite(y) and abs(x - column) <= 1 and abs(y - row) <= 1
+    is_plausible = 0 < counts[0] == counts[1] < _MAX_MATCHES and size < _MAX_MATCHES
+    return counts if is_rounded and is_plausible else None
 
 
 def _parse_binary(content: bytes, count: int, path: Path) -> tuple[FloatArray, FloatArray]:
@@ -122,7 +125,8 @@ def _parse_binary(content: bytes, count: int, path: Path) -> tuple[FloatArray, F
 
     Raises TermselError if the file is shorter or longer than its counts say.
     """
-    # Numbers of a descriptor have 4 or 8 bytes, by the version of ASP.
+    # Numbers of a descriptor have 4 or 8 bytes, by the version of ASP, and no field says which: the
+    # size is right if the last record ends with the file.
     for width in (4, 8):
         positions: list[tuple[float, float]] = []
         # Each descriptor has its own length, so that records are read one after another.
@@ -141,7 +145,10 @@ def _parse_binary(content: bytes, count: int, path: Path) -> tuple[FloatArray, F
 
 
 def _is_interest_point(cells: Sequence[str]) -> bool:
-    """Return whether cells of a line of text are an interest point: enough cells, first x and y."""
+    """Return whether the cells of a line of text are those of an interest point.
+
+    It has at least 11 cells, of which the first two, x and y, are finite numbers.
+    """
     try:
         return len(cells) >= _POINT_CELLS and all(isfinite(float(cell)) for cell in cells[:2])
     except ValueError:

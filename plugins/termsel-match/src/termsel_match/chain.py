@@ -14,7 +14,7 @@ import numpy as np
 
 from termsel import TermselError, open_dem, read_result, read_rpc, rectify, write_points_csv
 from termsel.toolkit import make_folder, write_text
-from termsel_match.images.masks import open_masked, tell_of_idle
+from termsel_match.images.masks import open_masked, warn_of_idle_masks
 from termsel_match.images.rasters import FloatArray, GreyRaster, Mask, spread_pixels
 from termsel_match.images.starts import Start
 from termsel_match.images.warps import COVERS, NotShown, open_reference, references_of
@@ -102,7 +102,7 @@ def judge(
     progress: Callable[[float], None] | None = None,
     **matching: Any,
 ) -> Georeferenced:
-    """Return the model of an image, by candidates that agree, and whether it is good enough.
+    """Return the model of an image, fitted to candidates that agree, and whether it is good enough.
 
     An RPC, also that of a result, is refined by the plainest correction that held-out candidates
     support: `rpc-shift`, `rpc-drift`, `rpc-affine` or `rpc-jitter`. Where candidates do not
@@ -155,10 +155,9 @@ def judge(
         raise TermselError("the reference is not given",
                            hint="Give --reference ORTHO; only --points FILE with --extent image "
                                 "does without.")
+    # Whatever is wrong with the arguments is said before the matching, which takes minutes.
     if vectors is not None:
-        # What is wrong with them is said before the matching.
         read_vectors(Path(vectors))
-    # Before the matching, which takes minutes.
     model, options = model_for(start, Path(image))
     if model == "rpc-drift" and find_spec("termsel_rpc") is None:
         raise TermselError("an image with an RPC requires the package termsel-rpc, which is not "
@@ -166,7 +165,7 @@ def judge(
                            hint="In a clone of termsel: pip install ./plugins/termsel-rpc.")
     if points is not None:
         candidates = read_candidates(points, image, reference, dem=dem, start=start)
-        tell_of_idle(matching.get("masks", ()), [image],
+        warn_of_idle_masks(matching.get("masks", ()), [image],
                      [] if reference is None else references_of(reference))
     else:
         assert reference is not None
@@ -176,9 +175,13 @@ def judge(
         make_folder(Path(folder))
         write_points_csv(candidates.points, Path(folder) / CANDIDATES, candidates.crs)
 
-    def made(plainer_than: ModelCorrection | None = None) -> tuple[
+    def select_and_fit(plainer_than: ModelCorrection | None = None) -> tuple[
             SelectedCandidates, Matched | None, str]:
-        """Return the selection, the lines matched from its model, and why there are none."""
+        """Return the selected candidates with their model, and the lines that are control as well.
+
+        The third is why given vectors are not used, "" if they are or there are none. Corrections
+        are tried up to the one before `plainer_than`, in the order of `supported_corrections`.
+        """
         result_folder = None if folder is None else Path(folder) / RESULT
         selected = select_points(candidates.features, model, options, accept=accept,
                                  plainer_than=plainer_than, seed=seed, folder=result_folder)
@@ -191,53 +194,52 @@ def judge(
                 lines = iterate_lines(image, vectors, model, options, dem=dem, start=at,
                                       search=_SEARCH, band=matching.get("band"), seed=seed)
                 selected = with_lines(selected, lines.features, seed=seed, folder=result_folder)
+            # The points suffice for a model: lines that do not agree with them are left out.
             except TermselError as error:
-                # The points suffice.
                 lines = None
                 unused = error.what
         return selected, lines, unused
 
-    def said_of(selected: SelectedCandidates) -> tuple[Evidence, Bounds | None]:
+    def gather_evidence(selected: SelectedCandidates) -> tuple[Evidence, Bounds | None]:
+        """Return what the candidates say of a model, and the bounds of the map."""
         return _judge_candidates(image, reference, candidates, selected, dem=dem, extent=extent,
-                                 seed=seed,
-                                 masks=matching.get("masks", ()))
+                                 seed=seed, masks=matching.get("masks", ()))
 
-    selected, lines, unused = made()
-    evidence, bounds = said_of(selected)
-    # A smooth correction goes anywhere beyond the candidates that hold it, which no held-out
-    # candidate sees. What a plainer one misses is in its standard deviation.
+    selected, lines, unused = select_and_fit()
+    evidence, bounds = gather_evidence(selected)
+    # A smooth correction may take any value beyond the candidates that determine it, where no
+    # held-out candidate tests it. What a plainer one misses is in its standard deviation.
     while evidence.sigma > accept and selected.correction.model == "rpc-jitter":
         richest = selected.called_for or selected.correction
         try:
-            selected, lines, unused = made(selected.correction)
+            selected, lines, unused = select_and_fit(selected.correction)
+        # Too few candidates agree with a plainer one: the smooth one is kept, and refused below.
         except TermselError:
-            # The one that is in the folder stays, and is refused.
             break
         selected = replace(selected, called_for=richest)
-        evidence, bounds = said_of(selected)
+        evidence, bounds = gather_evidence(selected)
     return Georeferenced(
         candidates=candidates, selected=selected, evidence=evidence, accept=accept,
         reasons=reasons_to_reject(selected, evidence, accept),
-        remarks=remarks_for_user(candidates, selected, evidence,
-                                 accept), lines=lines, unused=unused,
-        bounds=bounds)
+        remarks=remarks_for_user(candidates, selected, evidence, accept),
+        lines=lines, unused=unused, bounds=bounds)
 
 
 def model_for(start: Path | str | None, image: Path) -> tuple[str, dict[str, Any]]:
-    """Return the name of a model that corrects a start, and its options.
+    """Return the name of the model that candidates are searched with, and its options.
 
-    It is the drift of an RPC where the start (or else the image) has one, and an affine map
-    otherwise.
+    It corrects the RPC by a drift if the start has one, or the image where no start is given. It
+    is an affine transformation of the ground coordinates otherwise.
     """
     path = image if start is None else Path(start)
-    # A result, which keeps its RPC as it was.
+    # The start is a result, which keeps the RPC it corrects.
     if path.is_dir():
         options = read_result(path).options.model
         return ("rpc-drift", {"rpc": options["rpc"]}) if "rpc" in options else ("affine", {})
-    # A start of another kind, which match_points has read.
+    # A file without an RPC is a start of another kind, which match_points reads.
     with suppress(TermselError):
         if path.is_file():
-            # The RPC itself: dozens of fits would read its file again, each with all notes on it.
+            # The RPC itself and not its path, which each of dozens of fits would read again.
             return "rpc-drift", {"rpc": json.dumps(asdict(read_rpc(path)))}
     return "affine", {}
 
@@ -245,14 +247,15 @@ def model_for(start: Path | str | None, image: Path) -> tuple[str, dict[str, Any
 def _judge_candidates(image: Path | str, reference: Path | str | None, candidates: Candidates,
                       selected: SelectedCandidates, *, dem: Path | str, extent: str, seed: int,
                       masks: Sequence[Path | str]) -> tuple[Evidence, Bounds | None]:
-    """Return what candidates say of the model, and the bounds that the map gets in their CRS.
+    """Return what candidates say of the model, and the bounds of the map.
 
-    The bounds (least x and y, largest x and y) are None unless `extent` is "reference".
+    The bounds are least x and y and largest x and y in the CRS of the candidates, or None for a map
+    of all the image, unless `extent` is "reference".
     """
     result = selected.result
     bounds = None
     repeats = (0.0, 0.0)
-    # All of the image, as places spread evenly over it.
+    # Areas are masks of 33 by 33 positions that are spread evenly over the image.
     everywhere = np.ones((COVERS, COVERS), dtype=bool)
     with (open_masked(image, None, masks) as picture,
           open_dem(Path(dem), candidates.crs) as heights):
@@ -264,9 +267,9 @@ def _judge_candidates(image: Path | str, reference: Path | str | None, candidate
             overlap, outline, repeats = _ground_shown(references_of(reference), picture, model, dem,
                                                       masks,
                                                       candidates.crs)
-            # Chips are smaller than what is looked at.
+            # Chips of ground control may lie between all of these positions. Those nearest to
+            # candidates then stand for what the chips show.
             if not overlap.any():
-                # Then the places next to candidates stand for what the chips show.
                 overlap = _overlap_or_near(candidates.points.image, picture.size, overlap)
             if extent == "reference":
                 bounds = outline
@@ -283,15 +286,22 @@ def _ground_shown(
     masks: Sequence[Path | str],
     crs: str,
 ) -> tuple[Mask, Bounds, tuple[float, float]]:
-    """Return where an image and any reference show the ground, and the bounds of all of them.
+    """Return where both an image and any of its references show the ground.
 
-    And at which distance the one that is most like itself is so, and how much (`repetition`).
+    Returns
+    -------
+    overlap : ndarray of bool, shape (33, 33)
+        At positions spread evenly over the image, whether it and any reference have data.
+    bounds : tuple of float
+        Least x and y and largest x and y of all references that show the image, in `crs`.
+    repeats : tuple of float
+        What `repetition_distance` returns for the reference that repeats itself most.
     """
     overlap = np.zeros((COVERS, COVERS), dtype=bool)
     bounds = []
     repeats = (0.0, 0.0)
     for file in files:
-        # Tiles away from the image do not show it, which is no error of the whole.
+        # Some tiles may be away from the image; that one of them shows it was tested by matching.
         with suppress(NotShown), open_reference(file, model, dem, picture.size,
                                                 masks=masks) as opened:
             overlap |= opened.shown(picture)
@@ -305,9 +315,12 @@ def _ground_shown(
 
 
 def _overlap_or_near(positions: FloatArray, size: tuple[int, int], overlap: Mask) -> Mask:
-    """Return `overlap` (COVERS, COVERS) with the places nearest to positions (n, 2) [px] added."""
+    """Return the mask `overlap` with the nodes nearest to positions (n, 2) [px] added.
+
+    The mask (a, b) is of nodes that are spread evenly over an image of `size` lines and samples.
+    """
     near = overlap.copy()
-    # From pixels to the nearest of the places that are spread evenly.
+    # The first and the last node are at the centres of the first and the last pixel.
     at = np.round(positions / (np.array(size) - 1) * (np.array(overlap.shape) - 1)).astype(int)
     near[tuple(np.clip(at, 0, np.array(overlap.shape) - 1).T)] = True
     return near

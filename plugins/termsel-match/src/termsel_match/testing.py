@@ -49,7 +49,7 @@ def finds_a_shift(matcher: Matcher) -> None:
 
 
 def stays_within_the_windows(matcher: Matcher) -> None:
-    """Places are within the windows, and none is where there are no data."""
+    """Matches are within both windows, and not where a window has no data."""
     first, second = _window_pair(0)
     is_known = first.known.copy()
     is_known[:, :_WINDOW_SIDE // 2] = False
@@ -121,7 +121,11 @@ def _valid_matches(matcher: Matcher, first: Window, second: Window) -> Matches:
 
 
 def _window_pair(seed: int) -> tuple[Window, Window]:
-    """Return two windows of ground with fields, houses and texture, with noise of their own."""
+    """Return two windows of the same simulated ground, each with noise of its own.
+
+    The second is larger by a border on all sides, and shows the ground shifted by `_TRUE_SHIFT`
+    (line, sample) [px].
+    """
     rng = np.random.default_rng(seed)
     extent = _WINDOW_SIDE + 2 * (_WINDOW_BORDER + 16)
     ground = cv2.GaussianBlur(rng.normal(0, 60, (extent, extent)).astype(np.float32), (0, 0), 2.0)
@@ -133,7 +137,7 @@ def _window_pair(seed: int) -> tuple[Window, Window]:
     ground = cv2.GaussianBlur(ground, (0, 0), 0.8) + 500
 
     def seen(corner: tuple[int, int], size: int) -> Window:
-        """Return a square window of the ground from a corner, with noise of its own."""
+        """Return a square window, `size` px wide, with its first line and sample at a corner."""
         first_line, first_sample = corner
         pixels = (ground[first_line:first_line + size, first_sample:first_sample + size]
                   + rng.normal(0, 2, (size, size)).astype(np.float32))

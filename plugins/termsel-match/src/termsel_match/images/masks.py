@@ -42,7 +42,7 @@ _WATER_DARKNESS = 0.6
 _MIN_WIDTH = 9
 """Least width of a masked area [reduced px]: narrower ones are roofs and shadows."""
 
-_GLOBE = np.array([360.0, 90.0])
+_MAX_DEGREES = np.array([360.0, 90.0])
 """Largest absolute longitude and latitude [deg]."""
 
 _MIN_PART = 0.002
@@ -94,11 +94,11 @@ def open_masked(path: Path | str, band: int | None, masks: Sequence[Path | str],
 
 
 def read_polygons(path: Path | str) -> tuple[NDArray[Any], str]:
-    """Return the polygons of a file and their CRS, "" if they are in px of the image.
+    """Return the polygons of a file, an array (n,) of shapely geometries, and their CRS.
 
-    A file without a CRS is in px. So is one whose degrees are beyond the globe: a GeoJSON of
-    pixels claims to be in degrees. Raises TermselError if the file has no polygons, or a coordinate
-    that is no number.
+    The CRS is "" if the polygons are in px of the image: in a file without a CRS, or with degrees
+    beyond the globe. Raises TermselError if the file has no polygons, or a coordinate that is no
+    number.
     """
     from pyproj import CRS
 
@@ -116,13 +116,15 @@ def read_polygons(path: Path | str) -> tuple[NDArray[Any], str]:
     if not np.isfinite(coordinates).all():
         raise TermselError("a polygon of this mask has a coordinate that is no number", file=path,
                            hint="Draw it again.")
-    if crs and CRS.from_user_input(crs).is_geographic and (np.abs(coordinates) > _GLOBE).any():
+    # A GeoJSON claims to be in degrees, also one that a GIS made of pixels.
+    is_geographic = bool(crs) and CRS.from_user_input(crs).is_geographic
+    if is_geographic and (np.abs(coordinates) > _MAX_DEGREES).any():
         crs = ""
     return areas, crs
 
 
 def mask_from_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> tuple[Excluded, ...]:
-    """Return functions that tell where a reference lies in polygons on the ground, one for a file.
+    """Return a function for each mask file that tells which pixels of a reference it masks.
 
     Parameters
     ----------
@@ -132,6 +134,11 @@ def mask_from_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> t
         CRS of the reference.
     transform : affine.Affine
         Geotransform of the reference: from columns and rows to coordinates.
+
+    Returns
+    -------
+    tuple of callable
+        See `Excluded`; pixels are those of the reference.
 
     Raises
     ------
@@ -160,9 +167,9 @@ def mask_from_ground(masks: Sequence[Path | str], crs: str, transform: Any) -> t
     return tuple(excluded)
 
 
-def tell_of_idle(masks: Sequence[Path | str], images: Sequence[Path | str],
+def warn_of_idle_masks(masks: Sequence[Path | str], images: Sequence[Path | str],
                  references: Sequence[Path]) -> None:
-    """Log a warning for each mask that has no effect, as its polygons are elsewhere.
+    """Log a warning for each mask file whose polygons touch neither the image nor a reference.
 
     Parameters
     ----------
@@ -177,15 +184,16 @@ def tell_of_idle(masks: Sequence[Path | str], images: Sequence[Path | str],
         if str(name) == NONE:
             continue
         shapes, crs = read_polygons(name)
+        # Polygons with a CRS are on the ground, as references are; others are in px of the image.
         if crs:
-            idle = not any(
+            is_idle = not any(
                 _touches_bounds(shapes, _bounds_in_crs(file, crs)) for file in references)
             target = "any reference"
         else:
             shapes = np.array([_polygon_in_pixels(shape) for shape in shapes])
-            idle = not any(_touches_bounds(shapes, _bounds_in_crs(file)) for file in images)
+            is_idle = not any(_touches_bounds(shapes, _bounds_in_crs(file)) for file in images)
             target = "the image"
-        if idle:
+        if is_idle:
             hint = (" Save polygons that are in px in a GeoPackage without a CRS: GeoJSON has "
                     "degrees." if crs else " Draw them in px of the image.")
             log.warning("Warning: the mask %s hides nothing: its polygons do not touch %s.%s",
@@ -193,9 +201,10 @@ def tell_of_idle(masks: Sequence[Path | str], images: Sequence[Path | str],
 
 
 def _bounds_in_crs(path: Path | str, crs: str = "") -> tuple[float, ...] | None:
-    """Return the bounds (left, bottom, right, top) of a raster in a CRS, or in px if that is "".
+    """Return the bounds of a raster in a CRS, or in px if `crs` is "".
 
-    None if the raster has no CRS, or cannot be transformed.
+    They are left, bottom, right, top; in px the least sample and line come first. None if the
+    raster has no CRS, or its bounds cannot be transformed.
     """
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
@@ -220,17 +229,23 @@ def _touches_bounds(shapes: NDArray[Any], bounds: tuple[float, ...] | None) -> b
 
 
 def _polygon_in_pixels(shape: Any) -> Any:
-    """Return a polygon in px with rows that count downwards, whichever way its y counted."""
+    """Return a polygon whose x is the sample and y the line, from one drawn over an image in a GIS.
+
+    If all its y are negative, as QGIS draws an image without a CRS, their sign is changed.
+    """
     coordinates = shapely.get_coordinates(shape)
-    # QGIS draws an image without a CRS below the x axis, with negative y.
+    # QGIS puts such an image below the x axis, so that y goes from 0 to minus the lines.
     down = -1.0 if (coordinates[:, 1] <= 0).all() else 1.0
     return shapely.transform(shape, lambda xy: xy * [1.0, down])
 
 
 def _windows_in_polygons(shapes: list[Any]) -> Excluded:
-    """Return a function that draws polygons (in columns and rows) as a mask of a window."""
-    def drawn(first_line: int, first_sample: int, shape: tuple[int, int], step: int) -> Mask:
-        """Return which pixels of a window the polygons touch."""
+    """Return a function that tells which pixels of a window polygons touch (see `Excluded`).
+
+    The polygons have columns and rows of the image, or of the reference, as x and y.
+    """
+    def rasterise(first_line: int, first_sample: int, shape: tuple[int, int], step: int) -> Mask:
+        """Return which pixels of a window the polygons touch, (lines, samples)."""
         from rasterio.features import rasterize
         from rasterio.transform import Affine
 
@@ -239,7 +254,7 @@ def _windows_in_polygons(shapes: list[Any]) -> Excluded:
         return np.asarray(rasterize(shapes, out_shape=shape, transform=window, all_touched=True,
                                     dtype="uint8") > 0)
 
-    return drawn
+    return rasterise
 
 
 @dataclass(frozen=True)
@@ -290,12 +305,14 @@ def mask_clouds_and_water(picture: GreyRaster) -> tuple[Excluded, ...]:
     step = max(1, max(picture.size) // _LEARNED_SIDE)
     shape = picture.size[0] // step, picture.size[1] // step
 
-    def learned(name: str, used: tuple[int, ...], index: Callable[[FloatArray], FloatArray],
-                likely: Callable[[FloatArray, Mask, Mask], bool]) -> None:
-        """Mask the pixels above Otsu's threshold of an index, if they are what `name` says.
+    def mask_above_threshold(name: str, used: tuple[int, ...],
+                             index: Callable[[FloatArray], FloatArray],
+                             likely: Callable[[FloatArray, Mask, Mask], bool]) -> None:
+        """Mask the pixels above Otsu's threshold of an index, if they are likely to be a class.
 
-        `used` are the bands; `index` takes their values (c, lines, samples), and `likely` these and
-        the masks of both classes.
+        `name` is that of the class, and `used` are the numbers of the bands. `index` takes their
+        values (c, lines, samples) and returns one value for each pixel. `likely` takes the same
+        values and the masks of the pixels above and below the threshold.
         """
         of_bands = replace(picture, bands=used)
         values, is_known = read_bands(of_bands, 0, 0, shape, step)
@@ -303,6 +320,7 @@ def mask_clouds_and_water(picture: GreyRaster) -> tuple[Excluded, ...]:
             return
         limit, separation = otsu_threshold(index(values)[is_known])
         high = is_known & (index(values) > limit)
+        # Otsu's method divides any image in two: most have no such class.
         if (
             separation < _MIN_SEPARATION
             or high.mean() < _MIN_PART
@@ -326,7 +344,8 @@ def mask_clouds_and_water(picture: GreyRaster) -> tuple[Excluded, ...]:
             """Return whether one class is much darker in the near infrared than the other."""
             return bool(np.median(values[1][water]) < _WATER_DARKNESS * np.median(values[1][land]))
 
-        learned("water", (bands.green, bands.infrared), lambda values: np.asarray(
+        # NDWI = (green - infrared) / (green + infrared).
+        mask_above_threshold("water", (bands.green, bands.infrared), lambda values: np.asarray(
             (values[0] - values[1]) / np.maximum(values[0] + values[1], 1e-6)), is_water)
     if len(visible) == 3:
         # Clouds are brighter than the ground in all visible bands, and about alike in each: grey.
@@ -337,7 +356,8 @@ def mask_clouds_and_water(picture: GreyRaster) -> tuple[Excluded, ...]:
             return bool(medians.min() > _CLOUD_BRIGHTNESS
                         and medians.max() - medians.min() < _GREY * medians.max())
 
-        learned("cloud", visible, lambda values: np.asarray(values.min(axis=0)), is_cloud)
+        mask_above_threshold("cloud", visible, lambda values: np.asarray(values.min(axis=0)),
+                             is_cloud)
     return tuple(excluded_areas)
 
 
@@ -354,9 +374,10 @@ def read_bands(picture: GreyRaster, first_line: int, first_sample: int, shape: t
 
 
 def otsu_threshold(values: FloatArray) -> tuple[float, float]:
-    """Return Otsu's threshold of values, and the share of their variance between both classes.
+    """Return the threshold that divides values (n,) in two classes, by Otsu's method.
 
-    The share is from 0, if all values are alike, to 1.
+    The second is the share of the variance of the values that lies between the classes: 0 if all
+    values are alike, and 1 if each class has one value.
     """
     # Otsu: with the mean m of all, the share t of the values below a threshold and their sum m_t,
     # the variance between both classes is (m t - m_t)^2 / (t (1 - t)); it is to be largest.

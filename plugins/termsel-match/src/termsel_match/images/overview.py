@@ -57,8 +57,8 @@ def start_by_overview(picture: GreyRaster, reference: Path | str, band: int | No
         transform = reference_picture.raster.transform
         for opened in (picture, reference_picture):
             _say_if_long(opened)
-        at_image, image_vectors = _whole_described(picture)
-        at_reference, reference_vectors = _whole_described(reference_picture)
+        at_image, image_vectors = _describe_whole(picture)
+        at_reference, reference_vectors = _describe_whole(reference_picture)
     image_number, reference_number = mutual_nearest(image_vectors, reference_vectors, _RATIO)
     agree = np.zeros(len(image_number), dtype=bool)
     if len(image_number) >= _MIN_PAIRS:
@@ -101,10 +101,11 @@ def _reduction_step(size: tuple[int, int]) -> int:
     return max(1, -(-max(size) // _REDUCED_SIDE))
 
 
-def _whole_described(picture: GreyRaster) -> tuple[FloatArray, Grey]:
+def _describe_whole(picture: GreyRaster) -> tuple[FloatArray, Grey]:
     """Return keypoints of a whole picture, (n, 2) [px], and their descriptors, (n, 128).
 
-    They are found in the reduced picture, and are in px of the whole one.
+    They are found in the picture reduced to 1000 px; their lines and samples are those of the
+    picture itself.
     """
     step = _reduction_step(picture.size)
     keypoints, vectors = describe_keypoints(*picture.read(0, 0, *picture.size, step))

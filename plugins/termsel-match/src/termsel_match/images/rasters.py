@@ -150,7 +150,9 @@ class GreyRaster:
 
 
 def _is_filled(values: NDArray[Any]) -> Mask:
-    """Return where all bands, (c, lines, samples), are 0 over squares of 15 px, (lines, samples).
+    """Return which pixels, (lines, samples), are in squares of 15 px where all bands are 0.
+
+    `values` (c, lines, samples) are those of the bands.
     """
     zero = (values == 0).all(axis=0).astype(np.uint8)
     if not zero.any():
@@ -175,7 +177,7 @@ def spread_pixels(size: tuple[int, int], shape: tuple[int, ...]) -> FloatArray:
 
 @contextmanager
 def open_picture(path: Path | str, band: int | None = None) -> Iterator[GreyRaster]:
-    """Open a raster for its brightness.
+    """Open a raster, of which windows of brightness can be read.
 
     Parameters
     ----------
@@ -207,6 +209,7 @@ def open_picture(path: Path | str, band: int | None = None) -> Iterator[GreyRast
         if band is None and len(visible) > _BANDS:
             log.info("Note: the mean of %d of the %d bands of %s is taken, evenly spaced. Choose "
                      "one by its number (--band, --reference-band).", _BANDS, len(visible), path)
+            # The k-th of 16 bands out of n is number floor(k n / 16).
             visible = tuple(visible[i * len(visible) // _BANDS] for i in range(_BANDS))
         yield GreyRaster(Path(path), raster, visible if band is None else (band,))
 
@@ -229,9 +232,10 @@ def crs_of(picture: GreyRaster) -> str:
 
 
 def stretch_to_bytes(pixels: Grey, is_known: Mask) -> NDArray[np.uint8] | None:
-    """Return pixels as bytes from dark to bright, 0 where they are not known.
+    """Return pixels (lines, samples) as bytes from dark to bright, 0 where they are not known.
 
-    None if fewer than 16 are known, or nearly all have the same brightness.
+    The percentiles 1 and 99 of the known pixels become 0 and 255, and what is beyond is cut off.
+    None if fewer than 16 pixels are known, or nearly all have the same brightness.
     """
     values = pixels[is_known]
     if values.size < _MIN_PIXELS:

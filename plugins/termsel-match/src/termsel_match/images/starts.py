@@ -90,7 +90,11 @@ class Start:
                 say_difference(self.control, self.project, surface)
 
     def _warn_if_dem_beyond_rpc(self, dem: Path, places: FloatArray) -> None:
-        """Log a warning if the median of a DEM is far beyond the heights an RPC is made for."""
+        """Log a warning if a DEM is far above or below the heights that the RPC is made for.
+
+        Its median at `places` (n, 2), longitudes and latitudes, is compared with the range of the
+        RPC's heights. Where the median in feet would be in that range, the warning says so.
+        """
         assert self.heights is not None
         with open_dem(dem, self.crs) as surface:
             heights = surface(places)
@@ -99,8 +103,10 @@ class Start:
             return
         low, high = self.heights
         median = float(np.median(heights))
+        # Metres above the range, or below it with a negative sign; 0 within it.
         above = median - high if median > high else min(median - low, 0.0)
         if abs(above) > _BEYOND_RPC * (high - low):
+            # A DEM in feet is read as if it were in metres.
             in_feet = low <= median * _FOOT <= high
             log.warning("Warning: %s", sentence_on_common_offset(
                 above, f"the heights that {self.description} is made for",
@@ -180,8 +186,8 @@ def start_of(named: str | Path | None, image: Path) -> Start | None:
 def _start_by_rpc(path: Path) -> Start:
     """Return the RPC of a file as a start, with the ground at the middle of the RPC's heights.
 
-    Its `places` are a lattice over the area that the RPC is made for. Raises TermselError if there
-    is no RPC.
+    Its `places` are 7 by 7 positions over the area that the RPC is made for. Raises TermselError
+    if there is no RPC.
     """
     rpc = read_rpc(path)
     middle = rpc.ground_offset[2]
@@ -189,6 +195,7 @@ def _start_by_rpc(path: Path) -> Start:
     description = f"the RPC of {path.name}"
     if rpc.control_count:
         description += f", which termsel fitted to {rpc.control_count} control points"
+    # An RPC is made for ground coordinates within offset +- scale.
     offsets = np.array(rpc.ground_offset[:2])
     steps = np.linspace(-1.0, 1.0, _PLACES_ALONG)
     shares = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
@@ -230,6 +237,7 @@ def _start_by_own_position(image: Path) -> Start | None:
             last_line = raster.height - 1
             last_sample = raster.width - 1
             corners = [(0, 0), (0, last_sample), (last_line, 0), (last_line, last_sample)]
+            # A geotransform counts from the corner of the first pixel, positions from its centre.
             positions = [(line, sample, *(raster.transform @ (sample + 0.5, line + 0.5)))
                          for line, sample in corners]
         else:

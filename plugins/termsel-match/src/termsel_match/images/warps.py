@@ -347,9 +347,11 @@ def references_of(named: Path | str) -> list[Path]:
 def _require_overlap(reference: Reference, size: tuple[int, int], dem: Path | str | None) -> None:
     """Raise NotShown if the reference shows nothing of an image.
 
-    Raise TermselError if the DEM covers none of it, or the start has no ground for it.
+    `size` has the lines and samples of the image. Raises TermselError if the DEM covers none of the
+    image, or if the start has no ground position for it.
     """
     at_reference = reference.seen(spread_pixels(size, (COVERS, COVERS)))
+    # The way to the reference is by the start, with heights of the DEM: NaN where either fails.
     is_finite = np.isfinite(at_reference).all(axis=1)
     if not is_finite.any():
         by = reference.start.description

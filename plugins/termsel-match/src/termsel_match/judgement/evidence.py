@@ -56,10 +56,10 @@ def residual_structure(image: FloatArray, residuals: FloatArray, limit: float,
                        size: tuple[int, int], rng: np.random.Generator) -> ResidualStructure | None:
     """Return what residuals of neighbours have in common; None if there are too few residuals.
 
-    The measure is Moran's I for vectors, with the eight nearest residuals as neighbours: the mean
-    product of a residual and the mean of its neighbours. As noise of neighbours is independent,
-    this estimates the variance of what they have in common. How often chance makes it as large is
-    found by permutations.
+    The measure is Moran's I for vectors: the mean product of a residual and the mean of its
+    neighbours, which are the eight nearest residuals, or a third of all if that is fewer. As noise
+    of neighbours is independent, this estimates the variance of what they have in common. How
+    often chance makes it as large is found by permutations.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class OtherPlace:
 
 def find_other_place(image: FloatArray, residuals: FloatArray, radius: float,
                      size: tuple[int, int]) -> OtherPlace | None:
-    """Return the largest group of wrong candidates that agree, if chance does not explain it.
+    """Return the largest group of candidates that agree on another position than the model's.
 
     Wrong matches are spread evenly over the area that is searched. The number of others within a
     radius of one then follows the Poisson distribution of their density. As a group is looked for
@@ -152,7 +152,8 @@ def find_other_place(image: FloatArray, residuals: FloatArray, radius: float,
     # The area searched is taken to be the circle that holds all residuals.
     search = max(float(np.linalg.norm(residuals, axis=1).max()), radius)
     expected = len(residuals) * (radius / search) ** 2
-    # P(others >= group - 1), as the candidate in the middle is no other; sf(k) is P(> k).
+    # Bonferroni: n P(others >= group - 1). The candidate in the middle is none of the others, and
+    # poisson.sf(k) is P(others > k).
     chance = len(residuals) * float(poisson.sf(groups[largest] - 2, expected))
     if groups[largest] < _CLUSTER or chance > LEVEL:
         return None
@@ -162,7 +163,7 @@ def find_other_place(image: FloatArray, residuals: FloatArray, radius: float,
 
 
 def unsupported_share(image: FloatArray, overlap: Mask, size: tuple[int, int]) -> tuple[float, str]:
-    """Return which share of an overlap has no agreeing candidate near, and where most of it is.
+    """Return which share of an overlap has no agreeing candidate nearby, and where that is.
 
     A candidate is near within 1.5 times the distance that candidates would have if they were spread
     evenly over the overlap.
@@ -180,7 +181,8 @@ def unsupported_share(image: FloatArray, overlap: Mask, size: tuple[int, int]) -
     -------
     share : float
     image_part : str
-        Part of the image with the median of these positions; "" if there are none.
+        Part of the image that has the median of the positions without a candidate nearby; "" if
+        there are none.
     """
     positions = spread_pixels(size, overlap.shape)[overlap.ravel()]
     area = size[0] * size[1] * float(overlap.mean())

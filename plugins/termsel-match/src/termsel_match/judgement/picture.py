@@ -80,9 +80,10 @@ def arrow_ends(position: np.ndarray, away: np.ndarray, times: float, step: int,
 
 
 def scale_of(residuals: np.ndarray, step: int) -> float:
-    """Return how many times as long as they are residuals are drawn: 1, 2, 5, 10, ...
+    """Return the factor by which the arrows of residuals (n, 2) [px] are enlarged: 1, 2, 5, 10, ...
 
-    `step` is how many px of the image a pixel of the picture spans.
+    With it, nine in ten arrows are at most as long as `_ARROW`. `step` is how many px of the image
+    a pixel of the picture spans.
     """
     length = np.linalg.norm(residuals, axis=1)
     usual = float(np.quantile(length, 0.9)) / step if len(length) else 0.0

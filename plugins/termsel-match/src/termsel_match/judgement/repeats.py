@@ -84,7 +84,8 @@ def repetition_distance(picture: GreyRaster, positions: FloatArray) -> tuple[flo
 def _window_repetition(pixels: FloatArray, is_known: FloatArray) -> tuple[float, float]:
     """Return the distance [px] at which a window repeats itself, and the correlation there.
 
-    Both are 0 if too little of the window is known (see `repetition_distance`).
+    `pixels` (lines, samples) are its brightness, and `is_known` is 1 for the pixels that are known
+    and 0 for others. Both are 0 if too little of the window is known.
     """
     # Brightness over tens of pixels is no texture. A blur of the known pixels, divided by the same
     # blur of their mask, is the brightness, and is subtracted.

@@ -75,7 +75,7 @@ def model_by_relief(
 
 def supported_corrections(model: str, options: Mapping[str, Any],
                           count: int) -> list[ModelCorrection]:
-    """Return the corrections that so many candidates may support, the plainest first.
+    """Return the corrections that a number of candidates may determine, the plainest first.
 
     Parameters
     ----------
@@ -89,6 +89,8 @@ def supported_corrections(model: str, options: Mapping[str, Any],
     """
     if not model.startswith("rpc-"):
         return [ModelCorrection(model, options)]
+    # A shift, a drift along the lines, an affine transformation; then splines along the lines with
+    # more and more intervals.
     polynomials = [ModelCorrection(name, options)
                    for name in ("rpc-shift", "rpc-drift", "rpc-affine")]
     return polynomials + [ModelCorrection("rpc-jitter", {**options, "intervals": intervals})

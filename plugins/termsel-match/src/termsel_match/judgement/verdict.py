@@ -70,8 +70,8 @@ class Evidence:
         Share of the area that image and reference both show which lies in the hull of the agreeing
         candidates.
     bare : tuple of float and str
-        Share of that area which has no agreeing candidate nearby, and the part of the image with
-        most of it ("" if the share is 0).
+        Share of that area which has no agreeing candidate nearby, and the part of the image that
+        its median position is in ("" if the share is 0).
     structure : ResidualStructure, optional
         What residuals of neighbours have in common; None of too few residuals.
     other_place : OtherPlace, optional
@@ -387,9 +387,10 @@ def _ground_for_start(points: Points, candidates: Candidates) -> FloatArray:
 
 
 def _share_covered(image: FloatArray, overlap: Mask, size: tuple[int, int]) -> float:
-    """Return which share of an overlap lies in the hull of image positions (n, 2) [px].
+    """Return which share of an overlap lies in the convex hull of image positions (n, 2) [px].
 
-    `overlap` (a, b) is a mask of positions spread evenly over an image of `size`.
+    `overlap` (a, b) is a mask of positions spread evenly over an image, of which `size` has the
+    lines and samples.
     """
     hull = shapely.convex_hull(shapely.MultiPoint(image))
     positions = spread_pixels(size, overlap.shape)[overlap.ravel()]
@@ -397,9 +398,10 @@ def _share_covered(image: FloatArray, overlap: Mask, size: tuple[int, int]) -> f
 
 
 def _pixel_size(points: Points, crs: str) -> float:
-    """Return the size of a pixel on the ground [m]: the root of the areas' ratio of two hulls.
+    """Return the size of a pixel on the ground [m], by the areas that points span.
 
-    They are those of the points on the ground and in the image. NaN if the latter has no area.
+    It is the root of the area of their convex hull on the ground, divided by that of their hull in
+    the image; NaN if the latter has no area. Ground coordinates are in `crs`.
     """
     lonlat = np.radians(transform_plane(points.ground[:, :2], crs, "EPSG:4326"))
     # Metres on a sphere about the middle: east is narrower by the cosine of the latitude.

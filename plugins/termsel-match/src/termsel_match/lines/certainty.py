@@ -142,12 +142,17 @@ def most_decisive_vector(features: FeatureSet, model: str, options: Mapping[str,
 
 
 def sentences_on_certainty(lines: Lines) -> str:
-    """Return sentences on how well lines fix the image across them and along them."""
+    """Return sentences on how well lines determine the position of the image.
+
+    `lines` have standard deviations [px]. Lines that run in one direction leave a shift of the
+    image along them open, and the sentences say in which direction that is.
+    """
     (across_them, along_them), towards = _sigma_across_and_along(lines)
     if along_them < _WEAK_RATIO * across_them:
         return (f"The lines fix the position of the image in all directions: standard deviation "
                 f"{along_them:.2f} px.")
     precision = f"only to {along_them:.2f} px"
+    # So little is known from the lines that the start decides.
     if along_them > _HELD:
         precision = ("not at all" if along_them == float("inf")
                      else precision) + ": there the start holds it"
@@ -157,10 +162,16 @@ def sentences_on_certainty(lines: Lines) -> str:
 
 
 def _sigma_across_and_along(lines: Lines) -> tuple[tuple[float, float], float]:
-    """Return the standard deviations of the image across most lines and along them [px].
+    """Return how well lines determine a shift of the image across most of them and along them.
 
-    That along them is infinite if all lines are parallel. Its direction comes back, too: the angle
-    from the axis of lines towards that of samples [deg].
+    Returns
+    -------
+    deviations : tuple of float
+        Standard deviations of the shift across most lines and along them [px]; the latter is
+        infinite if all lines are parallel.
+    towards : float
+        Direction along them: the angle from the axis of lines towards that of samples, 0 to 180
+        degrees.
     """
     assert lines.sigma is not None
     run = lines.image[:, 1] - lines.image[:, 0]

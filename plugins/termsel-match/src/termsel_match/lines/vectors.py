@@ -157,8 +157,22 @@ def _vectors_near_image(lines: list[FloatArray], plane_mesh: FloatArray, size: t
                         ) -> tuple[list[FloatArray], list[int]]:
     """Return the parts of vectors near an image, and the number of the vector of each.
 
-    Vertices are added every 16 px, as relief bends a line that is straight on a map. Both lists are
-    empty if the position of the image is not known.
+    Parameters
+    ----------
+    lines : list of ndarray, shape (n, 2) each
+        Vertices of the vectors, x and y in their CRS.
+    plane_mesh : ndarray, shape (7, 7, 2)
+        Positions in that CRS of nodes spread over the image, as `_mesh_of_image` returns them.
+    size : tuple of int
+        Lines and samples of the image.
+
+    Returns
+    -------
+    parts : list of ndarray, shape (m, 2) each
+        Vertices, of which some are added so that they are at most 16 px of the image apart. Empty
+        if the position of the image is not known.
+    numbers : list of int
+        The vector of each part, counted from 0.
     """
     low, high = (limit(plane_mesh, axis=(0, 1)) for limit in (np.nanmin, np.nanmax))
     if not np.isfinite([low, high]).all():
@@ -169,6 +183,7 @@ def _vectors_near_image(lines: list[FloatArray], plane_mesh: FloatArray, size: t
     clipped, vector = shapely.get_parts(near, return_index=True)
     # Size of a pixel in units of the map: the steps of the mesh, which are a sixth of the lines.
     steps = np.linalg.norm(np.diff(plane_mesh, axis=0), axis=2) / (size[0] / 6)
+    # Relief bends a line in the image that is straight on the map.
     dense = shapely.segmentize(clipped, _VERTEX_STEP * float(np.nanmedian(steps)))
     return [shapely.get_coordinates(line) for line in dense], vector.tolist()
 
@@ -192,6 +207,7 @@ def read_vectors(path: Path) -> tuple[list[FloatArray], str]:
     shapes = shapely.force_2d(shapes)
     areal = shapely.get_dimensions(shapes) == 2
     shapes = np.where(areal, shapely.boundary(shapes), shapes)
+    # Maps divide a road at each crossing; straight pieces are longer in the joined line.
     merged = shapely.get_parts(shapely.line_merge(shapes[~shapely.is_empty(shapes)]))
     lines = [shapely.get_coordinates(line) for line in merged
              if shapely.get_dimensions(line) == 1 and len(shapely.get_coordinates(line)) > 1]

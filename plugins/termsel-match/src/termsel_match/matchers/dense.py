@@ -67,7 +67,11 @@ def common_shift(first: Grey, second: Grey, expected: FloatArray, search: float,
 
 
 def distinct_places(window: Window) -> FloatArray:
-    """Return whole pixels with structure in both directions, (n, 2), the most distinct first."""
+    """Return positions of a window that a matcher can locate in both directions, as corners are.
+
+    They are whole lines and samples (n, 2) [px], the most distinct first; n is 0 if the window is
+    too uniform. All pixels around each of them are known.
+    """
     picture = stretch_to_bytes(window.pixels, window.known)
     width = 2 * (HALF_WINDOW + 1) + 1
     # Windows of places must be known as a whole.
@@ -84,7 +88,11 @@ def distinct_places(window: Window) -> FloatArray:
 
 
 def are_surroundings_known(positions: FloatArray, is_known: Mask, reach: int) -> Mask:
-    """Return whether all pixels within `reach` px of places (n, 2) are known, (n,)."""
+    """Return whether all pixels within `reach` px of positions (n, 2) [px] are known, (n,).
+
+    `is_known` (lines, samples) says which pixels of the window are.
+    """
+    # Erosion leaves the pixels whose whole square is known; the border of the window is unknown.
     width = 2 * reach + 1
     surroundings_known = cv2.erode(is_known.astype(np.uint8),
                                    np.ones((width, width), dtype=np.uint8), borderValue=0)
@@ -95,13 +103,14 @@ def are_surroundings_known(positions: FloatArray, is_known: Mask, reach: int) ->
 
 
 def find_peak(surface: FloatArray) -> tuple[FloatArray, float, float]:
-    """Return the place of the largest value from the middle [px], that value, and the next largest.
+    """Return where a correlation surface is largest, that value, and the height of the next peak.
 
-    The next largest is taken away from the first peak.
+    The first is line and sample (2,), from the middle of the surface [px]. The next peak is the
+    largest value that is not within a few px of the first.
     """
     top = np.array(np.unravel_index(int(surface.argmax()), surface.shape))
     best = float(surface[tuple(top)])
-    # The next largest value away from the best shows how clear that one is.
+    # Surroundings of the peak are nearly as high as it, and tell nothing of its uniqueness.
     low = np.maximum(top - _ALIKE_SHIFT, 0)
     rest_of_surface = surface.copy()
     rest_of_surface[low[0]:top[0] + _ALIKE_SHIFT + 1, low[1]:top[1] + _ALIKE_SHIFT + 1] = -np.inf

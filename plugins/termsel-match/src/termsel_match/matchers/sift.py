@@ -47,7 +47,24 @@ class Sift(Matcher):
 
 
 def describe_keypoints(pixels: Grey, is_known: Mask) -> tuple[FloatArray, Grey]:
-    """Return keypoints (n, 2), line and sample, and RootSIFT descriptors (n, 128); n is 0 if none.
+    """Return the keypoints of a window, and a RootSIFT descriptor of each.
+
+    Parameters
+    ----------
+    pixels, is_known : ndarray, shape (lines, samples)
+        Brightness, and which pixels are known.
+
+    Returns
+    -------
+    keypoints : ndarray, shape (n, 2)
+        Line and sample in the window [px].
+    vectors : ndarray of float32, shape (n, 128)
+        Descriptors of unit length.
+
+    References
+    ----------
+    Arandjelovic and Zisserman 2012: Three things everyone should know to improve object retrieval.
+    CVPR, 2911-2918.
     """
     picture = stretch_to_bytes(pixels, is_known)
     if picture is None:
@@ -59,7 +76,8 @@ def describe_keypoints(pixels: Grey, is_known: Mask) -> tuple[FloatArray, Grey]:
     keypoints, vectors = detector.detectAndCompute(picture, inner)
     if not keypoints:
         return np.empty((0, 2)), np.empty((0, 128), dtype=np.float32)
-    # RootSIFT: distances of square roots are those of Hellinger.
+    # RootSIFT: square roots of the entries divided by their sum, so that Euclidean distances of
+    # the descriptors are Hellinger distances of the histograms.
     vectors = np.sqrt(vectors / np.maximum(vectors.sum(axis=1, keepdims=True), 1e-9))
     return np.array([keypoint.pt[::-1] for keypoint in keypoints]), vectors
 
@@ -71,8 +89,14 @@ def mutual_nearest(first: Grey, second: Grey, ratio: float = RATIO,
     Parameters
     ----------
     first, second : ndarray, shape (n, 128) and (m, 128)
+        Descriptors of unit length.
     ratio : float
         Largest distance to the nearest, as part of that to the second nearest.
+
+    Returns
+    -------
+    number, other_number : ndarray of int, shape (k,)
+        Rows of `first` and of `second` that are a pair.
     """
     if len(first) < 2 or len(second) < 2:
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)

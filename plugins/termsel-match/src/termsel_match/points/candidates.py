@@ -14,7 +14,7 @@ from time import monotonic
 import numpy as np
 
 from termsel import FeatureSet, Points, TermselError, get, open_dem
-from termsel_match.images.masks import open_masked, tell_of_idle
+from termsel_match.images.masks import open_masked, warn_of_idle_masks
 from termsel_match.images.overview import start_by_overview
 from termsel_match.images.positions import require_same_area
 from termsel_match.images.rasters import GreyRaster
@@ -153,7 +153,7 @@ def match_points(
     until = None if seconds is None else monotonic() + seconds
     rough = start_of(start, image)
     files = references_of(reference)
-    tell_of_idle(masks, [image], files)
+    warn_of_idle_masks(masks, [image], files)
     require_same_area(files, dem)
     with open_masked(image, band, masks) as picture:
         if rough is None:
@@ -189,7 +189,7 @@ def match_points(
 
 
 def _said_heights(dem: Path, crs: str) -> str:
-    """Return the source and the vertical datum of a DEM in words, and log them."""
+    """Return the source and the vertical datum of a DEM in words, and log a line on them."""
     with open_dem(dem, crs) as surface:
         said = f"heights from {dem.name}, bilinear; vertical datum: {surface.datum}"
     log.info("Heights: %s.", said.removeprefix("heights "))
@@ -199,9 +199,21 @@ def _said_heights(dem: Path, crs: str) -> str:
 def _points_of_files(picture: GreyRaster, files: list[Path],
                      opened: Callable[[Path], AbstractContextManager[Reference]], looking: Looking,
                      ) -> tuple[Points, str, Counter[str]]:
-    """Return the points by all references, their CRS, and how many cells ended how.
+    """Match an image with each of its references.
 
-    Raises TermselError if no reference shows what the image shows.
+    Returns
+    -------
+    points : Points
+        The matches with all references.
+    crs : str
+        CRS of their ground coordinates: that of the first reference that shows the image.
+    cells : Counter
+        How many cells of the image have matches, and how many have none for which reason.
+
+    Raises
+    ------
+    TermselError
+        If no reference shows what the image shows.
     """
     several = []
     crs = ""
@@ -269,7 +281,11 @@ def _number_points(several: list[Points]) -> Points:
 
 
 def _points_of_matches(matches: Matches, reference: Reference) -> Points:
-    """Return matches as points with scores; with a DEM only those where it has a height."""
+    """Return matches as points, whose ground coordinates are those of their pixels in a reference.
+
+    They are called M001, M002 and so on, and their attribute `score` has the correlation. With a
+    DEM, matches where it has no height are left out.
+    """
     assert matches.sigma is not None
     ground = reference.ground(matches.second)
     if callable(reference.map_heights):
@@ -283,9 +299,12 @@ def _points_of_matches(matches: Matches, reference: Reference) -> Points:
 
 
 def _advice_on_cells(cells: Counter[str], search: float, dem: Path | str | None) -> str:
-    """Return a sentence on why most cells have no candidates, and what to do."""
+    """Return a sentence on why most cells have no candidates, and what to do.
+
+    `cells` are the numbers of cells by what came of them, `search` is the radius of the search
+    [px], and `dem` the raster of heights, if there is one.
+    """
     total = sum(cells.values())
-    # The reason that most cells have.
     worst = max((name for name in cells if name != FOUND), key=cells.__getitem__, default=UNLIKE)
     cells_at_fault = f"{cells.get(worst, 0)} of {total} cells"
     heights = " or heights" if dem is not None else ""

@@ -142,9 +142,9 @@ def match_cells(picture: GreyRaster, reference: Reference, looking: Looking,
 
 
 def join_matches(several: list[Matches]) -> Matches:
-    """Return the matches of several parts, all with standard deviations, as one set.
+    """Return several sets of matches as one, which is empty if there are none.
 
-    It is empty for no parts.
+    All of them have standard deviations.
     """
     none = np.empty((0, 2))
     first = np.concatenate([none, *(matches.first for matches in several)])
@@ -157,17 +157,20 @@ def join_matches(several: list[Matches]) -> Matches:
 
 def _windows_of_block(size: tuple[int, int], across: int, block: tuple[int, int], step: int,
                       ) -> list[tuple[int, int, int, int]]:
-    """Return the areas of the windows in which a block is matched, in turn.
+    """Return the windows of a block of the image, in the order in which they are tried.
 
     `size` has the lines and samples of all blocks, of which there are `across` in either direction;
-    `block` is the row and the column of this one. A small block is one window.
+    `block` is the row and the column of this one. Each window is its first line and sample and its
+    lines and samples [px]. A small block is one window.
     """
+    # Edges are rounded as a whole, so that the blocks of uneven sizes leave no pixel out.
     low = [total * i // across for total, i in zip(size, block, strict=True)]
     extents = [total * (i + 1) // across - start
                for total, i, start in zip(size, block, low, strict=True)]
     largest = (_WINDOW if max(extents) <= _WINDOW * step else _PART) * step
     window_size = [min(extent, largest) for extent in extents]
     windows = []
+    # Shares of what a window leaves of the block: where its first line and sample may be.
     for share in _WINDOW_PLACES if extents != window_size else _WINDOW_PLACES[:1]:
         first_line, first_sample = (
             start + int((extent - window_extent) * fraction)

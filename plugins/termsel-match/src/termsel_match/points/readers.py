@@ -75,6 +75,8 @@ class ArosicsTable(Reader):
                                hint="Run AROSICS again with another window or reference.")
         x, y, east, north, right, up = np.array(rows).T
         # AROSICS states where the image was believed to be on the map, and the shift from there.
+        # Its positions in the image count from the corner of the first pixel, termsel's from its
+        # centre.
         ground = np.column_stack([east + right, north + up, np.full(len(rows), np.nan)])
         return FeatureSet(Points(tuple(ids), np.column_stack([y, x]) - 0.5, ground, None,
                                  tuple(roles)), crs="")
@@ -96,9 +98,9 @@ class MatchesCsv(Reader):
     def sniff(self, path: Path, head: bytes) -> bool:
         """Return True if the header names lines and samples of both images."""
         header = set(_read_header(head))
-        # termsel's tables of lines also have columns y1, x1, y2, x2.
-        return any(set(names) <= header for names in _POSITION_COLUMNS) and not {"line1",
-                                                                                 "z1"} & header
+        # termsel's tables of lines also have columns y1, x1, y2, x2, and others beside them.
+        has_positions = any(set(names) <= header for names in _POSITION_COLUMNS)
+        return has_positions and not {"line1", "z1"} & header
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; errors name file, line and column.
@@ -140,9 +142,10 @@ class MatchesCsv(Reader):
 
 
 def _are_beyond(positions: FloatArray, reference: str) -> bool:
-    """Return whether second positions (n, 2) cannot be pixels: most are beyond the reference.
+    """Return whether positions (n, 2) are too large for lines and samples of the reference.
 
-    Without a reference (""), whether any is beyond 100,000 px.
+    They are if more than half lie outside it or, without a reference (""), if any is beyond
+    100,000 px.
     """
     if not reference:
         return bool(np.abs(positions).max() > NO_PIXEL)
@@ -152,12 +155,14 @@ def _are_beyond(positions: FloatArray, reference: str) -> bool:
 
 
 def are_in_image(positions: FloatArray, image: str, names: Sequence[str]) -> BoolArray:
-    """Return which matches are in the image, (n,); a note is logged about those outside.
+    """Return which matches are in the image, (n,), and log a note about the others.
 
-    `positions` (n, 2) are lines and samples [px], and `names` say where in the file they are, such
-    as "line 58". Matches outside the image are wrong. But if more than a tenth are, it may be
-    another image: then all count as inside, as they do if no image is known ("").
+    If no image is known ("") or more than a tenth are outside, all count as inside. `positions`
+    (n, 2) are lines and samples [px], and `names` say where in the file they are, such as
+    "line 58".
     """
+    # A few matches outside the image are wrong. Of many, the file may be of another image, which
+    # is for whoever reads the points to see.
     everywhere = np.ones(len(positions), dtype=bool)
     if not image:
         return everywhere
@@ -194,8 +199,8 @@ def with_ground(path: Path, ids: Sequence[str], image: FloatArray, at_reference:
         # The geotransform counts from the corner of the first pixel, positions from its centre.
         x, y = picture.raster.transform @ (at_reference[:, 1] + 0.5, at_reference[:, 0] + 0.5)
     ground = np.column_stack([x, y, np.full(len(at_reference), np.nan)])
-    # SIFT gives a keypoint with two directions twice.
-    _, first = np.unique(np.column_stack([ground[:, :2]]), axis=0, return_index=True)
+    # SIFT gives a keypoint with two directions twice. Rows stay in the order of the file.
+    _, first = np.unique(ground[:, :2], axis=0, return_index=True)
     first_rows = np.sort(first)
     return FeatureSet(Points(tuple(ids[i] for i in first_rows), image[first_rows],
                              ground[first_rows],

@@ -123,7 +123,11 @@ def simulate_scenery(rng: np.random.Generator, extent: float, cell: float,
 
 def _draw(image: Bytes, shapes: list[FloatArray], cell: float, value: int, *,
           width: float | None = None, smooth: bool = True) -> None:
-    """Draw polygons, or polylines of a width, whose vertices are in metres from the corner."""
+    """Draw polygons in an image, or polylines if a width is given, with one value.
+
+    `shapes` are their vertices, (n, 2) each [m] from the upper left corner; `cell` is the size of a
+    pixel [m], and `width` that of the lines [m]. Edges are smoothed if `smooth`.
+    """
     # The middle of the first cell is (0.5, 0.5) cells from the corner.
     points = [np.round((shape / cell - 0.5) * 2**_FRACTION_BITS).astype(np.int32)
               for shape in shapes]
@@ -151,13 +155,15 @@ def _random_texture(rng: np.random.Generator, n: int, cell: float) -> NDArray[np
 
 def _random_parcels(rng: np.random.Generator, extent: float, cell: float, n: int,
                     ) -> tuple[NDArray[np.uint16], int]:
-    """Return the number of the parcel of each cell (n, n), and how many parcels there are."""
+    """Return the number of the parcel of each cell, (n, n), and how many parcels there are.
+
+    Parcels are Voronoi cells, about `PARCEL` metres wide, over a square whose side is `extent` [m].
+    """
     across = max(3, round(extent / PARCEL)) + 2
     grid = np.stack(np.meshgrid(*(np.arange(-1, across - 1),) * 2), axis=-1).reshape(-1, 2)
     seeds = (grid + rng.uniform(0.1, 0.9, grid.shape)) * extent / (across - 2)
-    # Close the outer cells.
+    # Four far points close the Voronoi cells at the rim, which would be infinite.
     frame = extent * np.array([[-9, -9], [-9, 10], [10, -9], [10, 10]])
-    # Cells of Voronoi around seeds on a disturbed grid.
     diagram = Voronoi(np.concatenate([seeds, frame]))
     labels = np.zeros((n, n), dtype=np.uint16)
     for i in range(len(seeds)):
@@ -169,7 +175,10 @@ def _random_parcels(rng: np.random.Generator, extent: float, cell: float, n: int
 
 
 def _random_highways(rng: np.random.Generator, extent: float) -> list[Road]:
-    """Return roads through the square, of straight pieces with gentle bends."""
+    """Return roads through a square whose side is `extent` [m].
+
+    They have straight pieces with gentle bends between them, and are 6 to 11 m wide.
+    """
     roads = []
     count = max(6, round(extent / 250))
     for i in range(count):

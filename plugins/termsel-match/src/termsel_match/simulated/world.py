@@ -112,7 +112,11 @@ class World:
 
     @cached_property
     def camera(self) -> Pushbroom:
-        """The exact scanner."""
+        """The exact pushbroom scanner: an orbit, and angles that drift and shake.
+
+        Roll and pitch each have a drift and a slow vibration of about 0.1 px; with `jitter`, they
+        have a quicker one of that many px as well.
+        """
         steady = pushbroom_at(
             _LON, _LAT, height=_HEIGHT, off_nadir=self.off_nadir, look_azimuth=70.0, gsd=self.gsd,
             image_size=(self.size, self.size), altitude=681e3, inclination=98.1)
@@ -159,7 +163,11 @@ class World:
 
     @cached_property
     def terrain(self) -> Terrain:
-        """Heights [m] of longitude and latitude."""
+        """The ground: a function of longitude and latitude that returns heights [m].
+
+        It is a slope with three hills and six waves in random directions, whose lengths are 0.5
+        to 1.4 times half the side of the ground.
+        """
         rng = self._rng(2)
         half = np.degrees(self.side / 2 / 6.371e6)
         waves = 2 * np.pi / rng.uniform(0.5, 1.4, 6)
@@ -218,7 +226,7 @@ class World:
         n = len(bright) // _CELLS_PER_PIXEL
         mean = cv2.resize(bright[:n * _CELLS_PER_PIXEL, :n * _CELLS_PER_PIXEL], (n, n),
                           interpolation=cv2.INTER_AREA)
-        # 11 bits, as of most satellites.
+        # A linear stretch to 8 bits, as orthophotos have, with noise of its own.
         noise = self._rng(5).standard_normal(mean.shape, dtype=np.float32) * 3
         return np.asarray(np.clip(np.round(25 + 0.8 * mean + noise), 1, 255), dtype=np.uint8)
 
@@ -228,7 +236,10 @@ class World:
                           + self._rng(6).normal(0, 0.3, self.heights[::2, ::2].shape))
 
     def independent(self, count: int = 200) -> Points:
-        """Return places all over the image and where the exact scanner sees them, in the plane."""
+        """Return ground points all over the image, with lines and samples by the exact scanner.
+
+        Their x and y are in the plane of `WORLD_CRS` [m]; they have the role independent.
+        """
         image = self._rng(7).uniform(0.02, 0.98, (count, 2)) * (self.size - 1)
         height = np.full(count, _HEIGHT)
         # A ray meets the terrain where its height is that of the ground: slopes are gentle.

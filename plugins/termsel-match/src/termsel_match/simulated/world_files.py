@@ -42,7 +42,7 @@ def write_world(world: World, folder: Path | str) -> None:
 
 
 def _write(world: World, folder: Path) -> None:
-    """Write image, RPC, orthoimage, heights, roads, camera and independent points."""
+    """Write the files of a simulated place, as `write_world` lists them, to a new folder."""
     from rasterio.transform import from_origin
 
     west, north = world.corner
@@ -50,7 +50,7 @@ def _write(world: World, folder: Path) -> None:
     write_rpc(world.rpc, folder / RPC)
     _write_raster(folder / ORTHO, world.ortho(), crs=WORLD_CRS,
                   transform=from_origin(west, north, world.gsd, world.gsd))
-    # The first height is that of the corner itself.
+    # The first height is that of the corner itself, so its pixel begins half a step before it.
     _write_raster(folder / DEM, world.dem().astype(np.float32), crs=WORLD_CRS,
                   transform=from_origin(
         west - SPACING / 2, north + SPACING / 2, SPACING, SPACING))
@@ -60,7 +60,10 @@ def _write(world: World, folder: Path) -> None:
 
 
 def _write_raster(path: Path, pixels: np.ndarray[Any, Any], **profile: Any) -> None:
-    """Write one band as a tiled GeoTIFF."""
+    """Write pixels (lines, samples) as a tiled GeoTIFF of one band.
+
+    `profile` are further arguments of `rasterio.open`, such as `crs` and `transform`.
+    """
     from warnings import catch_warnings, simplefilter
 
     import rasterio

@@ -14,7 +14,7 @@ import numpy as np
 
 from termsel import TermselError, get, open_dem
 from termsel.toolkit import csv_table, write_text
-from termsel_match.images.masks import open_masked, tell_of_idle
+from termsel_match.images.masks import open_masked, warn_of_idle_masks
 from termsel_match.images.rasters import FloatArray, spread_pixels
 from termsel_match.images.starts import Start, start_of, transform_plane
 from termsel_match.images.warps import COVERS, Reference
@@ -140,7 +140,7 @@ def match_ties(
                                hint="Give files of different names, as a table of ties has them.")
     starts = [_start(path) for path in paths]
     starts[0].warn_if_dem_contradicts(dem)
-    tell_of_idle(masks, paths, [])
+    warn_of_idle_masks(masks, paths, [])
     matcher_class = get("matchers", matcher or "sift")
     until = None if seconds is None else monotonic() + seconds
     all_pairs = list(combinations(range(len(paths)), 2))
