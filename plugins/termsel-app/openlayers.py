@@ -52,10 +52,10 @@ class OpenLayersHook(BuildHookInterface[Any]):
 
 
 def fetch(folder: Path) -> None:
-    """Write the files of OpenLayers to a folder, once the checksum of its package is right.
+    """Fetch the package of OpenLayers by npm, and write the files of `FILES` to a folder.
 
-    Raises OSError without npm, ValueError for another package, subprocess.SubprocessError if npm
-    fails.
+    Raises OSError without npm, ValueError if the package has another checksum or lacks a file, and
+    subprocess.SubprocessError if npm fails.
     """
     npm = shutil.which("npm")
     if npm is None:
@@ -64,6 +64,7 @@ def fetch(folder: Path) -> None:
         subprocess.run([npm, "pack", "--silent", PACKAGE], cwd=folder_of_archive, check=True,
                        timeout=300, stdout=subprocess.DEVNULL)
         archive = next(Path(folder_of_archive).glob("*.tgz"))
+        # npm fetches what the registry has now; the checksum is that of the package reviewed.
         digest = base64.b64encode(hashlib.sha512(archive.read_bytes()).digest()).decode()
         if digest != SHA512:
             raise ValueError(f"{PACKAGE} has another checksum")

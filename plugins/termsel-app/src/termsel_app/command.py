@@ -121,6 +121,7 @@ def files_of_session(files: Files, folder: Path | None) -> tuple[Files, Path]:
     if not path.is_dir():
         return files, folder or default_folder(f"{path.stem or 'image'}-control")
     if (path / JOURNAL_NAME).exists():
+        # The journal lists no maps of servers, so that those are always given anew.
         before = Files.of_header(header_of(path), path)
         return replace(before, maps=before.maps + files.maps), folder or path
     if (path / "result.json").exists():

@@ -99,8 +99,9 @@ class ControlFeatures:
         return patches
 
     def _apply_patches(self, patches: Iterable[Patch]) -> None:
-        """Change the records by patches, in their order, without a note for undo."""
+        """Change the records by patches, in their order; `done` and `undone` stay as they are."""
         for patch in patches:
+            # A patch without `after` deletes a feature, one without `before` adds one.
             before = None if patch.before is None else patch.before["id"]
             after = None if patch.after is None else patch.after["id"]
             # A feature that gets another name keeps its rank among the others.
@@ -143,6 +144,7 @@ class ControlFeatures:
         points = self.complete("point")
         lines = [record for record in self.complete("line")
                  if record["role"] != "off" and is_whole(record)]
+        # Heights that are None become NaN, which numpy needs to have one array of all vertices.
         vertices: list[Any] = []
         for record in lines:
             vertices += record["ground"]

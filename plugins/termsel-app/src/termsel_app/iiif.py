@@ -64,6 +64,7 @@ def fetch_image(address: str, remote: bool) -> IiifImage:
     if find_spec("termsel_iiif") is None:
         raise TermselError("images of the IIIF need the package termsel-iiif", file=address,
                            hint="Install it: pip install termsel-iiif.")
+    # One byte more than is read shows that a description is too long.
     try:
         request = Request(address, headers={"Accept": "application/json"})
         with urlopen(request, timeout=SECONDS) as answer:
@@ -83,6 +84,7 @@ def parse_image_info(content: bytes, address: str) -> IiifImage:
         info = json.loads(content) if len(content) <= MAX_DESCRIPTION_BYTES else None
     except (ValueError, RecursionError):
         info = None
+    # Version 3 of the Image API calls it id, earlier ones @id.
     name = None if not isinstance(info, dict) else info.get("id", info.get("@id"))
     if not isinstance(info, dict) or not isinstance(name, str) or not _ID.fullmatch(name):
         raise TermselError("this is no description of an IIIF image", file=address,

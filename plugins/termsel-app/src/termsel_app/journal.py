@@ -155,6 +155,7 @@ def read_entries(file: FileIO, path: Path) -> tuple[list[dict[str, Any]], int]:
         raise TermselError("the session is too large to be read", file=path,
                            hint="Export its points, and begin another one: --out DIR.")
     content = file.readall() or b""
+    # What follows the last end of a line was cut off when it was written.
     length = content.rfind(b"\n") + 1
     entries = []
     for number, line in enumerate(content[:length].splitlines(), 1):
@@ -208,7 +209,9 @@ def replay_journal(entries: list[dict[str, Any]], path: Path) -> ControlFeatures
             raise TermselError(f"this change cannot be repeated: {error.what}", file=path,
                                line=number, hint="Was the file edited? Remove the line, or choose "
                                                  "another --out.") from error
-        repeated += len(patches)  # each undo and redo may be of all features
+        # An undo or redo is a short entry that may change all features: a few lines could take
+        # hours.
+        repeated += len(patches)
         if len(control) > MAX_FEATURES or repeated > MAX_REPEATED:
             raise TermselError(f"a session has at most {MAX_FEATURES:,} features and "
                                f"{MAX_REPEATED:,} changes of them", file=path, line=number,

@@ -14,7 +14,8 @@ from termsel_app.rasters import TILE, Pixels, Raster
 from termsel_app.session import Session
 
 NODES_OF_TILE = 17
-"""Places along either side of a tile where the model is computed; it is interpolated between."""
+"""Positions along either side of a tile at which the model is computed, and interpolated between.
+"""
 
 
 def image_resolutions(size: tuple[int, int] | None) -> list[float]:
@@ -125,7 +126,10 @@ def project_visible(prediction: Prediction, vertices: Any) -> list[list[float]]:
 
 
 def _vertices_of_lines(geometry: Any) -> list[Any]:
-    """Return the vertices of each line and ring in a geometry of GeoJSON; [] for points."""
+    """Return the lines of a geometry of GeoJSON, each a list of its vertices; [] for points.
+
+    The lines of an area are its outer boundary and those of its holes.
+    """
     kind = geometry["type"]
     coordinates = geometry.get("coordinates", ())
     if kind == "LineString":

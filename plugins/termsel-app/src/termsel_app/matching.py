@@ -78,9 +78,11 @@ def refine_point(session: Session, name: str) -> dict[str, Any]:
     if record is None or record["kind"] != "point" or not record["image"] or not record["ground"]:
         raise TermselError("only a point with both positions can be refined")
     first, second = _cut_windows(session, prediction, record)
+    # The matchers in turn, until one finds matches that agree on a shift.
     for matcher in _MATCHERS:
         shift = _agreed_shift(_match_shifts(termsel.get("matchers", matcher)(), first, second))
         if shift is not None:
+            # The map is where the point should be; the image shows it away by minus the shift.
             refined = np.asarray(record["image"]) - shift
             return {"image": refined.tolist(), "distance": float(np.hypot(*shift)),
                     "matcher": matcher}

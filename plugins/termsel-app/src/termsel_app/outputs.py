@@ -96,6 +96,7 @@ def save(session: Session, name: str, image_id: object = None) -> list[Path]:
         features = session.control.features(session.places.crs)
         arguments = run_arguments(session)
     files = [*write_control_tables(features, session.folder).values()]
+    # Commands read the tables and the result of the folder, so those come first.
     if output.needs_result:
         _update_result(session, arguments, files)
     if output.command:
@@ -181,6 +182,7 @@ def run_command(arguments: Sequence[str], folder: Path) -> None:
     except subprocess.TimeoutExpired:
         raise TermselError(f"termsel {arguments[0]} takes longer than {_SECONDS // 60} minutes",
                            hint="Run it in a terminal.") from None
+    # Warnings come before the message of an error, which has four lines at most.
     if done.returncode:
         error_lines = [line for line in done.stderr.strip().splitlines() if line.strip()]
         message = " ".join(line.strip() for line in error_lines[-4:]).removeprefix("Error: ")

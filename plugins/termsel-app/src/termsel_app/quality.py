@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 MIN_POINTS = 3
 """Points from which on there is a model without an RPC."""
 N_NEXT = 3
-"""Places to measure next."""
+"""Positions that are proposed for the next measurements."""
 GRID_SIDE = 40
-"""Places along either side of the image where the uncertainty is computed."""
+"""Positions along either side of the image at which the uncertainty is computed."""
 MIN_LINES = 6
 """Lines from which on OWDIS chooses among them: two equations each, for the terms of a plane."""
 MIN_GAIN = 0.05
@@ -123,10 +123,11 @@ def write_control_tables(features: FeatureSet, folder: Path) -> dict[str, Path]:
 
 
 def figures_for_page(result: Result) -> Answer:
-    """Return what the page shows of a result, as JSON: facts, accuracy, notes, blunders, residuals.
+    """Return what the page shows of a result: facts, accuracy, notes, residuals and blunders.
 
-    All are those of the result, so that the page says what `termsel run` says.
+    They are as JSON takes them; distances are in px.
     """
+    # All of it is by the functions that reports use, so that page and `termsel run` agree.
     strategy = result.strategy
     residuals = residuals_by_id(result)
     return {
@@ -292,17 +293,18 @@ def _next_places(result: Result) -> Answer:
 
 
 def uncertainty_grid(result: Result) -> Answer | None:
-    """Return the standard deviation of the model [px] on a grid over the image.
+    """Return the standard deviation of the model [px] on a grid over the image, for the page.
 
-    "values" has it line by line, None where it is not known; "side" is the number of places along
-    either side, and "box" the first line and sample and the last ones. None if it is known nowhere,
-    as without redundancy.
+    "values" are those of both axes together, sqrt(sigma_line^2 + sigma_sample^2), line by line, and
+    None where they are not known. "side" is the number of positions along either side, and "box"
+    the first line and sample and the last ones. None if nothing is known, as without redundancy.
     """
     fit = result.exported
     (first_line, first_sample), (last_line, last_sample) = fit.image_box()
     lines = np.linspace(first_line, last_line, GRID_SIDE)
     samples = np.linspace(first_sample, last_sample, GRID_SIDE)
     image = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)
+    # At the median height of the control: a grid over the image has no heights of its own.
     ground = fit.control.ground_vertices()
     height = np.nan_to_num(np.nanmedian(ground[:, 2])) if np.isfinite(ground[:, 2]).any() else 0.0
     sigma = np.hypot(*result.sigma(fit.locate(image, height)).T)

@@ -52,6 +52,7 @@ class Raster:
         if remote:
             self._stack.enter_context(allow_remote())
         self.dataset: Any = self._stack.enter_context(open_raster(path))
+        # GDAL reads a dataset in one thread at a time.
         self.lock = Lock()
         self._closed = Event()
         self.height, self.width = self.dataset.shape
@@ -72,7 +73,8 @@ class Raster:
 
     def close(self) -> None:
         """Close the file."""
-        self._closed.set()  # ends the reading of an overview
+        # This ends the thread that reads an overview.
+        self._closed.set()
         with self.lock:
             self._stack.close()
 
@@ -125,7 +127,10 @@ class Raster:
         Thread(target=self._read_overview, daemon=True).start()
 
     def _read_overview(self) -> None:
-        """Fill the overview from above by strips of whole blocks, until the raster is closed."""
+        """Fill the overview strip by strip from the top, until it is whole or the raster is closed.
+
+        `share_read` says how much of it there is, from 0 to 1. It runs in a thread of its own.
+        """
         overview = self._overview
         assert overview is not None
         step = self._step
@@ -169,7 +174,10 @@ class Raster:
         return self.coloured(values, mask)
 
     def _read_opacity(self, window: Any, shape: tuple[int, int]) -> NDArray[np.uint8] | None:
-        """Return the opacity of a window, 0 to 255, in a shape; None for a raster that is opaque.
+        """Return the opacity of a window, 0 to 255, reduced to `shape` (lines, samples).
+
+        It is that of the band of opacity, else of the mask that GDAL states. None for a raster that
+        is opaque.
         """
         from rasterio.enums import MaskFlags
 

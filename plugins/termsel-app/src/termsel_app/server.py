@@ -207,7 +207,11 @@ class PageState(Guarded):
 
 
 def page_setting(session: Session, pages: Pages) -> dict[str, Any]:
-    """Return what the page gets once, as it does not change: image, map, files and outputs."""
+    """Return what the page gets once, when it is opened, as it does not change afterwards.
+
+    It is JSON on image, map, CRS, files and outputs of the session.
+    """
+    # The page lays tiles by the box and the resolutions [px of the image, units of the map].
     size = session.size
     box = pages.box
     files_given = session.files

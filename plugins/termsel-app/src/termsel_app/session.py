@@ -61,10 +61,11 @@ def from_folder(name: str, folder: Path) -> str:
     """
     if name.startswith("/vsi") or "://" in name:
         return name
+    # Relative names let a folder move together with its files. Between drives of Windows there are
+    # none.
     try:
-        # Relative names let a folder move together with its files.
         relative = os.path.relpath(Path(name).absolute(), folder.absolute())
-    except ValueError:  # another drive of Windows
+    except ValueError:
         return str(Path(name).absolute())
     # A command would take a name that begins with a hyphen for an option.
     return os.path.join(os.curdir, relative) if relative.startswith("-") else relative
@@ -364,8 +365,13 @@ class Session:
             return str(after["id"])
 
     def _require_in_image(self, record: Record) -> None:
-        """Raise TermselError for a feature that is measured outside the image."""
+        """Raise TermselError for a feature that is measured outside the image.
+
+        Nothing is refused if the feature has no image position, or the size of the image is not
+        known.
+        """
         places = np.array(record["image"] or [], dtype=np.float64).reshape(-1, 2)
+        # Ground positions of any kind make points of them, as `require_inside` takes features.
         points = Points(tuple(f"{i}" for i in range(len(places))), places,
                         np.column_stack([np.arange(len(places)), np.zeros((len(places), 2))]))
         try:
@@ -431,6 +437,7 @@ class Session:
                                hint="Give a list of objects with line, sample, x and y.")
         with self.lock:
             patches = []
+            # Ids are P01, P02 and so on, without the letter a number.
             number = int(self.control.new_id("point")[1:])
             for i, point in enumerate(points_given):
                 ground = self.ground_of(check_place_pairs([point.get("map")]))[0]

@@ -93,9 +93,10 @@ class Worker:
             self._process = None
 
     def _begin(self) -> None:
-        """Start the process that computes, and the thread that takes its answers."""
+        """Start the process that computes answers, and the thread that hands them to `tell`."""
+        # "spawn" begins a new interpreter: a fork would copy locks that other threads hold.
         context = multiprocessing.get_context("spawn")
-        # A fit in a thread would keep the interpreter from answering the page.
+        # It is a process, as a fit in a thread would keep the interpreter from answering the page.
         own_end, their_end = context.Pipe()
         with safe_start():
             self._process = context.Process(target=answer_all, args=(their_end, *self._access),

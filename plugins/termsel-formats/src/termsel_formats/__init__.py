@@ -26,7 +26,7 @@ __all__ = ["Deviation", "Taken", "compare_programs", "taken_by_programs"]
 
 @hookimpl
 def termsel_commands(cli: click.Group) -> None:
-    """Add the command."""
+    """Add the command `termsel check`."""
     from termsel_formats.check.command import check
 
     cli.add_command(check)
@@ -34,7 +34,7 @@ def termsel_commands(cli: click.Group) -> None:
 
 @hookimpl
 def termsel_readers() -> Iterable[type[Reader]]:
-    """Return the readers of points."""
+    """Return the readers of points that other programs write."""
     from termsel_formats.points.asp import AspGcp
     from termsel_formats.points.envi import EnviPoints
     from termsel_formats.points.erdas import ErdasGcps
@@ -60,7 +60,8 @@ def termsel_readers() -> Iterable[type[Reader]]:
 
 @hookimpl
 def termsel_writers() -> Iterable[type[Writer]]:
-    """Return the writers of residuals, of points, and of the affine map."""
+    """Return the writers of a map of residuals, of points for other programs, and of world files.
+    """
     from termsel_formats.maps.residuals import ResidualsGeopackage
     from termsel_formats.points.asp import AspGcpWriter
     from termsel_formats.points.erdas import ErdasGcpsWriter

@@ -95,6 +95,7 @@ def _statements_on_results(results: list[Result],
 
     stated = []
     for result in results:
+        # The error of a single result is that of the command.
         try:
             stated.append(state(result))
         except TermselError as error:
@@ -110,7 +111,7 @@ def _statements_on_results(results: list[Result],
 def _read_results(folder: Path) -> list[Result]:
     """Return the result of a folder, or the results within it, as blocks and batches have them.
 
-    Warnings are printed for results whose notes doubt the RPC that they correct. Raises
+    A warning is printed for each result whose notes doubt the RPC that it corrects. Raises
     TermselError if there is no result, or one cannot be read.
     """
     from termsel import read_result
@@ -177,6 +178,8 @@ def _tested_lines(stated: Statements, took: str) -> Iterator[str]:
     """
     from termsel.toolkit import count_in_words
 
+    # Four blocks with a blank line between: what was tested, the errors by direction, the figures
+    # of them together with the distribution of the points, and what the standards let one say.
     points = stated.distribution.points
     yield (f"{stated.source}: {count_in_words(points, 'independent check point')}, {took} no part "
            "in any choice")
@@ -228,9 +231,13 @@ def _predicted_lines(stated: PredictedStatement) -> Iterator[str]:
 
 
 def _figure_to_sign(stated: Statements) -> str:
-    """Return which of the figures of a tested statement is the one to sign."""
+    """Return the sentence that says which of the figures of a tested statement is to be signed.
+
+    It is those of the standards that have a statement, else the predicted RMSE, or none of them.
+    """
     from termsel.toolkit import count_in_words
 
+    # ASPRS and NSSDA have statements by direction, and each standard is named once.
     standards = dict.fromkeys(statement.standard.split()[0] for statement in stated.statements
                               if not statement.words.startswith("not stated"))
     if standards:

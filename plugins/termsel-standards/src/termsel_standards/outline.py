@@ -11,7 +11,7 @@ from termsel.toolkit import FloatArray
 from termsel.toolkit.coordinates import to_wgs84
 from termsel.toolkit.models import ground_where_held, image_places
 
-_N_PLACES_PER_SIDE = 9
+_N_PER_SIDE = 9
 """Number of positions along either side of the image, both corners included."""
 
 _TURN = 360.0
@@ -19,13 +19,13 @@ _TURN = 360.0
 
 
 def outline_of(result: Result) -> FloatArray:
-    """Return the outline of an image on the ground: longitude and latitude, shape (n, 2).
+    """Return the outline of an image on the ground: longitude and latitude, shape (n, 2) [deg].
 
-    It is counter-clockwise, and its last place is its first. It is taken at the middle height of
-    the control. Without a size of the image, the image is the rectangle around the features in it.
-    If the model does not hold all along the borders of the image, as in an oblique view, the
-    outline goes around the ground where it holds. If there is no ground at all for some of these
-    places, it is the rectangle around the features on the ground. Longitudes go on beyond 180
+    It is counter-clockwise, its last position is its first, and its height is the middle one of the
+    control. If the size of the image is not known, the rectangle around the features in it is taken
+    for the image. If the model does not hold all along the borders of the image, as in an oblique
+    view, the outline goes around the ground where it holds. If some of these positions have no
+    ground, it is the rectangle around the features on the ground. Longitudes go on beyond 180
     degrees, either way, where the image does; around a pole the outline goes once around the Earth,
     and over the pole.
     """
@@ -38,9 +38,9 @@ def outline_of(result: Result) -> FloatArray:
         low = np.zeros(2)
         high = np.array(features.image_size) - 1.0
     # In shares of the image: down the first samples, along the last lines, and back.
-    share_of_side = np.linspace(0.0, 1.0, _N_PLACES_PER_SIDE)[:-1]
-    zero = np.zeros(_N_PLACES_PER_SIDE - 1)
-    end = np.ones(_N_PLACES_PER_SIDE - 1)
+    share_of_side = np.linspace(0.0, 1.0, _N_PER_SIDE)[:-1]
+    zero = np.zeros(_N_PER_SIDE - 1)
+    end = np.ones(_N_PER_SIDE - 1)
     places_around = np.concatenate([np.column_stack(pair) for pair in (
         (zero, share_of_side), (share_of_side, end), (end, 1 - share_of_side),
         (1 - share_of_side, zero))])
@@ -76,6 +76,7 @@ def _without_jump(lonlat: FloatArray) -> FloatArray:
 
     Around a pole they end a full turn from where they began: then two positions at the pole follow.
     """
+    # A step of more than half a turn is taken for one across 180 degrees.
     lon = np.unwrap(lonlat[:, 0], period=_TURN)
     lat = lonlat[:, 1]
     # From the last position back to the first, the short way.
@@ -106,13 +107,19 @@ def _within_half_turn(longitude: float, at_limit: float) -> float:
 
 
 def geometry_of(outline: FloatArray) -> dict[str, Any]:
-    """Return an outline (n, 2) as a GeoJSON geometry, cut at 180 degrees (RFC 7946, 3.1.9)."""
+    """Return an outline (n, 2), longitude and latitude [deg], as a GeoJSON geometry.
+
+    It is a Polygon, or a MultiPolygon where the outline crosses 180 degrees: it is cut there, as
+    RFC 7946 (section 3.1.9) has it.
+    """
     if np.abs(outline[:, 0]).max() <= _TURN / 2:
         return {"type": "Polygon", "coordinates": [outline.tolist()]}
     import shapely
     from shapely.geometry.polygon import orient
 
     parts = []
+    # What lies beyond 180 degrees is within them after a full turn either way. An outline over a
+    # pole touches itself there, which `make_valid` mends.
     for turns in (-1.0, 0.0, 1.0):
         moved = shapely.make_valid(shapely.Polygon(outline - [turns * _TURN, 0.0]))
         part = shapely.intersection(moved, shapely.box(-180.0, -90.0, 180.0, 90.0))
@@ -125,9 +132,9 @@ def geometry_of(outline: FloatArray) -> dict[str, Any]:
 
 
 def _hull_of_valid_ground(fitted: Fit, height: float) -> FloatArray:
-    """Return the hull (n, 3) of the ground at a height [m] on which a model holds.
+    """Return the convex hull, (n, 3), of the ground at a height [m] on which a model holds.
 
-    Places of the image beyond the horizon have no ground, and are left out.
+    Pixels beyond the horizon have no ground, and are left out.
     """
     from scipy.spatial import ConvexHull  # takes long to import
 

@@ -130,6 +130,7 @@ def write_sigma(
     require_replaceable([output], reads=[image, like_map, dem], overwrite=overwrite)
     if height is not None and not isfinite(height):
         raise TermselError(f"the height of a map cannot be {height}", hint="Give a number.")
+    # The tags state the accuracy of the run, the bands are of the fit that is exported.
     result_of_run = result
     result = result.as_exported(final)
     if image is not None:
@@ -192,6 +193,7 @@ def _choose_grid(result: Result, like_map: Path | str | None, bounds: Sequence[f
             bounds = tuple(raster.bounds)
     else:
         target = map_crs(result, crs)
+    # What the image shows depends on the heights of the ground.
     if bounds is None:
         dem, height = heights
         image_grid = grid_of_image(result, target, dem=dem, height=height)[0]
@@ -251,6 +253,7 @@ class _Nodes:
         north = grid.transform.f
         east = west + grid.samples * grid.transform.a
         south = north + grid.lines * grid.transform.e
+        # A fixed seed, so that the same map has the same figure.
         rng = np.random.default_rng(0)
         tested = np.column_stack([rng.uniform(west, east, _N_TESTED),
                                   rng.uniform(south, north, _N_TESTED)])
@@ -274,6 +277,7 @@ class _Nodes:
             raise TermselError("the uncertainty of this model is not known anywhere on this map",
                                hint="The control determines the model without redundancy, or the "
                                     "map is elsewhere. Give more control, or other --bounds.")
+        # Twice as many intervals each time, until the interpolation is exact enough.
         intervals = _MIN_INTERVALS
         while True:
             x = _axis_nodes(west, east, intervals)
@@ -319,9 +323,11 @@ class _Nodes:
                 position[:] = 0.0 * values
         unknown = ~np.isfinite(positions).all(axis=0)
         positions[:, unknown] = 0.0
+        # The tables are coefficients of splines already, so they are not filtered again.
         squares = np.stack([map_coordinates(table, positions, order=self.order, mode="mirror",
                                             prefilter=False) for table in self.table], axis=1)
         squares[unknown] = np.nan
+        # A spline of positive variances may fall below 0 between the nodes.
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
     def pixels(self, window: Any, transform: Any) -> Any:
@@ -334,6 +340,7 @@ class _Nodes:
         xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         ground = self.to_ground(xy)
         ground[:, 2] = self.surface(ground[:, :2])
+        # Bands 1 to 4 are standard deviations, 5 says whether the pixel is outside the control.
         bands = np.empty((len(BANDS), len(xy)), dtype=np.float32)
         bands[:4] = self.interpolate_sigma(xy, ground).T
         if self.flat:
@@ -388,10 +395,12 @@ def _no_area_error(bounds: Sequence[float], crs: str) -> TermselError:
     """
     west, south, east, north = bounds
     reasons = []
+    # Comparisons with NaN are False, so that it is no reason here.
     if west >= east:
         reasons.append(f"west {west:.10g} is not west of {east:.10g}")
     if south >= north:
         reasons.append(f"south {south:.10g} is not south of {north:.10g}")
+    # People give the order of other programs, such as west east south north.
     ordered = (min(west, east), min(south, north), max(west, east), max(south, north))
     remedy = ""
     if all(map(isfinite, bounds)) and west != east and south != north:
@@ -405,7 +414,8 @@ def _no_area_error(bounds: Sequence[float], crs: str) -> TermselError:
 
 
 def _axis_nodes(low: float, high: float, intervals: int) -> FloatArray:
-    """Return nodes from `low` to `high` in so many intervals, and further ones beyond both ends."""
+    """Return evenly spaced nodes: those of `intervals` from `low` to `high`, and four beyond either.
+    """
     step = (high - low) / intervals
     return np.asarray(low + step * np.arange(-_N_NODES_BEYOND, intervals + _N_NODES_BEYOND + 1))
 

@@ -95,11 +95,11 @@ class Distribution:
     required : int
         By ASPRS, for the area.
     area : float or None
-        Of what they stand for [km2].
+        Of the data that they test [km2].
     quadrants : tuple of int or None
         Points in the south-west, south-east, north-west and north-east.
     apart : float or None
-        Least distance of two points over the diagonal of the area.
+        Least distance of two points, divided by the diagonal of the area.
     """
 
     points: int
@@ -273,6 +273,7 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
         nssda_sentence = (f"Tested {_size_text(by_nssda.value)} meters horizontal accuracy at 95% "
                           "confidence level")
     too_few = f"{count_in_words(n, 'independent point')}, at least {NSSDA_POINTS} needed"
+    # The errors found contain those of the survey: a survey said to be worse is a wrong statement.
     horizontal = _asprs_statement("horizontal", n, horizontal_with_survey, horizontal_class)
     if survey_horizontal is not None and survey_horizontal > MAX_SURVEY_RATIO * figures.total:
         horizontal = Statement("ASPRS horizontal", horizontal_with_survey,
@@ -298,13 +299,17 @@ def statements_of(ground_errors: GroundErrors, horizontal_class: float | None = 
 
 
 def _component_figures(name: str, errors: FloatArray) -> Component:
-    """Return the figures of the errors (n,) along one axis [m], n at least 1."""
+    """Return the figures of the errors (n,) along one axis [m], of at least one point.
+
+    `name` is that of the axis: "east", "north" or "up".
+    """
     n = len(errors)
     size = np.abs(errors)
     # Shapiro and Wilk's test divides by the scatter, which is 0 for equal errors.
     normal = None
     if n >= _MIN_NORMALITY and np.ptp(errors) > 0:
-        from scipy.stats import shapiro  # takes long to import
+        # SciPy's statistics take long to import, and some statements need none.
+        from scipy.stats import shapiro
 
         normal = float(shapiro(errors).pvalue)
     return Component(
@@ -314,8 +319,11 @@ def _component_figures(name: str, errors: FloatArray) -> Component:
 
 
 def _survey_rmse(sigma: FloatArray) -> float | None:
-    """Return the RMSE [m] of the survey by its standard deviations (n, d); None if any is unknown.
+    """Return the RMSE of a survey by the standard deviations of its coordinates, (n, d) [m].
+
+    None if any is not known (NaN).
     """
+    # RMSE^2 is the mean over the points of the sum of sigma^2 over the d coordinates.
     if np.isnan(sigma).any():
         return None
     return float(np.sqrt((sigma**2).sum(axis=1).mean()))
@@ -347,12 +355,14 @@ def _asprs_statement(direction: str, points: int, value: float | None,
         return Statement(name, value, f"not stated: {count_in_words(points, 'check point')}; at "
                          f"least {MIN_REDUCED} are needed for a statement by a reduced number, "
                          f"and {ASPRS_POINTS} for the full one")
+    # Without a class to test, the data are said to meet the least class that they do meet.
     class_ = class_of(value) if stated_class is None else stated_class
     kind, figure_words = _CLASS_AND_FIGURE[direction]
     if value > class_:
         return Statement(name, value, f"not stated, as {_in_statement_unit(value)} is above the "
                          f"{_in_statement_unit(class_)} of the class")
     figure = "The " + figure_words.format(_in_statement_unit(value))
+    # The words are prescribed by the standard, with others for fewer than 30 points.
     if points >= ASPRS_POINTS:
         return Statement(name, value, f"This data set was tested to meet {ASPRS} for a "
                          f"{_in_statement_unit(class_)} {kind}. {figure}")
@@ -367,6 +377,7 @@ def class_of(value: float) -> float:
     """Return the least class [m], a number of two digits, that an RMSE [m] meets; 0 for 0."""
     if value <= 0:
         return 0.0
+    # The unit of the second digit: 0.1 for 1 to 9.9.
     unit = 10.0 ** (floor(log10(value)) - 1)
     # The term lets a value be in a class that it exceeds by rounding alone.
     return float(f"{ceil(value / unit - 1e-9) * unit:.10g}")
@@ -428,7 +439,7 @@ def _limiting_notes(ground_errors: GroundErrors, total: float, survey: float | N
     the horizontal RMSE and `survey` that of the survey [m]; `classes` are the horizontal and the
     vertical class to test [m], if any.
     """
-    from scipy.stats import t as student  # takes long to import
+    from scipy.stats import t as student
 
     notes = []
     # With fewer points than `ASPRS_POINTS`, the statement says so.

@@ -16,7 +16,8 @@ from termsel.toolkit.files import program_environment
 Places = Callable[[FloatArray, FloatArray], FloatArray]
 """From line and sample (n, 2) and heights (n,) to x and y (n, 2), NaN where there are none."""
 
-_MAX_SECONDS = 120.0  # that a program has for an answer
+# Time that a program has for an answer [s].
+_MAX_SECONDS = 120.0
 
 
 NONE = "none: no georeferencing"

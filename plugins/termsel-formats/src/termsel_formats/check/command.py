@@ -92,9 +92,10 @@ def check(file: Path, folder: Path | None, as_json: bool, final: bool | None) ->
 
 
 def _ungeoreferenced_warning(file: Path, folder: str, *, by_rpc: bool) -> str:
-    """Return the warning that no program takes a place from a file, with what would write it one.
+    """Return the warning that a file is georeferenced for no program, with a command to type.
 
-    An RPC follows the heights, and GCPs do not.
+    The command exports what programs read: an RPC with `by_rpc`, for a model that follows the
+    heights, else GCPs.
     """
     to, ending = ("rpc-vrt", ".vrt") if by_rpc else ("gcp-tiff", "-gcps.tif")
     output = file.with_name(f"{file.stem}{ending}")

@@ -23,7 +23,8 @@ from termsel_formats.check.programs import Answers, taken_by_programs
 from termsel_formats.check.raster import size_of
 from termsel_formats.check.sidecars import raster_of
 
-_PLACES_ACROSS = 15  # places along either side of the image
+# Positions along either side of the image at which programs are compared with the model.
+_PLACES_ACROSS = 15
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Apart:
     line, sample : float
         Where the largest is.
     lacking : int
-        Places without an answer.
+        Positions that the program does not transform, or whose ground the model cannot project.
     """
 
     rms: float
@@ -77,7 +78,7 @@ class Deviation:
 
 def compare_programs(path: Path | str, result: Result | None = None, *, final: bool | None = None,
                      ) -> tuple[tuple[Deviation, ...], Answers]:
-    """Return what programs take from a raster or from a file next to it, against a model.
+    """Return what programs take from a raster or a file next to it, and how far that is off.
 
     Positions are compared at the heights of the points, and over the image at the middle height of
     the control.
@@ -119,6 +120,7 @@ def compare_programs(path: Path | str, result: Result | None = None, *, final: b
         if result is None:
             return tuple(Deviation(answer.program, answer.transformation, answer.crs,
                                    answer.by_default) for answer in answers.taken), answers
+        # A map of the image, whose pixels are others, would be off by its whole size.
         size = size_of(raster)
         size_of_result = result.features.image_size
         if size_of_result is not None and tuple(size_of_result) != size:
@@ -144,6 +146,7 @@ def _deviation_of(answer: Taken, result: Result, size: tuple[int, int]) -> Devia
     inside = np.stack(np.meshgrid(shares, shares, indexing="ij"), axis=-1).reshape(-1, 2)
     # Positions count from the centre of the first pixel: the image begins half a pixel before it.
     image = np.concatenate([inside * size - 0.5, border_places(size)])
+    # The middle height of the control, for pixels of which no height is known.
     level = float(result.fit.ground_box()[0][2])
     try:
         if len(points):
@@ -159,11 +162,11 @@ def _deviation_of(answer: Taken, result: Result, size: tuple[int, int]) -> Devia
 
 def _distances_from_model(answer: Taken, result: Result, image: FloatArray, ground: FloatArray,
                           level: float) -> Apart | None:
-    """Return the distances of a program's ground positions from the model's.
+    """Return how far a program's ground positions are from the model's.
 
-    `image` (n, 2) are image positions, `ground` (n, 3) where the model has them; heights that are
-    not known are `level` [m]. Rows that are not finite are left out. None if no position can be
-    compared.
+    `image` (n, 2) are lines and samples [px], and `ground` (n, 3) are the model's positions of the
+    same pixels, in the CRS of the result. Heights that are not known are taken to be `level` [m],
+    and rows without a position are left out. None if no position can be compared.
     """
     assert answer.places is not None
     is_known = np.isfinite(image).all(axis=1) & np.isfinite(ground[:, :2]).all(axis=1)
@@ -177,6 +180,7 @@ def _distances_from_model(answer: Taken, result: Result, image: FloatArray, grou
     else:
         heights = ground[:, 2]
     xy = answer.places(image, heights)
+    # A program may answer in another CRS, such as degrees for an RPC.
     if answer.crs and crs != LOCAL:
         xy = transformation_between(horizontal_crs(answer.crs), horizontal_crs(crs), strict=False)(
             np.column_stack([xy, np.zeros(len(xy))]))[:, :2]
@@ -186,6 +190,7 @@ def _distances_from_model(answer: Taken, result: Result, image: FloatArray, grou
     comparable = np.isfinite(pixels)
     if not comparable.any():
         return None
+    # No distance is negative, so that positions without one are never the worst.
     worst = int(np.argmax(np.where(comparable, pixels, -1.0)))
     metres = offsets_in_metres(
         crs, ground[comparable], (program_ground - ground)[comparable, :2])

@@ -14,7 +14,8 @@ from termsel.toolkit import FloatArray
 from termsel_formats.check.base import NONE, NoAnswer, Places, Taken, answer, find_program
 
 WGS84 = "EPSG:4326"
-_SAME_SHARE = 1e-9  # of the size of the coordinates
+# Difference of two transformations that are the same, as a share of the coordinates: rounding.
+_SAME_SHARE = 1e-9
 _BY_GCPS = (("polynomial of order 1 through GCPs", ("-order", "1")),
             ("polynomial of order 2 through GCPs", ("-order", "2")),
             ("polynomial of order 3 through GCPs", ("-order", "3")),
@@ -177,10 +178,11 @@ def _possible_by_gcps(path: Path, raster_header: Header,
     """
     for words, options in _BY_GCPS:
         transform = with_fixed_height(transformation_of_gdal(path, *options))
+        # With too few GCPs gdaltransform fails, or its answers are no numbers.
         try:
             is_determined = np.isfinite(
                 transform(_corner_pixels(raster_header.size), np.zeros(4))).all()
-        except NoAnswer:  # too few GCPs
+        except NoAnswer:
             continue
         if is_determined:
             yield words, (options, transform)

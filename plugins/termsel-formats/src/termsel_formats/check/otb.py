@@ -31,7 +31,8 @@ def taken_by_otb(path: Path, raster_header: Header) -> Taken | None:
     info, convert = map(find_program, ("otbcli_ReadImageInfo", "otbcli_ConvertSensorToGeoPoint"))
     if info is None or convert is None:
         return None
-    if "?" in str(path.absolute()):  # what follows it would be options of OTB, such as files
+    # What follows a question mark in a name would be options of OTB, which may name other files.
+    if "?" in str(path.absolute()):
         raise NoAnswer("OTB does not take a name with a question mark")
     name = "OTB"
 
@@ -61,15 +62,17 @@ def taken_by_otb(path: Path, raster_header: Header) -> Taken | None:
         spacing = np.array([float(values["spacingx"]), float(values["spacingy"])])
     except (KeyError, ValueError):
         raise NoAnswer("otbcli_ReadImageInfo gave an answer of another form") from None
+    # Its application refuses rasters without an RPC, or with one that it does not know.
     try:
         places(np.zeros((1, 2)), np.zeros(1))
-    except NoAnswer:  # no RPC, or none that it knows
+    except NoAnswer:
         pass
     else:
         return Taken(name, "RPC at the height 0", WGS84, places)
     # Without georeferencing OTB reports the centre of the first pixel at 0.5 and a spacing of 1.
     if np.allclose(origin, 0.5) and np.allclose(np.abs(spacing), 1.0):
         return Taken(name, "not reported by its applications")
+    # Terms 2 and 4 of GDAL's geotransform are the rotation.
     if raster_header.geotransform and any(raster_header.geotransform[i] for i in (2, 4)):
         return Taken(name, "affine transformation, whose rotation it does not state")
     return Taken(name, "origin and spacing", raster_header.crs,

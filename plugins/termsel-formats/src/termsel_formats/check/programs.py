@@ -22,6 +22,7 @@ class Answers:
     Parameters
     ----------
     taken : tuple of Taken
+        What each program takes by default, and with options.
     absent : tuple of str
         Programs that are not installed.
     failed : tuple of str
@@ -64,6 +65,7 @@ def taken_by_programs(path: Path | str) -> Answers:
     answers: list[Taken] = []
     absent = []
     failed = []
+    # rasterio is a library with a GDAL of its own, which may differ from that of the command line.
     try:
         answers += raster.taken_by_rasterio(path)
         raster_header = gdal.read_gdalinfo(path)
@@ -90,7 +92,10 @@ def taken_by_programs(path: Path | str) -> Answers:
 
 
 def _as_iterator(ask: Ask) -> Callable[[Path, gdal.Header], Iterator[Taken]]:
-    """Return a function that yields what `ask` returns, and nothing where that is None."""
+    """Return a function that yields what `ask` returns, or nothing if that is None.
+
+    GDAL has several answers, and other programs have one or none: so all can be asked alike.
+    """
     def answers_of(path: Path, raster_header: gdal.Header) -> Iterator[Taken]:
         answer = ask(path, raster_header)
         if answer is not None:

@@ -19,7 +19,8 @@ from termsel_formats.check.gdal import (
     with_fixed_height,
 )
 
-_MAX_DIFFERENCE = 3.0  # px of the map that QGIS makes, by which its extent may differ from GDAL's
+# Difference of the extents by QGIS and by GDAL up to which they agree [px of QGIS's map].
+_MAX_DIFFERENCE = 3.0
 
 
 @contextmanager
@@ -81,6 +82,7 @@ def taken_by_qgis(path: Path, raster_header: Header) -> Taken | None:
         transforms[f"RPC at its height offset, {height:,.0f} m"] = with_fixed_height(
             by_gdal, height)
     differences = {}
+    # QGIS's map is the box around the image on the ground, which the border of the image spans.
     for words, transform in transforms.items():
         border_on_map = transform(border, np.zeros(len(border)))
         lowest = np.nanmin(border_on_map, axis=0)

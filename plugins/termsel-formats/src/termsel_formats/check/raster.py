@@ -56,9 +56,11 @@ def _transform_by_rasterio(transformer: type, argument: object) -> Places:
 
     `argument` is what the transformer is made of. All positions are taken at the height 0.
     """
-    def places(image: FloatArray, _heights: FloatArray) -> FloatArray:
+    def transform(image: FloatArray, _heights: FloatArray) -> FloatArray:
+        """Return x and y (n, 2) of image positions, line and sample (n, 2)."""
+        # rasterio adds half a pixel itself, so that whole numbers are the centres of pixels.
         with transformer(argument) as opened:
             x, y = opened.xy(image[:, 0].tolist(), image[:, 1].tolist(), zs=[0.0] * len(image))
         return np.column_stack([x, y])
 
-    return places
+    return transform

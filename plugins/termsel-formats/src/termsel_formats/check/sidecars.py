@@ -24,12 +24,12 @@ _RECORD, _CERTIFICATE = "result.json", "certificate.json"
 
 @contextmanager
 def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
-    """Yield a raster to ask programs about, for a raster or for a file that goes with one.
+    """Yield the raster that programs can be asked about, for a raster or a file that goes with one.
 
-    Of a world file, an RPC or an auxiliary file it is the picture beside it or, if there is none,
-    an empty raster of the result's size with a copy of the file beside it. Any other file is
-    yielded as it is. Raises TermselError for a folder, for a file that does not exist, for a world
-    file without its numbers, and if neither a picture nor the size of the image is there.
+    For a world file, an RPC or an auxiliary file it is the image beside it. If there is none, an
+    empty raster is made, with the size of the result's image and a copy of the file beside it. Any
+    other file is taken for a raster. Raises TermselError for a folder, for a file that does not
+    exist, for a world file without its numbers, and if there is neither an image nor its size.
     """
     if path.is_dir():
         raise _folder_error(path)
@@ -43,6 +43,7 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
     if not match and not is_auxiliary:
         yield path
         return
+    # scene.tif.aux.xml belongs to scene.tif; scene.tfw and scene_RPC.TXT to any scene.* image.
     if is_auxiliary:
         stem = path.name[:-len(_AUXILIARY)]
         candidates = [path.with_name(stem)]
@@ -69,6 +70,7 @@ def raster_of(path: Path, result: Result | None) -> Iterator[Path]:
             file=path, hint=f"Put the image beside it under the name {picture_name}, {remedy}.")
     if is_world_file:
         _require_world_file(path)
+    # Programs look for such a file by the name of the image, so both get matching names.
     with private_folder() as folder:
         image = folder / ("image.tif" if match else Path(stem).with_suffix(".tif").name)
         _write_empty(image, size)
@@ -93,7 +95,10 @@ def _folder_error(folder: Path) -> TermselError:
 
 
 def _require_world_file(path: Path) -> None:
-    """Raise TermselError unless a file consists of the six numbers of a world file."""
+    """Raise TermselError unless a file consists of the six numbers of a world file.
+
+    Numbers may have decimal commas. The message counts the numbers and the words that are none.
+    """
     words = path.read_bytes().decode("utf-8", errors="replace").split()
     numbers = [word for word in words if _is_number(word)]
     if len(numbers) != _NUMBERS or len(words) != _NUMBERS:
@@ -125,8 +130,9 @@ def _write_empty(path: Path, size: tuple[int, int]) -> None:
     import warnings
 
     rasterio = require_rasterio()
+    # rasterio warns of rasters that are not georeferenced, as this one must be.
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # rasterio warns that it is not georeferenced
+        warnings.simplefilter("ignore")
         with rasterio.open(path, "w", driver="GTiff", height=size[0], width=size[1], count=1,
                            dtype=np.uint8, sparse_ok=True, tiled=True):
             pass

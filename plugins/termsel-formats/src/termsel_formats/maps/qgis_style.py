@@ -30,7 +30,10 @@ _SHAPES = {"circle": "circle", "square": "square", "triangle-up": "triangle",
 
 
 def layer_style_rows() -> dict[str, Any]:
-    """Return the columns of the table layer_styles, with a row each for residuals and vectors."""
+    """Return the columns of the table layer_styles of a GeoPackage, by name.
+
+    Each is an array (2,): the rows are the styles of the layers residuals and vectors.
+    """
     layers = {"residuals": _marker_style(), "vectors": _arrow_style()}
 
     def text(*values: str) -> Any:
@@ -57,8 +60,12 @@ def _marker_style() -> str:
 
 
 def _arrow_style() -> str:
-    """Return the style of vectors in QML, with a straight arrow for each role."""
+    """Return the style of residual vectors as QML, with a straight arrow for each role.
+
+    Sizes are in mm on the screen or on paper, whatever the scale of the map.
+    """
     arrows = {}
+    # An arrow is a polygon, whose fill is a symbol of its own: @i@0 is that of the i-th role.
     for i, (role, colour) in enumerate(_COLOURS.items()):
         fill = _symbol_layer_qml(
             "SimpleFill", color=_qgis_colour(colour), style="solid", outline_style="no")

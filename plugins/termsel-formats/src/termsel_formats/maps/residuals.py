@@ -16,8 +16,10 @@ from termsel.toolkit.models import errors_on_ground
 from termsel.toolkit.runs import GIS
 from termsel_formats.maps.qgis_style import LAYER_OPTIONS, TABLE, layer_style_rows
 
-_VERSION = {"VERSION": "1.3"}  # which GDAL 3.6 and QGIS 3.22 read without a warning
-_MEDIAN_LENGTH_SHARE = 0.03  # of the map's extent, for the median vector
+# The version of GeoPackage that GDAL 3.6 and QGIS 3.22 read without a warning.
+_VERSION = {"VERSION": "1.3"}
+# Length of the median vector on the map, as a share of the map's extent.
+_MEDIAN_LENGTH_SHARE = 0.03
 
 
 class ResidualsGeopackage(Writer):
@@ -67,18 +69,21 @@ class ResidualsGeopackage(Writer):
             "residuals": shapely.points(ground[:, :2]),
             "vectors": shapely.linestrings(np.stack([ground[:, :2], ends], axis=1))}
         columns["exaggeration"] = np.full(len(residuals), exaggeration)
+        # GeoPackages have columns fid and geom of their own.
         columns |= _attribute_columns(result, [*columns, "fid", "geom"])
         fields = [np.asarray(column, dtype=object) if column.dtype.kind in "UO" else column
                   for column in columns.values()]
         with private_folder() as folder, warnings.catch_warnings():
             file = folder / "residuals.gpkg"
-            warnings.filterwarnings("ignore", "'crs' was not provided")  # plane coordinates
+            # Plane coordinates have no CRS, of which pyogrio warns.
+            warnings.filterwarnings("ignore", "'crs' was not provided")
             try:
                 for layer, shapes in layers.items():
                     write(str(file), shapely.to_wkb(shapes), fields, list(columns), layer=layer,
                           driver="GPKG", geometry_type="Point" if layer == "residuals"
                           else "LineString", crs=horizontal_crs(result.features.crs) or None,
                           append=file.exists(), dataset_options=_VERSION)
+                    # On a full disk GDAL may write fewer features without an error.
                     if read_info(file, layer=layer)["features"] != len(residuals):
                         raise DataLayerError("the file is incomplete")  # noqa: TRY301
                 layer_styles = layer_style_rows()
@@ -103,6 +108,7 @@ class ResidualsGeopackage(Writer):
         if exaggeration is None:
             length = float(np.median(np.linalg.norm(vectors, axis=1)))
             extent = float(np.ptp(ground[:, :2], axis=0).max())
+            # One digit, such as 200 times, is a factor that people can divide by.
             if length > 0:
                 exaggeration = float(f"{_MEDIAN_LENGTH_SHARE * extent / length:.1g}")
             else:

@@ -101,9 +101,11 @@ _Row = tuple[int, list[str], dict[str, list[str]]]
 
 
 def _parse_rows(path: Path) -> list[_Row]:
-    """Return line number, ground cells, and cells by image of each row that is not a comment.
+    """Return the rows of a file that are not comments, divided into their cells.
 
-    Raises TermselError if there is no row, or if one has another number of cells.
+    Of each row there are the number of its line, the cells of `_GROUND`, and for each image by its
+    name the cells of `_IMAGE` after the name. Raises TermselError if there is no row, or if one
+    does not have seven cells and five for each image.
     """
     points: list[_Row] = []
     for number, text in enumerate(read_text(path).splitlines(), 1):

@@ -10,6 +10,7 @@ import numpy as np
 
 from termsel import Points, TermselError
 from termsel.toolkit import read_data
+from termsel.toolkit.coordinates import normalise
 from termsel.toolkit.files import decode_xml, error_in_file
 
 CORNER = 0.5
@@ -53,6 +54,14 @@ def file_beside(path: Path, name: str) -> Path:
     return beside if not Path(name).is_file() and beside.is_file() else Path(name)
 
 
+def crs_or_blank(crs: str) -> str:
+    """Return a CRS in its normal form; "" if it cannot be read."""
+    try:
+        return normalise(crs)
+    except TermselError:
+        return ""
+
+
 def what_lacks(error: KeyError | ValueError) -> str:
     """Return a clause for users on an error of reading attributes.
 
@@ -72,6 +81,7 @@ def points_of(path: Path, ids: Sequence[str], rows: Sequence[Sequence[float]]) -
     if not np.nan_to_num(table[:, 4]).any():
         table[:, 4] = np.nan
     names = [name.strip() for name in ids]
+    # Ids must be unique here, which they need not be in the files of other programs.
     if len({*names} - {""}) < len(names):
         names = [f"P{i}" for i in range(1, len(names) + 1)]
     try:

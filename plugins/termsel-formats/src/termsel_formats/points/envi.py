@@ -32,7 +32,8 @@ _ENVI = re.compile(r"\bENVI\b", re.IGNORECASE)
 _KIND = re.compile(r"\b(GCP|Ground Control|Points)\b", re.IGNORECASE)
 _IMAGE_COLUMNS = re.compile(r"\bImage\s*\(x", re.IGNORECASE)
 _PROJECTION = re.compile(r";\s*projection info\s*=\s*\{", re.IGNORECASE)
-_CORNER = 1.5  # what the centre of the first pixel is called
+# ENVI calls the upper-left corner of the first pixel (1, 1), and so its centre (1.5, 1.5).
+_CENTRE = 1.5
 
 
 class EnviPoints(Reader):
@@ -70,7 +71,7 @@ class EnviPoints(Reader):
             numbers = table.stack("image")[:, 0].tolist()
             image_number = image_of(path, numbers, self.options["image_number"], "image_number=N")
             table = table.take([row for row, n in enumerate(numbers) if n == image_number])
-        image = table.stack("line", "sample") - _CORNER
+        image = table.stack("line", "sample") - _CENTRE
         ground = (table.stack("x", "y", "z") if "z" in table.columns else
                   np.column_stack([table.stack("x", "y"), np.full(len(image), np.nan)]))
         return FeatureSet(table.points(image, ground, None, ()), crs=crs)
@@ -92,13 +93,13 @@ def _read_rows(path: Path) -> tuple[list[list[str]], list[int], str]:
     rows: list[list[str]] = []
     lines: list[int] = []
     crs = ""
+    # Comments say what the points relate, and state the projection.
     for number, text in enumerate(read_text(path).splitlines(), 1):
         if re.match(r"\s*;", text):
             if re.search(r"image to image|base\s+image", text, re.IGNORECASE):
                 raise TermselError("these points relate two images and have no ground "
                                    "coordinates", file=path, line=number,
                                    hint="Give points of the type image to map.")
-            # ENVI writes the projection into a comment.
             projection = _PROJECTION.search(text)
             if projection and (end := text.rfind("}", projection.end())) >= 0:
                 crs = _crs_of_projection(text[projection.end():end])

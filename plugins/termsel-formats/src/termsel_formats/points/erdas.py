@@ -102,7 +102,11 @@ class ErdasGcpsWriter(PointsWriter):
         return bool(len(result.fit.control.points))
 
     def write(self, result: Result, path: Path) -> None:
-        """Write the points as a table with tabs, lines counted upwards as IMAGINE has them."""
+        """Write the selected control points as a table with the columns of IMAGINE, between tabs.
+
+        Lines are negative, as IMAGINE has those of an image without a map, and unknown heights are
+        blank. Raises TermselError for a result without control points.
+        """
         self.require(result, path)
         points = chosen_points(result)
         rows = ["Point #\tPoint ID\tX Input\tY Input\tX Ref.\tY Ref.\tZ Ref.\tType"]

@@ -16,7 +16,6 @@ import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError, open_raster
 from termsel.toolkit import picture_for, private_folder, with_dataset, write_text
-from termsel.toolkit.coordinates import normalise
 from termsel.toolkit.files import (
     atomic_path,
     gcps_of,
@@ -26,7 +25,7 @@ from termsel.toolkit.files import (
     vrt_text,
     xml_attribute,
 )
-from termsel_formats.points.common import CORNER, points_of, what_lacks, xml_root
+from termsel_formats.points.common import CORNER, crs_or_blank, points_of, what_lacks, xml_root
 from termsel_formats.points.written import IMAGE_OPTION, PointsWriter, say_by_gdal
 
 _GDAL_HINT = "Write it again with GDAL or ArcGIS, or give another file."
@@ -57,7 +56,7 @@ class PamGcps(Reader):
             raise TermselError("this file has no ground control points", file=path,
                                hint="Check the image with gdalinfo.")
         rows = [(line - CORNER, sample - CORNER, *ground) for sample, line, *ground in gcps.rows]
-        return FeatureSet(points_of(path, gcps.ids, rows), crs=_crs_or_blank(gcps.crs))
+        return FeatureSet(points_of(path, gcps.ids, rows), crs=crs_or_blank(gcps.crs))
 
 
 class _Gcps(NamedTuple):
@@ -94,6 +93,7 @@ def _gcps_of_arcgis(root: ElementTree.Element) -> _Gcps | None:
         return None
 
     def numbers(name: str) -> list[float]:
+        """Return the numbers of a list of points by its name: x, y, x, y and so on."""
         return [float(element.text or "") for element in transformation.findall(f"{name}/Double")]
 
     source = numbers("SourceGCPs")
@@ -105,13 +105,6 @@ def _gcps_of_arcgis(root: ElementTree.Element) -> _Gcps | None:
         source[::2], source[1::2], target[::2], target[1::2], strict=True)]
     return _Gcps([""] * len(rows), rows, transformation.findtext("SpatialReference/WKT", ""))
 
-
-def _crs_or_blank(crs: str) -> str:
-    """Return a CRS in its normal form; "" if it cannot be read."""
-    try:
-        return normalise(crs)
-    except TermselError:
-        return ""
 
 
 class PamGcpsWriter(PointsWriter):

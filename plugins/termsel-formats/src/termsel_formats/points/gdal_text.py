@@ -20,9 +20,9 @@ import numpy as np
 
 from termsel import FeatureSet, Option, Reader, Result, TermselError
 from termsel.toolkit import parse_json, read_text, write_text
-from termsel.toolkit.coordinates import horizontal_crs, normalise
+from termsel.toolkit.coordinates import horizontal_crs
 from termsel.toolkit.files import IMAGE_NAME, image_of, is_number
-from termsel_formats.points.common import CORNER, points_of
+from termsel_formats.points.common import CORNER, crs_or_blank, points_of
 from termsel_formats.points.written import (
     PointsWriter,
     points_for_others,
@@ -93,7 +93,8 @@ def _stated_crs(text: str) -> list[str]:
     """Return the CRSs that the options in a text state, each once; [] if none can be read."""
     stated = []
     for quoted, single, bare in _SRS.findall(text):
-        stated.append(_crs_or_blank(re.sub(r"\\(.)", r"\1", quoted) or single or bare))
+        # Within quotation marks a backslash may stand before a character, as before those of WKT.
+        stated.append(crs_or_blank(re.sub(r"\\(.)", r"\1", quoted) or single or bare))
     return list(dict.fromkeys(filter(None, stated)))
 
 
@@ -107,6 +108,7 @@ def _join_commands(path: Path) -> str:
     rows = [line.split() for line in text.splitlines() if line.strip()]
     if rows and all(len(row) in (4, 5) and all(map(is_number, row)) for row in rows):
         return "\n".join(f"-gcp {' '.join(row)}" for row in rows)
+    # A line goes on after \ in a shell, after ^ in a batch file and after ` in PowerShell.
     joined = re.sub(r"[\\^`]\s*\n", " ", text)
     return _OPTION_WITH_COMMAS.sub(lambda option: f"-gcp {option[1].replace(',', ' ')}", joined)
 
@@ -159,7 +161,10 @@ class GdalinfoText(Reader):
             and '"gcps"' in text)
 
     def read(self, path: Path) -> FeatureSet:
-        """Return the points; raises TermselError, with the file, if there are none."""
+        """Return the points, with the size of the image and the CRS as far as they are printed.
+
+        Raises TermselError, with the file, if there are no points.
+        """
         text = read_text(path)
         if text.lstrip().startswith("{"):
             ids, rows, crs, size = _gcps_of_json(path, text)
@@ -170,7 +175,7 @@ class GdalinfoText(Reader):
                                hint="Give what it prints of an image that has some.")
         # GDAL counts from the corner of the first pixel.
         table = [(line - CORNER, sample - CORNER, *ground) for sample, line, *ground in rows]
-        return FeatureSet(points_of(path, ids, table), crs=_crs_or_blank(crs), image_size=size)
+        return FeatureSet(points_of(path, ids, table), crs=crs_or_blank(crs), image_size=size)
 
 
 class _PrintedGcps(NamedTuple):
@@ -225,13 +230,6 @@ def _gcps_of_json(path: Path, text: str) -> _PrintedGcps:
                            file=path, hint=hint) from error
     return _PrintedGcps(ids, rows, " ".join(crs.split()), lines_samples)
 
-
-def _crs_or_blank(crs: str) -> str:
-    """Return a CRS in its normal form; "" if it cannot be read."""
-    try:
-        return normalise(crs)
-    except TermselError:
-        return ""
 
 
 class GdalOptionsWriter(PointsWriter):

@@ -186,13 +186,14 @@ def _bands_by_name(raster: Any) -> list[int] | None:
 
 
 def _arrays_of_domain(path: Path, raster: Any, domain: dict[str, str], stack: ExitStack) -> Arrays:
-    """Return the arrays that the metadata of an image name, by GDAL's RFC 4.
+    """Return the arrays that the metadata domain GEOLOCATION of an image names, by GDAL's RFC 4.
 
-    `domain` is the metadata domain GEOLOCATION of the image; the files of arrays are opened on
-    `stack`. Raises TermselError if the domain names no longitudes or latitudes, or if one of its
-    numbers is wrong.
+    `domain` has the entries of the domain by name; `stack` keeps the files of the arrays open.
+    Raises TermselError if the domain names no longitudes or latitudes, or if one of its numbers is
+    wrong.
     """
     bands = []
+    # X, Y and Z are longitude, latitude and height, of which the height may be missing.
     for axis in "XYZ":
         name = domain.get(f"{axis}_DATASET")
         if name is None:
@@ -283,6 +284,7 @@ def _lattice_of(arrays: Arrays, path: Path, meshes: int | None) -> FeatureSet:
     nodes remain, or if latitudes are beyond 90 degrees.
     """
     image, ground = _sample_densely_enough(arrays, meshes)
+    # Pixels beyond the edge of the Earth, or in gaps of a swath, have no coordinates.
     finite = np.isfinite(ground[:, :2]).all(axis=1)
     if finite.sum() < 4:
         raise TermselError(
@@ -292,6 +294,7 @@ def _lattice_of(arrays: Arrays, path: Path, meshes: int | None) -> FeatureSet:
             "the latitudes of this array are beyond 90", file=path, hint=_GEOLOCATION_HINT)
     image = image[finite]
     ground = ground[finite]
+    # A model that uses heights needs that of every point.
     if np.isnan(ground[:, 2]).any():
         ground[:, 2] = np.nan
     if _mirrors(image, ground):
@@ -313,6 +316,7 @@ def _sample_densely_enough(arrays: Arrays, meshes: int | None) -> tuple[FloatArr
     most_meshes = max(size - 1 for size in arrays.shape)
     lattice = None
     error = np.inf
+    # Twice as dense each time, until that no longer pays or the lattice has all nodes.
     for density in DENSITIES if meshes is None else (meshes,):
         denser_lattice = _sample_arrays(arrays, density)
         denser_error = _error_between(arrays, denser_lattice)
@@ -391,11 +395,13 @@ def _sample_arrays(
 
 
 def _error_between(arrays: Arrays, lattice: tuple[FloatArray, FloatArray]) -> float:
-    """Return the RMSE [px] in the middles of the meshes, of a smooth model of a lattice.
+    """Return how well a smooth model of a lattice predicts the nodes between: the RMSE [px].
 
-    In the model, line and sample are polynomials of the ground (`_smooth_monomials`), and their
-    residuals are interpolated linearly between the nodes. The error is 0 if the lattice has too few
-    nodes for it, or no middle of a mesh can be compared.
+    `lattice` are image positions (n, 2) and ground positions (n, 3), as `_sample_arrays` returns
+    them; the nodes between are those in the middles of its meshes. In the model, line and sample
+    are polynomials of the ground (`_smooth_monomials`), and their residuals are interpolated
+    linearly between the nodes. The error is 0 if the lattice has too few nodes for it, or no middle
+    of a mesh can be compared.
     """
     from scipy.interpolate import griddata
 

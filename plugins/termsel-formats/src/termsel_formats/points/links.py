@@ -27,8 +27,10 @@ from termsel_formats.points.common import CORNER
 log = logging.getLogger("termsel.formats")
 
 _LINKS_HEADINGS = {"sample": "X Source", "line": "Y Source", "x": "X Map", "y": "Y Map"}
-_WIDTHS = (4, 5, 7, 8)  # without and with a number, without and with three residuals
-_SMALLEST = 360.0  # above this, numbers are no degrees
+# Cells of a row: four, one more with a number, three more with residuals.
+_WIDTHS = (4, 5, 7, 8)
+# Numbers that are larger are no degrees.
+_MOST_DEGREES = 360.0
 _LINKS_HINT = "A row is X Source, Y Source, X Map, Y Map; y counts upwards from the upper edge."
 
 
@@ -47,6 +49,7 @@ class ArcgisLinks(Reader):
         text = head.decode("utf-8-sig", "replace")
         complete = text.rpartition("\n")[0] if len(head) > 60000 else text
         rows = [cells for _, cells in _numbered_rows(complete)]
+        # The first row may be a title or a header.
         if rows and not all(map(is_number, rows[0])):
             if not _may_head_links(complete):
                 return False
@@ -66,7 +69,7 @@ class ArcgisLinks(Reader):
         row = table[:, first + 1]
         size = max(np.abs(column).max(), np.abs(row).max())
         return bool((row <= 0.0).all() and (column >= 0.0).all() and (row < 0.0).any()
-                    and _SMALLEST < size < LARGEST_IMAGE)
+                    and _MOST_DEGREES < size < LARGEST_IMAGE)
 
     def read(self, path: Path) -> FeatureSet:
         """Return the points; the format states no CRS.

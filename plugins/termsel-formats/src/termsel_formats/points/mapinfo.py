@@ -30,7 +30,8 @@ _CELL = r"\s*([^\s,()]+)\s*"
 _TABLE_POINT = re.compile(rf"\s*\({_CELL},{_CELL}\)\s*\({_CELL},{_CELL}\)"
                           r"(?:\s*Label\s*\"([^\"]*)\")?", re.IGNORECASE)
 _SYSTEM = re.compile(r"^\s*CoordSys\s+Earth\s+Projection\s+([^\n]*)", re.IGNORECASE | re.MULTILINE)
-_WGS84 = ("104",)
+# The number of the datum WGS84 in MapInfo.
+_WGS84 = "104"
 
 
 class MapInfoTab(Reader):
@@ -60,8 +61,9 @@ class MapInfoTab(Reader):
                                hint="Register the raster in MapInfo, or give another file.")
         lines, *columns = zip(*rows, strict=True)
         cells = dict(zip(("x", "y", "sample", "line", "id"), columns, strict=True))
+        # MapInfo does not require that labels are there, nor that they are unique.
         if None in cells["id"] or len(set(cells["id"])) < len(rows):
-            del cells["id"]  # MapInfo does not require labels that are unique
+            del cells["id"]
         crs = _crs_of_table(text)
         table = Table(path, crs, {name: name for name in cells}, cells, lines)
         image = table.stack("line", "sample") - CORNER
@@ -70,13 +72,18 @@ class MapInfoTab(Reader):
 
 
 def _crs_of_table(text: str) -> str:
-    """Return the CRS of a table in longitude and latitude, or UTM, on WGS84; "" of any other."""
+    """Return the CRS that a table states as `CoordSys Earth Projection`.
+
+    It is an EPSG code for longitude and latitude, or UTM, on WGS84; "" for any other CRS, and if
+    the table states none.
+    """
     match = _SYSTEM.search(text)
     if match is None:
         return ""
     items = [item.strip().strip('"') for item in match[1].split(",")]
-    if items[1:2] != list(_WGS84):
+    if items[1:2] != [_WGS84]:
         return ""
+    # The projection 1 is longitude and latitude, 8 is transverse Mercator.
     if items[0] == "1":
         return "EPSG:4326"
     try:

@@ -14,9 +14,9 @@ import numpy as np
 
 from termsel import FeatureSet, Option, Points, Reader, Result, TermselError
 from termsel.toolkit import write_text, xml_document
-from termsel.toolkit.coordinates import horizontal_crs, normalise
+from termsel.toolkit.coordinates import horizontal_crs
 from termsel.toolkit.files import IMAGE_NAME, error_in_file, image_of, wkt_in_one_line
-from termsel_formats.points.common import CORNER, what_lacks, xml_root
+from termsel_formats.points.common import CORNER, crs_or_blank, what_lacks, xml_root
 from termsel_formats.points.written import (
     IMAGE_OPTION,
     PointsWriter,
@@ -80,12 +80,13 @@ class MetashapeMarkers(Reader):
         """Return the options for each camera of the markers; {} if there is one, or none is read.
         """
         root = xml_root(path, _METASHAPE_HINT)
+        # What is wrong with the file is an error of `read`.
         try:
             cameras = _labels_by_id(root, "camera")
             names = dict.fromkeys(cameras.get(mark.camera, mark.camera)
                                   for mark in _marker_positions(root))
         except (KeyError, ValueError):
-            return {}  # `read` raises the error
+            return {}
         return {name: {"image_name": name} for name in names} if len(names) > 1 else {}
 
 
@@ -136,10 +137,8 @@ def _reference_coordinates(root: ElementTree.Element) -> dict[str, list[float]]:
 def _reference_crs(root: ElementTree.Element) -> str:
     """Return the CRS of the references; "" if there is none, or a local one."""
     reference = root.find(".//chunk/reference")
-    try:
-        return normalise("" if reference is None else reference.text or "")
-    except TermselError:  # "LOCAL_CS" of Metashape, or nothing
-        return ""
+    # Metashape calls coordinates without a CRS LOCAL_CS, which is none.
+    return crs_or_blank("" if reference is None else reference.text or "")
 
 
 class MetashapeMarkersWriter(PointsWriter):
@@ -164,6 +163,8 @@ class MetashapeMarkersWriter(PointsWriter):
         checked = points_for_others(result)
         require_points(checked, path, self.needs)
         points = checked.points
+        # A marker is declared in the chunk, with its ground position; where it is in the image is
+        # in the frame of the chunk, by the same id.
         root = ElementTree.Element("document", version="1.2.0")
         chunk = ElementTree.SubElement(root, "chunk", label="Chunk 1", enabled="true")
         cameras = ElementTree.SubElement(chunk, "cameras")
@@ -176,6 +177,7 @@ class MetashapeMarkersWriter(PointsWriter):
                 points.ids, points.image.tolist(), points.ground.tolist(), checked.is_check,
                 strict=True)):
             marker = ElementTree.SubElement(markers, "marker", id=str(i), label=name)
+            # A height that is not known is left out.
             coordinates = {axis: repr(value) for axis, value in zip("xyz", position, strict=True)
                            if not np.isnan(value)}
             ElementTree.SubElement(marker, "reference", {

@@ -113,9 +113,10 @@ def _ground_file(path: Path) -> Path:
 
 
 def _marks_by_image(path: Path) -> dict[str, dict[str, list[float]]]:
-    """Return column and row of each point in each image: {image: {point: [column, row]}}.
+    """Return the marks of a file of measures: by the name of the image, then by that of the point.
 
-    Raises TermselError without measures, or if a point is measured twice in an image.
+    Each is column and row, from the centre of the first pixel [px]. Raises TermselError without
+    measures, or if a point is measured twice in an image.
     """
     root = xml_root(path, _MICMAC_HINT)
     marks: dict[str, dict[str, list[float]]] = {}

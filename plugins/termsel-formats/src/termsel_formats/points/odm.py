@@ -48,7 +48,8 @@ _ODM_HEADINGS = {"x": "geo_x", "y": "geo_y", "z": "geo_z", "sample": "im_x", "li
 _IMAGES = frozenset((".jpg", ".jpeg", ".tif", ".tiff", ".png", ".dng"))
 _CODE = re.compile(r"\d{4,5}")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
-_SNIFFED = 20  # rows that show a list without its first line
+# Marks that are tested to recognise a list without its first line.
+_SNIFFED = 20
 _CHECK = "CHK-"
 """Beginning of the names of check points. Versions of OpenDroneMap that know it keep them out of
 the adjustment; others take them as control (github.com/WebODM/WebODM/issues/1824)."""
@@ -116,6 +117,7 @@ def _read_marks(path: Path) -> tuple[str, list[tuple[int, list[str]]]]:
         marks = _marks_of(path, rows)
         _say_first_mark(path, marks[0][1])
         return "", marks
+    # Without a statement that is understood, the first line is the one to name in the error.
     i = _crs_row(rows) or 0
     return _crs_of_line(path, rows, i), _marks_of(path, rows[i + 1:])
 
@@ -209,7 +211,8 @@ def _lacks_crs(rows: list[tuple[int, str]]) -> bool:
     Numbers that are beyond any image show another order of columns.
     """
     marks = [_split_cells(text) for _, text in rows if not text.startswith("#")][:_SNIFFED]
-    complete = marks[:-1] or marks  # the last line may be cut
+    # The last line of the beginning of a file may be cut.
+    complete = marks[:-1] or marks
     return bool(complete) and _crs_row(rows) is None and all(
         _is_mark(cells) and Path(cells[5]).suffix.lower() in _IMAGES
         and all(abs(float(cell)) <= LARGEST_IMAGE for cell in cells[3:5]) for cells in complete)
@@ -220,6 +223,7 @@ def _split_cells(text: str) -> list[str]:
 
     Between tabs, semicolons or commas, names of images may have blanks.
     """
+    # The separator is the first by which the line is a mark; None stands for any blanks.
     for separator in ("\t", ";", None, ","):
         cells = [cell.strip() for cell in text.split(separator)]
         numbers = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell
@@ -298,8 +302,9 @@ def _crs_line(crs: str) -> str:
         return plane
     with require_import("gcp_list.txt in this CRS requires", "pyproj", GIS):
         from pyproj import CRS
+    # pyproj warns that a string of PROJ may lose parts of a CRS; OpenDroneMap reads nothing else.
     with catch_warnings():
-        simplefilter("ignore")  # pyproj warns that such a string may lose parts of a CRS
+        simplefilter("ignore")
         return str(CRS.from_user_input(plane).to_proj4())
 
 

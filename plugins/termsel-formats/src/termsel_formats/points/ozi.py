@@ -30,7 +30,8 @@ log = logging.getLogger("termsel.formats")
 
 _OZI_TITLE = b"OziExplorer Map Data File"
 _OZI_POINT = re.compile(r"\s*Point(\d+)\s*,\s*xy\s*,", re.IGNORECASE)
-_MAX_POINTS = 30  # points in a map
+# Points that a map of OziExplorer holds at most.
+_MAX_POINTS = 30
 _SIGN = {"N": 1, "S": -1, "E": 1, "W": -1}
 
 
@@ -147,6 +148,7 @@ class OziMapWriter(PointsWriter):
         self.require(result, path)
         used = chosen_points(result)
         points, zone = to_wgs84_points(used, result.features.crs)
+        # Longitudes on both sides of 180 degrees are counted beyond it, such as 181.
         if zone is None and np.abs(points.ground[:, 0]).max() > 180.0:
             log.warning("Warning: %s: the points are on both sides of 180 degrees, and GDAL maps "
                         "one side alone. termsel rectify and gcp-vrt have both.", self.name)
@@ -182,5 +184,6 @@ def _point_line(number: int, row: float, column: float, x: float, y: float,
 
 def _degrees_and_side(angle: float, hemispheres: str) -> str:
     """Return degrees, minutes and side of an angle [deg] with commas between, such as 48,30.5,N."""
+    # The sides are N, S or E, W: the second is that of negative angles.
     degrees = int(abs(angle))
     return f"{degrees},{(abs(angle) - degrees) * 60!r},{hemispheres[angle < 0]}"

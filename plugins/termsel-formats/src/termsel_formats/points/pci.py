@@ -24,7 +24,8 @@ from termsel_formats.points.common import CORNER
 from termsel_formats.points.written import PointsWriter, say_points
 
 _FIELD = re.compile(r'"([^"]*)"|([^\s,]+)')
-_DMS = re.compile(r"""\d{1,3}d\d{1,2}'\d{1,2}(\.\d*)?"[NSEW]""")  # as GCPWRIT with DMSFORM
+# Degrees, minutes and seconds as GCPWRIT writes them with DMSFORM, such as 48d30'15.5"N.
+_DMS = re.compile(r"""\d{1,3}d\d{1,2}'\d{1,2}(\.\d*)?"[NSEW]""")
 _TOKEN = re.compile(r"ID|I|e[PLXYZ]|[PLXYZES]")
 _MEANING = {"ID": "id", "I": "id", "P": "sample", "L": "line", "X": "x", "Y": "y", "Z": "z",
             "E": "z", "eP": "sigma_sample", "eL": "sigma_line", "S": "role"}
@@ -115,6 +116,7 @@ class PciGcp(Reader):
                 raise TermselError(f"a line has {len(first)} fields", file=path,
                                    hint="Name them with --set layout=IDPLXYZ.")
             return usual.split() + ["S"] * status
+        # Names of fields may follow one another without a space, as in IDPLXYZ.
         fields = _TOKEN.findall(layout)
         meanings = [_MEANING[field] for field in fields if field in _MEANING]
         has_other_characters = "".join(fields) != layout
@@ -161,7 +163,11 @@ class PciGcpWriter(PointsWriter):
         return bool(len(result.fit.control.points))
 
     def write(self, result: Result, path: Path) -> None:
-        """Write a line for each point: id, pixel, line, x, y, z if all are known, and status."""
+        """Write a line for each of the selected control points, without a header.
+
+        It has id, pixel, line, x, y, z unless a height is unknown, and status. Raises TermselError
+        for a result without control points.
+        """
         self.require(result, path)
         points = chosen_points(result)
         # All rows have the same fields: one unknown height leaves out all.

@@ -66,7 +66,8 @@ class Pix4dMarks(Reader):
         """Return True for lines that begin with the name of an image, a label and two numbers."""
         text = head.decode("utf-8-sig", "replace")
         lines = [line for line in text.splitlines()[:_SNIFFED] if line.strip()]
-        complete = lines[:-1] or lines  # the last one may be cut
+        # The last line of the beginning of a file may be cut.
+        complete = lines[:-1] or lines
         try:
             rows = list(_split_rows(complete))
         except csv.Error:
@@ -169,6 +170,7 @@ def _numbered_rows(path: Path, widths: tuple[int, ...], form: str) -> list[tuple
     `widths`; its hint is `form`, which states how a row is written.
     """
     rows: list[tuple[int, list[str]]] = []
+    # A header can only be above all rows; further down it would be a row that lacks its numbers.
     try:
         for number, cells in enumerate(_split_rows(read_text(path).splitlines()), 1):
             if not any(cells) or (not rows and _is_header(cells)):

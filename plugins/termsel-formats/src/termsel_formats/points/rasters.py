@@ -11,8 +11,9 @@ from termsel import FeatureSet, Option, Reader, TermselError, open_raster
 from termsel.toolkit.files import read_head
 from termsel_formats.points.common import CORNER, points_of
 
-_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+",  # TIFF, BigTIFF
-          b"\x89PNG", b"\xff\xd8\xff", b"\0\0\0\x0cjP  ", b"\xff\x4f\xff\x51",  # JPEG, JPEG 2000
+# How files begin: TIFF and BigTIFF; PNG, JPEG and JPEG 2000; ERDAS IMAGINE, NITF, netCDF and HDF5.
+_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+",
+          b"\x89PNG", b"\xff\xd8\xff", b"\0\0\0\x0cjP  ", b"\xff\x4f\xff\x51",
           b"EHFA_HEADER_TAG", b"NITF", b"NSIF", b"CDF\x01", b"CDF\x02", b"\x89HDF")
 
 

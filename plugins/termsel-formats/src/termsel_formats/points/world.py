@@ -20,7 +20,8 @@ from termsel_formats.points.written import PointsWriter
 
 log = logging.getLogger("termsel.formats")
 
-_MIN_POINTS = 9  # places at which the affine map is fitted to the model
+# Fewest positions of the model to which the affine map is fitted.
+_LEAST_POSITIONS = 9
 _ENDINGS = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".jp2", ".bmp", ".gif", ".img", ".bil")
 
 
@@ -129,7 +130,7 @@ class WorldFileWriter(PointsWriter):
         refuse_sky(fitted, "an affine map")
         ground = places_of(fitted)
         # The model cannot be inverted over the image: the control is where it is known.
-        if len(ground) < _MIN_POINTS:
+        if len(ground) < _LEAST_POSITIONS:
             ground = fitted.control.points.ground
         image = fitted.project(ground)
         finite = np.isfinite(image).all(axis=1)
@@ -143,6 +144,7 @@ class WorldFileWriter(PointsWriter):
         (x, y), (right_x, right_y), (down_x, down_y) = np.linalg.lstsq(
             design, ground[finite, :2] - middle, rcond=None)[0].tolist()
         numbers = (right_x, right_y, down_x, down_y, x + middle[0], y + middle[1])
+        # Without an inverse the map would put the whole image on a line.
         matrix = np.array([[down_x, right_x], [down_y, right_y]])
         if np.linalg.matrix_rank(matrix) < 2:
             raise TermselError("no affine map comes near the model", file=path,

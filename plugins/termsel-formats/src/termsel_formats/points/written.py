@@ -67,7 +67,7 @@ class CheckedPoints:
 
 
 def points_for_others(result: Result, *, with_heights: bool = False) -> CheckedPoints:
-    """Return the points that other programs may take: control in use and check points.
+    """Return the points that other programs may take: control points and check points.
 
     Certain and probable blunders are left out, possible ones only if they were excluded from the
     fit. Points that are off are left out and, with `with_heights`, those of unknown height.
@@ -76,6 +76,7 @@ def points_for_others(result: Result, *, with_heights: bool = False) -> CheckedP
     role_of = {residual.id: residual.role for residual in result.residuals
                if residual.kind == "point"}
     reason_of_id: dict[str, str] = {}
+    # A point that is a blunder, too, gets that as its reason in the second loop.
     for name, role, height in zip(points.ids, points.roles, points.ground[:, 2], strict=True):
         if role == "off" or name not in role_of:
             reason_of_id[name] = "off"

@@ -235,7 +235,7 @@ def stretch_to_bytes(pixels: Grey, is_known: Mask) -> NDArray[np.uint8] | None:
     """Return pixels (lines, samples) as bytes from dark to bright, 0 where they are not known.
 
     The percentiles 1 and 99 of the known pixels become 0 and 255, and what is beyond is cut off.
-    None if fewer than 16 pixels are known, or nearly all have the same brightness.
+    None if fewer than 16 px are known, or nearly all have the same brightness.
     """
     values = pixels[is_known]
     if values.size < _MIN_PIXELS:

@@ -33,6 +33,7 @@ def fgdc_xml(report: Quality) -> str:
         _x("timeperd", _date_element(_UNKNOWN), _x("current", _UNKNOWN)),
         _x("status", _x("progress", "Complete"), _x("update", "None planned")),
         *_bounds_and_use(west, east, south, north))
+    # Section 2 of the standard, data quality: a report in words, then each figure with its method.
     figures = [_x("qhorizpa", _x("horizpav", decimal_text(measure.value)),
                   _x("horizpae", f"{measure.name} [m]: {measure.description}"))
                for measure in report.measures if measure.unit == "m"]

@@ -54,6 +54,7 @@ def _quality_elements(report: Quality) -> list[Element]:
 
     Figures on the ground are absolute external accuracy, those in the image accuracy of the grid.
     """
+    # ISO 19157 has a class of element for each kind of accuracy.
     elements = [_x("mdq:DQ_AbsoluteExternalPositionalAccuracy" if measure.unit == "m"
                    else "mdq:DQ_GriddedDataPositionalAccuracy", _measure_element(measure),
                    _evaluation_element(report),
@@ -63,6 +64,7 @@ def _quality_elements(report: Quality) -> list[Element]:
                    _x("mdq:value",
                       _x("gco:Record", decimal_text(measure.value))), _unit_element(measure.unit))))
                 for measure in report.measures]
+    # What is said in words has no measure: a descriptive result.
     if report.statements:
         elements.append(_x("mdq:DQ_AbsoluteExternalPositionalAccuracy", *(
             _x("mdq:result",

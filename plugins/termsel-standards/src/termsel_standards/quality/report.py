@@ -93,7 +93,7 @@ class Quality:
     predicted : bool
         Whether the measures are predicted: then there was no independent test.
     method, lineage : str
-    sources : tuple of Source
+    sources : tuple of QualitySource
     software : dict
         Names and versions.
     parameters : dict
@@ -198,6 +198,7 @@ def _tested_measures(result: Result) -> tuple[Measure, ...]:
     On the ground there are none if the errors are not known in metres; the figure of NSSDA needs
     enough points.
     """
+    # Of these measures only the first is among those of ISO 19157, annex D.
     if result.accuracy is None:
         return ()
     image = result.accuracy.image
@@ -262,7 +263,10 @@ def _standard_statements(result: Result, prediction: Prediction | None) -> tuple
 
 
 def file_sha256(path: Path) -> str:
-    """Return the SHA-256 of a file in hexadecimal; raises TermselError if it cannot be read."""
+    """Return the SHA-256 of the content of a file, as 64 hexadecimal digits.
+
+    Raises TermselError if the file cannot be read, or is no regular file.
+    """
     digest = hashlib.sha256()
     try:
         # The reading of device files and pipes might never end.
